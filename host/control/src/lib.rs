@@ -1,2 +1,23 @@
-//! stub
+//! The mathematics of the car: model, linearising laws, tracking, estimation
+//! and the pilot that ties them together.
+//!
+//! SI units and radians throughout. The world frame lies on the floor, z up;
+//! yaw, yaw rate, sideslip and steering are positive to the left
+//! (counter-clockwise seen from above). The car's axes are forward, left, up.
+//!
+//! Nothing here reads a clock, allocates, or calls the platform's mathematics
+//! library: the same inputs give the same bits in every build, on every machine.
+//!
+//! Equation numbers refer to Bascetta, Farina, Gabrielli, Matteucci, "A feedback
+//! linearisation algorithm for single-track models with structural stability
+//! properties".
+
 #![no_std]
+
+mod relaxed_single_track;
+mod single_track;
+mod vehicle;
+
+pub use relaxed_single_track::RelaxedSingleTrack;
+pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
+pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

@@ -1,0 +1,103 @@
+//! The car in numbers.
+
+use serde::{Deserialize, Serialize};
+
+/// Standard gravity, in m/s².
+pub const GRAVITY: f64 = 9.806_65;
+
+/// The parameters of the single-track model, in SI units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VehicleParameters {
+    /// Mass m, in kg.
+    pub mass_kg: f64,
+    /// Yaw moment of inertia `I_z` about the centre of mass, in kg m².
+    pub yaw_inertia_kg_m2: f64,
+    /// Distance `l_f` from the centre of mass G to the front axle, in m.
+    pub front_axle_distance_m: f64,
+    /// Distance `l_r` from the centre of mass G to the rear axle, in m.
+    pub rear_axle_distance_m: f64,
+    /// Friction coefficient μ between tyre and ground.
+    pub friction: f64,
+    /// Cornering stiffness `C_f` of the front axle, in N/rad.
+    pub front_cornering_stiffness_n_rad: f64,
+    /// Cornering stiffness `C_r` of the rear axle, in N/rad.
+    pub rear_cornering_stiffness_n_rad: f64,
+}
+
+/// A vehicle parameter that no car can have.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("vehicle parameter {name} is {value}: it must be finite and above zero")]
+pub struct VehicleParameterError {
+    /// The parameter's name.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+}
+
+impl VehicleParameters {
+    /// The 1:10 car of the paper (table "Experimental Platform Data").
+    #[must_use]
+    pub const fn paper() -> Self {
+        Self {
+            mass_kg: 1.9,
+            yaw_inertia_kg_m2: 0.0251,
+            front_axle_distance_m: 0.1368,
+            rear_axle_distance_m: 0.1232,
+            friction: 0.25,
+            front_cornering_stiffness_n_rad: 58.085,
+            rear_cornering_stiffness_n_rad: 130.805,
+        }
+    }
+
+    /// Distance between the axles, `l_f + l_r`, in m.
+    #[must_use]
+    pub const fn wheelbase_m(&self) -> f64 {
+        self.front_axle_distance_m + self.rear_axle_distance_m
+    }
+
+    /// The same car with its centre of mass believed elsewhere: `l_f` is
+    /// `front_axle_distance_m`, `l_r` what remains of the wheelbase.
+    #[must_use]
+    pub const fn with_centre_of_mass_at(&self, front_axle_distance_m: f64) -> Self {
+        Self {
+            front_axle_distance_m,
+            rear_axle_distance_m: self.wheelbase_m() - front_axle_distance_m,
+            ..*self
+        }
+    }
+
+    /// Refuses what no car can have.
+    ///
+    /// # Errors
+    ///
+    /// The first parameter that is not finite or not above zero.
+    pub fn validate(&self) -> Result<(), VehicleParameterError> {
+        for (name, value) in [
+            ("mass_kg", self.mass_kg),
+            ("yaw_inertia_kg_m2", self.yaw_inertia_kg_m2),
+            ("front_axle_distance_m", self.front_axle_distance_m),
+            ("rear_axle_distance_m", self.rear_axle_distance_m),
+            ("friction", self.friction),
+            (
+                "front_cornering_stiffness_n_rad",
+                self.front_cornering_stiffness_n_rad,
+            ),
+            (
+                "rear_cornering_stiffness_n_rad",
+                self.rear_cornering_stiffness_n_rad,
+            ),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(VehicleParameterError { name, value });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Default for VehicleParameters {
+    fn default() -> Self {
+        Self::paper()
+    }
+}
