@@ -14,10 +14,26 @@
 
 #![no_std]
 
+mod angle;
+mod law;
+mod outer_loop;
+mod point;
+mod reference;
 mod relaxed_single_track;
 mod single_track;
 mod vehicle;
 
+pub use angle::{unwrap_near, wrap};
+pub use law::{
+    FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
+    VelocityPointLaw,
+};
+pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
+pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
+pub use reference::{
+    Circle, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
+    ReferencePoint, VelocityStep, VelocitySteps, Waypoint, Waypoints,
+};
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

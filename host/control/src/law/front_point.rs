@@ -1,0 +1,123 @@
+//! The law that the paper proposes.
+
+use libm::{cos, sin};
+
+use super::{LawError, Motion, Singularity};
+use crate::{Position, Velocity, front_point};
+
+/// Below this |cos(β - δ)| the law is refused as singular: 84 degrees.
+const SMALLEST_COSINE: f64 = 0.1;
+
+/// The proposed law, equation 7 (equation 8 when `l_f` is an estimate).
+///
+/// Depends on nothing but the distance p of the point P from the front axle
+/// and the distance `l_f` of the front axle from G.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrontPointLaw {
+    front_axle_distance: f64,
+    point_distance: f64,
+}
+
+/// What the [`FrontPointLaw`] asks of the car.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrontPointCommand {
+    /// Speed v of G, in m/s.
+    pub speed: f64,
+    /// Rate `u_δ` of the steering angle, in rad/s.
+    pub steering_rate: f64,
+}
+
+impl FrontPointLaw {
+    /// The law for P at `point_distance` (p, m) beyond a front axle at
+    /// `front_axle_distance` (`l_f` as estimated, m) before G.
+    ///
+    /// # Errors
+    ///
+    /// p must be finite and above zero, and the estimate between 0 and the
+    /// wheelbase, both ends included.
+    pub fn new(
+        front_axle_distance: f64,
+        point_distance: f64,
+        wheelbase: f64,
+    ) -> Result<Self, LawError> {
+        if !(point_distance.is_finite() && point_distance > 0.0) {
+            return Err(LawError::PointDistance(point_distance));
+        }
+        // An estimate written as l_f + l_r may miss their sum by a rounding.
+        if !(0.0..=wheelbase * (1.0 + 1e-9)).contains(&front_axle_distance) {
+            return Err(LawError::FrontAxleDistance {
+                value: front_axle_distance,
+                wheelbase,
+            });
+        }
+        Ok(Self {
+            front_axle_distance,
+            point_distance,
+        })
+    }
+
+    /// The distance p, in m.
+    #[must_use]
+    pub const fn point_distance(&self) -> f64 {
+        self.point_distance
+    }
+
+    /// The distance `l_f` that the law believes in, in m.
+    #[must_use]
+    pub const fn front_axle_distance(&self) -> f64 {
+        self.front_axle_distance
+    }
+
+    /// Where P is, as far as the law knows (equation 3 with its own `l_f`).
+    #[must_use]
+    pub fn point(&self, centre_of_mass: Position, yaw: f64, steering: f64) -> Position {
+        front_point(
+            centre_of_mass,
+            yaw,
+            steering,
+            self.front_axle_distance,
+            self.point_distance,
+        )
+    }
+
+    /// Speed and steering rate that give P the velocity `point_velocity`
+    /// (world frame, m/s) at the steering angle `steering` (rad).
+    ///
+    /// # Errors
+    ///
+    /// At the singularity cos(β - δ) = 0, and for anything not finite.
+    pub fn command(
+        &self,
+        motion: &Motion,
+        steering: f64,
+        point_velocity: &Velocity,
+    ) -> Result<FrontPointCommand, Singularity> {
+        let Motion {
+            yaw,
+            yaw_rate,
+            sideslip,
+        } = *motion;
+        let cosine = cos(sideslip - steering);
+        if cosine.abs() < SMALLEST_COSINE {
+            return Err(Singularity::WheelsAcrossVelocity { cosine });
+        }
+        let wheels = yaw + steering;
+        let course = yaw + sideslip;
+        let l_f = self.front_axle_distance;
+        let command = FrontPointCommand {
+            speed: (point_velocity.x * cos(wheels) + point_velocity.y * sin(wheels)
+                - yaw_rate * l_f * sin(steering))
+                / cosine,
+            steering_rate: (point_velocity.y * cos(course)
+                - point_velocity.x * sin(course)
+                - yaw_rate * l_f * cos(sideslip))
+                / (self.point_distance * cosine)
+                - yaw_rate,
+        };
+        if command.speed.is_finite() && command.steering_rate.is_finite() {
+            Ok(command)
+        } else {
+            Err(Singularity::NotFinite)
+        }
+    }
+}

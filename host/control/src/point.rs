@@ -1,0 +1,50 @@
+//! The points that the laws move.
+
+use libm::{cos, sin};
+use nalgebra::{Point2, Vector2};
+
+/// A position on the floor, world frame, in m.
+pub type Position = Point2<f64>;
+
+/// A velocity or displacement on the floor, world frame, in m/s or m.
+pub type Velocity = Vector2<f64>;
+
+/// The unit vector at `angle` from the world's x axis, in rad.
+#[must_use]
+pub fn direction(angle: f64) -> Vector2<f64> {
+    Vector2::new(cos(angle), sin(angle))
+}
+
+/// Equation 3: the point P at `point_distance` beyond the front axle in the
+/// steering direction, with the front axle `front_axle_distance` (`l_f`, true or
+/// estimated) before G.
+#[must_use]
+pub fn front_point(
+    centre_of_mass: Position,
+    yaw: f64,
+    steering: f64,
+    front_axle_distance: f64,
+    point_distance: f64,
+) -> Position {
+    centre_of_mass
+        + front_axle_distance * direction(yaw)
+        + point_distance * direction(yaw + steering)
+}
+
+/// The appendix: the point P at `point_distance` before G in the direction of
+/// its velocity.
+#[must_use]
+pub fn velocity_point(
+    centre_of_mass: Position,
+    yaw: f64,
+    sideslip: f64,
+    point_distance: f64,
+) -> Position {
+    centre_of_mass + point_distance * direction(yaw + sideslip)
+}
+
+/// The counter-clockwise angle from `from` to `to`, in (-π, π].
+#[must_use]
+pub fn angle_between(from: &Vector2<f64>, to: &Vector2<f64>) -> f64 {
+    libm::atan2(from.perp(to), from.dot(to))
+}

@@ -1,0 +1,59 @@
+//! A figure of eight: turns both ways, with a crossing.
+
+use libm::{cos, sin};
+
+use super::{ReferenceError, ReferencePoint, finite, positive};
+use crate::{Position, Velocity};
+
+/// A Gerono lemniscate: x = a sin(ωt), y = b sin(2ωt), about a centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FigureOfEight {
+    centre: Position,
+    half_length: f64,
+    half_width: f64,
+    angular_velocity: f64,
+}
+
+impl FigureOfEight {
+    /// A figure of eight that reaches `half_length` (m) along x and
+    /// `half_width` (m) along y from `centre`, once in 2π / `angular_velocity`
+    /// (rad/s).
+    ///
+    /// # Errors
+    ///
+    /// Lengths must be above zero, all values finite.
+    pub fn new(
+        centre: Position,
+        half_length: f64,
+        half_width: f64,
+        angular_velocity: f64,
+    ) -> Result<Self, ReferenceError> {
+        Ok(Self {
+            centre: Position::new(
+                finite("centre_m x", centre.x)?,
+                finite("centre_m y", centre.y)?,
+            ),
+            half_length: positive("half_length_m", half_length)?,
+            half_width: positive("half_width_m", half_width)?,
+            angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
+        })
+    }
+
+    pub(super) fn at(&self, time: f64) -> ReferencePoint {
+        let phase = self.angular_velocity * time;
+        ReferencePoint {
+            position: Some(
+                self.centre
+                    + Velocity::new(
+                        self.half_length * sin(phase),
+                        self.half_width * sin(2.0 * phase),
+                    ),
+            ),
+            velocity: self.angular_velocity
+                * Velocity::new(
+                    self.half_length * cos(phase),
+                    2.0 * self.half_width * cos(2.0 * phase),
+                ),
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Where P should be, and how fast it should move.
+
+mod circle;
+mod figure_of_eight;
+mod velocity_steps;
+mod waypoints;
+
+pub use circle::Circle;
+pub use figure_of_eight::FigureOfEight;
+pub use velocity_steps::{MAX_VELOCITY_STEPS, VelocityStep, VelocitySteps};
+pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
+
+use crate::{Position, Velocity};
+
+/// One moment of a reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferencePoint {
+    /// Where P should be, in m; none for a reference that is a velocity alone.
+    pub position: Option<Position>,
+    /// How fast P should move, in m/s.
+    pub velocity: Velocity,
+}
+
+/// A reference for P over time.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reference {
+    /// Round a circle.
+    Circle(Circle),
+    /// A sequence of constant velocities (the paper's open-loop test).
+    VelocitySteps(VelocitySteps),
+    /// A Gerono lemniscate.
+    FigureOfEight(FigureOfEight),
+    /// Through timed points.
+    Waypoints(Waypoints),
+}
+
+/// A reference that makes no sense.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ReferenceError {
+    /// A value that must be finite and above zero.
+    #[error("{name} is {value}: it must be finite and above zero")]
+    NotPositive {
+        /// The value's name.
+        name: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// A value that must be finite.
+    #[error("{name} is {value}: it must be finite")]
+    NotFinite {
+        /// The value's name.
+        name: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// A sequence that needs more elements.
+    #[error("{name}: {count} given, at least {least} needed")]
+    TooFew {
+        /// What there is too little of.
+        name: &'static str,
+        /// How many were given.
+        count: usize,
+        /// How many are needed.
+        least: usize,
+    },
+    /// A sequence that is longer than the controller holds.
+    #[error("{name}: more than the {most} that fit")]
+    TooMany {
+        /// What there is too much of.
+        name: &'static str,
+        /// How many fit.
+        most: usize,
+    },
+    /// Waypoints must be in order of time.
+    #[error("waypoint {index} is at {time_s} s, not after the one before it")]
+    TimeNotIncreasing {
+        /// Index of the waypoint, from 0.
+        index: usize,
+        /// Its time, in s.
+        time_s: f64,
+    },
+}
+
+impl Reference {
+    /// The reference at `time` seconds after the start of the drive.
+    #[must_use]
+    pub fn at(&self, time: f64) -> ReferencePoint {
+        match self {
+            Self::Circle(circle) => circle.at(time),
+            Self::VelocitySteps(steps) => steps.at(time),
+            Self::FigureOfEight(figure) => figure.at(time),
+            Self::Waypoints(waypoints) => waypoints.at(time),
+        }
+    }
+
+    /// The next time after `time` at which the reference jumps, in s.
+    #[must_use]
+    pub fn next_switch(&self, time: f64) -> Option<f64> {
+        match self {
+            Self::Circle(_) | Self::FigureOfEight(_) => None,
+            Self::VelocitySteps(steps) => steps.next_switch(time),
+            Self::Waypoints(waypoints) => waypoints.next_switch(time),
+        }
+    }
+}
+
+/// Passes a value on if it is finite and above zero.
+fn positive(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(ReferenceError::NotPositive { name, value })
+    }
+}
+
+/// Passes a value on if it is finite.
+fn finite(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(ReferenceError::NotFinite { name, value })
+    }
+}

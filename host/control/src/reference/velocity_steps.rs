@@ -1,0 +1,93 @@
+//! Piecewise constant velocities: the paper's open-loop test.
+
+use heapless::Vec;
+
+use super::{ReferenceError, ReferencePoint, finite, positive};
+use crate::Velocity;
+
+/// How many steps a sequence may have.
+pub const MAX_VELOCITY_STEPS: usize = 64;
+
+/// One constant velocity of P.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VelocityStep {
+    /// How long it lasts, in s.
+    pub duration: f64,
+    /// The velocity, in m/s.
+    pub velocity: Velocity,
+}
+
+/// A sequence of constant velocities, standing still afterwards.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VelocitySteps {
+    /// Each velocity with the time at which it ends.
+    steps: Vec<(f64, Velocity), MAX_VELOCITY_STEPS>,
+}
+
+impl VelocitySteps {
+    /// The sequence of `steps`. A step starts when the sum of the earlier
+    /// durations has passed.
+    ///
+    /// # Errors
+    ///
+    /// At least one step, at most [`MAX_VELOCITY_STEPS`]; durations above zero,
+    /// velocities finite.
+    pub fn new(steps: &[VelocityStep]) -> Result<Self, ReferenceError> {
+        if steps.is_empty() {
+            return Err(ReferenceError::TooFew {
+                name: "steps",
+                count: 0,
+                least: 1,
+            });
+        }
+        let mut end = 0.0;
+        let mut sequence = Vec::new();
+        for step in steps {
+            end += positive("duration_s", step.duration)?;
+            finite("v_x_m_s", step.velocity.x)?;
+            finite("v_y_m_s", step.velocity.y)?;
+            sequence
+                .push((end, step.velocity))
+                .map_err(|_| ReferenceError::TooMany {
+                    name: "steps",
+                    most: MAX_VELOCITY_STEPS,
+                })?;
+        }
+        Ok(Self { steps: sequence })
+    }
+
+    /// When the last step ends, in s.
+    #[must_use]
+    pub fn duration(&self) -> f64 {
+        self.steps.last().map_or(0.0, |step| step.0)
+    }
+
+    /// Where an ideal integrator that starts at `start` is at `time` (s): the
+    /// nominal trajectory of P (equation 6).
+    #[must_use]
+    pub fn integrate(&self, start: crate::Position, time: f64) -> crate::Position {
+        let mut position = start;
+        let mut begin = 0.0;
+        for (end, velocity) in &self.steps {
+            position += (time.min(*end) - begin).max(0.0) * velocity;
+            begin = *end;
+        }
+        position
+    }
+
+    pub(super) fn at(&self, time: f64) -> ReferencePoint {
+        let velocity = self
+            .steps
+            .iter()
+            .find(|(end, _)| time < *end)
+            .map_or_else(Velocity::zeros, |step| step.1);
+        ReferencePoint {
+            position: None,
+            velocity,
+        }
+    }
+
+    pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
+        self.steps.iter().map(|step| step.0).find(|end| *end > time)
+    }
+}

@@ -1,0 +1,92 @@
+//! Through timed points, at constant velocity between them.
+
+use heapless::Vec;
+
+use super::{ReferenceError, ReferencePoint, finite};
+use crate::{Position, Velocity};
+
+/// How many waypoints a path may have.
+pub const MAX_WAYPOINTS: usize = 1024;
+
+/// Where P should be at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Waypoint {
+    /// Seconds after the start of the drive.
+    pub time: f64,
+    /// The position of P, in m.
+    pub position: Position,
+}
+
+/// A path through waypoints, straight between them; it waits at the first
+/// before its time and at the last after it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Waypoints {
+    points: Vec<Waypoint, MAX_WAYPOINTS>,
+}
+
+impl Waypoints {
+    /// The path through `points`.
+    ///
+    /// # Errors
+    ///
+    /// At least two points, at most [`MAX_WAYPOINTS`], all finite, in strictly
+    /// increasing time.
+    pub fn new(points: &[Waypoint]) -> Result<Self, ReferenceError> {
+        if points.len() < 2 {
+            return Err(ReferenceError::TooFew {
+                name: "waypoints",
+                count: points.len(),
+                least: 2,
+            });
+        }
+        let mut previous = f64::NEG_INFINITY;
+        for (index, point) in points.iter().enumerate() {
+            finite("waypoint t_s", point.time)?;
+            finite("waypoint x_m", point.position.x)?;
+            finite("waypoint y_m", point.position.y)?;
+            if point.time <= previous {
+                return Err(ReferenceError::TimeNotIncreasing {
+                    index,
+                    time_s: point.time,
+                });
+            }
+            previous = point.time;
+        }
+        Ok(Self {
+            points: Vec::from_slice(points).map_err(|_| ReferenceError::TooMany {
+                name: "waypoints",
+                most: MAX_WAYPOINTS,
+            })?,
+        })
+    }
+
+    pub(super) fn at(&self, time: f64) -> ReferencePoint {
+        let after = self.points.partition_point(|point| point.time <= time);
+        let before = after
+            .checked_sub(1)
+            .and_then(|index| self.points.get(index));
+        match (before, self.points.get(after)) {
+            (Some(from), Some(to)) => {
+                let velocity = (to.position - from.position) / (to.time - from.time);
+                ReferencePoint {
+                    position: Some(from.position + (time - from.time) * velocity),
+                    velocity,
+                }
+            }
+            (Some(point), None) | (None, Some(point)) => ReferencePoint {
+                position: Some(point.position),
+                velocity: Velocity::zeros(),
+            },
+            (None, None) => ReferencePoint {
+                position: None,
+                velocity: Velocity::zeros(),
+            },
+        }
+    }
+
+    pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
+        self.points
+            .get(self.points.partition_point(|point| point.time <= time))
+            .map(|point| point.time)
+    }
+}
