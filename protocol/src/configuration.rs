@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::{Configure, Message, crc::crc32};
+
 /// Everything that the board must know about the car that it is built into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configuration {
@@ -23,6 +25,22 @@ pub struct Configuration {
     /// Whether a normally-closed stop switch is wired: when it opens, the car
     /// stops as for [`crate::EmergencyStop`].
     pub stop_input: bool,
+}
+
+impl Configuration {
+    /// Its length as it is sent: a [`Configure`] without the request number.
+    const LENGTH: usize = Configure::PAYLOAD_LENGTH - 1;
+
+    /// Names this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
+    /// and [`crate::Status`]: CRC-32 of its bytes as they are sent. Never zero,
+    /// which means that there is none.
+    #[must_use]
+    pub fn hash(&self) -> u32 {
+        let mut buffer = [0; Self::LENGTH];
+        // The buffer has room for every value; the tests show it.
+        let bytes = postcard::to_slice(self, &mut buffer).map_or(&[][..], |bytes| bytes);
+        crc32(bytes).max(1)
+    }
 }
 
 /// Maps steering angles to servo pulses.

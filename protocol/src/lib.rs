@@ -23,21 +23,34 @@
 
 #![no_std]
 
+mod budget;
 mod command;
 mod configuration;
+mod crc;
 mod fixint_array;
+mod frame;
 mod hello;
+mod message;
 mod report;
+mod validation;
+
+pub use budget::RECEIVE_BUFFER_LENGTH;
 
 pub use command::{Arm, Disarm, Drive, EmergencyStop, Sequence};
 pub use configuration::{
     Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
 };
+pub use frame::{
+    Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length,
+};
 pub use hello::{Hello, UNSOLICITED};
+pub use message::{Configure, DecodeError, Message, MessageType, ToBoard, ToHost};
 pub use report::{
     Acknowledgement, BoardMode, ImuState, Refusal, RefusalReason, Request, ResetCause, Status,
     StopCause, Telemetry,
 };
+
+pub use validation::{ConfigurationError, ConfigurationField};
 
 /// The protocol version. Exact match: see the crate's version policy.
 pub const VERSION: u16 = 1;

@@ -78,7 +78,7 @@ pub enum RefusalReason {
 /// Which kind of request an answer is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Request {
-    /// [`crate::Configuration`].
+    /// [`crate::Configure`].
     Configure,
     /// [`crate::Arm`].
     Arm,

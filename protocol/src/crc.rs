@@ -1,0 +1,94 @@
+//! The two check sums, in forms that suit an 8-bit processor.
+//!
+//! On the AVR every constant lives in SRAM: the usual table of 256 entries
+//! would take a quarter of it. CRC-16/X-25 is therefore computed a nibble at a
+//! time in registers, and CRC-32, which is needed once per configuration, bit
+//! by bit.
+
+/// CRC-16/X-25 of everything that has been given to [`Crc16::update`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Crc16(u16);
+
+impl Crc16 {
+    /// The state after a message and its own check sum, low byte first.
+    const RESIDUE: u16 = 0xF0B8;
+
+    pub(crate) const fn new() -> Self {
+        Self(0xFFFF)
+    }
+
+    pub(crate) const fn update(&mut self, byte: u8) {
+        // Reflected polynomial 0x8408. Its two nibble steps collapse into
+        // shifts because the polynomial is sparse: x^16 + x^12 + x^5 + 1.
+        let mut mixed = byte ^ self.0.to_le_bytes()[0];
+        mixed ^= mixed << 4;
+        let wide = mixed as u16;
+        self.0 = (self.0 >> 8) ^ (wide << 8) ^ (wide << 3) ^ (wide >> 4);
+    }
+
+    pub(crate) const fn finish(self) -> u16 {
+        !self.0
+    }
+
+    /// Whether the last two bytes were the check sum of all bytes before them.
+    pub(crate) const fn is_residue(self) -> bool {
+        self.0 == Self::RESIDUE
+    }
+}
+
+/// CRC-16/X-25 of `bytes`.
+pub(crate) fn crc16(bytes: &[u8]) -> u16 {
+    let mut crc = Crc16::new();
+    for &byte in bytes {
+        crc.update(byte);
+    }
+    crc.finish()
+}
+
+/// CRC-32 (ISO-HDLC, the one of Ethernet and zip) of `bytes`.
+pub(crate) fn crc32(bytes: &[u8]) -> u32 {
+    let mut crc = u32::MAX;
+    for &byte in bytes {
+        crc ^= u32::from(byte);
+        for _ in 0..8 {
+            crc = if crc & 1 == 0 {
+                crc >> 1
+            } else {
+                (crc >> 1) ^ 0xEDB8_8320
+            };
+        }
+    }
+    !crc
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Crc16, crc16, crc32};
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_check_values_are_those_of_the_catalogue() {
+        assert_eq!(crc16(b"123456789"), 0x906E);
+        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+    }
+
+    proptest! {
+        #[test]
+        fn both_agree_with_an_independent_implementation(bytes: [u8; 41], length in 0_usize..=41) {
+            let bytes = &bytes[..length];
+            prop_assert_eq!(crc16(bytes), crc::Crc::<u16>::new(&crc::CRC_16_IBM_SDLC).checksum(bytes));
+            prop_assert_eq!(crc32(bytes), crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes));
+        }
+
+        #[test]
+        fn a_message_followed_by_its_check_sum_leaves_the_residue(bytes: [u8; 20], wrong in 1_u16..) {
+            for (flip, good) in [(0, true), (wrong, false)] {
+                let mut crc = Crc16::new();
+                for byte in bytes.into_iter().chain((crc16(&bytes) ^ flip).to_le_bytes()) {
+                    crc.update(byte);
+                }
+                prop_assert_eq!(crc.is_residue(), good);
+            }
+        }
+    }
+}

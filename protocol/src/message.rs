@@ -1,0 +1,203 @@
+//! The two sets of messages, and their way into frames and out of packets.
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::frame::{Frame, MAX_PAYLOAD_LENGTH, Packet};
+use crate::{
+    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
+    Status, Telemetry,
+};
+
+/// Gives the board its calibration and limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Configure {
+    /// Names this request in the answer.
+    pub request: Sequence,
+    /// What the board is to use from now on, whole: nothing is kept of an
+    /// earlier one.
+    pub configuration: Configuration,
+}
+
+/// The byte that begins every packet.
+///
+/// The two directions share none but [`MessageType::Hello`], so that a line
+/// that echoes is not taken for a partner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum MessageType {
+    /// [`Hello`], both ways; frozen for ever.
+    Hello = 0x01,
+    /// [`Configure`], to the board.
+    Configure = 0x10,
+    /// [`Arm`], to the board.
+    Arm = 0x11,
+    /// [`Disarm`], to the board.
+    Disarm = 0x12,
+    /// [`Drive`], to the board.
+    Drive = 0x13,
+    /// [`EmergencyStop`], to the board.
+    EmergencyStop = 0x14,
+    /// [`Telemetry`], to the host.
+    Telemetry = 0x20,
+    /// [`Status`], to the host.
+    Status = 0x21,
+    /// [`Acknowledgement`], to the host.
+    Acknowledgement = 0x22,
+    /// [`Refusal`], to the host.
+    Refusal = 0x23,
+}
+
+/// A message with its type byte and the one length its payload can have.
+pub trait Message: Serialize + DeserializeOwned {
+    /// The byte that begins its packets.
+    const TYPE: MessageType;
+    /// The length of its payload, in bytes.
+    const PAYLOAD_LENGTH: usize;
+}
+
+macro_rules! messages {
+    ($($message:ident: $length:literal,)*) => {$(
+        impl Message for $message {
+            const TYPE: MessageType = MessageType::$message;
+            const PAYLOAD_LENGTH: usize = $length;
+        }
+        const _: () = assert!($length <= MAX_PAYLOAD_LENGTH);
+    )*};
+}
+
+messages! {
+    Hello: 9,
+    Configure: 41,
+    Arm: 9,
+    Disarm: 1,
+    Drive: 11,
+    EmergencyStop: 1,
+    Telemetry: 35,
+    Status: 25,
+    Acknowledgement: 6,
+    Refusal: 3,
+}
+
+/// Why a good packet is not a message that this version understands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// No message in this direction has this type byte.
+    #[error(
+        "no message in this direction has the type byte {0:#04x}: the other side speaks another version"
+    )]
+    UnknownType(u8),
+    /// The payload has not the one length that the message can have.
+    #[error(
+        "the payload of {message:?} is {actual} bytes instead of {expected}: the other side speaks another version"
+    )]
+    Length {
+        /// The message named by the type byte.
+        message: MessageType,
+        /// The length that its payload must have, in bytes.
+        expected: usize,
+        /// The length that it had, in bytes.
+        actual: usize,
+    },
+    /// A truth value or an enumeration holds a number that means nothing.
+    #[error(
+        "a field of {message:?} holds a number without a meaning: the other side speaks another version"
+    )]
+    Value {
+        /// The message named by the type byte.
+        message: MessageType,
+    },
+}
+
+fn encode<M: Message>(message: &M) -> Frame {
+    Frame::build(M::TYPE as u8, |buffer| {
+        Some(postcard::to_slice(message, buffer).ok()?.len())
+    })
+}
+
+fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
+    let message = M::TYPE;
+    if payload.len() != M::PAYLOAD_LENGTH {
+        return Err(DecodeError::Length {
+            message,
+            expected: M::PAYLOAD_LENGTH,
+            actual: payload.len(),
+        });
+    }
+    match postcard::take_from_bytes(payload) {
+        Ok((value, [])) => Ok(value),
+        _ => Err(DecodeError::Value { message }),
+    }
+}
+
+macro_rules! direction {
+    ($(#[$documentation:meta])* $name:ident { $($(#[$meaning:meta])* $message:ident,)* }) => {
+        $(#[$documentation])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $name {
+            $($(#[$meaning])* $message($message),)*
+        }
+
+        impl $name {
+            /// The frame that carries this message.
+            #[must_use]
+            pub fn encode(&self) -> Frame {
+                match self {
+                    $(Self::$message(message) => encode(message),)*
+                }
+            }
+
+            /// The message that a packet carries.
+            ///
+            /// # Errors
+            ///
+            /// When the type is not one of this direction, or when length or
+            /// contents are not those of the type.
+            pub fn decode(packet: Packet<'_>) -> Result<Self, DecodeError> {
+                $(if packet.kind == MessageType::$message as u8 {
+                    return decode(packet.payload).map(Self::$message);
+                })*
+                Err(DecodeError::UnknownType(packet.kind))
+            }
+        }
+
+        $(impl From<$message> for $name {
+            fn from(message: $message) -> Self {
+                Self::$message(message)
+            }
+        })*
+    };
+}
+
+direction! {
+    /// What the host sends.
+    ToBoard {
+        /// Greets, and asks for the board's greeting.
+        Hello,
+        /// Asks the board to take over a configuration.
+        Configure,
+        /// Asks the board to accept commands.
+        Arm,
+        /// Asks the board to stop accepting commands.
+        Disarm,
+        /// Commands speed and steering.
+        Drive,
+        /// Stops until reset.
+        EmergencyStop,
+    }
+}
+
+direction! {
+    /// What the board sends.
+    ToHost {
+        /// Answers a greeting, or announces a start.
+        Hello,
+        /// The record for control.
+        Telemetry,
+        /// The record for people.
+        Status,
+        /// Yes, to a request.
+        Acknowledgement,
+        /// No, to a request.
+        Refusal,
+    }
+}

@@ -1,0 +1,168 @@
+//! The limits of a sane configuration.
+//!
+//! The board refuses what is outside, whatever the host believes; the host
+//! asks the same function first, so that a person reads which line to correct.
+
+use core::fmt;
+use core::ops::RangeInclusive;
+
+use crate::{Configuration, MAX_POSE_AGE_CEILING_MS};
+
+/// Pulses that servos and speed controllers for model cars understand, in µs.
+const PULSE_US: RangeInclusive<i32> = 800..=2_200;
+/// Where a speed controller looks for its neutral when it starts, in µs.
+const ESC_NEUTRAL_US: RangeInclusive<i32> = 1_400..=1_600;
+const DEADBAND_US: RangeInclusive<i32> = 0..=200;
+/// Up to the whole width of [`PULSE_US`], which is no limit at all.
+const SLEW_US: RangeInclusive<i32> = 1..=1_400;
+/// A servo turns about 1 rad in 600 µs; horn and linkage divide or multiply that by a few.
+const SERVO_GAIN_US_PER_RAD: RangeInclusive<i32> = 50..=5_000;
+/// Keeps the products of the speed loop within 32 bits.
+const LOOP_GAIN: RangeInclusive<i32> = 0..=5_000;
+const INTEGRAL_LIMIT_US: RangeInclusive<i32> = 0..=700;
+const PULSE_DISTANCE_UM: RangeInclusive<i32> = 1..=u16::MAX as i32;
+const MAX_SPEED_MM_S: i32 = 20_000;
+
+/// A value of a [`Configuration`] that the board refuses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} is {value}, but must be {lowest} to {highest}")]
+pub struct ConfigurationError {
+    /// Which value.
+    pub field: ConfigurationField,
+    /// What it is.
+    pub value: i32,
+    /// The lowest value allowed, given the other values.
+    pub lowest: i32,
+    /// The highest value allowed, given the other values.
+    pub highest: i32,
+}
+
+macro_rules! fields {
+    ($($field:ident = $path:literal,)*) => {
+        /// A value of a [`Configuration`], by name.
+        ///
+        /// Shown as its path in the structure. (An enumeration and not the
+        /// path itself: on the board a string would take up SRAM.)
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum ConfigurationField {
+            $(#[doc = concat!("`", $path, "`")] $field,)*
+        }
+
+        impl fmt::Display for ConfigurationField {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(match self {
+                    $(Self::$field => $path,)*
+                })
+            }
+        }
+    };
+}
+
+fields! {
+    ServoCentre = "servo.centre_us",
+    ServoGainMagnitude = "magnitude of servo.gain_us_per_rad",
+    ServoMin = "servo.min_us",
+    ServoMax = "servo.max_us",
+    ServoSlew = "servo.slew_us_per_20ms",
+    EscNeutral = "esc.neutral_us",
+    EscDeadband = "esc.deadband_us",
+    EscMin = "esc.min_us",
+    EscMax = "esc.max_us",
+    EscSlew = "esc.slew_us_per_20ms",
+    EscBrake = "esc.brake_us",
+    PulseDistance = "speed.pulse_distance_um",
+    FeedForward = "speed.feed_forward_us_per_m_s",
+    Proportional = "speed.proportional_us_per_m_s",
+    Integral = "speed.integral_us_per_m",
+    IntegralLimit = "speed.integral_limit_us",
+    MaxForward = "speed.max_forward_mm_s",
+    MaxReverse = "speed.max_reverse_mm_s",
+    MaxPoseAge = "max_pose_age_ms",
+}
+
+fn check(
+    field: ConfigurationField,
+    value: i32,
+    allowed: RangeInclusive<i32>,
+) -> Result<(), ConfigurationError> {
+    if allowed.contains(&value) {
+        return Ok(());
+    }
+    Err(ConfigurationError {
+        field,
+        value,
+        lowest: *allowed.start(),
+        highest: *allowed.end(),
+    })
+}
+
+impl Configuration {
+    /// Whether a board can follow this configuration.
+    ///
+    /// # Errors
+    ///
+    /// The first value that is outside its limits, with the limits.
+    pub fn validate(&self) -> Result<(), ConfigurationError> {
+        use ConfigurationField as Field;
+        let (lowest_pulse, highest_pulse) = (*PULSE_US.start(), *PULSE_US.end());
+
+        let servo = &self.servo;
+        let (min, max) = (i32::from(servo.min_us), i32::from(servo.max_us));
+        check(Field::ServoMin, min, PULSE_US)?;
+        check(Field::ServoMax, max, min..=highest_pulse)?;
+        check(Field::ServoCentre, servo.centre_us.into(), min..=max)?;
+        let gain = i32::from(servo.gain_us_per_rad).abs();
+        check(Field::ServoGainMagnitude, gain, SERVO_GAIN_US_PER_RAD)?;
+        check(Field::ServoSlew, servo.slew_us_per_20ms.into(), SLEW_US)?;
+
+        let esc = &self.esc;
+        let (neutral, deadband) = (i32::from(esc.neutral_us), i32::from(esc.deadband_us));
+        check(Field::EscNeutral, neutral, ESC_NEUTRAL_US)?;
+        check(Field::EscDeadband, deadband, DEADBAND_US)?;
+        let min = i32::from(esc.min_us);
+        check(Field::EscMin, min, lowest_pulse..=neutral - deadband)?;
+        check(
+            Field::EscMax,
+            esc.max_us.into(),
+            neutral + deadband..=highest_pulse,
+        )?;
+        check(Field::EscSlew, esc.slew_us_per_20ms.into(), SLEW_US)?;
+        check(Field::EscBrake, esc.brake_us.into(), min..=neutral)?;
+
+        let speed = &self.speed;
+        check(
+            Field::PulseDistance,
+            speed.pulse_distance_um.into(),
+            PULSE_DISTANCE_UM,
+        )?;
+        check(
+            Field::FeedForward,
+            speed.feed_forward_us_per_m_s.into(),
+            LOOP_GAIN,
+        )?;
+        check(
+            Field::Proportional,
+            speed.proportional_us_per_m_s.into(),
+            LOOP_GAIN,
+        )?;
+        check(Field::Integral, speed.integral_us_per_m.into(), LOOP_GAIN)?;
+        check(
+            Field::IntegralLimit,
+            speed.integral_limit_us.into(),
+            INTEGRAL_LIMIT_US,
+        )?;
+        check(
+            Field::MaxForward,
+            speed.max_forward_mm_s.into(),
+            1..=MAX_SPEED_MM_S,
+        )?;
+        check(
+            Field::MaxReverse,
+            speed.max_reverse_mm_s.into(),
+            0..=MAX_SPEED_MM_S,
+        )?;
+
+        let ceiling = i32::from(MAX_POSE_AGE_CEILING_MS);
+        check(Field::MaxPoseAge, self.max_pose_age_ms.into(), 1..=ceiling)
+    }
+}

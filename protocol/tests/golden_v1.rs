@@ -1,0 +1,104 @@
+//! The bytes of version 1, frozen.
+//!
+//! A test that fails here says one of two things: the change is wrong, or
+//! `VERSION` has to rise and these bytes stay behind as the old version's. It
+//! never says that the bytes should be corrected.
+
+mod samples;
+
+use samples::{Sample, samples};
+use singletrack_protocol::{Decoder, Message, ToBoard, ToHost, VERSION};
+
+const GOLDEN: [(&str, &str); 11] = [
+    ("hello to the board", "03010101090102d4c3b2a136c200"),
+    (
+        "configure",
+        "0c1003d205d1fc4c0471075a04dc0519067e04080728061405d0203c0250027802640bc4095802018403019b7800",
+    ),
+    ("arm", "0d11044433221188776655176d00"),
+    ("disarm", "051205cbfe00"),
+    ("drive", "0713c88d012af305ffffff0c0302fb00"),
+    ("emergency stop", "051406809800"),
+    ("hello to the host", "03010101090102d4c3b2a136c200"),
+    (
+        "telemetry",
+        "05205634120b0302c8012588ffd5030e02050afafff301ff3ffdff2c010af89101c6041906054800",
+    ),
+    (
+        "status",
+        "05216034120cccbbaa990301f41ce9030c0203030a040205020603a27000",
+    ),
+    ("acknowledgement", "0a2201044433221169ed00"),
+    ("refusal", "0223050303b34e00"),
+];
+
+#[test]
+fn every_message_has_the_bytes_of_version_1() {
+    assert_eq!(VERSION, 1);
+    let samples = samples();
+    assert_eq!(samples.len(), GOLDEN.len());
+    for (sample, (name, golden)) in samples.iter().zip(GOLDEN) {
+        assert_eq!(sample.name, name);
+        assert_eq!(hex(sample.frame().as_bytes()), golden, "{name}");
+    }
+}
+
+#[test]
+fn the_bytes_of_version_1_are_understood() {
+    for (sample, (name, golden)) in samples().iter().zip(GOLDEN) {
+        let mut decoder = Decoder::new();
+        let mut bytes = unhex(golden);
+        let last = bytes.pop().unwrap();
+        for byte in bytes {
+            assert_eq!(decoder.push(byte), None, "{name}");
+        }
+        let packet = decoder.push(last).unwrap().unwrap();
+        assert_eq!(sample.same_direction(packet), Ok(sample.message), "{name}");
+    }
+}
+
+#[test]
+fn every_payload_has_the_length_that_the_message_states() {
+    fn length<M: Message>(message: &M) -> (usize, usize) {
+        (
+            postcard::to_slice(message, &mut [0; 64]).unwrap().len(),
+            M::PAYLOAD_LENGTH,
+        )
+    }
+    for Sample { name, message } in samples() {
+        let (actual, stated) = match message {
+            samples::Either::ToBoard(message) => match message {
+                ToBoard::Hello(m) => length(&m),
+                ToBoard::Configure(m) => length(&m),
+                ToBoard::Arm(m) => length(&m),
+                ToBoard::Disarm(m) => length(&m),
+                ToBoard::Drive(m) => length(&m),
+                ToBoard::EmergencyStop(m) => length(&m),
+            },
+            samples::Either::ToHost(message) => match message {
+                ToHost::Hello(m) => length(&m),
+                ToHost::Telemetry(m) => length(&m),
+                ToHost::Status(m) => length(&m),
+                ToHost::Acknowledgement(m) => length(&m),
+                ToHost::Refusal(m) => length(&m),
+            },
+        };
+        assert_eq!(actual, stated, "{name}");
+    }
+}
+
+#[test]
+fn the_hash_of_a_configuration_is_frozen_too() {
+    assert_eq!(samples::configuration().hash(), 0xE0F4_70B3);
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Vec<u8> {
+    (0..text.len())
+        .step_by(2)
+        .map(|at| u8::from_str_radix(&text[at..at + 2], 16).unwrap())
+        .collect()
+}

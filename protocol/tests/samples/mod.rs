@@ -1,0 +1,199 @@
+//! One message of every type, with values that all differ.
+
+use singletrack_protocol::{
+    Acknowledgement, Arm, BoardMode, Configuration, Configure, DecodeError, Disarm, Drive,
+    EmergencyStop, EscCalibration, FailsafeAction, Frame, Hello, ImuState, Packet, Refusal,
+    RefusalReason, Request, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, StopCause,
+    Telemetry, ToBoard, ToHost,
+};
+
+/// A message in one of the two directions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Either {
+    /// From the host.
+    ToBoard(ToBoard),
+    /// From the board.
+    ToHost(ToHost),
+}
+
+/// A message with a name for the test's output.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sample {
+    /// Its type, and its direction where that is not plain.
+    pub(crate) name: &'static str,
+    /// The message.
+    pub(crate) message: Either,
+}
+
+impl Sample {
+    /// The message as a frame.
+    pub(crate) fn frame(&self) -> Frame {
+        match self.message {
+            Either::ToBoard(message) => message.encode(),
+            Either::ToHost(message) => message.encode(),
+        }
+    }
+
+    /// What the receiver of this message makes of a packet.
+    pub(crate) fn same_direction(&self, packet: Packet<'_>) -> Result<Either, DecodeError> {
+        match self.message {
+            Either::ToBoard(_) => ToBoard::decode(packet).map(Either::ToBoard),
+            Either::ToHost(_) => ToHost::decode(packet).map(Either::ToHost),
+        }
+    }
+}
+
+/// The configuration of the samples.
+pub(crate) fn configuration() -> Configuration {
+    Configuration {
+        servo: ServoCalibration {
+            centre_us: 1_490,
+            gain_us_per_rad: -815,
+            min_us: 1_100,
+            max_us: 1_905,
+            slew_us_per_20ms: 90,
+        },
+        esc: EscCalibration {
+            neutral_us: 1_500,
+            deadband_us: 25,
+            min_us: 1_150,
+            max_us: 1_800,
+            slew_us_per_20ms: 40,
+            brake_us: 1_300,
+        },
+        speed: SpeedLoop {
+            pulse_distance_um: 8_400,
+            feed_forward_us_per_m_s: 60,
+            proportional_us_per_m_s: 80,
+            integral_us_per_m: 120,
+            integral_limit_us: 100,
+            max_forward_mm_s: 2_500,
+            max_reverse_mm_s: 600,
+        },
+        failsafe: FailsafeAction::Brake,
+        max_pose_age_ms: 900,
+        stop_input: true,
+    }
+}
+
+/// One message of every type and direction.
+pub(crate) fn samples() -> Vec<Sample> {
+    let hello = Hello {
+        protocol_version: 1,
+        software_version: [0, 1, 2],
+        nonce: 0xA1B2_C3D4,
+    };
+    let to_board = [
+        ("hello to the board", hello.into()),
+        (
+            "configure",
+            Configure {
+                request: Sequence(3),
+                configuration: configuration(),
+            }
+            .into(),
+        ),
+        (
+            "arm",
+            Arm {
+                request: Sequence(4),
+                configuration_hash: 0x1122_3344,
+                telemetry_time_us: 0x5566_7788,
+            }
+            .into(),
+        ),
+        (
+            "disarm",
+            Disarm {
+                request: Sequence(5),
+            }
+            .into(),
+        ),
+        (
+            "drive",
+            Drive {
+                sequence: Sequence(200),
+                speed_mm_s: 397,
+                steering_100urad: -3_286,
+                telemetry_time_us: 0xFFFF_FF00,
+                pose_age_ms: 12,
+            }
+            .into(),
+        ),
+        (
+            "emergency stop",
+            EmergencyStop {
+                request: Sequence(6),
+            }
+            .into(),
+        ),
+    ];
+    let to_host = [
+        ("hello to the host", hello.into()),
+        (
+            "telemetry",
+            Telemetry {
+                board_time_us: 0x0012_3456,
+                mode: BoardMode::Driving,
+                stop_cause: StopCause::CommandTimeout,
+                last_sequence: Sequence(200),
+                imu: ImuState::Fresh,
+                imu_age_100us: 37,
+                linear_acceleration_mm_s2: [-120, 981, 14],
+                angular_velocity_mrad_s: [5, -6, 499],
+                attitude_q14: [16_383, -3, 44, -2_048],
+                motor_speed_mm_s: 401,
+                servo_us: 1_222,
+                esc_us: 1_561,
+            }
+            .into(),
+        ),
+        (
+            "status",
+            Status {
+                board_time_us: 0x0012_3460,
+                configuration_hash: 0x99AA_BBCC,
+                reset_cause: ResetCause::Watchdog,
+                stop_input_open: true,
+                battery_mv: 7_412,
+                frames_received: 1_001,
+                frames_damaged: 12,
+                drives_refused: 3,
+                last_refusal: RefusalReason::OutOfSequence,
+                frames_dropped: 4,
+                bytes_overrun: 5,
+                imu_errors: 6,
+            }
+            .into(),
+        ),
+        (
+            "acknowledgement",
+            Acknowledgement {
+                request: Request::Arm,
+                sequence: Sequence(4),
+                configuration_hash: 0x1122_3344,
+            }
+            .into(),
+        ),
+        (
+            "refusal",
+            Refusal {
+                request: Request::Configure,
+                sequence: Sequence(3),
+                reason: RefusalReason::InvalidConfiguration,
+            }
+            .into(),
+        ),
+    ];
+    to_board
+        .map(|(name, message)| Sample {
+            name,
+            message: Either::ToBoard(message),
+        })
+        .into_iter()
+        .chain(to_host.map(|(name, message)| Sample {
+            name,
+            message: Either::ToHost(message),
+        }))
+        .collect()
+}
