@@ -1,0 +1,125 @@
+//! What a client sends.
+
+use super::packet::{MessageId, Packet};
+use super::server::read_text;
+use super::server_info::{SENDER_LEN, SENDER_NAME_LEN, name_prefix};
+use super::{BitstreamVersion, DecodeError, UnsupportedVersion};
+
+/// The longest CONNECT known: the sender block, a flag, a version, and up to
+/// two bytes more that sample clients append.
+const MAX_CONNECT_LEN: usize = SENDER_LEN + 1 + 4 + 2;
+
+/// A message from a client.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ClientMessage<'a> {
+    /// Here I am: stream to me, and say who you are.
+    Connect(Connect<'a>),
+    /// A text command, such as `Bitstream,4.1`: see [`bitstream_request`].
+    Request(&'a str),
+    /// What do you track?
+    RequestModelDefinitions,
+    /// Keep streaming to me.
+    KeepAlive,
+    /// I leave.
+    Disconnect,
+    /// What does your clock say?
+    EchoRequest {
+        /// Comes back unchanged.
+        client_stamp: u64,
+    },
+    /// Who is there?
+    Discovery,
+}
+
+/// A client's introduction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Connect<'a> {
+    /// The client's name.
+    pub name: &'a str,
+    /// The bitstream it asks for, if it asks for one: the raw four bytes.
+    pub requested_bitstream: Option<[u8; 4]>,
+}
+
+impl<'a> ClientMessage<'a> {
+    /// Decodes a datagram from a client.
+    ///
+    /// One zero byte more than the header declares is accepted: the vendor's
+    /// own sample client sends it.
+    ///
+    /// # Errors
+    /// What is wrong with the datagram, and where.
+    pub fn decode(datagram: &'a [u8]) -> Result<Self, DecodeError> {
+        let (packet, surplus) = Packet::split(datagram)?;
+        if !matches!(surplus, [] | [0]) {
+            return Err(DecodeError::LengthMismatch {
+                declared: packet.payload().len(),
+                actual: packet.payload().len() + surplus.len(),
+            });
+        }
+        let mut reader = packet.reader();
+        Ok(match packet.message_id() {
+            Some(MessageId::Connect) => Self::Connect(Connect::decode(&packet)?),
+            Some(MessageId::Request) => Self::Request(read_text(&mut reader)?),
+            Some(MessageId::RequestModelDefinitions) => Self::RequestModelDefinitions,
+            Some(MessageId::KeepAlive) => Self::KeepAlive,
+            Some(MessageId::Disconnect) => Self::Disconnect,
+            Some(MessageId::Discovery) => Self::Discovery,
+            Some(MessageId::EchoRequest) => {
+                let client_stamp = reader.u64("echo client stamp")?;
+                reader.finish("the echo request")?;
+                Self::EchoRequest { client_stamp }
+            }
+            _ => {
+                return Err(DecodeError::UnexpectedMessage {
+                    id: packet.raw_id(),
+                });
+            }
+        })
+    }
+}
+
+impl<'a> Connect<'a> {
+    /// Clients differ much here, down to an empty payload: what is there is
+    /// used, and only nonsense is refused.
+    fn decode(packet: &Packet<'a>) -> Result<Self, DecodeError> {
+        let payload = packet.payload();
+        if payload.len() > MAX_CONNECT_LEN {
+            return Err(DecodeError::UnexpectedLength {
+                message: "CONNECT",
+                actual: payload.len(),
+            });
+        }
+        let name = payload.get(..SENDER_NAME_LEN).unwrap_or(payload);
+        let requested_bitstream = payload
+            .get(SENDER_LEN + 1..)
+            .and_then(|rest| rest.first_chunk::<4>())
+            .filter(|version| **version != [0; 4])
+            .copied();
+        Ok(Self {
+            name: name_prefix(name),
+            requested_bitstream,
+        })
+    }
+}
+
+/// The version that a text request such as `Bitstream,4.1` asks for; `None` when
+/// the text is another command.
+///
+/// # Errors
+/// The version is not one this crate knows. A version that is not two numbers
+/// counts as 0.0.
+#[must_use]
+pub fn bitstream_request(text: &str) -> Option<Result<BitstreamVersion, UnsupportedVersion>> {
+    let (command, version) = text.split_once(',')?;
+    if !command.eq_ignore_ascii_case("bitstream") {
+        return None;
+    }
+    let mut numbers = version
+        .trim()
+        .split('.')
+        .map(|number| number.parse::<u8>().unwrap_or_default());
+    let major = numbers.next().unwrap_or_default();
+    let minor = numbers.next().unwrap_or_default();
+    Some(BitstreamVersion::new(major, minor))
+}

@@ -1,0 +1,186 @@
+//! MODELDEF: what the server tracks, and under which names and ids.
+
+use super::packet::Packet;
+use super::reader::Reader;
+use super::{BitstreamVersion, DecodeError};
+
+/// Dataset types of a model definition.
+pub(crate) mod dataset {
+    pub(crate) const MARKER_SET: i32 = 0;
+    pub(crate) const RIGID_BODY: i32 = 1;
+    pub(crate) const SKELETON: i32 = 2;
+    pub(crate) const FORCE_PLATE: i32 = 3;
+    pub(crate) const DEVICE: i32 = 4;
+    pub(crate) const CAMERA: i32 = 5;
+}
+
+/// The definition of one rigid body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigidBodyDefinition<'a> {
+    /// Its name, as in the server's asset list.
+    pub name: &'a str,
+    /// Its streaming id, as in the frames. The operator can change it.
+    pub id: i32,
+    /// Id of the body it is attached to, or a negative number.
+    pub parent_id: i32,
+    /// Offset from the parent, in metres.
+    pub offset_m: [f32; 3],
+}
+
+/// The definitions of everything the server tracks.
+#[derive(Debug, Clone)]
+pub struct ModelDefinitions<'a> {
+    /// How many datasets there are, rigid bodies and others.
+    pub dataset_count: usize,
+    rigid_bodies: RigidBodyDefinitions<'a>,
+}
+
+/// The rigid bodies among the definitions, in wire order.
+#[derive(Debug, Clone)]
+pub struct RigidBodyDefinitions<'a> {
+    reader: Reader<'a>,
+    datasets_left: usize,
+    version: BitstreamVersion,
+}
+
+impl<'a> ModelDefinitions<'a> {
+    pub(super) fn decode(
+        packet: &Packet<'a>,
+        version: BitstreamVersion,
+    ) -> Result<Self, DecodeError> {
+        let mut reader = packet.reader();
+        let header_len = if version.has_section_sizes() { 8 } else { 4 };
+        let dataset_count = reader.count(header_len, "dataset count")?;
+        let rigid_bodies = RigidBodyDefinitions {
+            reader,
+            datasets_left: dataset_count,
+            version,
+        };
+        let mut walk = rigid_bodies.clone();
+        while walk.datasets_left > 0 {
+            walk.read_dataset()?;
+        }
+        walk.reader.finish("the model definitions")?;
+        Ok(Self {
+            dataset_count,
+            rigid_bodies,
+        })
+    }
+
+    /// The rigid bodies. Bones of skeletons and bodies of assets are not listed.
+    #[must_use]
+    pub fn rigid_bodies(&self) -> RigidBodyDefinitions<'a> {
+        self.rigid_bodies.clone()
+    }
+}
+
+impl<'a> RigidBodyDefinitions<'a> {
+    /// Reads one dataset; `Some` when it is a rigid body.
+    fn read_dataset(&mut self) -> Result<Option<RigidBodyDefinition<'a>>, DecodeError> {
+        self.datasets_left = self.datasets_left.saturating_sub(1);
+        let version = self.version;
+        let offset = self.reader.offset();
+        let type_id = self.reader.i32("dataset type")?;
+        if version.has_section_sizes() {
+            let mut body = self.reader.sized("dataset size")?;
+            if type_id != dataset::RIGID_BODY {
+                return Ok(None);
+            }
+            let definition = read_rigid_body(&mut body, version)?;
+            body.finish("the rigid body definition")?;
+            return Ok(Some(definition));
+        }
+        let reader = &mut self.reader;
+        match type_id {
+            dataset::RIGID_BODY => return read_rigid_body(reader, version).map(Some),
+            dataset::MARKER_SET => {
+                reader.c_bytes("marker set name")?;
+                skip_names(reader, "marker name count")?;
+            }
+            dataset::SKELETON => {
+                reader.c_bytes("skeleton name")?;
+                reader.i32("skeleton id")?;
+                let bones = reader.count(21, "bone count")?;
+                for _ in 0..bones {
+                    read_rigid_body(reader, version)?;
+                }
+            }
+            dataset::FORCE_PLATE => {
+                reader.i32("force plate id")?;
+                reader.c_bytes("force plate serial number")?;
+                // Width, length, origin; calibration 12 x 12; four corners.
+                reader.skip(5 + 144 + 12, 4, "force plate geometry")?;
+                reader.i32("force plate type")?;
+                reader.i32("force plate channel type")?;
+                skip_names(reader, "force plate channel count")?;
+            }
+            dataset::DEVICE => {
+                reader.i32("device id")?;
+                reader.c_bytes("device name")?;
+                reader.c_bytes("device serial number")?;
+                reader.i32("device type")?;
+                reader.i32("device channel type")?;
+                skip_names(reader, "device channel count")?;
+            }
+            dataset::CAMERA => {
+                reader.c_bytes("camera name")?;
+                reader.skip(3 + 4, 4, "camera pose")?;
+            }
+            _ => {
+                return Err(DecodeError::UnknownDataset {
+                    offset,
+                    type_id,
+                    version,
+                });
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl<'a> Iterator for RigidBodyDefinitions<'a> {
+    type Item = RigidBodyDefinition<'a>;
+
+    fn next(&mut self) -> Option<RigidBodyDefinition<'a>> {
+        while self.datasets_left > 0 {
+            if let Some(definition) = self.read_dataset().ok()? {
+                return Some(definition);
+            }
+        }
+        None
+    }
+}
+
+fn read_rigid_body<'a>(
+    reader: &mut Reader<'a>,
+    version: BitstreamVersion,
+) -> Result<RigidBodyDefinition<'a>, DecodeError> {
+    let definition = RigidBodyDefinition {
+        name: reader.c_str("rigid body name")?,
+        id: reader.i32("rigid body id")?,
+        parent_id: reader.i32("rigid body parent")?,
+        offset_m: reader.f32s("rigid body offset")?,
+    };
+    if version.has_definition_rotation() {
+        reader.skip(4, 4, "rigid body rotation")?;
+    }
+    if version.has_definition_markers() {
+        // Position and label of each, then the names.
+        let markers = reader.count(12 + 4, "definition marker count")?;
+        reader.skip(markers, 12 + 4, "definition markers")?;
+        if version.has_definition_marker_names() {
+            for _ in 0..markers {
+                reader.c_bytes("definition marker name")?;
+            }
+        }
+    }
+    Ok(definition)
+}
+
+fn skip_names(reader: &mut Reader<'_>, field: &'static str) -> Result<(), DecodeError> {
+    let names = reader.count(1, field)?;
+    for _ in 0..names {
+        reader.c_bytes("name")?;
+    }
+    Ok(())
+}

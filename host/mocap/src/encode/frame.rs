@@ -1,0 +1,308 @@
+//! FRAMEOFDATA.
+
+use super::EncodeError;
+use super::writer::Writer;
+use crate::codec::{
+    BitstreamVersion, CameraTicks, FrameFlags, MessageId, PrecisionTime, RigidBody,
+};
+
+/// What a frame says. What a version has no field for is left out: ticks before
+/// 3.0, precision time before 4.1, latency and body markers from 3.0 on.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct FrameContent<'a> {
+    /// The frame's number.
+    pub number: i32,
+    /// The rigid bodies, tracked or not.
+    pub rigid_bodies: &'a [RigidBody],
+    /// Markers that every body carries (before 3.0).
+    pub body_markers: &'a [BodyMarker],
+    /// The other sections.
+    pub sections: Sections<'a>,
+    /// SMPTE timecode and subframe.
+    pub timecode: [u32; 2],
+    /// Time of the frame in seconds.
+    pub timestamp_s: f64,
+    /// Exposure, reception and transmission in ticks (from 3.0 on).
+    pub ticks: CameraTicks,
+    /// PTP time (from 4.1 on).
+    pub precision_time: PrecisionTime,
+    /// Latency (before 3.0).
+    pub latency: f32,
+    /// The frame's flags.
+    pub flags: FrameFlags,
+}
+
+/// Everything in a frame that is not a rigid body.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Sections<'a> {
+    /// Named sets of markers.
+    pub marker_sets: &'a [MarkerSet<'a>],
+    /// Positions of markers that belong to nothing, in metres.
+    pub other_markers: &'a [[f32; 3]],
+    /// Skeletons.
+    pub skeletons: &'a [Skeleton<'a>],
+    /// Assets (from 4.1 on).
+    pub assets: &'a [Asset<'a>],
+    /// Labelled markers.
+    pub labelled_markers: &'a [LabelledMarker],
+    /// Force plates (from 2.9 on).
+    pub force_plates: &'a [AnalogDevice<'a>],
+    /// Other devices (from 2.11 on).
+    pub devices: &'a [AnalogDevice<'a>],
+}
+
+/// A marker of a rigid body, before 3.0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BodyMarker {
+    /// Position in metres.
+    pub position_m: [f32; 3],
+    /// Its id.
+    pub id: i32,
+    /// Diameter in metres.
+    pub size_m: f32,
+}
+
+/// A named set of markers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MarkerSet<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Positions in metres.
+    pub markers_m: &'a [[f32; 3]],
+}
+
+/// A skeleton.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Skeleton<'a> {
+    /// Its id.
+    pub id: i32,
+    /// Its bones.
+    pub bones: &'a [RigidBody],
+}
+
+/// An asset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Asset<'a> {
+    /// Its id.
+    pub id: i32,
+    /// Its bodies.
+    pub rigid_bodies: &'a [RigidBody],
+    /// Its markers.
+    pub markers: &'a [LabelledMarker],
+}
+
+/// A labelled marker.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LabelledMarker {
+    /// Its id: model in the upper half, member in the lower.
+    pub id: i32,
+    /// Position in metres.
+    pub position_m: [f32; 3],
+    /// Diameter in metres.
+    pub size_m: f32,
+    /// Parameter bits.
+    pub params: u16,
+    /// Residual in metres (from 3.0 on).
+    pub residual_m: f32,
+}
+
+/// A force plate or another device: channels of samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AnalogDevice<'a> {
+    /// Its id.
+    pub id: i32,
+    /// The samples of each channel.
+    pub channels: &'a [&'a [f32]],
+}
+
+/// Encodes one frame.
+///
+/// # Errors
+/// The buffer is too small, a name contains a NUL, or a section that is not
+/// empty does not exist in `version`.
+pub fn frame(
+    version: BitstreamVersion,
+    content: &FrameContent<'_>,
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let mut encoder = FrameEncoder {
+        writer: Writer::message(out, MessageId::Frame)?,
+        version,
+        body_markers: content.body_markers,
+    };
+    encoder.writer.i32(content.number, "frame number")?;
+    encoder.sections(content)?;
+    encoder.tail(content)?;
+    encoder.writer.finish()
+}
+
+struct FrameEncoder<'a, 'c> {
+    writer: Writer<'a>,
+    version: BitstreamVersion,
+    body_markers: &'c [BodyMarker],
+}
+
+impl FrameEncoder<'_, '_> {
+    fn sections(&mut self, content: &FrameContent<'_>) -> Result<(), EncodeError> {
+        let Sections {
+            marker_sets,
+            other_markers,
+            skeletons,
+            assets,
+            labelled_markers,
+            force_plates,
+            devices,
+        } = content.sections;
+        let version = self.version;
+        self.section(marker_sets, "marker sets", |encoder, set| {
+            encoder.writer.c_str(set.name, "marker set name")?;
+            encoder.writer.count(set.markers_m.len(), "marker count")?;
+            set.markers_m
+                .iter()
+                .try_for_each(|marker| encoder.writer.f32s(marker, "marker"))
+        })?;
+        self.section(other_markers, "other markers", |encoder, marker| {
+            encoder.writer.f32s(marker, "other marker")
+        })?;
+        self.section(content.rigid_bodies, "rigid bodies", Self::rigid_body)?;
+        self.section(skeletons, "skeletons", |encoder, skeleton| {
+            encoder.writer.i32(skeleton.id, "skeleton id")?;
+            encoder.rigid_bodies(skeleton.bones)
+        })?;
+        self.section_if(version.has_assets(), assets, "assets", |encoder, asset| {
+            encoder.writer.i32(asset.id, "asset id")?;
+            encoder.rigid_bodies(asset.rigid_bodies)?;
+            encoder
+                .writer
+                .count(asset.markers.len(), "asset marker count")?;
+            asset
+                .markers
+                .iter()
+                .try_for_each(|marker| encoder.labelled_marker(marker))
+        })?;
+        self.section(labelled_markers, "labelled markers", Self::labelled_marker)?;
+        self.section_if(
+            version.has_force_plates(),
+            force_plates,
+            "force plates",
+            Self::analog_device,
+        )?;
+        self.section_if(
+            version.has_devices(),
+            devices,
+            "devices",
+            Self::analog_device,
+        )
+    }
+
+    fn tail(&mut self, content: &FrameContent<'_>) -> Result<(), EncodeError> {
+        let writer = &mut self.writer;
+        if self.version.has_latency() {
+            writer.f32(content.latency, "latency")?;
+        }
+        for word in content.timecode {
+            writer.u32(word, "timecode")?;
+        }
+        writer.f64(content.timestamp_s, "timestamp")?;
+        if self.version.has_camera_ticks() {
+            writer.u64(content.ticks.mid_exposure, "mid-exposure ticks")?;
+            writer.u64(content.ticks.received, "received ticks")?;
+            writer.u64(content.ticks.transmit, "transmit ticks")?;
+        }
+        if self.version.has_precision_time() {
+            writer.u32(content.precision_time.seconds, "precision seconds")?;
+            writer.u32(content.precision_time.fraction, "precision fraction")?;
+        }
+        writer.u16(content.flags.0, "frame flags")?;
+        writer.i32(0, "end tag")
+    }
+
+    fn section<T>(
+        &mut self,
+        entries: &[T],
+        field: &'static str,
+        mut write: impl FnMut(&mut Self, &T) -> Result<(), EncodeError>,
+    ) -> Result<(), EncodeError> {
+        self.writer.count(entries.len(), field)?;
+        let slot = if self.version.has_section_sizes() {
+            Some(self.writer.size_slot(field)?)
+        } else {
+            None
+        };
+        for entry in entries {
+            write(self, entry)?;
+        }
+        match slot {
+            Some(slot) => self.writer.fill(slot, field),
+            None => Ok(()),
+        }
+    }
+
+    /// A section that some versions do not have.
+    fn section_if<T>(
+        &mut self,
+        exists: bool,
+        entries: &[T],
+        field: &'static str,
+        write: impl FnMut(&mut Self, &T) -> Result<(), EncodeError>,
+    ) -> Result<(), EncodeError> {
+        if exists {
+            self.section(entries, field, write)
+        } else if entries.is_empty() {
+            Ok(())
+        } else {
+            Err(EncodeError::NotInVersion {
+                field,
+                version: self.version,
+            })
+        }
+    }
+
+    fn rigid_bodies(&mut self, bodies: &[RigidBody]) -> Result<(), EncodeError> {
+        self.writer.count(bodies.len(), "rigid body count")?;
+        bodies.iter().try_for_each(|body| self.rigid_body(body))
+    }
+
+    fn rigid_body(&mut self, body: &RigidBody) -> Result<(), EncodeError> {
+        let writer = &mut self.writer;
+        writer.i32(body.id, "rigid body id")?;
+        writer.f32s(&body.position_m, "rigid body position")?;
+        writer.f32s(&body.orientation_xyzw, "rigid body orientation")?;
+        if self.version.has_markers_in_bodies() {
+            writer.count(self.body_markers.len(), "rigid body marker count")?;
+            for marker in self.body_markers {
+                writer.f32s(&marker.position_m, "rigid body marker position")?;
+            }
+            for marker in self.body_markers {
+                writer.i32(marker.id, "rigid body marker id")?;
+            }
+            for marker in self.body_markers {
+                writer.f32(marker.size_m, "rigid body marker size")?;
+            }
+        }
+        writer.f32(body.mean_error_m, "rigid body mean error")?;
+        writer.u16(body.params, "rigid body parameters")
+    }
+
+    fn labelled_marker(&mut self, marker: &LabelledMarker) -> Result<(), EncodeError> {
+        let writer = &mut self.writer;
+        writer.i32(marker.id, "labelled marker id")?;
+        writer.f32s(&marker.position_m, "labelled marker position")?;
+        writer.f32(marker.size_m, "labelled marker size")?;
+        writer.u16(marker.params, "labelled marker parameters")?;
+        if self.version.has_marker_residual() {
+            writer.f32(marker.residual_m, "labelled marker residual")?;
+        }
+        Ok(())
+    }
+
+    fn analog_device(&mut self, device: &AnalogDevice<'_>) -> Result<(), EncodeError> {
+        self.writer.i32(device.id, "analog device id")?;
+        self.writer.count(device.channels.len(), "channel count")?;
+        for samples in device.channels {
+            self.writer.count(samples.len(), "sample count")?;
+            self.writer.f32s(samples, "samples")?;
+        }
+        Ok(())
+    }
+}
