@@ -4,6 +4,8 @@
 //! `VERSION` has to rise and these bytes stay behind as the old version's. It
 //! never says that the bytes should be corrected.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
+
 mod samples;
 
 use samples::{Sample, samples};

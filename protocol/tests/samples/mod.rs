@@ -1,5 +1,7 @@
 //! One message of every type, with values that all differ.
 
+#![allow(dead_code, reason = "each test and bench uses its own part")]
+
 use singletrack_protocol::{
     Acknowledgement, Arm, BoardMode, Configuration, Configure, DecodeError, Disarm, Drive,
     EmergencyStop, EscCalibration, FailsafeAction, Frame, Hello, ImuState, Packet, Refusal,

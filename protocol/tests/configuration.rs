@@ -1,0 +1,147 @@
+//! What a configuration may hold, and how it is named.
+
+mod samples;
+
+use proptest::prelude::*;
+use samples::configuration;
+use singletrack_protocol::{Configuration, ConfigurationField as Field, FailsafeAction};
+
+type Change = fn(&mut Configuration, i32);
+
+#[test]
+fn the_sample_is_valid() {
+    assert_eq!(configuration().validate(), Ok(()));
+}
+
+/// Every field with the lowest and the highest value that the sample's other
+/// values allow it.
+#[test]
+fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
+    let cases: [(Field, i32, i32, Change); 19] = [
+        (Field::ServoMin, 800, 1_490, |c, v| {
+            c.servo.min_us = v as u16;
+        }),
+        (Field::ServoMax, 1_490, 2_200, |c, v| {
+            c.servo.max_us = v as u16;
+        }),
+        (Field::ServoCentre, 1_100, 1_905, |c, v| {
+            c.servo.centre_us = v as u16;
+        }),
+        (Field::ServoGainMagnitude, 50, 5_000, |c, v| {
+            c.servo.gain_us_per_rad = v as i16;
+        }),
+        (Field::ServoGainMagnitude, 50, 5_000, |c, v| {
+            c.servo.gain_us_per_rad = -v as i16;
+        }),
+        (Field::ServoSlew, 1, 1_400, |c, v| {
+            c.servo.slew_us_per_20ms = v as u16;
+        }),
+        (Field::EscNeutral, 1_400, 1_600, |c, v| {
+            c.esc.neutral_us = v as u16;
+        }),
+        (Field::EscDeadband, 0, 200, |c, v| {
+            c.esc.deadband_us = v as u16;
+        }),
+        (Field::EscMin, 800, 1_300, |c, v| {
+            c.esc.min_us = v as u16;
+        }),
+        (Field::EscMax, 1_525, 2_200, |c, v| {
+            c.esc.max_us = v as u16;
+        }),
+        (Field::EscSlew, 1, 1_400, |c, v| {
+            c.esc.slew_us_per_20ms = v as u16;
+        }),
+        (Field::EscBrake, 1_150, 1_500, |c, v| {
+            c.esc.brake_us = v as u16;
+        }),
+        (Field::PulseDistance, 1, 65_535, |c, v| {
+            c.speed.pulse_distance_um = v as u16;
+        }),
+        (Field::FeedForward, 0, 5_000, |c, v| {
+            c.speed.feed_forward_us_per_m_s = v as u16;
+        }),
+        (Field::Proportional, 0, 5_000, |c, v| {
+            c.speed.proportional_us_per_m_s = v as u16;
+        }),
+        (Field::Integral, 0, 5_000, |c, v| {
+            c.speed.integral_us_per_m = v as u16;
+        }),
+        (Field::IntegralLimit, 0, 700, |c, v| {
+            c.speed.integral_limit_us = v as u16;
+        }),
+        (Field::MaxForward, 1, 20_000, |c, v| {
+            c.speed.max_forward_mm_s = v as u16;
+        }),
+        (Field::MaxPoseAge, 1, 1_000, |c, v| {
+            c.max_pose_age_ms = v as u16;
+        }),
+    ];
+    for (field, lowest, highest, change) in cases {
+        for (value, good) in [
+            (lowest - 1, false),
+            (lowest, true),
+            (highest, true),
+            (highest + 1, false),
+        ] {
+            if !(0..=65_535).contains(&value) {
+                continue;
+            }
+            let mut changed = configuration();
+            change(&mut changed, value);
+            assert_eq!(
+                changed.validate().is_ok(),
+                good,
+                "{field} = {value}: {:?}",
+                changed.validate()
+            );
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_the_value_and_its_limits() {
+    let mut wrong = configuration();
+    wrong.speed.max_reverse_mm_s = 20_001;
+    let error = wrong.validate().unwrap_err();
+    assert_eq!(error.field, Field::MaxReverse);
+    assert_eq!(
+        error.to_string(),
+        "speed.max_reverse_mm_s is 20001, but must be 0 to 20000"
+    );
+}
+
+#[test]
+fn the_steepest_servo_gain_does_not_overflow_its_magnitude() {
+    let mut wrong = configuration();
+    wrong.servo.gain_us_per_rad = i16::MIN;
+    assert_eq!(wrong.validate().unwrap_err().value, 32_768);
+}
+
+#[test]
+fn every_change_changes_the_hash() {
+    let changes: [fn(&mut Configuration); 6] = [
+        |c| c.servo.centre_us += 1,
+        |c| c.esc.brake_us -= 1,
+        |c| c.speed.max_reverse_mm_s = 0,
+        |c| c.failsafe = FailsafeAction::Coast,
+        |c| c.max_pose_age_ms -= 1,
+        |c| c.stop_input = false,
+    ];
+    for change in changes {
+        let mut changed = configuration();
+        change(&mut changed);
+        assert_ne!(changed.hash(), configuration().hash());
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_hash_is_never_zero(centre: u16, gain: i16, neutral: u16, stop: bool) {
+        let mut any = configuration();
+        any.servo.centre_us = centre;
+        any.servo.gain_us_per_rad = gain;
+        any.esc.neutral_us = neutral;
+        any.stop_input = stop;
+        prop_assert_ne!(any.hash(), 0);
+    }
+}

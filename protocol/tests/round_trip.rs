@@ -1,0 +1,70 @@
+//! Every message that can be written is read as it was.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
+
+mod samples;
+
+use proptest::prelude::*;
+use samples::{Either, samples};
+use singletrack_protocol::{Decoder, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost};
+
+/// Messages with every field free: any payload of the right length that is
+/// accepted, as enumerations and truth values have but a few.
+fn any_message() -> impl Strategy<Value = Either> {
+    let lengths_and_kinds: Vec<_> = samples()
+        .iter()
+        .map(|sample| {
+            let frame = sample.frame();
+            let mut decoder = Decoder::new();
+            let (&last, head) = frame.as_bytes().split_last().unwrap();
+            for &byte in head {
+                decoder.push(byte);
+            }
+            let packet = decoder.push(last).unwrap().unwrap();
+            (*sample, packet.kind, packet.payload.to_vec())
+        })
+        .collect();
+    let payload_noise = proptest::collection::vec((any::<u8>(), 0_u8..4), MAX_FRAME_LENGTH);
+    (0..lengths_and_kinds.len(), payload_noise).prop_filter_map(
+        "a value without a meaning",
+        move |(which, noise)| {
+            let (sample, kind, payload) = &lengths_and_kinds[which];
+            let mut payload = payload.clone();
+            for (byte, (value, keep)) in payload.iter_mut().zip(noise) {
+                if keep != 0 {
+                    continue;
+                }
+                *byte = value;
+            }
+            sample
+                .same_direction(Packet {
+                    kind: *kind,
+                    payload: &payload,
+                })
+                .ok()
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn what_is_encoded_decodes_to_the_same(message in any_message()) {
+        let frame = match message {
+            Either::ToBoard(message) => message.encode(),
+            Either::ToHost(message) => message.encode(),
+        };
+        let (&last, head) = frame.as_bytes().split_last().unwrap();
+        prop_assert_eq!(last, 0);
+        prop_assert!(!head.contains(&0));
+        let mut decoder = Decoder::new();
+        for &byte in head {
+            prop_assert_eq!(decoder.push(byte), None);
+        }
+        let packet = decoder.push(last).unwrap().unwrap();
+        let decoded = match message {
+            Either::ToBoard(_) => ToBoard::decode(packet).map(Either::ToBoard),
+            Either::ToHost(_) => ToHost::decode(packet).map(Either::ToHost),
+        };
+        prop_assert_eq!(decoded, Ok(message));
+    }
+}
