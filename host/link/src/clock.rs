@@ -1,0 +1,330 @@
+//! The board's clock, read in host time.
+//!
+//! The board stamps its records with its own microseconds. They wrap every
+//! 71.6 minutes, start at zero with the board, and run up to 0.5 % fast or
+//! slow: an UNO counts with a ceramic resonator. The host sees each record
+//! some time *later*: transmission, the USB bridge, the scheduler. That delay
+//! is never negative, and now and then it is nearly at its least.
+//!
+//! So the pairs (board time, receive time) lie above a line, and
+//! [`BoardClock`] finds that line: the supporting line of the lower convex
+//! hull under the last [`WINDOW_NS`], at the middle of the window. It is the
+//! line that has every pair above it and is closest to them in sum; one
+//! record that comes late moves it by nothing at all. The least delay itself
+//! cannot be seen from one side; the caller takes off what it knows (the time
+//! that the frame spends on the wire).
+
+use heapless::Vec;
+
+/// How much of the past the estimate rests on: long enough to see 20 ppm of
+/// skew through the noise, short enough to follow a resonator that warms up.
+pub const WINDOW_NS: i64 = 6_400_000_000;
+
+/// One pair, the one with the least delay, is kept for each such span.
+const BUCKET_NS: i64 = 100_000_000;
+
+/// Pairs kept: one a bucket, and one for the bucket that is being filled.
+const POINTS: usize = 65;
+
+/// Below this span the noise says more about the skew than the clock does.
+const SHORTEST_SKEW_SPAN_NS: i64 = 300_000_000;
+
+/// The largest rate error believed: twice that of the worst resonator.
+const MAX_SKEW: f64 = 0.01;
+
+/// What the skew may be before it has been measured.
+const UNKNOWN_SKEW: f64 = 0.005;
+
+/// A stamp further than this ahead of its own arrival cannot be a stamp of
+/// this run of the board. As long as a line can have been stuck before the
+/// first pair, or a stuck line would look like a restarted board.
+const FUTURE_TOLERANCE_NS: i64 = 1_000_000_000;
+
+/// Implausible stamps in a row that mean a restarted board. One alone is a
+/// damaged record that the CRC let through.
+const IMPLAUSIBLE_STAMPS_OF_A_RESTART: u8 = 2;
+
+/// What [`BoardClock::observe`] made of a stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Observation {
+    /// The stamp fits.
+    Mapped(Stamp),
+    /// The stamp runs backwards, stands still or lies in the future: not of
+    /// this run of the board's clock. Nothing is changed by it.
+    Implausible,
+    /// Implausible again: the board's clock has started anew. The mapping has
+    /// to be [restarted](BoardClock::restart).
+    Restarted,
+}
+
+/// A board time in host time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamp {
+    /// Host time in nanoseconds: never before that of an earlier stamp, never
+    /// after the receive time.
+    pub host_time_ns: u64,
+    /// Board time in microseconds since this run of the mapping's first stamp,
+    /// not wrapping.
+    pub board_elapsed_us: u64,
+    /// Board time since the stamp before, in microseconds; zero for the first.
+    pub since_last_us: u32,
+}
+
+/// One pair: board time, and host time minus board time, both since the first pair.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    board_ns: i64,
+    excess_ns: i64,
+}
+
+/// The estimated line: `excess = offset + skew · (board - at)`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Line {
+    at_ns: i64,
+    offset_ns: f64,
+    skew: f64,
+    uncertainty_ns: f64,
+}
+
+impl Line {
+    fn excess_at(&self, board_ns: i64) -> f64 {
+        self.offset_ns + self.skew * (board_ns - self.at_ns) as f64
+    }
+}
+
+/// Maps board time to host time; see the [module](self).
+#[derive(Clone, Debug, Default)]
+pub struct BoardClock {
+    origin: Option<Origin>,
+    points: Vec<Point, POINTS>,
+    line: Line,
+    implausible: u8,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Origin {
+    host_ns: u64,
+    newest_raw_us: u32,
+    newest_elapsed_us: u64,
+    newest_mapped_ns: u64,
+}
+
+impl BoardClock {
+    /// A clock that knows nothing.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            origin: None,
+            points: Vec::new(),
+            line: Line {
+                at_ns: 0,
+                offset_ns: 0.0,
+                skew: 0.0,
+                uncertainty_ns: 0.0,
+            },
+            implausible: 0,
+        }
+    }
+
+    /// Forgets everything: the board's clock has started anew.
+    pub fn restart(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Takes in the stamp of a record that arrived at `receive_time_ns`, less
+    /// what is known of its delay. Receive times must not run backwards.
+    pub fn observe(&mut self, receive_time_ns: u64, board_time_us: u32) -> Observation {
+        let Some(origin) = &mut self.origin else {
+            return self.begin(receive_time_ns, board_time_us);
+        };
+        let since_last_us = board_time_us.wrapping_sub(origin.newest_raw_us);
+        let elapsed_us = origin
+            .newest_elapsed_us
+            .saturating_add(u64::from(since_last_us));
+        let board_ns = nanoseconds(elapsed_us);
+        let host_ns = signed_difference(receive_time_ns, origin.host_ns);
+        let excess_ns = host_ns.saturating_sub(board_ns);
+        let ahead_ns = self.line.excess_at(board_ns) - excess_ns as f64;
+        // More than half the circle ahead is backwards.
+        if since_last_us == 0
+            || since_last_us > u32::MAX / 2
+            || ahead_ns > FUTURE_TOLERANCE_NS as f64
+        {
+            self.implausible = self.implausible.saturating_add(1);
+            return if self.implausible < IMPLAUSIBLE_STAMPS_OF_A_RESTART {
+                Observation::Implausible
+            } else {
+                Observation::Restarted
+            };
+        }
+        self.implausible = 0;
+        origin.newest_raw_us = board_time_us;
+        origin.newest_elapsed_us = elapsed_us;
+        let newest_mapped_ns = origin.newest_mapped_ns;
+        let first_host_ns = origin.host_ns;
+
+        self.keep(Point {
+            board_ns,
+            excess_ns,
+        });
+        self.fit(board_ns);
+
+        let mapped_ns = host_time(first_host_ns, board_ns, &self.line)
+            .max(newest_mapped_ns)
+            .min(receive_time_ns);
+        if let Some(origin) = &mut self.origin {
+            origin.newest_mapped_ns = mapped_ns;
+        }
+        Observation::Mapped(Stamp {
+            host_time_ns: mapped_ns,
+            board_elapsed_us: elapsed_us,
+            since_last_us,
+        })
+    }
+
+    /// Host time of a board time within 35 minutes of the newest stamp, by the
+    /// present estimate; `None` before the first stamp.
+    #[must_use]
+    pub fn host_time_ns(&self, board_time_us: u32) -> Option<u64> {
+        let origin = self.origin?;
+        let distance_us = board_time_us
+            .wrapping_sub(origin.newest_raw_us)
+            .cast_signed();
+        let board_ns = nanoseconds(origin.newest_elapsed_us)
+            .saturating_add(i64::from(distance_us).saturating_mul(1_000));
+        Some(host_time(origin.host_ns, board_ns, &self.line))
+    }
+
+    /// How much faster the host's clock runs than the board's, in parts per
+    /// million: positive for a slow board. Zero until it can be told.
+    #[must_use]
+    pub fn skew_ppm(&self) -> f64 {
+        self.line.skew * 1e6
+    }
+
+    /// How far the newest mapped stamp may be off, in nanoseconds, not counting
+    /// the least delay; `None` before the first stamp.
+    #[must_use]
+    pub fn uncertainty_ns(&self) -> Option<u64> {
+        self.origin
+            .is_some()
+            .then_some(self.line.uncertainty_ns as u64)
+    }
+
+    fn begin(&mut self, receive_time_ns: u64, board_time_us: u32) -> Observation {
+        self.origin = Some(Origin {
+            host_ns: receive_time_ns,
+            newest_raw_us: board_time_us,
+            newest_elapsed_us: 0,
+            newest_mapped_ns: receive_time_ns,
+        });
+        self.keep(Point {
+            board_ns: 0,
+            excess_ns: 0,
+        });
+        self.line.uncertainty_ns = BUCKET_NS as f64;
+        Observation::Mapped(Stamp {
+            host_time_ns: receive_time_ns,
+            board_elapsed_us: 0,
+            since_last_us: 0,
+        })
+    }
+
+    /// Keeps the pair if it has the least delay of its bucket.
+    fn keep(&mut self, point: Point) {
+        let skew = self.line.skew;
+        let height =
+            |point: &Point| point.excess_ns as f64 - skew * (point.board_ns % BUCKET_NS) as f64;
+        if let Some(last) = self.points.last_mut()
+            && last.board_ns / BUCKET_NS == point.board_ns / BUCKET_NS
+        {
+            if height(&point) < height(last) {
+                *last = point;
+            }
+            return;
+        }
+        let oldest_ns = point.board_ns - WINDOW_NS;
+        self.points.retain(|kept| kept.board_ns >= oldest_ns);
+        // One point a bucket within the window: there is always room.
+        let _ = self.points.push(point);
+    }
+
+    fn fit(&mut self, newest_ns: i64) {
+        let (Some(first), Some(last)) = (self.points.first(), self.points.last()) else {
+            return;
+        };
+        let span_ns = last.board_ns - first.board_ns;
+        let mut skew_uncertainty = UNKNOWN_SKEW;
+        let mut edge_ns = None;
+        if span_ns >= SHORTEST_SKEW_SPAN_NS
+            && let Some((left, right)) = self.middle_edge()
+        {
+            let length_ns = (right.board_ns - left.board_ns) as f64;
+            self.line.skew =
+                ((right.excess_ns - left.excess_ns) as f64 / length_ns).clamp(-MAX_SKEW, MAX_SKEW);
+            edge_ns = Some(length_ns);
+        }
+        let skew = self.line.skew;
+        let above_newest =
+            |point: &Point| point.excess_ns as f64 - skew * (point.board_ns - newest_ns) as f64;
+        let offset_ns = self
+            .points
+            .iter()
+            .map(above_newest)
+            .fold(f64::INFINITY, f64::min);
+        let mean_height_ns = self
+            .points
+            .iter()
+            .map(|point| above_newest(point) - offset_ns)
+            .sum::<f64>()
+            / self.points.len() as f64;
+        if let Some(length_ns) = edge_ns {
+            skew_uncertainty = (mean_height_ns / length_ns).min(UNKNOWN_SKEW);
+        }
+        self.line = Line {
+            at_ns: newest_ns,
+            offset_ns,
+            skew,
+            uncertainty_ns: mean_height_ns + skew_uncertainty * (newest_ns - first.board_ns) as f64,
+        };
+    }
+
+    /// The edge of the lower convex hull that spans the mean board time.
+    fn middle_edge(&self) -> Option<(Point, Point)> {
+        let mut hull: Vec<Point, POINTS> = Vec::new();
+        for &point in &self.points {
+            while let [.., a, b] = hull.as_slice()
+                && turns_right(a, b, &point)
+            {
+                hull.pop();
+            }
+            hull.push(point).ok()?;
+        }
+        let sum: i128 = self.points.iter().map(|p| i128::from(p.board_ns)).sum();
+        let mean_ns = sum / i128::try_from(self.points.len()).ok()?;
+        hull.windows(2).find_map(|edge| match edge {
+            [a, b] if i128::from(b.board_ns) >= mean_ns => Some((*a, *b)),
+            _ => None,
+        })
+    }
+}
+
+/// Whether `b` lies on or above the segment from `a` to `c`.
+fn turns_right(a: &Point, b: &Point, c: &Point) -> bool {
+    let cross = (b.board_ns - a.board_ns) as f64 * (c.excess_ns - a.excess_ns) as f64
+        - (c.board_ns - a.board_ns) as f64 * (b.excess_ns - a.excess_ns) as f64;
+    cross <= 0.0
+}
+
+fn nanoseconds(us: u64) -> i64 {
+    i64::try_from(us.saturating_mul(1_000)).unwrap_or(i64::MAX)
+}
+
+fn signed_difference(a_ns: u64, b_ns: u64) -> i64 {
+    i64::try_from(i128::from(a_ns) - i128::from(b_ns)).unwrap_or(i64::MAX)
+}
+
+fn host_time(first_host_ns: u64, board_ns: i64, line: &Line) -> u64 {
+    let since_first_ns = board_ns.saturating_add(line.excess_at(board_ns) as i64);
+    first_host_ns.saturating_add_signed(since_first_ns)
+}

@@ -1,0 +1,247 @@
+//! Drive commands: from SI units to the wire, with the ages.
+
+use singletrack_protocol::{BoardMode, Drive, Sequence};
+
+/// What the car is to do until the next command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveCommand {
+    /// Speed of the rear axle along the car, forward positive, in m/s.
+    pub speed_m_s: f64,
+    /// Steering angle of the front wheels, left positive, in radians.
+    pub steering_rad: f64,
+    /// Mid-exposure of the last accepted pose that the command rests on, in
+    /// host nanoseconds; neither holding nor coasting renews it. `None` when
+    /// there has never been one.
+    pub pose_time_ns: Option<u64>,
+}
+
+/// The number in a drive command that cannot be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// [`DriveCommand::speed_m_s`].
+    SpeedMetresPerSecond,
+    /// [`DriveCommand::steering_rad`].
+    SteeringRadians,
+}
+
+impl Quantity {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::SpeedMetresPerSecond => "speed in m/s",
+            Self::SteeringRadians => "steering in rad",
+        }
+    }
+
+    /// Steps of the wire in one unit.
+    const fn steps_per_unit(self) -> f64 {
+        match self {
+            Self::SpeedMetresPerSecond => 1_000.0,
+            Self::SteeringRadians => 10_000.0,
+        }
+    }
+
+    /// The largest magnitude that the wire can carry.
+    #[must_use]
+    pub fn limit(self) -> f64 {
+        f64::from(i16::MAX) / self.steps_per_unit()
+    }
+
+    fn scale(self, value: f64) -> Result<i16, DriveError> {
+        // NaN fails this comparison too.
+        if value.abs() <= self.limit() {
+            let steps = value * self.steps_per_unit();
+            // To the nearest; `as` truncates, and the range has been checked.
+            return Ok((steps + 0.5_f64.copysign(steps)) as i16);
+        }
+        Err(if value.is_finite() {
+            DriveError::OutOfRange {
+                quantity: self,
+                value,
+            }
+        } else {
+            DriveError::NotFinite {
+                quantity: self,
+                value,
+            }
+        })
+    }
+}
+
+/// Why the session cannot do what it is asked now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotReady {
+    /// The board is not connected and configured.
+    #[error("the board is not connected and configured: wait for ConfigurationAccepted")]
+    NotConfigured,
+    /// Configured, but not yet heard from.
+    #[error("no telemetry yet: it comes within 10 ms of ConfigurationAccepted")]
+    NoTelemetry,
+    /// The board would refuse it.
+    #[error("the board is not armed (its mode is {mode:?}): arm first")]
+    NotArmed {
+        /// By the newest telemetry.
+        mode: BoardMode,
+    },
+    /// Only possible while the board is not armed.
+    #[error("the board is armed: disarm first")]
+    Armed,
+    /// The board has not answered the last request to arm.
+    #[error("a request to arm is waiting for its answer")]
+    ArmPending,
+    /// A stop has been asked for and telemetry does not show it yet.
+    #[error("a stop is waiting to be confirmed by telemetry")]
+    StopPending,
+}
+
+/// Why a drive command is not sent.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum DriveError {
+    /// Not in this state.
+    #[error(transparent)]
+    NotReady(#[from] NotReady),
+    /// Not a number, or infinite.
+    #[error("the {} is {value}", quantity.name())]
+    NotFinite {
+        /// Which one.
+        quantity: Quantity,
+        /// What it is.
+        value: f64,
+    },
+    /// More than the wire can carry. (The limits of the car are the board's to keep.)
+    #[error("the {} is {value}, beyond ±{} that can be sent", quantity.name(), quantity.limit())]
+    OutOfRange {
+        /// Which one.
+        quantity: Quantity,
+        /// What it is.
+        value: f64,
+    },
+}
+
+/// The newest telemetry, as far as commands rest on it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NewestTelemetry {
+    pub(crate) mode: BoardMode,
+    pub(crate) last_sequence: Sequence,
+    pub(crate) board_time_us: u32,
+    pub(crate) host_time_ns: u64,
+}
+
+/// Makes the message of a command that goes out after `newest` was heard.
+pub(crate) fn message(
+    command: &DriveCommand,
+    sequence: Sequence,
+    newest: &NewestTelemetry,
+) -> Result<Drive, DriveError> {
+    Ok(Drive {
+        sequence,
+        speed_mm_s: Quantity::SpeedMetresPerSecond.scale(command.speed_m_s)?,
+        steering_100urad: Quantity::SteeringRadians.scale(command.steering_rad)?,
+        telemetry_time_us: newest.board_time_us,
+        pose_age_ms: pose_age_ms(command.pose_time_ns, newest.host_time_ns),
+    })
+}
+
+/// Age of the pose at the board time of the telemetry. Rounded up, for it may
+/// only be judged too old; zero when the pose is newer than the telemetry,
+/// whose own age the board adds.
+fn pose_age_ms(pose_time_ns: Option<u64>, telemetry_time_ns: u64) -> u16 {
+    let Some(pose_time_ns) = pose_time_ns else {
+        return u16::MAX;
+    };
+    let age_ns = telemetry_time_ns.saturating_sub(pose_time_ns);
+    u16::try_from(age_ns.div_ceil(1_000_000)).unwrap_or(u16::MAX)
+}
+
+/// The number of the next command: one more, unless the board would not take
+/// that for newer than what it accepted last (from another run of the host, or
+/// after more than 127 commands that it did not hear).
+pub(crate) fn next_sequence(last_sent: Sequence, last_accepted: Sequence) -> Sequence {
+    let next = last_sent.next();
+    if next.is_newer_than(last_accepted) {
+        next
+    } else {
+        last_accepted.next()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NEWEST: NewestTelemetry = NewestTelemetry {
+        mode: BoardMode::Armed,
+        last_sequence: Sequence(0),
+        board_time_us: 77,
+        host_time_ns: 5_000_000_000,
+    };
+
+    fn command(speed_m_s: f64, steering_rad: f64) -> DriveCommand {
+        DriveCommand {
+            speed_m_s,
+            steering_rad,
+            pose_time_ns: None,
+        }
+    }
+
+    #[test]
+    fn values_are_rounded_to_the_nearest_step_with_their_sign() {
+        let drive = message(&command(0.397_455, -0.328_666), Sequence(3), &NEWEST).unwrap();
+        assert_eq!((drive.speed_mm_s, drive.steering_100urad), (397, -3287));
+        let drive = message(&command(-32.767, 3.2767), Sequence(3), &NEWEST).unwrap();
+        assert_eq!(
+            (drive.speed_mm_s, drive.steering_100urad),
+            (-32_767, 32_767)
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_sent_is_named_and_not_sent() {
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(matches!(
+                message(&command(bad, 0.0), Sequence(3), &NEWEST),
+                Err(DriveError::NotFinite {
+                    quantity: Quantity::SpeedMetresPerSecond,
+                    ..
+                })
+            ));
+            assert!(matches!(
+                message(&command(0.0, bad), Sequence(3), &NEWEST),
+                Err(DriveError::NotFinite {
+                    quantity: Quantity::SteeringRadians,
+                    ..
+                })
+            ));
+        }
+        assert!(matches!(
+            message(&command(32.768, 0.0), Sequence(3), &NEWEST),
+            Err(DriveError::OutOfRange { .. })
+        ));
+        assert!(matches!(
+            message(&command(0.0, -3.2768), Sequence(3), &NEWEST),
+            Err(DriveError::OutOfRange { .. })
+        ));
+    }
+
+    #[test]
+    fn the_pose_age_is_rounded_up_and_saturates() {
+        let at = NEWEST.host_time_ns;
+        assert_eq!(pose_age_ms(Some(at), at), 0);
+        assert_eq!(pose_age_ms(Some(at + 3_000_000), at), 0);
+        assert_eq!(pose_age_ms(Some(at - 1), at), 1);
+        assert_eq!(pose_age_ms(Some(at - 8_000_000), at), 8);
+        assert_eq!(pose_age_ms(Some(at - 8_000_001), at), 9);
+        assert_eq!(pose_age_ms(Some(0), 70_000_000_000), u16::MAX);
+        assert_eq!(pose_age_ms(None, at), u16::MAX);
+    }
+
+    #[test]
+    fn every_number_is_newer_than_what_the_board_accepted() {
+        for sent in 0..=u8::MAX {
+            for accepted in 0..=u8::MAX {
+                let next = next_sequence(Sequence(sent), Sequence(accepted));
+                assert!(next.is_newer_than(Sequence(accepted)));
+            }
+        }
+        assert_eq!(next_sequence(Sequence(41), Sequence(40)), Sequence(42));
+    }
+}

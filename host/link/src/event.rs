@@ -1,0 +1,204 @@
+//! What the session tells its owner.
+
+use core::fmt;
+
+use singletrack_protocol::{
+    BoardMode, ImuState, RefusalReason, Request, Sequence, Status, Telemetry, VERSION,
+};
+
+/// Something that happened; handed out in order, as it happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The board answered the greeting and speaks our version.
+    Connected {
+        /// The board's software: major, minor, patch.
+        board_software_version: [u8; 3],
+    },
+    /// The board answered and speaks another version: nothing can be done
+    /// until one side is updated. Told once; greeted again every second.
+    VersionMismatch(VersionMismatch),
+    /// The board has the session's configuration: the session is ready.
+    ConfigurationAccepted {
+        /// Its [`hash`](singletrack_protocol::Configuration::hash).
+        hash: u32,
+    },
+    /// The board refused the configuration. Told once for each reason; offered
+    /// again every second.
+    ConfigurationRefused {
+        /// Why.
+        reason: RefusalReason,
+    },
+    /// The board has lost all its state. The session greets and configures it
+    /// anew, and then waits: arming again is the owner's decision.
+    BoardRestarted {
+        /// How it was noticed.
+        evidence: RestartEvidence,
+    },
+    /// A telemetry record, with its times.
+    Telemetry(TimedTelemetry),
+    /// A status record.
+    Status(Status),
+    /// The board has done what was asked: it is armed, or it has taken the
+    /// stop. (An accepted configuration is [`Event::ConfigurationAccepted`].)
+    Acknowledged {
+        /// What was asked.
+        request: Request,
+        /// As returned when it was asked.
+        sequence: Sequence,
+    },
+    /// The board does not do what was asked.
+    Refused {
+        /// What was asked.
+        request: Request,
+        /// As returned when it was asked.
+        sequence: Sequence,
+        /// Why.
+        reason: RefusalReason,
+    },
+    /// The board did not answer; the request is given up.
+    Unanswered {
+        /// What was asked.
+        request: Request,
+        /// As returned when it was asked.
+        sequence: Sequence,
+    },
+    /// Telemetry shows that a [`Request::Disarm`] or
+    /// [`Request::EmergencyStop`] has had its effect.
+    StopConfirmed {
+        /// What was asked.
+        request: Request,
+    },
+    /// The board cannot be heard any more. A pending arm request is dropped;
+    /// the session goes on greeting, unless the port is closed.
+    Lost {
+        /// How it was noticed.
+        cause: LossCause,
+    },
+}
+
+/// A telemetry record in host time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimedTelemetry {
+    /// What the board said.
+    pub telemetry: Telemetry,
+    /// When the record's last byte was received, in host nanoseconds.
+    pub receive_time_ns: u64,
+    /// When the board made the record, in host nanoseconds: never before that
+    /// of an earlier record, never after `receive_time_ns`.
+    pub board_time_host_ns: u64,
+    /// When the IMU took its sample, in host nanoseconds. `None` when the IMU
+    /// is [`ImuState::Silent`] or the age is too large to be told.
+    pub imu_time_host_ns: Option<u64>,
+}
+
+impl TimedTelemetry {
+    /// Whether the record carries an IMU sample that none before it carried.
+    #[must_use]
+    pub fn has_fresh_imu_sample(&self) -> bool {
+        self.telemetry.imu == ImuState::Fresh && self.imu_time_host_ns.is_some()
+    }
+}
+
+/// How a restart of the board was noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RestartEvidence {
+    /// It said so: a [`Hello`](singletrack_protocol::Hello) that answers nothing.
+    Announced,
+    /// Its clock started anew.
+    ClockRestarted,
+    /// It no longer has the configuration it was given.
+    ConfigurationGone,
+}
+
+/// How the loss of the board was noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LossCause {
+    /// No good frame for [`LINK_TIMEOUT_NS`](crate::LINK_TIMEOUT_NS).
+    Silence,
+    /// The port was closed or hung up.
+    HangUp,
+}
+
+/// Two versions that cannot talk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VersionMismatch {
+    /// The protocol version that the board speaks.
+    pub board_protocol: u16,
+    /// The board's software: major, minor, patch.
+    pub board_software: [u8; 3],
+    /// The host's software: major, minor, patch.
+    pub host_software: [u8; 3],
+}
+
+impl VersionMismatch {
+    /// The protocol version that the host speaks.
+    pub const HOST_PROTOCOL: u16 = VERSION;
+
+    /// The side to update.
+    #[must_use]
+    pub fn outdated(&self) -> Side {
+        if self.board_protocol < Self::HOST_PROTOCOL {
+            Side::Board
+        } else {
+            Side::Host
+        }
+    }
+}
+
+impl fmt::Display for VersionMismatch {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            board_protocol,
+            board_software: board,
+            host_software: host,
+        } = self;
+        write!(
+            formatter,
+            "the board (software {}.{}.{}) speaks protocol {board_protocol}, the host (software {}.{}.{}) speaks protocol {VERSION}: ",
+            board[0], board[1], board[2], host[0], host[1], host[2]
+        )?;
+        formatter.write_str(match self.outdated() {
+            Side::Board => "flash the board with the firmware of the host's release",
+            Side::Host => "install the host software of the board's release",
+        })
+    }
+}
+
+impl core::error::Error for VersionMismatch {}
+
+/// One of the two computers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The Odroid.
+    Host,
+    /// The Arduino.
+    Board,
+}
+
+/// Where the session stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// The port is closed.
+    Disconnected,
+    /// The board is being greeted and has not answered. An UNO that was reset
+    /// by opening the port needs up to 3 s.
+    Greeting {
+        /// Since when, in host nanoseconds.
+        since_ns: u64,
+    },
+    /// Board and host speak different versions.
+    VersionMismatch(VersionMismatch),
+    /// The board has been sent its configuration and has not answered.
+    Configuring,
+    /// The board does not take the configuration.
+    ConfigurationRefused {
+        /// Why.
+        reason: RefusalReason,
+    },
+    /// The board has the configuration. It drives only in
+    /// [`BoardMode::Armed`] and [`BoardMode::Driving`].
+    Ready {
+        /// The board's mode by the newest telemetry; `None` before the first.
+        mode: Option<BoardMode>,
+    },
+}
