@@ -1,1 +1,3 @@
-//! stub
+//! The command line of Singletrack, as a library for its tests.
+
+pub mod simulate;

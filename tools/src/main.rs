@@ -1,2 +1,64 @@
-//! The command line.
-fn main() {}
+//! The command line of Singletrack.
+
+use std::{
+    io::{self, BufWriter, Write},
+    path::PathBuf,
+    process::ExitCode,
+};
+
+use clap::{Parser, Subcommand, ValueEnum};
+use singletrack::simulate;
+
+/// Drive a small car by feedback linearisation: simulate, drive, look.
+#[derive(Parser)]
+#[command(version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a scenario in virtual time and print its trajectory.
+    Simulate {
+        /// The scenario file.
+        scenario: PathBuf,
+        /// How to print it.
+        #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
+        format: SimulateFormat,
+    },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SimulateFormat {
+    /// One row every 0.05 s, SI units and radians.
+    Csv,
+}
+
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("singletrack: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
+    match &cli.command {
+        Command::Simulate {
+            scenario,
+            format: SimulateFormat::Csv,
+        } => {
+            let scenario = simulate::Scenario::read(scenario)?;
+            let rows = simulate::simulate(&scenario)?;
+            match simulate::write_csv(&rows, &mut BufWriter::new(io::stdout().lock())) {
+                // Whoever read the rows has seen enough.
+                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+                result => result?,
+            }
+            Ok(io::stdout().flush()?)
+        }
+    }
+}

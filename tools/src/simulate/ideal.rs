@@ -1,0 +1,403 @@
+//! Outer loop and law on the paper's model: no estimator, supervisor, limits,
+//! lag or noise.
+
+use nalgebra::SVector;
+use singletrack_control::{
+    FrontPointLaw, LawError, Motion, OuterLoop, Position, Reference, ReferencePoint, SingleTrack,
+    SingleTrackState, Singularity, TrackingLoop, Velocity, VelocityPointLaw, direction,
+    front_point, velocity_point,
+};
+
+use super::{
+    integrator::{IntegrationError, Integrator},
+    row::{ROWS_PER_SECOND, Row},
+    scenario::{LawKind, Scenario, ScenarioError, SteeringHold},
+};
+
+/// Why an ideal simulation stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum IdealError {
+    /// The scenario can't be simulated.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The law has no answer.
+    #[error("at t = {time} s: {source}")]
+    Law {
+        /// When, in s.
+        time: f64,
+        /// Why.
+        source: Singularity,
+    },
+    /// The equations have no solution.
+    #[error(
+        "{0}; the paper's model needs a car that moves forward, use plant kind \"car\" for one that stops"
+    )]
+    Integration(#[from] IntegrationError),
+}
+
+impl From<LawError> for IdealError {
+    fn from(error: LawError) -> Self {
+        Self::Scenario(error.into())
+    }
+}
+
+/// x, y, yaw, yaw rate, sideslip, steering.
+type Vector = SVector<f64, 6>;
+
+/// Runs a scenario on the ideal plant.
+///
+/// # Errors
+///
+/// A scenario that can't be run, or a singularity on the way, with its time.
+pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
+    let simulation = Simulation::new(scenario)?;
+    if scenario.control.period_ms == 0 {
+        simulation.continuous()
+    } else {
+        simulation.sampled()
+    }
+}
+
+/// Either law, with its answers in one form.
+enum Law {
+    FrontPoint(FrontPointLaw),
+    VelocityPoint(VelocityPointLaw),
+}
+
+/// What a law asks of the steering.
+#[derive(Clone, Copy)]
+enum SteeringCommand {
+    Rate(f64),
+    Angle(f64),
+}
+
+#[derive(Clone, Copy)]
+struct Command {
+    speed: f64,
+    steering: SteeringCommand,
+}
+
+impl Law {
+    /// P as the controller knows it.
+    fn point(&self, state: &SingleTrackState, steering: f64) -> Position {
+        let centre = Position::new(state.x, state.y);
+        match self {
+            Self::FrontPoint(law) => law.point(centre, state.yaw, steering),
+            Self::VelocityPoint(law) => law.point(centre, state.yaw, state.sideslip),
+        }
+    }
+
+    fn command(
+        &self,
+        state: &SingleTrackState,
+        steering: f64,
+        velocity: &Velocity,
+    ) -> Result<Command, Singularity> {
+        let motion = Motion {
+            yaw: state.yaw,
+            yaw_rate: state.yaw_rate,
+            sideslip: state.sideslip,
+        };
+        Ok(match self {
+            Self::FrontPoint(law) => {
+                let command = law.command(&motion, steering, velocity)?;
+                Command {
+                    speed: command.speed,
+                    steering: SteeringCommand::Rate(command.steering_rate),
+                }
+            }
+            Self::VelocityPoint(law) => {
+                let command = law.command(&motion, velocity)?;
+                Command {
+                    speed: command.speed,
+                    steering: SteeringCommand::Angle(command.steering),
+                }
+            }
+        })
+    }
+}
+
+struct Simulation<'a> {
+    scenario: &'a Scenario,
+    model: SingleTrack,
+    law: Law,
+    tracking: TrackingLoop,
+    reference: Reference,
+    start: Position,
+    initial: Vector,
+}
+
+impl<'a> Simulation<'a> {
+    fn new(scenario: &'a Scenario) -> Result<Self, IdealError> {
+        let model = SingleTrack::new(scenario.vehicle);
+        let p = scenario.law.point_distance_m;
+        let [x, y] = scenario.start.point_p_m;
+        let start = Position::new(x, y);
+        let yaw = scenario.start.yaw_deg.to_radians();
+        let (law, centre) = match scenario.law.kind {
+            LawKind::FrontPoint => (
+                Law::FrontPoint(scenario.front_point_law()?),
+                start - (scenario.vehicle.front_axle_distance_m + p) * direction(yaw),
+            ),
+            LawKind::VelocityPoint => (
+                Law::VelocityPoint(scenario.velocity_point_law()?),
+                start - p * direction(yaw),
+            ),
+        };
+        Ok(Self {
+            scenario,
+            model,
+            law,
+            tracking: scenario.tracking_loop(),
+            reference: scenario.reference()?,
+            start,
+            initial: Vector::from([centre.x, centre.y, yaw, 0.0, 0.0, 0.0]),
+        })
+    }
+
+    /// The law evaluated inside the right-hand side.
+    fn continuous(&self) -> Result<Vec<Row>, IdealError> {
+        let mut rows = Vec::new();
+        let mut vector = self.initial;
+        let mut integrator = Integrator::new();
+        let mut time = 0.0;
+        for index in 0..=self.last_row() {
+            let end = row_time(index);
+            while time < end {
+                let stop = self
+                    .reference
+                    .next_switch(time)
+                    .map_or(end, |switch| switch.min(end));
+                let begin = time;
+                integrator.advance(&mut vector, begin, stop, |t, vector| {
+                    // The step ends where the reference switches: its own
+                    // stages must still see what was before.
+                    let reference = if t > begin {
+                        self.reference.before(t)
+                    } else {
+                        self.reference.at(t)
+                    };
+                    let (_, command) = self.decide(t, vector, &reference)?;
+                    Ok::<_, IdealError>(self.slope(vector, &command))
+                })?;
+                time = stop;
+            }
+            let (velocity, command) = self.decide(end, &vector, &self.reference.at(end))?;
+            if let SteeringCommand::Angle(steering) = command.steering {
+                vector[5] = steering;
+            }
+            let rate = match command.steering {
+                SteeringCommand::Rate(rate) => rate,
+                SteeringCommand::Angle(_) => 0.0,
+            };
+            rows.push(self.row(end, &vector, command.speed, rate, &velocity));
+        }
+        Ok(rows)
+    }
+
+    /// The law evaluated at ticks, acting after a delay.
+    fn sampled(&self) -> Result<Vec<Row>, IdealError> {
+        let control = self.scenario.control;
+        let period = f64::from(control.period_ms) / 1000.0;
+        let tick_time = |tick: u64| (tick * u64::from(control.period_ms)) as f64 / 1000.0;
+        let delay = usize::try_from(control.delay_ticks).unwrap_or(usize::MAX);
+
+        let mut rows = Vec::new();
+        let mut vector = self.initial;
+        let mut integrator = Integrator::new();
+        let mut next_row = 0;
+        let mut measured = split(&vector).0;
+        let mut waiting = std::collections::VecDeque::with_capacity(delay + 1);
+        let mut acting = Acting::default();
+
+        for tick in 0.. {
+            let (begin, end) = (tick_time(tick), tick_time(tick + 1));
+            let (state, steering) = split(&vector);
+            measured = if self.scenario.is_lost(tick) {
+                SingleTrackState {
+                    x: measured.x,
+                    y: measured.y,
+                    yaw: measured.yaw,
+                    ..state
+                }
+            } else {
+                state
+            };
+            let at = |source| IdealError::Law {
+                time: begin,
+                source,
+            };
+            let velocity = self.tracking.velocity(
+                &self.reference.at(begin),
+                &self.law.point(&measured, steering),
+            );
+            let command = self
+                .law
+                .command(&measured, steering, &velocity)
+                .map_err(at)?;
+            if tick == 0 {
+                acting.speed = command.speed;
+            }
+            waiting.push_back(command);
+            if waiting.len() > delay
+                && let Some(command) = waiting.pop_front()
+            {
+                acting = Acting {
+                    speed: command.speed,
+                    rate: match command.steering {
+                        SteeringCommand::Rate(rate) => rate,
+                        SteeringCommand::Angle(angle) => (angle - steering) / period,
+                    },
+                };
+            }
+
+            // Rows at this tick show the steering before it jumps.
+            let last = self.last_row();
+            if next_row <= last && row_time(next_row) <= begin {
+                rows.push(self.row(begin, &vector, acting.speed, acting.rate, &velocity));
+                next_row += 1;
+            }
+            if next_row > last {
+                break;
+            }
+            let rate = match control.steering {
+                SteeringHold::Ramp => acting.rate,
+                SteeringHold::Step => {
+                    vector[5] += period * acting.rate;
+                    0.0
+                }
+            };
+            let command = Command {
+                speed: acting.speed,
+                steering: SteeringCommand::Rate(rate),
+            };
+            let mut time = begin;
+            while time < end {
+                let row_due = row_time(next_row);
+                let stop = if next_row <= last {
+                    row_due.min(end)
+                } else {
+                    end
+                };
+                integrator.advance(&mut vector, time, stop, |_, vector| {
+                    Ok::<_, IdealError>(self.slope(vector, &command))
+                })?;
+                time = stop;
+                if next_row <= last && row_due < end && time >= row_due {
+                    rows.push(self.row(time, &vector, acting.speed, acting.rate, &velocity));
+                    next_row += 1;
+                }
+            }
+        }
+        Ok(rows)
+    }
+
+    /// What the controller does at the true state.
+    fn decide(
+        &self,
+        time: f64,
+        vector: &Vector,
+        reference: &ReferencePoint,
+    ) -> Result<(Velocity, Command), IdealError> {
+        let (state, steering) = split(vector);
+        let velocity = self
+            .tracking
+            .velocity(reference, &self.law.point(&state, steering));
+        let command = self
+            .law
+            .command(&state, steering, &velocity)
+            .map_err(|source| IdealError::Law { time, source })?;
+        Ok((velocity, command))
+    }
+
+    /// The paper's model under a command.
+    fn slope(&self, vector: &Vector, command: &Command) -> Vector {
+        let (state, steering) = split(vector);
+        let (steering, rate) = match command.steering {
+            SteeringCommand::Rate(rate) => (steering, rate),
+            SteeringCommand::Angle(angle) => (angle, 0.0),
+        };
+        let slope = self.model.derivative(&state, command.speed, steering);
+        Vector::from([
+            slope.x,
+            slope.y,
+            slope.yaw,
+            slope.yaw_rate,
+            slope.sideslip,
+            rate,
+        ])
+    }
+
+    fn row(
+        &self,
+        time: f64,
+        vector: &Vector,
+        speed: f64,
+        steering_rate: f64,
+        velocity: &Velocity,
+    ) -> Row {
+        let (state, steering) = split(vector);
+        let centre = Position::new(state.x, state.y);
+        let p = self.scenario.law.point_distance_m;
+        let point = match self.law {
+            Law::FrontPoint(_) => front_point(
+                centre,
+                state.yaw,
+                steering,
+                self.scenario.vehicle.front_axle_distance_m,
+                p,
+            ),
+            Law::VelocityPoint(_) => velocity_point(centre, state.yaw, state.sideslip, p),
+        };
+        let reference = match &self.reference {
+            Reference::VelocitySteps(steps) => steps.integrate(self.start, time),
+            other => other.at(time).position.unwrap_or(self.start),
+        };
+        Row {
+            t: time,
+            yaw: state.yaw,
+            yaw_rate: state.yaw_rate,
+            sideslip: state.sideslip,
+            steering,
+            x_g: state.x,
+            y_g: state.y,
+            speed,
+            steering_rate,
+            x_p: point.x,
+            y_p: point.y,
+            x_ref: reference.x,
+            y_ref: reference.y,
+            v_px: velocity.x,
+            v_py: velocity.y,
+        }
+    }
+
+    /// The index of the last row: the duration need not be a multiple of the interval.
+    fn last_row(&self) -> u64 {
+        (self.scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64
+    }
+}
+
+/// The pair that acts on the plant.
+#[derive(Clone, Copy, Default)]
+struct Acting {
+    speed: f64,
+    rate: f64,
+}
+
+fn row_time(index: u64) -> f64 {
+    index as f64 / ROWS_PER_SECOND as f64
+}
+
+fn split(vector: &Vector) -> (SingleTrackState, f64) {
+    (
+        SingleTrackState {
+            x: vector[0],
+            y: vector[1],
+            yaw: vector[2],
+            yaw_rate: vector[3],
+            sideslip: vector[4],
+        },
+        vector[5],
+    )
+}
