@@ -1,0 +1,112 @@
+//! Whether a pose can follow the last one that was believed.
+
+use core::f64::consts::{PI, TAU};
+
+use crate::config::PoseLimits;
+use crate::pose::{Pose, RejectReason};
+
+/// What the gate says to a pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Verdict {
+    Valid(Pose),
+    Rejected(RejectReason),
+    LockedOut(RejectReason),
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct Gate {
+    limits: PoseLimits,
+    last_valid: Option<Pose>,
+    last_implausible: Option<Pose>,
+    rejects: u32,
+    /// Implausible poses in a row that follow each other, since the lock-out.
+    consistent: u32,
+}
+
+impl Gate {
+    pub(crate) const fn new(limits: PoseLimits) -> Self {
+        Self {
+            limits,
+            last_valid: None,
+            last_implausible: None,
+            rejects: 0,
+            consistent: 0,
+        }
+    }
+
+    pub(crate) fn judge(&mut self, candidate: Result<Pose, RejectReason>) -> Verdict {
+        let pose = match candidate {
+            Ok(pose) => pose,
+            Err(reason) => {
+                self.last_implausible = None;
+                self.consistent = 0;
+                return self.reject(reason);
+            }
+        };
+        let Some(last_valid) = self.last_valid else {
+            return self.accept(pose, true);
+        };
+        match self.follows(&last_valid, &pose) {
+            Ok(()) => self.accept(pose, self.is_locked_out()),
+            Err(reason) => {
+                let consistent = self
+                    .last_implausible
+                    .is_some_and(|last| self.follows(&last, &pose).is_ok());
+                if !(consistent && self.is_locked_out()) {
+                    self.consistent = 0;
+                } else {
+                    self.consistent += 1;
+                    if self.consistent >= self.limits.max_consecutive_rejects {
+                        return self.accept(pose, true);
+                    }
+                }
+                self.last_implausible = Some(pose);
+                self.reject(reason)
+            }
+        }
+    }
+
+    const fn is_locked_out(&self) -> bool {
+        self.rejects >= self.limits.max_consecutive_rejects
+    }
+
+    fn accept(&mut self, mut pose: Pose, reacquired: bool) -> Verdict {
+        pose.reacquired = reacquired;
+        self.last_valid = Some(pose);
+        self.last_implausible = None;
+        self.rejects = 0;
+        self.consistent = 0;
+        Verdict::Valid(pose)
+    }
+
+    const fn reject(&mut self, reason: RejectReason) -> Verdict {
+        self.rejects = self.rejects.saturating_add(1);
+        if self.is_locked_out() {
+            Verdict::LockedOut(reason)
+        } else {
+            Verdict::Rejected(reason)
+        }
+    }
+
+    /// Whether a body that was at `from` can be at `to`.
+    fn follows(&self, from: &Pose, to: &Pose) -> Result<(), RejectReason> {
+        let elapsed_ns = to.capture_time_ns.saturating_sub(from.capture_time_ns);
+        let elapsed_s = elapsed_ns as f64 * 1e-9;
+        let [dx, dy, dz] = [to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m];
+        let distance_m = libm::sqrt(dx * dx + dy * dy + dz * dz);
+        let limits = &self.limits;
+        if distance_m > limits.jump_margin_m + limits.max_speed_m_s * elapsed_s {
+            return Err(RejectReason::Jump);
+        }
+        let turned_rad = libm::fabs(wrap_to_pi(to.yaw_rad - from.yaw_rad));
+        if turned_rad > limits.yaw_margin_rad + limits.max_yaw_rate_rad_s * elapsed_s {
+            return Err(RejectReason::Flip);
+        }
+        Ok(())
+    }
+}
+
+/// The same angle in -pi to pi.
+fn wrap_to_pi(angle_rad: f64) -> f64 {
+    angle_rad - TAU * libm::floor((angle_rad + PI) / TAU)
+}

@@ -1,0 +1,81 @@
+//! Newest only: which frame continues the stream.
+
+/// So many frames in a row that are older than the newest, but follow each
+/// other, are a server that started again.
+const RESTART_AFTER: u32 = 10;
+
+/// Where a frame stands in the stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// It is the newest; so many before it never came.
+    Newest { lost: u64 },
+    /// It is the newest by the server's clock, with numbers starting again.
+    Renumbered,
+    /// Its number is the newest one's.
+    Duplicate,
+    /// It is older than the newest.
+    Late,
+    /// The stream goes on from an earlier point: the server started again.
+    Restarted,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Mark {
+    number: i32,
+    /// The server's clock when it sent the frame, in any unit; 0 if unknown.
+    clock: u64,
+}
+
+impl Mark {
+    /// How many numbers `self` is ahead of `other`; numbers wrap.
+    const fn ahead_of(self, other: Self) -> i32 {
+        self.number.wrapping_sub(other.number)
+    }
+}
+
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Sequence {
+    newest: Option<Mark>,
+    suspect: Option<Mark>,
+    suspects: u32,
+}
+
+impl Sequence {
+    pub(crate) fn place(&mut self, number: i32, clock: u64) -> Order {
+        let mark = Mark { number, clock };
+        let Some(newest) = self.newest else {
+            self.accept(mark);
+            return Order::Newest { lost: 0 };
+        };
+        let ahead = mark.ahead_of(newest);
+        if ahead == 0 {
+            return Order::Duplicate;
+        }
+        if ahead > 0 && clock >= newest.clock {
+            self.accept(mark);
+            return Order::Newest {
+                lost: u64::from(ahead.unsigned_abs()) - 1,
+            };
+        }
+        if ahead < 0 && clock > newest.clock {
+            self.accept(mark);
+            return Order::Renumbered;
+        }
+        let follows = self
+            .suspect
+            .is_some_and(|last| mark.ahead_of(last) > 0 && clock >= last.clock);
+        self.suspects = if follows { self.suspects + 1 } else { 1 };
+        self.suspect = Some(mark);
+        if self.suspects >= RESTART_AFTER {
+            Order::Restarted
+        } else {
+            Order::Late
+        }
+    }
+
+    const fn accept(&mut self, mark: Mark) {
+        self.newest = Some(mark);
+        self.suspect = None;
+        self.suspects = 0;
+    }
+}
