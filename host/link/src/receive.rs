@@ -97,6 +97,9 @@ impl Session {
         }
         self.acquainted = true;
         self.last_heard_ns = now_ns;
+        if let Some(stop) = &mut self.stop {
+            stop.hurry(now_ns);
+        }
         self.phase = Phase::configuring(self.take_request_number(), now_ns);
         on_event(Event::Connected {
             board_software_version: hello.software_version,

@@ -107,6 +107,11 @@ impl Stop {
         })
     }
 
+    /// The board has just become able to hear it.
+    pub(crate) const fn hurry(&mut self, now_ns: u64) {
+        self.next_ns = now_ns;
+    }
+
     /// Takes in an answer; true when it is the first one to this request.
     pub(crate) fn answer(&mut self, request: Request, sequence: Sequence) -> bool {
         let matches = request == self.kind.request() && sequence == self.sequence;
