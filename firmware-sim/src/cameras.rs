@@ -1,0 +1,571 @@
+//! The cameras: what they see of the car, when, and when they do not.
+
+use std::collections::VecDeque;
+
+use libm::{cos, sin};
+use serde::{Deserialize, Serialize};
+use singletrack_mocap::codec::{CameraTicks, RigidBody};
+
+use crate::{
+    attitude,
+    car::Truth,
+    clock::SkewedClock,
+    loss::{LossPattern, LossWindow},
+    random::{Random, Stream},
+};
+
+/// Ticks of the server's clock in a second, as Motive's on Windows.
+pub const TICKS_PER_SECOND: u64 = 10_000_000;
+
+/// The cameras and what they look at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraParameters {
+    /// Time between exposures on the server's clock, in µs.
+    pub period_us: u64,
+    /// The first exposure on the server's clock since its start, in µs.
+    pub phase_us: u64,
+    /// What the server's clock shows at simulation time zero, in µs.
+    pub clock_offset_us: u64,
+    /// What the server's clock gains, in µs per second.
+    pub clock_skew_ppm: i32,
+    /// Mean time from mid-exposure to the packet on the network, in µs.
+    pub latency_us: u64,
+    /// Standard deviation of that time, in µs; cut off at three deviations.
+    pub latency_jitter_us: u64,
+    /// Standard deviation of each coordinate, in m.
+    pub position_noise_m: f64,
+    /// Standard deviation of roll, pitch and yaw, in rad.
+    pub orientation_noise_rad: f64,
+    /// The axes in which poses are streamed.
+    pub up_axis: UpAxis,
+    /// The car's rigid body.
+    pub car: CarBody,
+    /// Further rigid bodies, which do not move.
+    pub decoys: Vec<DecoyBody>,
+    /// Losses that repeat.
+    pub loss: Option<LossPattern>,
+    /// Further losses.
+    pub loss_windows: Vec<LossWindow>,
+    /// What a loss looks like on the wire.
+    pub loss_kind: LossKind,
+}
+
+impl Default for CameraParameters {
+    fn default() -> Self {
+        Self {
+            period_us: 10_000,
+            phase_us: 6_300,
+            clock_offset_us: 86_400_000_000,
+            clock_skew_ppm: 40,
+            latency_us: 8_000,
+            latency_jitter_us: 300,
+            position_noise_m: 0.000_2,
+            // 0.1 degrees.
+            orientation_noise_rad: 0.001_745,
+            up_axis: UpAxis::Y,
+            car: CarBody::default(),
+            decoys: vec![
+                DecoyBody {
+                    name: "wand".to_owned(),
+                    id: 3,
+                    position_m: [3.0, 2.0, 1.0],
+                },
+                DecoyBody {
+                    name: "carrier".to_owned(),
+                    id: 17,
+                    position_m: [-2.5, 2.5, 0.2],
+                },
+            ],
+            loss: None,
+            loss_windows: Vec::new(),
+            loss_kind: LossKind::Occluded,
+        }
+    }
+}
+
+/// The up axis of the streamed poses: a setting of the server that is not on
+/// the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpAxis {
+    /// The server's default: the world's z is streamed as y.
+    #[default]
+    Y,
+    /// The world's axes.
+    Z,
+}
+
+impl UpAxis {
+    /// The world's vector in the streamed axes.
+    fn stream(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Y => [x, z, -y],
+            Self::Z => [x, y, z],
+        }
+    }
+}
+
+/// The car's rigid body: its name, and how it sits on the car.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CarBody {
+    /// Name in the model definitions.
+    pub name: String,
+    /// Streaming id.
+    pub id: i32,
+    /// From the body's pivot to the centre of mass, forward and left along the
+    /// body's axes, in m.
+    pub to_centre_of_mass_m: [f64; 2],
+    /// Yaw of the body's axes against the car's, in rad.
+    pub yaw_rad: f64,
+    /// Height of the pivot above the floor, in m.
+    pub height_m: f64,
+}
+
+impl Default for CarBody {
+    fn default() -> Self {
+        Self {
+            name: "car".to_owned(),
+            id: 11,
+            to_centre_of_mass_m: [0.0, 0.0],
+            yaw_rad: 0.0,
+            height_m: 0.12,
+        }
+    }
+}
+
+/// A rigid body that stands somewhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DecoyBody {
+    /// Name in the model definitions.
+    pub name: String,
+    /// Streaming id.
+    pub id: i32,
+    /// Where it is in the world, in m.
+    pub position_m: [f64; 3],
+}
+
+/// What a loss of the markers looks like on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LossKind {
+    /// The body keeps its old pose and the tracking-valid bit is cleared.
+    #[default]
+    Occluded,
+    /// The body is not in the frame.
+    Absent,
+    /// No frame is sent.
+    Silent,
+}
+
+/// What is wrong with the cameras, besides the scheduled losses.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraFaults {
+    /// A loss that lasts until it is taken away.
+    pub loss: Option<LossKind>,
+    /// Added to the car's position in the world, in m, with tracking valid.
+    pub jump_m: [f64; 3],
+    /// The car's pose is not a number, with tracking valid.
+    pub not_a_number: bool,
+    /// The car and the first decoy have changed names.
+    pub swapped: bool,
+}
+
+/// One frame, as it goes on the network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraFrame {
+    /// The frame's number.
+    pub number: i32,
+    /// Simulation time of mid-exposure, in µs.
+    pub exposed_us: u64,
+    /// Simulation time of sending, in µs.
+    pub sent_us: u64,
+    /// The same on the server's clock.
+    pub ticks: CameraTicks,
+    /// All rigid bodies in the streamed axes, the car's (if there) last.
+    pub bodies: Vec<RigidBody>,
+    /// Whether the car's pose is a new one.
+    pub car_tracked: bool,
+    /// Whether it goes on the network at all.
+    pub silent: bool,
+}
+
+/// How many frames there were.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CameraCounters {
+    /// Exposures.
+    pub exposed: u64,
+    /// Frames that went on the network.
+    pub sent: u64,
+    /// Exposures without the car: occluded, absent or not sent.
+    pub lost: u64,
+}
+
+/// The cameras.
+#[derive(Clone, Debug)]
+pub struct Cameras {
+    parameters: CameraParameters,
+    clock: SkewedClock,
+    noise: Random,
+    latency: Random,
+    faults: CameraFaults,
+    loss_epoch_us: Option<u64>,
+    exposures: u64,
+    last_seen: RigidBody,
+    under_way: VecDeque<CameraFrame>,
+    counters: CameraCounters,
+}
+
+impl Cameras {
+    pub(crate) fn new(parameters: CameraParameters, seed: u64) -> Self {
+        Self {
+            clock: SkewedClock::new(parameters.clock_offset_us, parameters.clock_skew_ppm),
+            noise: Random::new(seed, Stream::CameraNoise),
+            latency: Random::new(seed, Stream::CameraLatency),
+            faults: CameraFaults::default(),
+            loss_epoch_us: Some(0),
+            exposures: 0,
+            // A body that was never seen.
+            last_seen: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
+                .with_tracking_valid(false),
+            under_way: VecDeque::new(),
+            counters: CameraCounters::default(),
+            parameters,
+        }
+    }
+
+    /// What the cameras were built with, but for ids changed since.
+    #[must_use]
+    pub const fn parameters(&self) -> &CameraParameters {
+        &self.parameters
+    }
+
+    /// The server's clock.
+    #[must_use]
+    pub const fn clock(&self) -> &SkewedClock {
+        &self.clock
+    }
+
+    /// The server's high-resolution clock at a simulation time.
+    #[must_use]
+    pub fn ticks(&self, simulation_us: u64) -> u64 {
+        self.clock.at(simulation_us) * (TICKS_PER_SECOND / 1_000_000)
+    }
+
+    /// The frames so far.
+    #[must_use]
+    pub const fn counters(&self) -> CameraCounters {
+        self.counters
+    }
+
+    /// The faults in force, to change them from now on.
+    pub const fn faults_mut(&mut self) -> &mut CameraFaults {
+        &mut self.faults
+    }
+
+    /// Counts the scheduled losses from this simulation time on; `None` stops
+    /// them. They start with the simulation unless this is called.
+    pub const fn set_loss_epoch(&mut self, epoch_us: Option<u64>) {
+        self.loss_epoch_us = epoch_us;
+    }
+
+    /// Replaces the losses that repeat.
+    pub const fn set_loss(&mut self, loss: Option<LossPattern>) {
+        self.parameters.loss = loss;
+    }
+
+    /// Adds one loss, in µs since the losses' epoch.
+    pub fn add_loss_window(&mut self, window: LossWindow) {
+        self.parameters.loss_windows.push(window);
+    }
+
+    /// Gives the car's body another streaming id, as an operator can.
+    pub(crate) const fn set_car_id(&mut self, id: i32) {
+        self.parameters.car.id = id;
+        self.last_seen.id = id;
+    }
+
+    /// Simulation time of the next exposure, in µs.
+    pub(crate) fn next_exposure_us(&self) -> u64 {
+        let p = &self.parameters;
+        self.clock
+            .when_elapsed(p.phase_us + self.exposures * p.period_us.max(1))
+    }
+
+    /// Simulation time at which the next frame goes on the network, in µs.
+    pub(crate) fn next_send_us(&self) -> Option<u64> {
+        Some(self.under_way.front()?.sent_us)
+    }
+
+    /// Takes one picture.
+    pub(crate) fn expose(&mut self, truth: &Truth) {
+        let now_us = truth.time_us;
+        self.exposures += 1;
+        self.counters.exposed += 1;
+        let seen = self.see(truth);
+        let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
+        let mut car = match loss {
+            None => seen,
+            Some(_) => self.last_seen.with_tracking_valid(false),
+        };
+        if loss.is_none() {
+            self.last_seen = seen;
+        } else {
+            self.counters.lost += 1;
+        }
+        let mut bodies: Vec<RigidBody> = self
+            .parameters
+            .decoys
+            .iter()
+            .map(|decoy| {
+                let position = self.parameters.up_axis.stream(decoy.position_m);
+                RigidBody::tracked(decoy.id, position.map(|x| x as f32), [0.0, 0.0, 0.0, 1.0])
+            })
+            .collect();
+        if let (true, Some(decoy)) = (self.faults.swapped, bodies.first_mut()) {
+            core::mem::swap(&mut decoy.id, &mut car.id);
+        }
+        if loss != Some(LossKind::Absent) {
+            bodies.push(car);
+        }
+        let sent_us = self.sending_time(now_us);
+        self.under_way.push_back(CameraFrame {
+            // Motive counts on; a wrap after eight months is its own.
+            number: self.exposures as i32,
+            exposed_us: now_us,
+            sent_us,
+            ticks: CameraTicks {
+                mid_exposure: self.ticks(now_us),
+                received: self.ticks(now_us + (sent_us - now_us) / 2),
+                transmit: self.ticks(sent_us),
+            },
+            bodies,
+            car_tracked: loss.is_none(),
+            silent: loss == Some(LossKind::Silent),
+        });
+    }
+
+    /// The next frame whose time to be sent has come.
+    pub(crate) fn take_frame(&mut self, now_us: u64) -> Option<CameraFrame> {
+        if self.under_way.front()?.sent_us > now_us {
+            return None;
+        }
+        let frame = self.under_way.pop_front()?;
+        if !frame.silent {
+            self.counters.sent += 1;
+        }
+        Some(frame)
+    }
+
+    fn scheduled_loss(&self, now_us: u64) -> Option<LossKind> {
+        let since_epoch_us = now_us.checked_sub(self.loss_epoch_us?)?;
+        let p = &self.parameters;
+        let lost = p.loss.is_some_and(|loss| loss.is_lost(since_epoch_us))
+            || p.loss_windows
+                .iter()
+                .any(|window| window.is_lost(since_epoch_us));
+        lost.then_some(p.loss_kind)
+    }
+
+    /// Frames keep their order.
+    fn sending_time(&mut self, now_us: u64) -> u64 {
+        let p = &self.parameters;
+        let jitter = self.latency.normal().clamp(-3.0, 3.0) * p.latency_jitter_us as f64;
+        let latency = (p.latency_us as f64 + jitter).max(0.0) as u64;
+        let before = self.under_way.back().map_or(0, |frame| frame.sent_us);
+        (now_us + latency).max(before)
+    }
+
+    /// The car's body as the cameras measure it, in the streamed axes. Draws
+    /// the same noise whether it is then lost or not.
+    fn see(&mut self, truth: &Truth) -> RigidBody {
+        let p = &self.parameters;
+        let noise = self.noise.normal3(p.position_noise_m);
+        let [roll, pitch, yaw_noise] = self.noise.normal3(p.orientation_noise_rad);
+        if self.faults.not_a_number {
+            return RigidBody::tracked(p.car.id, [f32::NAN; 3], [f32::NAN; 4]);
+        }
+        let yaw = truth.yaw + p.car.yaw_rad;
+        let (c, s) = (cos(yaw), sin(yaw));
+        let [forward, left] = p.car.to_centre_of_mass_m;
+        let pivot = [
+            truth.x - (c * forward - s * left),
+            truth.y - (s * forward + c * left),
+            p.car.height_m,
+        ];
+        let jump = self.faults.jump_m;
+        let position: [f64; 3] = core::array::from_fn(|i| pivot[i] + noise[i] + jump[i]);
+        let [w, x, y, z] = attitude::quaternion_wxyz(yaw + yaw_noise, roll, pitch);
+        let [x, y, z] = p.up_axis.stream([x, y, z]);
+        let mut body = RigidBody::tracked(
+            p.car.id,
+            p.up_axis.stream(position).map(|x| x as f32),
+            [x, y, z, w].map(|x| x as f32),
+        );
+        body.mean_error_m = p.position_noise_m as f32;
+        body
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames(parameters: CameraParameters, truth: Truth, until_us: u64) -> Vec<CameraFrame> {
+        let mut cameras = Cameras::new(parameters, 1);
+        while cameras.next_exposure_us() < until_us {
+            cameras.expose(&Truth {
+                time_us: cameras.next_exposure_us(),
+                ..truth
+            });
+        }
+        core::iter::from_fn(|| cameras.take_frame(u64::MAX)).collect()
+    }
+
+    fn exact() -> CameraParameters {
+        CameraParameters {
+            position_noise_m: 0.0,
+            orientation_noise_rad: 0.0,
+            clock_skew_ppm: 0,
+            phase_us: 0,
+            ..CameraParameters::default()
+        }
+    }
+
+    #[test]
+    fn poses_are_streamed_in_the_chosen_axes_and_about_the_pivot() {
+        let truth = Truth {
+            x: 1.0,
+            y: 2.0,
+            yaw: core::f64::consts::FRAC_PI_2,
+            ..Truth::default()
+        };
+        let mut parameters = exact();
+        parameters.car.to_centre_of_mass_m = [0.1, 0.0];
+        let half = core::f32::consts::FRAC_1_SQRT_2;
+        for (up_axis, position, attitude) in [
+            (UpAxis::Y, [1.0, 0.12, -1.9], [0.0, half, 0.0, half]),
+            (UpAxis::Z, [1.0, 1.9, 0.12], [0.0, 0.0, half, half]),
+        ] {
+            parameters.up_axis = up_axis;
+            let frame = frames(parameters.clone(), truth, 1).remove(0);
+            let car = frame.bodies.last().unwrap();
+            for i in 0..3 {
+                assert!((car.position_m[i] - position[i]).abs() < 1e-6, "{car:?}");
+                assert!((car.orientation_xyzw[i] - attitude[i]).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn scheduled_losses_repeat_the_last_pose_without_the_tracking_bit() {
+        let mut parameters = CameraParameters {
+            loss: Some("200ms@2s".parse().unwrap()),
+            ..CameraParameters::default()
+        };
+        parameters.clock_skew_ppm = 0;
+        let frames = frames(parameters, Truth::default(), 5_000_000);
+        let lost: Vec<_> = frames
+            .iter()
+            .filter(|frame| !frame.car_tracked)
+            .map(|frame| frame.exposed_us)
+            .collect();
+        assert_eq!(lost.len(), 40);
+        assert!(
+            lost[..20]
+                .iter()
+                .all(|us| (2_000_000..2_200_000).contains(us))
+        );
+        assert!(
+            lost[20..]
+                .iter()
+                .all(|us| (4_000_000..4_200_000).contains(us))
+        );
+        let first = frames.iter().position(|frame| !frame.car_tracked).unwrap();
+        let (before, after) = (frames[first - 1].bodies[2], frames[first + 5].bodies[2]);
+        assert!(before.tracking_valid() && !after.tracking_valid());
+        assert_eq!(before.position_m, after.position_m);
+    }
+
+    #[test]
+    fn losses_can_be_absent_or_silent_and_wait_for_their_epoch() {
+        let window = LossWindow {
+            start_us: 100_000,
+            end_us: 200_000,
+        };
+        let mut cameras = Cameras::new(exact(), 1);
+        cameras.add_loss_window(window);
+        cameras.set_loss_epoch(Some(1_000_000));
+        cameras.parameters.loss_kind = LossKind::Absent;
+        for _ in 0..200 {
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                ..Truth::default()
+            });
+        }
+        let frames: Vec<_> = core::iter::from_fn(|| cameras.take_frame(u64::MAX)).collect();
+        for frame in &frames {
+            let lost = (1_100_000..1_200_000).contains(&frame.exposed_us);
+            assert_eq!(frame.bodies.len(), if lost { 2 } else { 3 });
+        }
+        assert_eq!(cameras.counters().lost, 10);
+        assert_eq!(cameras.counters().sent, 200);
+
+        cameras.faults_mut().loss = Some(LossKind::Silent);
+        let time_us = cameras.next_exposure_us();
+        cameras.expose(&Truth {
+            time_us,
+            ..Truth::default()
+        });
+        assert!(cameras.take_frame(u64::MAX).unwrap().silent);
+        assert_eq!(cameras.counters().sent, 200);
+    }
+
+    #[test]
+    fn noise_and_latency_have_the_stated_size() {
+        let frames = frames(CameraParameters::default(), Truth::default(), 100_000_000);
+        let n = frames.len() as f64;
+        let sum = |f: &dyn Fn(&CameraFrame) -> f64| frames.iter().map(f).sum::<f64>() / n;
+        let x = sum(&|frame| f64::from(frame.bodies[2].position_m[0]).powi(2));
+        assert!((x.sqrt() - 0.000_2).abs() < 0.000_01, "{x}");
+        let yaw = sum(&|frame| (2.0 * f64::from(frame.bodies[2].orientation_xyzw[1])).powi(2));
+        assert!((yaw.sqrt() - 0.001_745).abs() < 0.000_1, "{yaw}");
+        let latency = sum(&|frame| (frame.sent_us - frame.exposed_us) as f64);
+        assert!((latency - 8_000.0).abs() < 20.0, "{latency}");
+        assert!(
+            frames
+                .windows(2)
+                .all(|pair| pair[0].sent_us <= pair[1].sent_us)
+        );
+    }
+
+    #[test]
+    fn faults_that_keep_the_tracking_bit_are_on_the_wire() {
+        let mut cameras = Cameras::new(exact(), 1);
+        let next = |cameras: &mut Cameras| {
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                ..Truth::default()
+            });
+            cameras.take_frame(u64::MAX).unwrap()
+        };
+        cameras.faults_mut().jump_m = [0.5, 0.0, 0.0];
+        let car = next(&mut cameras).bodies[2];
+        assert!(car.tracking_valid() && (car.position_m[0] - 0.5).abs() < 1e-6);
+        *cameras.faults_mut() = CameraFaults {
+            swapped: true,
+            ..CameraFaults::default()
+        };
+        let bodies = next(&mut cameras).bodies;
+        assert_eq!((bodies[0].id, bodies[2].id), (11, 3));
+        *cameras.faults_mut() = CameraFaults {
+            not_a_number: true,
+            ..CameraFaults::default()
+        };
+        assert!(next(&mut cameras).bodies[2].position_m[0].is_nan());
+    }
+}

@@ -1,0 +1,71 @@
+//! The battery: it sags under load and slowly runs down.
+
+use serde::{Deserialize, Serialize};
+
+/// A two-cell battery.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BatteryParameters {
+    /// Voltage without load at the start, in V.
+    pub start_v: f64,
+    /// Voltage at which the motor's gain is as stated, in V.
+    pub nominal_v: f64,
+    /// Internal resistance, in Ω.
+    pub resistance_ohm: f64,
+    /// Current of the electronics, in A.
+    pub idle_a: f64,
+    /// Motor current for each m/s² of driven acceleration, in A.
+    pub motor_a_per_m_s2: f64,
+    /// Motor current for each m/s of speed, in A.
+    pub motor_a_per_m_s: f64,
+    /// Voltage lost for each ampere-hour drawn, in V.
+    pub fall_v_per_ah: f64,
+    /// Standard deviation of the measured voltage, in V.
+    pub noise_v: f64,
+}
+
+impl Default for BatteryParameters {
+    fn default() -> Self {
+        Self {
+            start_v: 7.9,
+            nominal_v: 7.4,
+            resistance_ohm: 0.05,
+            idle_a: 0.6,
+            motor_a_per_m_s2: 2.0,
+            motor_a_per_m_s: 2.5,
+            fall_v_per_ah: 0.5,
+            noise_v: 0.01,
+        }
+    }
+}
+
+/// The battery's charge.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Battery {
+    drawn_ah: f64,
+    current_a: f64,
+}
+
+impl Battery {
+    /// Draws for `seconds` what this motion needs.
+    pub(crate) fn draw(
+        &mut self,
+        p: &BatteryParameters,
+        driven: bool,
+        speed: f64,
+        acceleration: f64,
+        seconds: f64,
+    ) {
+        self.current_a = p.idle_a;
+        if driven {
+            self.current_a += p.motor_a_per_m_s * speed.abs()
+                + p.motor_a_per_m_s2 * (acceleration * speed.signum()).max(0.0);
+        }
+        self.drawn_ah += self.current_a * seconds / 3600.0;
+    }
+
+    /// Voltage at the terminals, in V.
+    pub(crate) fn voltage(&self, p: &BatteryParameters) -> f64 {
+        (p.start_v - p.fall_v_per_ah * self.drawn_ah - p.resistance_ohm * self.current_a).max(0.0)
+    }
+}

@@ -1,0 +1,17 @@
+//! The car: what the pulses do to it, and what its sensors say.
+
+mod battery;
+mod imu;
+mod motor;
+mod motor_sensor;
+mod servo;
+mod vehicle;
+
+pub use battery::BatteryParameters;
+pub use imu::{ImuParameters, ImuReading};
+pub use motor::MotorParameters;
+pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
+pub use servo::ServoParameters;
+pub use vehicle::{Car, CarParameters, StartPose, Truth};
+
+pub(crate) use imu::Imu;

@@ -1,0 +1,154 @@
+//! The sensor that gives a pulse for every few millimetres of travel.
+
+use serde::{Deserialize, Serialize};
+
+/// The motor's pulse sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotorSensorParameters {
+    /// Distance that the car really rolls in one pulse, in µm.
+    pub pulse_distance_um: f64,
+}
+
+impl Default for MotorSensorParameters {
+    fn default() -> Self {
+        Self {
+            pulse_distance_um: 3000.0,
+        }
+    }
+}
+
+/// What is wrong with the motor's pulse sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MotorSensorFault {
+    /// Nothing.
+    #[default]
+    None,
+    /// No pulse comes any more.
+    Gone,
+    /// Every pulse comes twice.
+    Doubled,
+}
+
+/// The pulses so far, as the board's counter and capture see them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MotorPulses {
+    /// Number of pulses, wrapping.
+    pub count: u16,
+    /// Simulation time of the last pulse, in µs.
+    pub last_us: Option<u64>,
+    /// Simulation time of the pulse before, in µs.
+    pub before_us: Option<u64>,
+}
+
+/// Turns travel into pulses.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MotorSensor {
+    /// Travel since the last pulse, in m.
+    remainder_m: f64,
+    pulses: MotorPulses,
+}
+
+impl MotorSensor {
+    pub(crate) const fn pulses(&self) -> MotorPulses {
+        self.pulses
+    }
+
+    /// `travel_m` of wheel travel (either direction) from `start_us` to `end_us`,
+    /// at a speed that is taken as constant.
+    pub(crate) fn roll(
+        &mut self,
+        p: &MotorSensorParameters,
+        fault: MotorSensorFault,
+        travel_m: f64,
+        start_us: u64,
+        end_us: u64,
+    ) {
+        let distance = p.pulse_distance_um
+            * if fault == MotorSensorFault::Doubled {
+                0.5e-6
+            } else {
+                1e-6
+            };
+        let before = self.remainder_m;
+        let travel = travel_m.abs();
+        let total = before + travel;
+        if !(total >= distance && distance > 0.0 && travel > 0.0) {
+            self.remainder_m = total;
+            return;
+        }
+        let edges = (total / distance).floor();
+        let mut edge = 1.0;
+        while edge <= edges {
+            let share = ((edge * distance - before) / travel).clamp(0.0, 1.0);
+            let time_us = start_us + (share * (end_us - start_us) as f64) as u64;
+            if fault != MotorSensorFault::Gone {
+                self.pulses = MotorPulses {
+                    count: self.pulses.count.wrapping_add(1),
+                    last_us: Some(time_us),
+                    before_us: self.pulses.last_us,
+                };
+            }
+            edge += 1.0;
+        }
+        self.remainder_m = (total - edges * distance).max(0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SENSOR: MotorSensorParameters = MotorSensorParameters {
+        pulse_distance_um: 3000.0,
+    };
+
+    fn roll(fault: MotorSensorFault, metres_per_ms: f64, ms: u64) -> MotorPulses {
+        let mut sensor = MotorSensor::default();
+        for step in 0..ms {
+            sensor.roll(
+                &SENSOR,
+                fault,
+                metres_per_ms,
+                step * 1000,
+                (step + 1) * 1000,
+            );
+        }
+        sensor.pulses()
+    }
+
+    #[test]
+    fn pulses_count_the_distance_and_time_the_speed() {
+        // 0.4 m/s for 5 s: 2 m, 666 pulses of 7.5 ms.
+        let pulses = roll(MotorSensorFault::None, 0.4e-3, 5000);
+        assert_eq!(pulses.count, 666);
+        let period = pulses.last_us.unwrap() - pulses.before_us.unwrap();
+        assert!(period.abs_diff(7500) <= 1, "{period}");
+    }
+
+    #[test]
+    fn reverse_travel_gives_pulses_too() {
+        assert_eq!(roll(MotorSensorFault::None, -0.4e-3, 5000).count, 666);
+    }
+
+    #[test]
+    fn faults_double_or_swallow_the_pulses() {
+        assert_eq!(roll(MotorSensorFault::Doubled, 0.4e-3, 5000).count, 1333);
+        assert_eq!(
+            roll(MotorSensorFault::Gone, 0.4e-3, 5000),
+            MotorPulses::default()
+        );
+    }
+
+    #[test]
+    fn several_pulses_in_one_step_have_their_own_times() {
+        let mut sensor = MotorSensor::default();
+        sensor.roll(&SENSOR, MotorSensorFault::None, 0.010, 0, 1000);
+        let pulses = sensor.pulses();
+        assert_eq!(
+            (pulses.count, pulses.before_us, pulses.last_us),
+            (3, Some(600), Some(900))
+        );
+    }
+}

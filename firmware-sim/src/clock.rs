@@ -1,0 +1,73 @@
+//! The clocks of the board and of the cameras, which are not the simulation's.
+
+/// A clock that runs from its own start at its own rate.
+///
+/// Integer arithmetic throughout: both directions are exact to the microsecond
+/// and monotonic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SkewedClock {
+    offset_us: u64,
+    skew_ppm: i32,
+}
+
+const MILLION: u64 = 1_000_000;
+
+impl SkewedClock {
+    /// A clock that shows `offset_us` at simulation time zero and gains
+    /// `skew_ppm` microseconds a second.
+    ///
+    /// The skew is limited to ± 100,000 ppm.
+    #[must_use]
+    pub fn new(offset_us: u64, skew_ppm: i32) -> Self {
+        Self {
+            offset_us,
+            skew_ppm: skew_ppm.clamp(-100_000, 100_000),
+        }
+    }
+
+    fn rate(&self) -> u64 {
+        MILLION.saturating_add_signed(i64::from(self.skew_ppm))
+    }
+
+    /// What the clock shows at a simulation time, in µs.
+    #[must_use]
+    pub fn at(&self, simulation_us: u64) -> u64 {
+        let whole = simulation_us / MILLION * self.rate();
+        let part = simulation_us % MILLION * self.rate() / MILLION;
+        self.offset_us.wrapping_add(whole).wrapping_add(part)
+    }
+
+    /// The first simulation time at which the clock has run for `elapsed_us`
+    /// of its own microseconds since simulation time zero.
+    #[must_use]
+    pub fn when_elapsed(&self, elapsed_us: u64) -> u64 {
+        let rate = self.rate();
+        let whole = elapsed_us / rate * MILLION;
+        let part = (elapsed_us % rate * MILLION).div_ceil(rate);
+        whole + part
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fast_clock_gains() {
+        let clock = SkewedClock::new(5, 3_000);
+        assert_eq!(clock.at(0), 5);
+        assert_eq!(clock.at(10_000_000), 5 + 10_030_000);
+    }
+
+    #[test]
+    fn the_moment_of_a_reading_is_the_first_that_shows_it() {
+        for skew in [-5_000, -17, 0, 1, 3_000, 99_999] {
+            let clock = SkewedClock::new(0, skew);
+            for elapsed in [1, 999, 1_000, 123_456_789, 86_400_000_000] {
+                let when = clock.when_elapsed(elapsed);
+                assert!(clock.at(when) >= elapsed, "{skew} {elapsed}");
+                assert!(clock.at(when - 1) < elapsed, "{skew} {elapsed}");
+            }
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! When the cameras lose the markers: `200ms@2s` and explicit windows.
+
+use core::{fmt, str::FromStr};
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Losses that repeat: for `duration_us` at every multiple of `interval_us`,
+/// the first one at `interval_us`.
+///
+/// Written `DURATION@INTERVAL`, for instance `200ms@2s`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LossPattern {
+    duration_us: u64,
+    interval_us: u64,
+}
+
+/// A loss pattern that cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LossPatternError {
+    /// No `@` between duration and interval, or more than one.
+    #[error("\"{text}\" is not a loss pattern: write DURATION@INTERVAL, for instance 200ms@2s")]
+    Form {
+        /// What was given.
+        text: String,
+    },
+    /// A duration without a number or with an unknown unit.
+    #[error(
+        "\"{text}\" is not a duration: write a number and one of us, ms, s, for instance 200ms or 0.2s"
+    )]
+    Duration {
+        /// What was given.
+        text: String,
+    },
+    /// A duration of zero.
+    #[error("the {name} of a loss pattern must be at least 1 us; it is zero")]
+    Zero {
+        /// Which of the two.
+        name: &'static str,
+    },
+    /// The markers would never be seen after the first loss.
+    #[error(
+        "a loss of {duration_us} us at every {interval_us} us never ends: make the duration shorter than the interval"
+    )]
+    NeverEnds {
+        /// The duration, in µs.
+        duration_us: u64,
+        /// The interval, in µs.
+        interval_us: u64,
+    },
+}
+
+impl LossPattern {
+    /// A loss of `duration_us` at every multiple of `interval_us`.
+    ///
+    /// # Errors
+    ///
+    /// If one is zero, or the duration is not shorter than the interval.
+    pub fn new(duration_us: u64, interval_us: u64) -> Result<Self, LossPatternError> {
+        for (name, value) in [("duration", duration_us), ("interval", interval_us)] {
+            if value == 0 {
+                return Err(LossPatternError::Zero { name });
+            }
+        }
+        if duration_us >= interval_us {
+            return Err(LossPatternError::NeverEnds {
+                duration_us,
+                interval_us,
+            });
+        }
+        Ok(Self {
+            duration_us,
+            interval_us,
+        })
+    }
+
+    /// How long one loss lasts, in µs.
+    #[must_use]
+    pub const fn duration_us(&self) -> u64 {
+        self.duration_us
+    }
+
+    /// From the start of one loss to the start of the next, in µs.
+    #[must_use]
+    pub const fn interval_us(&self) -> u64 {
+        self.interval_us
+    }
+
+    /// Whether the markers are lost this long after the pattern's epoch, in µs.
+    #[must_use]
+    pub const fn is_lost(&self, since_epoch_us: u64) -> bool {
+        since_epoch_us >= self.interval_us && since_epoch_us % self.interval_us < self.duration_us
+    }
+}
+
+impl FromStr for LossPattern {
+    type Err = LossPatternError;
+
+    fn from_str(text: &str) -> Result<Self, LossPatternError> {
+        let form = || LossPatternError::Form {
+            text: text.to_owned(),
+        };
+        let (duration, interval) = text.split_once('@').ok_or_else(form)?;
+        if interval.contains('@') {
+            return Err(form());
+        }
+        Self::new(parse_duration_us(duration)?, parse_duration_us(interval)?)
+    }
+}
+
+/// Reads a duration such as `200ms`, `0.2s` or `1500us`, in µs.
+///
+/// # Errors
+///
+/// [`LossPatternError::Duration`] without a number that is finite and not
+/// negative, or without one of the units.
+pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
+    let error = || LossPatternError::Duration {
+        text: text.to_owned(),
+    };
+    let trimmed = text.trim();
+    let (number, microseconds) = [("us", 1.0), ("µs", 1.0), ("ms", 1e3), ("s", 1e6)]
+        .into_iter()
+        .find_map(|(unit, scale)| Some((trimmed.strip_suffix(unit)?, scale)))
+        .ok_or_else(error)?;
+    let number = number.trim_end();
+    if !number
+        .bytes()
+        .all(|byte| byte.is_ascii_digit() || byte == b'.')
+    {
+        return Err(error());
+    }
+    let value = number.parse::<f64>().map_err(|_| error())? * microseconds;
+    // A year is more than any run, and far from where f64 counts no longer.
+    if value <= 3.2e13 {
+        Ok((value + 0.5) as u64)
+    } else {
+        Err(error())
+    }
+}
+
+/// Writes a duration in the largest unit that leaves no fraction.
+fn format_duration(microseconds: u64) -> String {
+    match microseconds {
+        us if us % 1_000_000 == 0 => format!("{}s", us / 1_000_000),
+        us if us % 1_000 == 0 => format!("{}ms", us / 1_000),
+        us => format!("{us}us"),
+    }
+}
+
+impl fmt::Display for LossPattern {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            formatter,
+            "{}@{}",
+            format_duration(self.duration_us),
+            format_duration(self.interval_us)
+        )
+    }
+}
+
+impl Serialize for LossPattern {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for LossPattern {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?
+            .parse()
+            .map_err(serde::de::Error::custom)
+    }
+}
+
+/// One loss, by simulation time since the schedule's epoch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LossWindow {
+    /// First microsecond of the loss.
+    pub start_us: u64,
+    /// First microsecond after it.
+    pub end_us: u64,
+}
+
+impl LossWindow {
+    /// Whether the markers are lost this long after the schedule's epoch, in µs.
+    #[must_use]
+    pub const fn is_lost(&self, since_epoch_us: u64) -> bool {
+        self.start_us <= since_epoch_us && since_epoch_us < self.end_us
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_start_at_the_first_interval_and_repeat() {
+        let pattern: LossPattern = "200ms@2s".parse().unwrap();
+        for (ms, lost) in [
+            (0, false),
+            (199, false),
+            (1_999, false),
+            (2_000, true),
+            (2_199, true),
+            (2_200, false),
+            (4_000, true),
+            (39_999, false),
+        ] {
+            assert_eq!(pattern.is_lost(ms * 1_000), lost, "{ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_pattern_is_written_as_it_is_read() {
+        for text in ["200ms@2s", "50ms@1s", "1500us@20ms", "1s@3s"] {
+            assert_eq!(text.parse::<LossPattern>().unwrap().to_string(), text);
+        }
+        assert_eq!(
+            "0.2s@2 s".parse::<LossPattern>(),
+            LossPattern::new(200_000, 2_000_000)
+        );
+    }
+
+    #[test]
+    fn errors_name_what_was_written_and_what_to_write() {
+        for (text, part) in [
+            ("200ms", "DURATION@INTERVAL"),
+            ("200ms@2s@3s", "DURATION@INTERVAL"),
+            ("200@2s", "\"200\" is not a duration"),
+            ("ms@2s", "\"ms\" is not a duration"),
+            ("-1ms@2s", "\"-1ms\" is not a duration"),
+            ("1e300s@2s", "\"1e300s\" is not a duration"),
+            ("200ms@2h", "\"2h\" is not a duration"),
+            ("0ms@2s", "duration of a loss pattern"),
+            ("2s@2s", "never ends"),
+        ] {
+            let message = text.parse::<LossPattern>().unwrap_err().to_string();
+            assert!(message.contains(part), "{text}: {message}");
+        }
+    }
+}

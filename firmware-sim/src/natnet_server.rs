@@ -1,0 +1,422 @@
+//! The NatNet server in front of the cameras, without a socket.
+
+use std::{
+    net::{Ipv4Addr, SocketAddr},
+    num::NonZeroU64,
+};
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use singletrack_mocap::{
+    codec::{
+        BitstreamVersion, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+        RigidBodyDefinition, ServerInfo, bitstream_request,
+    },
+    encode::{self, Dataset, EncodeError, FrameContent, LabelledMarker, MarkerSet, Sections},
+};
+
+use crate::cameras::{CameraFrame, CameraParameters, TICKS_PER_SECOND};
+
+/// The group to which NatNet servers send by default.
+pub const MULTICAST_GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
+
+/// What the server streams, and to whom.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NatNetParameters {
+    /// The server's own bitstream version, such as "4.1".
+    #[serde(
+        serialize_with = "serialize_version",
+        deserialize_with = "deserialize_version"
+    )]
+    pub bitstream: BitstreamVersion,
+    /// Whether frames go to the multicast group instead of to each client.
+    pub multicast: bool,
+    /// The multicast group.
+    pub group: Ipv4Addr,
+    /// Silence after which a unicast client gets no frames any more, in µs.
+    pub keep_alive_timeout_us: u64,
+}
+
+impl Default for NatNetParameters {
+    fn default() -> Self {
+        Self {
+            bitstream: BitstreamVersion::V4_1,
+            multicast: false,
+            group: MULTICAST_GROUP,
+            keep_alive_timeout_us: 5_000_000,
+        }
+    }
+}
+
+/// Reads a bitstream version such as `4.1`.
+///
+/// # Errors
+///
+/// A sentence that names the text and the versions there are.
+pub fn parse_bitstream(text: &str) -> Result<BitstreamVersion, String> {
+    text.split_once('.')
+        .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)))
+        .ok_or_else(|| {
+            format!("\"{text}\" is not a bitstream version: write major.minor, for instance 4.1")
+        })
+        .and_then(|(major, minor)| {
+            BitstreamVersion::new(major, minor).map_err(|error| error.to_string())
+        })
+}
+
+fn serialize_version<S: Serializer>(
+    version: &BitstreamVersion,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(version)
+}
+
+fn deserialize_version<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<BitstreamVersion, D::Error> {
+    parse_bitstream(&String::deserialize(deserializer)?).map_err(D::Error::custom)
+}
+
+/// Where a datagram goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// To one client.
+    Client(SocketAddr),
+    /// To the multicast group, at the data port.
+    Group,
+}
+
+/// A datagram from the server.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Datagram {
+    /// Where it goes.
+    pub to: Destination,
+    /// What it holds.
+    pub bytes: Vec<u8>,
+}
+
+/// What the server has seen and done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NatNetCounters {
+    /// Datagrams understood.
+    pub requests: u64,
+    /// Datagrams not understood.
+    pub malformed: u64,
+    /// Frame datagrams handed out, counted for every receiver.
+    pub frames: u64,
+    /// Clients dropped for their silence.
+    pub expired: u64,
+    /// Messages that could not be encoded: a name with a NUL, or too long.
+    pub unencodable: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Client {
+    address: SocketAddr,
+    bitstream: BitstreamVersion,
+    last_heard_us: u64,
+}
+
+/// No laboratory has more listeners.
+const MAX_CLIENTS: usize = 16;
+
+/// The server's side of NatNet: requests in, answers and frames out.
+#[derive(Clone, Debug)]
+pub struct NatNetServer {
+    parameters: NatNetParameters,
+    data_port: u16,
+    clients: Vec<Client>,
+    models_changed: bool,
+    counters: NatNetCounters,
+    buffer: Vec<u8>,
+}
+
+impl NatNetServer {
+    /// A server without clients.
+    #[must_use]
+    pub fn new(parameters: NatNetParameters) -> Self {
+        Self {
+            parameters,
+            data_port: 1511,
+            clients: Vec::new(),
+            models_changed: false,
+            counters: NatNetCounters::default(),
+            buffer: vec![0; 8192],
+        }
+    }
+
+    /// What the server was built with.
+    #[must_use]
+    pub const fn parameters(&self) -> &NatNetParameters {
+        &self.parameters
+    }
+
+    /// What it has seen and done.
+    #[must_use]
+    pub const fn counters(&self) -> NatNetCounters {
+        self.counters
+    }
+
+    /// The data port that it tells its clients.
+    pub const fn set_data_port(&mut self, port: u16) {
+        self.data_port = port;
+    }
+
+    /// Addresses that frames go to.
+    pub fn clients(&self) -> impl Iterator<Item = SocketAddr> {
+        self.clients.iter().map(|client| client.address)
+    }
+
+    /// Marks the next frame as the first after a change of the models.
+    pub(crate) const fn announce_model_change(&mut self) {
+        self.models_changed = true;
+    }
+
+    /// Takes a datagram from a client; `ticks` is the server's clock. Returns
+    /// the answer, if there is one.
+    pub fn handle_datagram(
+        &mut self,
+        now_us: u64,
+        ticks: u64,
+        cameras: &CameraParameters,
+        from: SocketAddr,
+        bytes: &[u8],
+    ) -> Option<Datagram> {
+        let Ok(message) = ClientMessage::decode(bytes) else {
+            self.counters.malformed += 1;
+            return self.answer(from, encode::unrecognized);
+        };
+        self.counters.requests += 1;
+        match message {
+            ClientMessage::Connect(connect) => {
+                let bitstream = connect
+                    .requested_bitstream
+                    .and_then(|version| BitstreamVersion::from_wire(version).ok())
+                    .unwrap_or(self.parameters.bitstream);
+                self.subscribe(now_us, from, bitstream);
+                self.server_info(from)
+            }
+            ClientMessage::Discovery => self.server_info(from),
+            ClientMessage::KeepAlive => {
+                if let Some(client) = self.client_mut(from) {
+                    client.last_heard_us = now_us;
+                }
+                None
+            }
+            ClientMessage::Disconnect => {
+                self.clients.retain(|client| client.address != from);
+                None
+            }
+            ClientMessage::EchoRequest { client_stamp } => {
+                let echo = Echo {
+                    client_stamp,
+                    server_ticks: ticks,
+                };
+                self.answer(from, |out| encode::echo_response(echo, out))
+            }
+            ClientMessage::RequestModelDefinitions => self.models(from, cameras),
+            ClientMessage::Request(text) => self.text_request(from, text),
+            _ => self.answer(from, encode::unrecognized),
+        }
+    }
+
+    /// The datagrams of one frame, for everyone who listens. A silent frame
+    /// has none.
+    pub fn frame(&mut self, now_us: u64, frame: &CameraFrame) -> Vec<Datagram> {
+        let timeout_us = self.parameters.keep_alive_timeout_us;
+        let before = self.clients.len();
+        self.clients
+            .retain(|client| now_us.saturating_sub(client.last_heard_us) <= timeout_us);
+        self.counters.expired += (before - self.clients.len()) as u64;
+        if frame.silent {
+            return Vec::new();
+        }
+        let receivers: Vec<_> = if self.parameters.multicast {
+            vec![(Destination::Group, self.parameters.bitstream)]
+        } else {
+            self.clients
+                .iter()
+                .map(|client| (Destination::Client(client.address), client.bitstream))
+                .collect()
+        };
+        let changed = core::mem::take(&mut self.models_changed);
+        receivers
+            .into_iter()
+            .filter_map(|(to, version)| {
+                let bytes = self.encoded(|out| encode_frame(version, frame, changed, out))?;
+                self.counters.frames += 1;
+                Some(Datagram { to, bytes })
+            })
+            .collect()
+    }
+
+    fn client_mut(&mut self, address: SocketAddr) -> Option<&mut Client> {
+        self.clients
+            .iter_mut()
+            .find(|client| client.address == address)
+    }
+
+    fn subscribe(&mut self, now_us: u64, address: SocketAddr, bitstream: BitstreamVersion) {
+        let client = Client {
+            address,
+            bitstream,
+            last_heard_us: now_us,
+        };
+        if let Some(known) = self.client_mut(address) {
+            *known = client;
+        } else if self.clients.len() < MAX_CLIENTS {
+            self.clients.push(client);
+        }
+    }
+
+    fn server_info(&mut self, from: SocketAddr) -> Option<Datagram> {
+        let NatNetParameters {
+            bitstream,
+            multicast,
+            group,
+            ..
+        } = self.parameters;
+        let port = self.data_port;
+        let info = ServerInfo {
+            application: "singletrack-sim",
+            application_version: [1, 0, 0, 0],
+            natnet_version: bitstream.to_wire(),
+            connection: bitstream.has_camera_ticks().then_some(Connection {
+                ticks_per_second: NonZeroU64::new(TICKS_PER_SECOND),
+                data_channel: DataChannel {
+                    port,
+                    multicast,
+                    group,
+                },
+            }),
+        };
+        self.answer(from, |out| encode::server_info(&info, out))
+    }
+
+    fn models(&mut self, from: SocketAddr, cameras: &CameraParameters) -> Option<Datagram> {
+        let version = self
+            .client_mut(from)
+            .map(|client| client.bitstream)
+            .filter(|_| !self.parameters.multicast)
+            .unwrap_or(self.parameters.bitstream);
+        let body = |name, id| {
+            Dataset::rigid_body(RigidBodyDefinition {
+                name,
+                id,
+                parent_id: -1,
+                offset_m: [0.0; 3],
+            })
+        };
+        let mut datasets = vec![Dataset::MarkerSet {
+            name: &cameras.car.name,
+            marker_names: &MARKER_NAMES,
+        }];
+        datasets.extend(
+            cameras
+                .decoys
+                .iter()
+                .map(|decoy| body(decoy.name.as_str(), decoy.id)),
+        );
+        datasets.push(body(cameras.car.name.as_str(), cameras.car.id));
+        self.answer(from, |out| {
+            encode::model_definitions(version, &datasets, out)
+        })
+    }
+
+    fn text_request(&mut self, from: SocketAddr, text: &str) -> Option<Datagram> {
+        match bitstream_request(text) {
+            // A multicast stream is the same for all.
+            Some(Ok(version)) if !self.parameters.multicast => {
+                let status = match self.client_mut(from) {
+                    Some(client) => {
+                        client.bitstream = version;
+                        0
+                    }
+                    None => 1,
+                };
+                self.answer(from, |out| encode::response_status(status, out))
+            }
+            Some(_) => self.answer(from, |out| encode::response_status(1, out)),
+            None => self.answer(from, encode::unrecognized),
+        }
+    }
+
+    fn answer(
+        &mut self,
+        to: SocketAddr,
+        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+    ) -> Option<Datagram> {
+        Some(Datagram {
+            to: Destination::Client(to),
+            bytes: self.encoded(encode)?,
+        })
+    }
+
+    fn encoded(
+        &mut self,
+        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+    ) -> Option<Vec<u8>> {
+        let bytes = encode(&mut self.buffer)
+            .ok()
+            .and_then(|length| self.buffer.get(..length))
+            .map(<[u8]>::to_vec);
+        if bytes.is_none() {
+            self.counters.unencodable += 1;
+        }
+        bytes
+    }
+}
+
+const MARKER_NAMES: [&str; 3] = ["front", "left", "right"];
+
+/// A frame as a real laboratory sends it: with the markers of the bodies too.
+fn encode_frame(
+    version: BitstreamVersion,
+    frame: &CameraFrame,
+    models_changed: bool,
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let markers: Vec<[f32; 3]> = frame
+        .bodies
+        .iter()
+        .filter(|body| body.tracking_valid())
+        .map(|body| body.position_m)
+        .collect();
+    let labelled: Vec<LabelledMarker> = markers
+        .iter()
+        .zip(1..)
+        .map(|(&position_m, id)| LabelledMarker {
+            id,
+            position_m,
+            size_m: 0.014,
+            params: 0,
+            residual_m: 0.000_2,
+        })
+        .collect();
+    let all = MarkerSet {
+        name: "all",
+        markers_m: &markers,
+    };
+    encode::frame(
+        version,
+        &FrameContent {
+            number: frame.number,
+            rigid_bodies: &frame.bodies,
+            sections: Sections {
+                marker_sets: &[all],
+                labelled_markers: &labelled,
+                ..Sections::default()
+            },
+            timestamp_s: frame.ticks.mid_exposure as f64 / TICKS_PER_SECOND as f64,
+            ticks: frame.ticks,
+            latency: (frame.sent_us - frame.exposed_us) as f32 * 1e-6,
+            flags: if models_changed {
+                FrameFlags::MODELS_CHANGED
+            } else {
+                FrameFlags::default()
+            },
+            ..FrameContent::default()
+        },
+        out,
+    )
+}

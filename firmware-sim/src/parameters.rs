@@ -1,0 +1,254 @@
+//! Everything that can be set before a simulation starts.
+
+use serde::{Deserialize, Serialize};
+use singletrack_control::VehicleParameterError;
+
+use crate::{
+    board::BoardParameters, cameras::CameraParameters, car::CarParameters,
+    natnet_server::NatNetParameters, wire::WireParameters,
+};
+
+/// Everything that can be set before a simulation starts.
+///
+/// The default is the paper's car with hobby-grade actuators, a consumer IMU
+/// and a good motion-capture system, and nothing wrong.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimulationConfig {
+    /// From this all random numbers follow.
+    pub seed: u64,
+    /// The car.
+    pub car: CarParameters,
+    /// The board's clock, start-up and buffers.
+    pub board: BoardParameters,
+    /// The serial line.
+    pub wire: WireParameters,
+    /// The cameras.
+    pub cameras: CameraParameters,
+    /// The NatNet server.
+    pub natnet: NatNetParameters,
+}
+
+impl Default for SimulationConfig {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            car: CarParameters::default(),
+            board: BoardParameters::default(),
+            wire: WireParameters::default(),
+            cameras: CameraParameters::default(),
+            natnet: NatNetParameters::default(),
+        }
+    }
+}
+
+/// A setting with which nothing can be simulated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// No such vehicle.
+    #[error("car.vehicle: {0}")]
+    Vehicle(#[from] VehicleParameterError),
+    /// A value that is out of range.
+    #[error("{name} is {value}: it must be {rule}")]
+    OutOfRange {
+        /// The setting's name.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        rule: &'static str,
+    },
+}
+
+impl SimulationConfig {
+    /// Refuses what cannot be simulated.
+    ///
+    /// # Errors
+    ///
+    /// The first setting that is out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let Self {
+            car,
+            board,
+            wire,
+            cameras,
+            ..
+        } = self;
+        car.vehicle.validate()?;
+        let positive = "finite and above zero";
+        let probability = "a probability from 0 to 1";
+        let not_negative = "finite and not negative";
+        let at_least_one = |value: u64| value as f64;
+        for (name, value, valid, rule) in [
+            check(
+                "car.servo.gain_us_per_rad",
+                car.servo.gain_us_per_rad,
+                |x| x != 0.0,
+                "finite and not zero",
+            ),
+            check(
+                "car.servo.lag_s",
+                car.servo.lag_s,
+                |x| x >= 0.002,
+                "0.002 or more",
+            ),
+            check(
+                "car.servo.max_rate_rad_s",
+                car.servo.max_rate_rad_s,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.servo.stop_rad",
+                car.servo.stop_rad,
+                |x| x > 0.0 && x < 1.5,
+                "between 0 and 1.5",
+            ),
+            check(
+                "car.motor.lag_s",
+                car.motor.lag_s,
+                |x| x >= 0.002,
+                "0.002 or more",
+            ),
+            check(
+                "car.motor.saturation_us",
+                car.motor.saturation_us,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.motor.gain_m_s_per_us",
+                car.motor.gain_m_s_per_us,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.motor.coasting_m_s2",
+                car.motor.coasting_m_s2,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.motor.viscous_per_s",
+                car.motor.viscous_per_s,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.motor_sensor.pulse_distance_um",
+                car.motor_sensor.pulse_distance_um,
+                |x| x >= 10.0,
+                "10 or more",
+            ),
+            check(
+                "car.battery.nominal_v",
+                car.battery.nominal_v,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.imu.period_us",
+                at_least_one(car.imu.period_us),
+                |x| x >= 1_000.0,
+                "1000 or more",
+            ),
+            check(
+                "cameras.period_us",
+                at_least_one(cameras.period_us),
+                |x| x >= 1_000.0,
+                "1000 or more",
+            ),
+            check(
+                "board.poll_period_us",
+                at_least_one(board.poll_period_us),
+                |x| x >= 100.0,
+                "100 or more",
+            ),
+            check(
+                "wire.baud",
+                f64::from(wire.baud),
+                |x| x >= 300.0,
+                "300 or more",
+            ),
+            check(
+                "wire.faults.drop",
+                wire.faults.drop,
+                is_probability,
+                probability,
+            ),
+            check(
+                "wire.faults.corrupt",
+                wire.faults.corrupt,
+                is_probability,
+                probability,
+            ),
+            check(
+                "cameras.position_noise_m",
+                cameras.position_noise_m,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "cameras.orientation_noise_rad",
+                cameras.orientation_noise_rad,
+                zero_or_more,
+                not_negative,
+            ),
+        ] {
+            if !valid {
+                return Err(ConfigError::OutOfRange { name, value, rule });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check(
+    name: &'static str,
+    value: f64,
+    rule: fn(f64) -> bool,
+    words: &'static str,
+) -> (&'static str, f64, bool, &'static str) {
+    (name, value, value.is_finite() && rule(value), words)
+}
+
+fn above_zero(x: f64) -> bool {
+    x > 0.0
+}
+
+fn zero_or_more(x: f64) -> bool {
+    x >= 0.0
+}
+
+fn is_probability(x: f64) -> bool {
+    (0.0..=1.0).contains(&x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_can_be_simulated_and_survives_being_written() {
+        let config = SimulationConfig::default();
+        config.validate().unwrap();
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(toml::from_str::<SimulationConfig>(&text).unwrap(), config);
+    }
+
+    #[test]
+    fn unknown_keys_and_bad_values_are_refused_by_name() {
+        let error = toml::from_str::<SimulationConfig>("[car.servo]\nlagg_s = 1").unwrap_err();
+        assert!(error.to_string().contains("lagg_s"), "{error}");
+        let config: SimulationConfig = toml::from_str("[wire.faults]\ncorrupt = 1.5").unwrap();
+        assert_eq!(
+            config.validate().unwrap_err().to_string(),
+            "wire.faults.corrupt is 1.5: it must be a probability from 0 to 1"
+        );
+        let error = toml::from_str::<SimulationConfig>("[cameras]\nloss = \"1s\"").unwrap_err();
+        assert!(error.to_string().contains("DURATION@INTERVAL"), "{error}");
+        let error =
+            toml::from_str::<SimulationConfig>("[natnet]\nbitstream = \"2.5\"").unwrap_err();
+        assert!(error.to_string().contains("2.5"), "{error}");
+    }
+}

@@ -1,0 +1,93 @@
+//! The pulses on the board's pins, as an oscilloscope would see them.
+
+use std::collections::VecDeque;
+
+/// One servo frame: both pulses start at this moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PulseRecord {
+    /// Simulation time at which the pulses start, in µs.
+    pub time_us: u64,
+    /// The same on the board's clock, in µs, wrapping.
+    pub board_time_us: u32,
+    /// Servo pulse in µs; zero is no pulse.
+    pub servo_us: u16,
+    /// ESC pulse in µs; zero is no pulse.
+    pub esc_us: u16,
+}
+
+/// The last servo frames, oldest first.
+#[derive(Clone, Debug, Default)]
+pub struct PulseLog {
+    records: VecDeque<PulseRecord>,
+}
+
+impl PulseLog {
+    /// Frames kept: twenty minutes at 50 Hz.
+    pub const CAPACITY: usize = 60_000;
+
+    pub(crate) fn push(&mut self, record: PulseRecord) {
+        if self.records.len() >= Self::CAPACITY {
+            self.records.pop_front();
+        }
+        self.records.push_back(record);
+    }
+
+    /// The frames, oldest first.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = &PulseRecord> {
+        self.records.iter()
+    }
+
+    /// The last frame.
+    #[must_use]
+    pub fn last(&self) -> Option<&PulseRecord> {
+        self.records.back()
+    }
+
+    /// The first frame at or after `time_us` from which on, to the end of the
+    /// log, the ESC's pulse stays within `tolerance_us` of neutral or is absent.
+    #[must_use]
+    pub fn neutral_from(
+        &self,
+        time_us: u64,
+        neutral_us: u16,
+        tolerance_us: u16,
+    ) -> Option<PulseRecord> {
+        self.records
+            .iter()
+            .rev()
+            .take_while(|record| {
+                record.time_us >= time_us
+                    && (record.esc_us == 0 || record.esc_us.abs_diff(neutral_us) <= tolerance_us)
+            })
+            .last()
+            .copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neutral_counts_from_the_frame_after_which_it_stays() {
+        let mut log = PulseLog::default();
+        for (i, esc_us) in [1500, 1560, 1500, 1560, 1502, 1500, 0]
+            .into_iter()
+            .enumerate()
+        {
+            log.push(PulseRecord {
+                time_us: i as u64 * 20_000,
+                board_time_us: 0,
+                servo_us: 0,
+                esc_us,
+            });
+        }
+        let at = |time_us| {
+            log.neutral_from(time_us, 1500, 5)
+                .map(|record| record.time_us)
+        };
+        assert_eq!(at(0), Some(80_000));
+        assert_eq!(at(100_000), Some(100_000));
+        assert_eq!(at(120_001), None);
+    }
+}

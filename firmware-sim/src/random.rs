@@ -1,0 +1,107 @@
+//! Random numbers that are the same on every machine and in every build.
+
+use libm::{cos, log, sqrt};
+use rand_chacha::{
+    ChaCha8Rng,
+    rand_core::{Rng, SeedableRng},
+};
+
+/// Who draws from a stream of its own.
+///
+/// Every sensor and every fault has one, so that switching one off does not
+/// change what the others draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stream {
+    Gyroscope = 1,
+    Accelerometer = 2,
+    Attitude = 3,
+    Battery = 4,
+    CameraNoise = 5,
+    CameraLatency = 6,
+    HostToBoard = 7,
+    BoardToHost = 8,
+    Bootloader = 9,
+}
+
+/// One stream of random numbers.
+#[derive(Clone, Debug)]
+pub(crate) struct Random(ChaCha8Rng);
+
+impl Random {
+    pub(crate) fn new(seed: u64, stream: Stream) -> Self {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
+        generator.set_stream(stream as u64);
+        Self(generator)
+    }
+
+    /// Uniform in [0, 1).
+    pub(crate) fn uniform(&mut self) -> f64 {
+        const SCALE: f64 = 1.0 / (1_u64 << 53) as f64;
+        (self.0.next_u64() >> 11) as f64 * SCALE
+    }
+
+    /// Whether an event of this probability happens. Draws always, so that the
+    /// probability does not change what comes after.
+    pub(crate) fn happens(&mut self, probability: f64) -> bool {
+        self.uniform() < probability
+    }
+
+    /// One of `n` values from 0, for small `n`.
+    pub(crate) fn below(&mut self, n: u32) -> u32 {
+        ((u64::from(self.0.next_u32()) * u64::from(n)) >> 32) as u32
+    }
+
+    /// Standard normal (Box and Muller).
+    ///
+    /// Not `rand_distr`: its logarithm is the platform's as soon as anything in
+    /// the build asks `num-traits` for `std`.
+    pub(crate) fn normal(&mut self) -> f64 {
+        // In (0, 1], where the logarithm is finite.
+        let radius = sqrt(-2.0 * log(1.0 - self.uniform()));
+        radius * cos(2.0 * core::f64::consts::PI * self.uniform())
+    }
+
+    /// Three independent normal values of one standard deviation.
+    pub(crate) fn normal3(&mut self, standard_deviation: f64) -> [f64; 3] {
+        [(); 3].map(|()| standard_deviation * self.normal())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normal_values_have_mean_zero_and_unit_variance() {
+        let mut random = Random::new(1, Stream::Gyroscope);
+        let n = 100_000;
+        let (mut sum, mut square, mut fourth) = (0.0, 0.0, 0.0);
+        for _ in 0..n {
+            let x = random.normal();
+            sum += x;
+            square += x * x;
+            fourth += x * x * x * x;
+        }
+        let n = f64::from(n);
+        assert!((sum / n).abs() < 0.015);
+        assert!((square / n - 1.0).abs() < 0.02);
+        assert!((fourth / n - 3.0).abs() < 0.15);
+    }
+
+    #[test]
+    fn streams_of_one_seed_differ_and_repeat() {
+        let draw = |stream| Random::new(7, stream).normal3(1.0);
+        assert_eq!(draw(Stream::Gyroscope), draw(Stream::Gyroscope));
+        assert_ne!(draw(Stream::Gyroscope), draw(Stream::Accelerometer));
+    }
+
+    #[test]
+    fn values_below_a_bound_cover_it() {
+        let mut random = Random::new(3, Stream::HostToBoard);
+        let mut seen = [false; 8];
+        for _ in 0..1000 {
+            seen[random.below(8) as usize] = true;
+        }
+        assert_eq!(seen, [true; 8]);
+    }
+}

@@ -1,0 +1,340 @@
+//! The serial line: bytes paced at the baud rate, and what can go wrong with them.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use crate::random::{Random, Stream};
+
+/// The line and its faults.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WireParameters {
+    /// Bits per second; a byte takes ten (8N1).
+    pub baud: u32,
+    /// Faults from the start; see [`SerialWire::faults_mut`] to change them later.
+    pub faults: WireFaults,
+}
+
+impl Default for WireParameters {
+    fn default() -> Self {
+        Self {
+            baud: 115_200,
+            faults: WireFaults::default(),
+        }
+    }
+}
+
+/// What is wrong with the line, in both directions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WireFaults {
+    /// Probability that a byte is lost.
+    pub drop: f64,
+    /// Probability that one bit of a byte is flipped.
+    pub corrupt: f64,
+    /// Further time that every byte takes, in µs.
+    pub delay_us: u64,
+    /// Nothing passes; what is sent waits, and goes on when this ends.
+    pub stuck: bool,
+}
+
+/// One direction of the line.
+#[derive(Clone, Debug)]
+struct Direction {
+    random: Random,
+    /// When the last byte has passed, in picoseconds: a byte at 115200 baud is
+    /// not a whole number of microseconds.
+    free_at_ps: u64,
+    /// Bytes under way, with the time at which they arrive.
+    under_way: VecDeque<(u64, u8)>,
+}
+
+const PS_PER_US: u64 = 1_000_000;
+
+impl Direction {
+    fn new(seed: u64, stream: Stream) -> Self {
+        Self {
+            random: Random::new(seed, stream),
+            free_at_ps: 0,
+            under_way: VecDeque::new(),
+        }
+    }
+
+    fn send(&mut self, now_us: u64, byte: u8, byte_ps: u64, faults: &WireFaults) {
+        self.free_at_ps = self.free_at_ps.max(now_us * PS_PER_US) + byte_ps;
+        // Always three draws, so that one fault does not change another.
+        let dropped = self.random.happens(faults.drop);
+        let corrupted = self.random.happens(faults.corrupt);
+        let bit = self.random.below(8);
+        if dropped {
+            return;
+        }
+        let byte = if corrupted { byte ^ (1 << bit) } else { byte };
+        let mut arrival = self.free_at_ps.div_ceil(PS_PER_US) + faults.delay_us;
+        if let Some((last, _)) = self.under_way.back() {
+            // A delay that is taken away lets no byte overtake.
+            arrival = arrival.max(*last);
+        }
+        self.under_way.push_back((arrival, byte));
+    }
+
+    fn receive(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        while let Some(&(arrival, byte)) = self.under_way.front() {
+            if arrival > now_us {
+                break;
+            }
+            self.under_way.pop_front();
+            bytes.push(byte);
+        }
+    }
+
+    fn clear(&mut self, now_us: u64) {
+        self.under_way.clear();
+        self.free_at_ps = now_us * PS_PER_US;
+    }
+}
+
+/// The line between host and board, with the USB bridge at the host's end.
+///
+/// A stuck bridge holds what the host sends before it reaches the line, and
+/// what the board sends after it has passed the line: released, the first is
+/// paced, the second comes at once.
+#[derive(Clone, Debug)]
+pub struct SerialWire {
+    byte_ps: u64,
+    faults: WireFaults,
+    connected: bool,
+    to_board: Direction,
+    to_host: Direction,
+    /// What the host has sent into a stuck bridge.
+    held: VecDeque<u8>,
+}
+
+impl SerialWire {
+    /// A line at rest.
+    #[must_use]
+    pub fn new(parameters: &WireParameters, seed: u64) -> Self {
+        Self {
+            byte_ps: 10 * 1_000_000 * PS_PER_US / u64::from(parameters.baud.max(1)),
+            faults: parameters.faults,
+            connected: true,
+            to_board: Direction::new(seed, Stream::HostToBoard),
+            to_host: Direction::new(seed, Stream::BoardToHost),
+            held: VecDeque::new(),
+        }
+    }
+
+    /// The faults in force.
+    #[must_use]
+    pub const fn faults(&self) -> &WireFaults {
+        &self.faults
+    }
+
+    /// Changes the faults, from now on.
+    pub const fn faults_mut(&mut self) -> &mut WireFaults {
+        &mut self.faults
+    }
+
+    /// Whether both ends are plugged in.
+    #[must_use]
+    pub const fn is_connected(&self) -> bool {
+        self.connected
+    }
+
+    /// Unplugs the line or plugs it in again; what was under way is lost.
+    pub fn set_connected(&mut self, now_us: u64, connected: bool) {
+        if self.connected != connected {
+            self.connected = connected;
+            self.held.clear();
+            self.to_board.clear(now_us);
+            self.to_host.clear(now_us);
+        }
+    }
+
+    /// The host sends bytes. Into an unplugged line they are lost.
+    pub fn host_write(&mut self, now_us: u64, bytes: &[u8]) {
+        if !self.connected {
+            return;
+        }
+        self.held.extend(bytes);
+        self.pass_held(now_us);
+    }
+
+    /// The host takes what has arrived, appending it to `bytes`.
+    pub fn host_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        if !self.faults.stuck {
+            self.to_host.receive(now_us, bytes);
+        }
+    }
+
+    /// Bytes that the host has sent and that have not reached the board.
+    #[must_use]
+    pub fn bytes_to_board(&self) -> usize {
+        self.held.len() + self.to_board.under_way.len()
+    }
+
+    /// The board sends bytes.
+    pub(crate) fn board_write(&mut self, now_us: u64, bytes: &[u8]) {
+        if self.connected {
+            for &byte in bytes {
+                self.to_host.send(now_us, byte, self.byte_ps, &self.faults);
+            }
+        }
+    }
+
+    /// Bytes that the board has sent and that have not left it yet.
+    pub(crate) fn board_backlog(&self, now_us: u64) -> usize {
+        let waiting = self.to_host.free_at_ps.saturating_sub(now_us * PS_PER_US);
+        usize::try_from(waiting.div_ceil(self.byte_ps)).unwrap_or(usize::MAX)
+    }
+
+    /// The board takes what has arrived, appending it to `bytes`.
+    pub(crate) fn board_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        self.pass_held(now_us);
+        self.to_board.receive(now_us, bytes);
+    }
+
+    fn pass_held(&mut self, now_us: u64) {
+        if !self.faults.stuck {
+            for byte in self.held.drain(..) {
+                self.to_board.send(now_us, byte, self.byte_ps, &self.faults);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wire(faults: WireFaults) -> SerialWire {
+        SerialWire::new(
+            &WireParameters {
+                faults,
+                ..WireParameters::default()
+            },
+            1,
+        )
+    }
+
+    fn board_reads(wire: &mut SerialWire, now_us: u64) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        wire.board_read(now_us, &mut bytes);
+        bytes
+    }
+
+    fn host_reads(wire: &mut SerialWire, now_us: u64) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        wire.host_read(now_us, &mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn bytes_pass_at_the_baud_rate() {
+        let mut wire = wire(WireFaults::default());
+        let sent: Vec<u8> = (0..2304_u32).map(|i| i as u8).collect();
+        wire.host_write(500, &sent);
+        assert_eq!(board_reads(&mut wire, 500 + 86), []);
+        assert_eq!(board_reads(&mut wire, 500 + 87), [0]);
+        // 11.52 bytes in a millisecond, whatever the moment of reading.
+        let mut received = 1;
+        for ms in 1..200 {
+            received += board_reads(&mut wire, 500 + ms * 1000).len();
+            assert_eq!(received as u64, ms * 1152 / 100, "{ms} ms");
+        }
+        assert_eq!(board_reads(&mut wire, 500 + 200_000), sent[received..]);
+    }
+
+    #[test]
+    fn both_directions_are_independent_and_full_duplex() {
+        let mut wire = wire(WireFaults::default());
+        wire.host_write(0, &[1, 2, 3]);
+        wire.board_write(0, &[4, 5, 6]);
+        assert_eq!(wire.board_backlog(0), 3);
+        assert_eq!(wire.board_backlog(100), 2);
+        assert_eq!(host_reads(&mut wire, 261), [4, 5, 6]);
+        assert_eq!(board_reads(&mut wire, 261), [1, 2, 3]);
+    }
+
+    #[test]
+    fn damage_follows_its_probability_and_its_seed() {
+        let faults = WireFaults {
+            drop: 0.02,
+            corrupt: 0.05,
+            ..WireFaults::default()
+        };
+        let run = || {
+            let mut wire = wire(faults);
+            wire.host_write(0, &[0; 100_000]);
+            board_reads(&mut wire, 10_000_000)
+        };
+        let received = run();
+        assert_eq!(received, run());
+        let lost = 100_000 - received.len();
+        assert!((1_850..2_150).contains(&lost), "{lost}");
+        let damaged = received.iter().filter(|&&byte| byte != 0).count();
+        assert!((4_650..5_150).contains(&damaged), "{damaged}");
+        assert!(received.iter().all(|byte| byte.count_ones() <= 1));
+    }
+
+    #[test]
+    fn one_fault_does_not_change_another() {
+        let run = |corrupt| {
+            let mut wire = wire(WireFaults {
+                drop: 0.5,
+                corrupt,
+                ..WireFaults::default()
+            });
+            let sent: Vec<u8> = (0..100).map(|i| i * 2).collect();
+            wire.host_write(0, &sent);
+            board_reads(&mut wire, 1_000_000).len()
+        };
+        assert_eq!(run(0.0), run(1.0));
+    }
+
+    #[test]
+    fn a_stuck_line_holds_everything_and_then_lets_it_go() {
+        let mut wire = wire(WireFaults {
+            stuck: true,
+            ..WireFaults::default()
+        });
+        wire.host_write(0, &[7; 1000]);
+        wire.board_write(0, &[8; 1000]);
+        assert_eq!(board_reads(&mut wire, 1_000_000), []);
+        assert_eq!(host_reads(&mut wire, 1_000_000), []);
+        assert_eq!(wire.bytes_to_board(), 1000);
+        wire.faults_mut().stuck = false;
+        assert_eq!(host_reads(&mut wire, 1_000_000).len(), 1000);
+        assert_eq!(board_reads(&mut wire, 1_000_000), []);
+        assert_eq!(board_reads(&mut wire, 1_010_000).len(), 115);
+        assert_eq!(board_reads(&mut wire, 1_090_000).len(), 885);
+    }
+
+    #[test]
+    fn a_delay_that_ends_lets_no_byte_overtake() {
+        let mut wire = wire(WireFaults {
+            delay_us: 50_000,
+            ..WireFaults::default()
+        });
+        wire.host_write(0, &[1]);
+        wire.faults_mut().delay_us = 0;
+        wire.host_write(1_000, &[2]);
+        assert_eq!(board_reads(&mut wire, 50_000), []);
+        assert_eq!(board_reads(&mut wire, 50_087), [1, 2]);
+    }
+
+    #[test]
+    fn an_unplugged_line_loses_what_was_under_way() {
+        let mut wire = wire(WireFaults::default());
+        wire.host_write(0, &[1; 100]);
+        wire.set_connected(1_000, false);
+        wire.host_write(1_000, &[2; 100]);
+        wire.board_write(1_000, &[3; 100]);
+        wire.set_connected(2_000, true);
+        assert_eq!(board_reads(&mut wire, 100_000), []);
+        assert_eq!(host_reads(&mut wire, 100_000), []);
+        wire.host_write(100_000, &[4]);
+        assert_eq!(board_reads(&mut wire, 101_000), [4]);
+    }
+}

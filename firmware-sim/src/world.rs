@@ -1,0 +1,289 @@
+//! Board, car, line and cameras together, in virtual time.
+
+use std::{collections::VecDeque, net::SocketAddr};
+
+use singletrack_protocol::ResetCause;
+
+use crate::{
+    board::SimulatedBoard,
+    cameras::{CameraFrame, Cameras},
+    car::{Car, Imu, ImuReading, Truth},
+    natnet_server::{Datagram, NatNetServer},
+    parameters::{ConfigError, SimulationConfig},
+    wire::SerialWire,
+};
+
+/// Board, car, line and cameras together, in virtual time.
+///
+/// Time moves by [`advance_to`](Self::advance_to) alone. What the host sends
+/// ([`host_write`](Self::host_write), [`handle_datagram`](Self::handle_datagram))
+/// takes effect at the time reached; what the world sends is taken with
+/// [`host_read`](Self::host_read) and [`poll_datagram`](Self::poll_datagram).
+/// The same seed and the same inputs at the same times give the same bits,
+/// however often `advance_to` is called in between.
+#[derive(Debug)]
+pub struct World {
+    now_us: u64,
+    car: Car,
+    /// The end of the car's next step on its own grid, in µs.
+    next_step_us: u64,
+    imu: Imu,
+    imu_samples: u64,
+    /// Samples on their way to the board, with the time at which it has them.
+    imu_pending: VecDeque<(u64, ImuReading)>,
+    board: SimulatedBoard,
+    wire: SerialWire,
+    cameras: Cameras,
+    natnet: NatNetServer,
+    datagrams: VecDeque<Datagram>,
+    frames: VecDeque<CameraFrame>,
+    config: SimulationConfig,
+}
+
+/// Camera frames and datagrams kept for a host that does not fetch them.
+const QUEUE_CAPACITY: usize = 1_024;
+
+/// The car's own grid, in µs: the truth is exact at its multiples.
+const STEP_US: u64 = 1_000;
+
+impl World {
+    /// A world at simulation time zero, the board just powered on.
+    ///
+    /// # Errors
+    ///
+    /// A setting that cannot be simulated.
+    pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
+        config.validate()?;
+        let seed = config.seed;
+        Ok(Self {
+            now_us: 0,
+            car: Car::new(config.car),
+            next_step_us: STEP_US,
+            imu: Imu::new(config.car.imu, seed),
+            imu_samples: 0,
+            imu_pending: VecDeque::new(),
+            board: SimulatedBoard::new(config.board, seed),
+            wire: SerialWire::new(&config.wire, seed),
+            cameras: Cameras::new(config.cameras.clone(), seed),
+            natnet: NatNetServer::new(config.natnet),
+            datagrams: VecDeque::new(),
+            frames: VecDeque::new(),
+            config,
+        })
+    }
+
+    /// What the world was built with.
+    #[must_use]
+    pub const fn config(&self) -> &SimulationConfig {
+        &self.config
+    }
+
+    /// The time reached, in µs.
+    #[must_use]
+    pub const fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    /// Lets everything happen that is due up to and at `until_us`. An earlier
+    /// time changes nothing.
+    pub fn advance_to(&mut self, until_us: u64) {
+        loop {
+            let next_us = self.next_event_us();
+            if next_us > until_us {
+                break;
+            }
+            self.now_us = next_us;
+            self.car.advance_to(next_us);
+            self.events_at(next_us);
+        }
+        self.now_us = self.now_us.max(until_us);
+    }
+
+    fn next_event_us(&self) -> u64 {
+        let mut next = self
+            .next_step_us
+            .min(self.next_imu_us())
+            .min(self.cameras.next_exposure_us())
+            .min(self.board.next_event_us());
+        if let Some((arrival, _)) = self.imu_pending.front() {
+            next = next.min(*arrival);
+        }
+        if let Some(send) = self.cameras.next_send_us() {
+            next = next.min(send);
+        }
+        next
+    }
+
+    fn next_imu_us(&self) -> u64 {
+        let p = &self.config.car.imu;
+        p.phase_us + self.imu_samples * p.period_us.max(1)
+    }
+
+    /// Simultaneous events happen in this order.
+    fn events_at(&mut self, now_us: u64) {
+        if self.next_step_us <= now_us {
+            self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
+        }
+        if self.next_imu_us() <= now_us {
+            self.imu_samples += 1;
+            let reading = self.imu.sample(&self.car.truth());
+            let arrival = now_us + self.config.car.imu.latency_us;
+            self.imu_pending.push_back((arrival, reading));
+        }
+        while let Some(&(arrival, reading)) = self.imu_pending.front() {
+            if arrival > now_us {
+                break;
+            }
+            self.imu_pending.pop_front();
+            self.board.take_imu(now_us, &reading);
+        }
+        if self.cameras.next_exposure_us() <= now_us {
+            self.cameras.expose(&self.car.truth());
+        }
+        while let Some(frame) = self.cameras.take_frame(now_us) {
+            self.send_frame(frame);
+        }
+        self.board.events_at(now_us, &mut self.car, &mut self.wire);
+    }
+
+    fn send_frame(&mut self, frame: CameraFrame) {
+        for datagram in self.natnet.frame(self.now_us, &frame) {
+            push_bounded(&mut self.datagrams, datagram);
+        }
+        if !frame.silent {
+            push_bounded(&mut self.frames, frame);
+        }
+    }
+
+    /// The host sends bytes to the board.
+    pub fn host_write(&mut self, bytes: &[u8]) {
+        self.wire.host_write(self.now_us, bytes);
+    }
+
+    /// The host takes what has arrived from the board, appending it to `bytes`.
+    pub fn host_read(&mut self, bytes: &mut Vec<u8>) {
+        self.wire.host_read(self.now_us, bytes);
+    }
+
+    /// A client's datagram reaches the NatNet server.
+    pub fn handle_datagram(&mut self, from: SocketAddr, bytes: &[u8]) {
+        let answer = self.natnet.handle_datagram(
+            self.now_us,
+            self.cameras.ticks(self.now_us),
+            self.cameras.parameters(),
+            from,
+            bytes,
+        );
+        if let Some(datagram) = answer {
+            push_bounded(&mut self.datagrams, datagram);
+        }
+    }
+
+    /// The next datagram of the NatNet server, answers and frames alike.
+    pub fn poll_datagram(&mut self) -> Option<Datagram> {
+        self.datagrams.pop_front()
+    }
+
+    /// The next camera frame that has been sent, for a host that needs no
+    /// datagrams.
+    pub fn poll_camera_frame(&mut self) -> Option<CameraFrame> {
+        self.frames.pop_front()
+    }
+
+    /// What is really so. Exact at every full millisecond; in between, the
+    /// last event's.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        self.car.truth()
+    }
+
+    /// The bias of the gyroscope about the car's axes at present, in rad/s.
+    #[must_use]
+    pub const fn gyro_bias_rad_s(&self) -> [f64; 3] {
+        self.imu.gyro_bias()
+    }
+
+    /// The car.
+    #[must_use]
+    pub const fn car(&self) -> &Car {
+        &self.car
+    }
+
+    /// The car, to move it or to break its motor sensor.
+    pub const fn car_mut(&mut self) -> &mut Car {
+        &mut self.car
+    }
+
+    /// The board.
+    #[must_use]
+    pub const fn board(&self) -> &SimulatedBoard {
+        &self.board
+    }
+
+    /// Resets the board: after its start-up time it begins anew.
+    pub fn reset_board(&mut self, cause: ResetCause) {
+        self.board.reset(self.now_us, cause);
+    }
+
+    /// Switches the board's supply; the ESC has its own.
+    pub fn set_board_power(&mut self, on: bool) {
+        self.board.set_power(self.now_us, on);
+    }
+
+    /// The board, to open its stop switch or to hang its main loop.
+    pub const fn board_mut(&mut self) -> &mut SimulatedBoard {
+        &mut self.board
+    }
+
+    /// The serial line.
+    #[must_use]
+    pub const fn wire(&self) -> &SerialWire {
+        &self.wire
+    }
+
+    /// The serial line, to damage it.
+    pub const fn wire_mut(&mut self) -> &mut SerialWire {
+        &mut self.wire
+    }
+
+    /// Unplugs the serial line or plugs it in again.
+    pub fn set_wire_connected(&mut self, connected: bool) {
+        self.wire.set_connected(self.now_us, connected);
+    }
+
+    /// The cameras.
+    #[must_use]
+    pub const fn cameras(&self) -> &Cameras {
+        &self.cameras
+    }
+
+    /// The cameras, to blind them.
+    pub const fn cameras_mut(&mut self) -> &mut Cameras {
+        &mut self.cameras
+    }
+
+    /// The NatNet server.
+    #[must_use]
+    pub const fn natnet(&self) -> &NatNetServer {
+        &self.natnet
+    }
+
+    /// The NatNet server, to tell it its port.
+    pub const fn natnet_mut(&mut self) -> &mut NatNetServer {
+        &mut self.natnet
+    }
+
+    /// Gives the car's rigid body another streaming id, as an operator can;
+    /// the next frame says that the models have changed.
+    pub const fn set_car_body_id(&mut self, id: i32) {
+        self.cameras.set_car_id(id);
+        self.natnet.announce_model_change();
+    }
+}
+
+fn push_bounded<T>(queue: &mut VecDeque<T>, item: T) {
+    if queue.len() >= QUEUE_CAPACITY {
+        queue.pop_front();
+    }
+    queue.push_back(item);
+}
