@@ -14,21 +14,35 @@
 
 #![no_std]
 
+mod actuation;
 mod angle;
+mod estimate;
+mod estimator;
+mod event;
 mod law;
 mod outer_loop;
+mod pilot;
 mod point;
 mod reference;
 mod relaxed_single_track;
 mod single_track;
+mod supervisor;
+mod time;
 mod vehicle;
 
+pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
+pub use estimate::Estimate;
+pub use estimator::{Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
+pub use event::{
+    BoardSample, BoardState, Event, InertialSample, LinkState, PoseMissing, PoseSample, Request,
+};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
+pub use pilot::{DriveCommand, Output, Pilot, PilotConfig};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
 pub use reference::{
     Circle, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
@@ -36,4 +50,6 @@ pub use reference::{
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
+pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
+pub use time::Time;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

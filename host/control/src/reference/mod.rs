@@ -22,6 +22,10 @@ pub struct ReferencePoint {
 }
 
 /// A reference for P over time.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one in a controller, and without an allocator it cannot be boxed"
+)]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reference {
     /// Round a circle.
@@ -90,6 +94,27 @@ impl Reference {
             Self::VelocitySteps(steps) => steps.at(time),
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
+        }
+    }
+
+    /// The limit of the reference from before `time` (s): differs from
+    /// [`Self::at`] where it jumps.
+    #[must_use]
+    pub fn before(&self, time: f64) -> ReferencePoint {
+        match self {
+            Self::VelocitySteps(steps) => steps.before(time),
+            Self::Waypoints(waypoints) => waypoints.before(time),
+            Self::Circle(_) | Self::FigureOfEight(_) => self.at(time),
+        }
+    }
+
+    /// When the reference has nothing more to say, in s; none if it goes on for ever.
+    #[must_use]
+    pub fn duration(&self) -> Option<f64> {
+        match self {
+            Self::Circle(_) | Self::FigureOfEight(_) => None,
+            Self::VelocitySteps(steps) => Some(steps.duration()),
+            Self::Waypoints(waypoints) => Some(waypoints.duration()),
         }
     }
 

@@ -17,7 +17,11 @@ pub struct VelocityStep {
     pub velocity: Velocity,
 }
 
-/// A sequence of constant velocities, standing still afterwards.
+/// Steps switch this much early, in s, so that durations that add up to a
+/// tick's time only up to rounding switch at that tick.
+const ROUNDING: f64 = 1e-9;
+
+/// A sequence of constant velocities; the last one goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VelocitySteps {
     /// Each velocity with the time at which it ends.
@@ -76,18 +80,31 @@ impl VelocitySteps {
     }
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        let velocity = self
-            .steps
-            .iter()
-            .find(|(end, _)| time < *end)
-            .map_or_else(Velocity::zeros, |step| step.1);
-        ReferencePoint {
-            position: None,
-            velocity,
-        }
+        self.first(|end| time < end - ROUNDING)
+    }
+
+    pub(super) fn before(&self, time: f64) -> ReferencePoint {
+        self.first(|end| time <= end + ROUNDING)
     }
 
     pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
-        self.steps.iter().map(|step| step.0).find(|end| *end > time)
+        self.steps
+            .iter()
+            .map(|step| step.0)
+            .take(self.steps.len().saturating_sub(1))
+            .find(|end| *end > time + ROUNDING)
+    }
+
+    /// The first step whose end satisfies a condition, or the last step.
+    fn first(&self, condition: impl Fn(f64) -> bool) -> ReferencePoint {
+        ReferencePoint {
+            position: None,
+            velocity: self
+                .steps
+                .iter()
+                .find(|(end, _)| condition(*end))
+                .or(self.steps.last())
+                .map_or_else(Velocity::zeros, |step| step.1),
+        }
     }
 }

@@ -60,12 +60,32 @@ impl Waypoints {
         })
     }
 
+    /// When the last waypoint is due, in s.
+    pub(super) fn duration(&self) -> f64 {
+        self.points.last().map_or(0.0, |point| point.time)
+    }
+
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        let after = self.points.partition_point(|point| point.time <= time);
-        let before = after
-            .checked_sub(1)
-            .and_then(|index| self.points.get(index));
-        match (before, self.points.get(after)) {
+        self.between(
+            time,
+            self.points.partition_point(|point| point.time <= time),
+        )
+    }
+
+    pub(super) fn before(&self, time: f64) -> ReferencePoint {
+        self.between(time, self.points.partition_point(|point| point.time < time))
+    }
+
+    pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
+        self.points
+            .get(self.points.partition_point(|point| point.time <= time))
+            .map(|point| point.time)
+    }
+
+    /// The reference at `time`, on the way to the waypoint of index `next`.
+    fn between(&self, time: f64, next: usize) -> ReferencePoint {
+        let last = next.checked_sub(1).and_then(|index| self.points.get(index));
+        match (last, self.points.get(next)) {
             (Some(from), Some(to)) => {
                 let velocity = (to.position - from.position) / (to.time - from.time);
                 ReferencePoint {
@@ -82,11 +102,5 @@ impl Waypoints {
                 velocity: Velocity::zeros(),
             },
         }
-    }
-
-    pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
-        self.points
-            .get(self.points.partition_point(|point| point.time <= time))
-            .map(|point| point.time)
     }
 }

@@ -1,0 +1,237 @@
+//! An extended Kalman filter of the car's planar motion.
+//!
+//! Strapdown navigation: gyro and accelerometers drive the prediction, poses
+//! and motor speed correct it. No vehicle parameter enters but the distance of
+//! the rear axle, so the estimate is as robust as the law that uses it.
+
+use libm::{cos, sin};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+use super::{EstimatorConfig, InertialSample, Measurement};
+use crate::{Position, unwrap_near};
+
+const STATES: usize = 8;
+/// Position of G, world frame, m.
+const X: usize = 0;
+const Y: usize = 1;
+/// Yaw, rad.
+const YAW: usize = 2;
+/// Velocity of G, world frame, m/s.
+const VX: usize = 3;
+const VY: usize = 4;
+/// Gyro bias, rad/s.
+const GYRO_BIAS: usize = 5;
+/// Accelerometer biases, car's axes, m/s².
+const FORWARD_BIAS: usize = 6;
+const LEFT_BIAS: usize = 7;
+
+type State = SVector<f64, STATES>;
+type Covariance = SMatrix<f64, STATES, STATES>;
+
+/// Mean and covariance at a moment that the caller keeps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Filter {
+    mean: State,
+    covariance: Covariance,
+}
+
+/// The navigation state that a filter's mean implies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Navigation {
+    pub(super) position: Position,
+    pub(super) yaw: f64,
+    pub(super) yaw_rate: f64,
+    /// Velocity of G in the car's axes, m/s.
+    pub(super) forward: f64,
+    pub(super) left: f64,
+}
+
+impl Filter {
+    /// Starts at a pose, with a velocity around zero.
+    pub(super) fn at_pose(pose: &Measurement, config: &EstimatorConfig) -> Self {
+        let mut mean = State::zeros();
+        mean[X] = pose.position.x;
+        mean[Y] = pose.position.y;
+        mean[YAW] = pose.yaw;
+        let mut variances = State::zeros();
+        variances[X] = square(config.position_noise);
+        variances[Y] = square(config.position_noise);
+        variances[YAW] = square(config.yaw_noise);
+        variances[VX] = square(INITIAL_VELOCITY_DEVIATION);
+        variances[VY] = square(INITIAL_VELOCITY_DEVIATION);
+        variances[GYRO_BIAS] = square(INITIAL_GYRO_BIAS_DEVIATION);
+        variances[FORWARD_BIAS] = square(INITIAL_ACCELERATION_BIAS_DEVIATION);
+        variances[LEFT_BIAS] = square(INITIAL_ACCELERATION_BIAS_DEVIATION);
+        Self {
+            mean,
+            covariance: Covariance::from_diagonal(&variances),
+        }
+    }
+
+    /// Predicts over `dt` seconds with the inertial sample in force.
+    pub(super) fn predict(&mut self, dt: f64, inertial: &InertialSample, config: &EstimatorConfig) {
+        let (forward, left) = (
+            inertial.forward_acceleration - self.mean[FORWARD_BIAS],
+            inertial.left_acceleration - self.mean[LEFT_BIAS],
+        );
+        let heading = self.predict_mean(dt, inertial);
+        let (c, s) = (cos(heading), sin(heading));
+        let half = 0.5 * dt * dt;
+
+        // Jacobian of the mean's propagation.
+        let mut jacobian = Covariance::identity();
+        jacobian[(X, VX)] = dt;
+        jacobian[(Y, VY)] = dt;
+        jacobian[(YAW, GYRO_BIAS)] = -dt;
+        let across = (-s * forward - c * left, c * forward - s * left);
+        for (row, position_row, d_yaw, d_forward, d_left) in
+            [(VX, X, across.0, -c, s), (VY, Y, across.1, -s, -c)]
+        {
+            jacobian[(row, YAW)] = d_yaw * dt;
+            jacobian[(row, FORWARD_BIAS)] = d_forward * dt;
+            jacobian[(row, LEFT_BIAS)] = d_left * dt;
+            jacobian[(position_row, YAW)] = d_yaw * half;
+            jacobian[(position_row, FORWARD_BIAS)] = d_forward * half;
+            jacobian[(position_row, LEFT_BIAS)] = d_left * half;
+        }
+        self.covariance = jacobian * self.covariance * jacobian.transpose();
+
+        let acceleration = square(config.acceleration_noise_density) * dt;
+        for (velocity, position) in [(VX, X), (VY, Y)] {
+            self.covariance[(velocity, velocity)] += acceleration;
+            self.covariance[(position, position)] += acceleration * dt * dt / 3.0;
+            self.covariance[(velocity, position)] += acceleration * dt / 2.0;
+            self.covariance[(position, velocity)] += acceleration * dt / 2.0;
+        }
+        self.covariance[(YAW, YAW)] += square(config.gyro_noise_density) * dt;
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += square(config.gyro_bias_walk) * dt;
+        for bias in [FORWARD_BIAS, LEFT_BIAS] {
+            self.covariance[(bias, bias)] += square(config.acceleration_bias_walk) * dt;
+        }
+    }
+
+    /// Predicts the mean alone, and returns the yaw halfway.
+    pub(super) fn predict_mean(&mut self, dt: f64, inertial: &InertialSample) -> f64 {
+        let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
+        let heading = self.mean[YAW] + 0.5 * yaw_rate * dt;
+        let (c, s) = (cos(heading), sin(heading));
+        let forward = inertial.forward_acceleration - self.mean[FORWARD_BIAS];
+        let left = inertial.left_acceleration - self.mean[LEFT_BIAS];
+        let (ax, ay) = (c * forward - s * left, s * forward + c * left);
+        self.mean[X] += dt * (self.mean[VX] + 0.5 * ax * dt);
+        self.mean[Y] += dt * (self.mean[VY] + 0.5 * ay * dt);
+        self.mean[VX] += ax * dt;
+        self.mean[VY] += ay * dt;
+        self.mean[YAW] += yaw_rate * dt;
+        heading
+    }
+
+    /// Corrects with a pose; refuses one that differs too much from what was
+    /// predicted.
+    pub(super) fn correct_pose(&mut self, pose: &Measurement, config: &EstimatorConfig) -> bool {
+        let innovation = Vector3::new(
+            pose.position.x - self.mean[X],
+            pose.position.y - self.mean[Y],
+            unwrap_near(pose.yaw, self.mean[YAW]) - self.mean[YAW],
+        );
+        let noise = Vector3::new(
+            square(config.position_noise),
+            square(config.position_noise),
+            square(config.yaw_noise),
+        );
+        let predicted: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let spread = predicted + Matrix3::from_diagonal(&noise);
+        let gates = [config.position_gate, config.position_gate, config.yaw_gate];
+        for (component, gate) in gates.iter().enumerate() {
+            let deviation = libm::sqrt(spread[(component, component)].max(0.0));
+            let difference = innovation[component].abs();
+            if difference.is_nan() || difference > gate + GATE_DEVIATIONS * deviation {
+                return false;
+            }
+        }
+        let Some(inverse) = spread.try_inverse() else {
+            return false;
+        };
+        let gain = self.covariance.fixed_columns::<3>(0) * inverse;
+        self.mean += gain * innovation;
+        self.covariance -= gain * self.covariance.fixed_rows::<3>(0).into_owned();
+        self.symmetrise();
+        true
+    }
+
+    /// Corrects with the motor's speed, and with the rear wheels rolling where
+    /// they point.
+    pub(super) fn correct_wheels(
+        &mut self,
+        motor_speed: f64,
+        inertial: &InertialSample,
+        config: &EstimatorConfig,
+    ) {
+        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (vx, vy) = (self.mean[VX], self.mean[VY]);
+
+        let mut row = State::zeros();
+        row[VX] = c;
+        row[VY] = s;
+        row[YAW] = -s * vx + c * vy;
+        let innovation = motor_speed - (c * vx + s * vy);
+        let noise = config.motor_speed_noise + config.motor_speed_scale_noise * motor_speed.abs();
+        self.correct_scalar(&row, innovation, noise);
+
+        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (vx, vy) = (self.mean[VX], self.mean[VY]);
+        let l_r = config.rear_axle_distance;
+        let mut row = State::zeros();
+        row[VX] = -s;
+        row[VY] = c;
+        row[YAW] = -c * vx - s * vy;
+        row[GYRO_BIAS] = l_r;
+        let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
+        let innovation = -((-s * vx + c * vy) - l_r * yaw_rate);
+        self.correct_scalar(&row, innovation, config.rear_slip_noise);
+    }
+
+    fn correct_scalar(&mut self, row: &State, innovation: f64, deviation: f64) {
+        let projected = self.covariance * row;
+        let spread = row.dot(&projected) + square(deviation);
+        let gain = projected / spread;
+        self.mean += gain * innovation;
+        self.covariance -= gain * projected.transpose();
+        self.symmetrise();
+    }
+
+    fn symmetrise(&mut self) {
+        self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
+    }
+
+    /// Whether every number is one.
+    pub(super) fn is_finite(&self) -> bool {
+        self.mean.iter().all(|value| value.is_finite())
+            && self.covariance.iter().all(|value| value.is_finite())
+    }
+
+    pub(super) fn navigation(&self, inertial: &InertialSample) -> Navigation {
+        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (vx, vy) = (self.mean[VX], self.mean[VY]);
+        Navigation {
+            position: Position::new(self.mean[X], self.mean[Y]),
+            yaw: self.mean[YAW],
+            yaw_rate: inertial.yaw_rate - self.mean[GYRO_BIAS],
+            forward: c * vx + s * vy,
+            left: -s * vx + c * vy,
+        }
+    }
+}
+
+/// A car that is first seen may already roll, m/s.
+const INITIAL_VELOCITY_DEVIATION: f64 = 0.5;
+/// Typical of consumer gyros at start, rad/s.
+const INITIAL_GYRO_BIAS_DEVIATION: f64 = 0.05;
+/// Typical of consumer accelerometers, and of a floor that is not level, m/s².
+const INITIAL_ACCELERATION_BIAS_DEVIATION: f64 = 0.3;
+/// A pose this many standard deviations off, plus the gate, is not believed.
+const GATE_DEVIATIONS: f64 = 5.0;
+
+fn square(value: f64) -> f64 {
+    value * value
+}

@@ -1,0 +1,268 @@
+//! The whole controller as one value.
+
+use libm::cos;
+
+use crate::{
+    Actuation, BoardRequest, BoardSample, Conditions, Estimate, Estimator, EstimatorConfig, Event,
+    FrontPointLaw, LimitedLaw, Limits, Mode, OuterLoop, PoseVerdict, Position, Reason, Reference,
+    ReferencePoint, Supervisor, SupervisorConfig, Time, TrackingLoop, Velocity,
+};
+
+/// Everything that a [`Pilot`] is told once.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PilotConfig {
+    /// The law, with p and the believed `l_f`.
+    pub law: FrontPointLaw,
+    /// The position loop.
+    pub tracking: TrackingLoop,
+    /// Where P should be, from the first driving tick on.
+    pub reference: Reference,
+    /// What the car may do.
+    pub limits: Limits,
+    /// How the state is estimated.
+    pub estimator: EstimatorConfig,
+    /// When to stop.
+    pub supervisor: SupervisorConfig,
+    /// Deceleration of a stop, m/s².
+    pub stop_deceleration: f64,
+    /// The control period, s.
+    pub period: f64,
+}
+
+/// What the board is to do until the next tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveCommand {
+    /// Speed of the rear axle, m/s.
+    pub rear_speed: f64,
+    /// Steering angle, rad, left positive.
+    pub steering: f64,
+    /// Mid-exposure of the last accepted pose behind it.
+    pub pose_time: Time,
+}
+
+/// What a tick saw and decided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Output {
+    /// The mode after the tick.
+    pub mode: Mode,
+    /// Why the car does not drive, or stopped.
+    pub reason: Option<Reason>,
+    /// The state that it acted on.
+    pub estimate: Option<Estimate>,
+    /// Whether no new valid pose came since the tick before.
+    pub held: bool,
+    /// Time since the first driving tick, s; none when not driving.
+    pub drive_time: Option<f64>,
+    /// Where P should be and how fast it should move.
+    pub reference: Option<ReferencePoint>,
+    /// Where P is, as far as the law knows.
+    pub point: Option<Position>,
+    /// The velocity wanted of P, m/s.
+    pub point_velocity: Option<Velocity>,
+    /// Speed of G and steering after limits.
+    pub actuation: Actuation,
+    /// Whether the car is turning round.
+    pub turning_round: bool,
+    /// What to send to the board.
+    pub command: Option<DriveCommand>,
+    /// What to ask of the board.
+    pub request: Option<BoardRequest>,
+}
+
+/// Estimator, supervisor, outer loop, law and limits as one deterministic value.
+///
+/// It reads no clock and keeps no secret: the same configuration and the same
+/// events at the same ticks give the same outputs, bit for bit.
+#[derive(Clone, Debug)]
+pub struct Pilot {
+    tracking: TrackingLoop,
+    reference: Reference,
+    law: LimitedLaw,
+    estimator: Estimator,
+    supervisor: Supervisor,
+    stop_deceleration: f64,
+    period: f64,
+    imu_time: Option<Time>,
+    pose_time: Option<Time>,
+    motor_speed: f64,
+    drive_start: Option<Time>,
+}
+
+impl Pilot {
+    /// A pilot that has seen nothing.
+    #[must_use]
+    pub fn new(config: PilotConfig) -> Self {
+        Self {
+            tracking: config.tracking,
+            reference: config.reference,
+            law: LimitedLaw::new(config.law, config.limits),
+            estimator: Estimator::new(config.estimator),
+            supervisor: Supervisor::new(config.supervisor),
+            stop_deceleration: config.stop_deceleration,
+            period: config.period,
+            imu_time: None,
+            pose_time: None,
+            motor_speed: 0.0,
+            drive_start: None,
+        }
+    }
+
+    /// The mode after the last tick.
+    #[must_use]
+    pub const fn mode(&self) -> Mode {
+        self.supervisor.mode()
+    }
+
+    /// One control tick: takes in what happened since the last one and decides
+    /// what the car does until the next.
+    pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
+        let mut held = true;
+        for event in events {
+            held &= !self.handle(event);
+        }
+        let steering = self.law.actuation().steering;
+        let estimate = self.estimator.estimate(now, steering);
+        if estimate.is_none() {
+            self.pose_time = None;
+        }
+        let drive_time = self.drive_start.map(|start| now.seconds_since(start));
+        let was = self.supervisor.mode();
+        let mut request = self.supervisor.step(&Conditions {
+            now,
+            pose_time: self.pose_time,
+            poses: self.estimator.poses(),
+            implausible: self.estimator.implausible_in_a_row(),
+            untrustworthy: false,
+            imu_time: self.imu_time,
+            speed: estimate.map_or(0.0, |estimate| estimate.speed),
+            motor_speed: self.motor_speed,
+            commanded_speed: self.law.actuation().speed,
+            reference_finished: match (drive_time, self.reference.duration()) {
+                (Some(time), Some(duration)) => time >= duration,
+                _ => false,
+            },
+        });
+        let mode = self.supervisor.mode();
+        if mode == Mode::Driving && was != Mode::Driving {
+            self.drive_start = Some(now);
+            self.law.reset();
+        }
+        if matches!(mode, Mode::Idle | Mode::Disconnected | Mode::Fault) {
+            self.stand_by(was);
+        }
+
+        let mut output = Output {
+            mode,
+            reason: self.supervisor.reason(),
+            estimate,
+            held,
+            drive_time: None,
+            reference: None,
+            point: None,
+            point_velocity: None,
+            actuation: self.law.actuation(),
+            turning_round: false,
+            command: None,
+            request,
+        };
+        if let Some(estimate) = &estimate {
+            let law = self.law.law();
+            output.point = Some(law.point(estimate.position, estimate.yaw, steering));
+            match mode {
+                Mode::Driving => {
+                    if let Err(reason) = self.drive(now, estimate, &mut output) {
+                        request = Some(self.supervisor.fault(reason, now));
+                        self.stand_by(mode);
+                        output.mode = self.supervisor.mode();
+                        output.reason = self.supervisor.reason();
+                        output.command = None;
+                        output.request = request;
+                    }
+                }
+                Mode::Stopping => {
+                    let actuation = self.law.slow_down(self.stop_deceleration, self.period);
+                    output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
+                    output.actuation = actuation;
+                    output.command = Some(command(estimate, &actuation));
+                }
+                Mode::Disconnected | Mode::Idle | Mode::Ready | Mode::Arming | Mode::Fault => {}
+            }
+        }
+        output
+    }
+
+    /// One tick of driving.
+    fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
+        let time = self
+            .drive_start
+            .map_or(0.0, |start| now.seconds_since(start));
+        let point = self.law.law().point(
+            estimate.position,
+            estimate.yaw,
+            self.law.actuation().steering,
+        );
+        let reference = self.reference.at(time);
+        let velocity = self.tracking.velocity(&reference, &point);
+        let actuation = self
+            .law
+            .step(&estimate.motion(), estimate.speed, &velocity, self.period)
+            .map_err(|_| Reason::LawSingular)?;
+        output.drive_time = Some(time);
+        output.reference = Some(reference);
+        output.point_velocity = Some(velocity);
+        output.actuation = actuation;
+        output.turning_round = self.law.is_turning_round();
+        output.command = Some(command(estimate, &actuation));
+        Ok(())
+    }
+
+    /// Takes in an event; true for a pose that was accepted.
+    fn handle(&mut self, event: &Event) -> bool {
+        match event {
+            Event::Pose(pose) => {
+                let verdict = self.estimator.handle_pose(pose);
+                if verdict == PoseVerdict::Accepted {
+                    self.pose_time = Some(pose.capture);
+                    self.supervisor.handle_pose();
+                    return true;
+                }
+            }
+            Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
+            Event::Board(sample) => self.handle_board(sample),
+            Event::Link(link) => self.supervisor.handle_link(*link),
+            Event::Request(request) => self.supervisor.handle_request(*request),
+            Event::ArmRefused => self.supervisor.handle_arm_refused(),
+        }
+        false
+    }
+
+    fn handle_board(&mut self, sample: &BoardSample) {
+        self.supervisor.handle_board(sample.state);
+        self.motor_speed = sample.motor_speed;
+        if let Some(inertial) = &sample.inertial {
+            self.imu_time = Some(inertial.time);
+        }
+        self.estimator.handle_board(sample);
+    }
+
+    /// Forgets the drive; the reason stays told.
+    fn stand_by(&mut self, was: Mode) {
+        self.drive_start = None;
+        self.law.reset();
+        // A track that lost the car must find it anew: nothing is at stake
+        // while the car stands.
+        let lost = self.estimator.implausible_in_a_row() > 0;
+        if lost && was != Mode::Driving {
+            self.estimator.reset();
+        }
+    }
+}
+
+/// The board drives the rear axle, whose speed is the forward part of G's.
+fn command(estimate: &Estimate, actuation: &Actuation) -> DriveCommand {
+    DriveCommand {
+        rear_speed: actuation.speed * cos(estimate.sideslip),
+        steering: actuation.steering,
+        pose_time: estimate.pose_time,
+    }
+}
