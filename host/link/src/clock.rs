@@ -1,18 +1,4 @@
 //! The board's clock, read in host time.
-//!
-//! The board stamps its records with its own microseconds. They wrap every
-//! 71.6 minutes, start at zero with the board, and run up to 0.5 % fast or
-//! slow: an UNO counts with a ceramic resonator. The host sees each record
-//! some time *later*: transmission, the USB bridge, the scheduler. That delay
-//! is never negative, and now and then it is nearly at its least.
-//!
-//! So the pairs (board time, receive time) lie above a line, and
-//! [`BoardClock`] finds that line: the supporting line of the lower convex
-//! hull under the last [`WINDOW_NS`], at the middle of the window. It is the
-//! line that has every pair above it and is closest to them in sum; one
-//! record that comes late moves it by nothing at all. The least delay itself
-//! cannot be seen from one side; the caller takes off what it knows (the time
-//! that the frame spends on the wire).
 
 use heapless::Vec;
 
@@ -92,7 +78,20 @@ impl Line {
     }
 }
 
-/// Maps board time to host time; see the [module](self).
+/// Maps board time to host time.
+///
+/// The board stamps its records with its own microseconds. They wrap every
+/// 71.6 minutes, start at zero with the board, and run up to 0.5 % fast or
+/// slow: an UNO counts with a ceramic resonator. The host sees each record
+/// some time *later*: transmission, the USB bridge, the scheduler. That delay
+/// is never negative, and now and then it is nearly at its least.
+///
+/// So the pairs (board time, receive time) lie above a line, and this finds it:
+/// the supporting line of the lower convex hull under the last [`WINDOW_NS`],
+/// at the middle of the window. It is the line that has every pair above it
+/// and is closest to them in sum; one record that comes late does not move it.
+/// The least delay itself cannot be seen from one side; the caller takes off
+/// what it knows (the time that the frame spends on the wire).
 #[derive(Clone, Debug, Default)]
 pub struct BoardClock {
     origin: Option<Origin>,

@@ -3,6 +3,9 @@
 
 #![allow(dead_code)] // Each test binary uses its own part.
 
+pub(crate) mod stand_in;
+pub(crate) mod wire;
+
 use std::num::NonZeroU32;
 
 use singletrack_link::{Event, Session, SessionConfig, State};
