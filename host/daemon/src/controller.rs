@@ -1,0 +1,268 @@
+//! Link session and pilot together: one tick, without threads, ports or clocks.
+//!
+//! The real-time thread and the simulations in virtual time run this very code;
+//! they differ only in where bytes and time come from.
+
+use singletrack_control::{
+    BoardRequest, BoardSample, BoardState, Event, InertialSample, LinkState, Output, Pilot,
+    PoseMissing, PoseSample, Position, Request, Time,
+};
+use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, Session};
+use singletrack_mocap::{Observation, PoseState};
+use singletrack_protocol::{BoardMode, Request as BoardRequestKind};
+
+/// How many events a tick can take: a stall of 300 ms at 100 Hz of poses and
+/// telemetry.
+pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
+
+/// The events of one tick, in order.
+pub type Events = heapless::Vec<Event, MAX_EVENTS>;
+
+/// The controller between two wires.
+///
+/// Between ticks, hand over what arrives ([`received`](Self::received),
+/// [`observed`](Self::observed), [`request`](Self::request), ...); at each tick
+/// call [`tick`](Self::tick), which writes what the board must get.
+#[derive(Debug)]
+pub struct Controller {
+    session: Session,
+    pilot: Pilot,
+    events: Events,
+    dropped: u32,
+}
+
+/// What a tick did.
+#[derive(Clone, Debug)]
+pub struct Tick {
+    /// What the pilot saw.
+    pub events: Events,
+    /// How many events did not fit and were lost.
+    pub dropped_events: u32,
+    /// What the pilot decided.
+    pub output: Output,
+    /// What became of the drive command, if there was one.
+    pub drive: Option<Result<Sent, DriveError>>,
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// The port took it whole.
+    Whole,
+    /// The port did not; it was dropped, for a newer one to come.
+    Dropped,
+}
+
+impl Controller {
+    /// A controller whose port is closed.
+    #[must_use]
+    pub fn new(session: Session, pilot: Pilot) -> Self {
+        Self {
+            session,
+            pilot,
+            events: Events::new(),
+            dropped: 0,
+        }
+    }
+
+    /// The session with the board.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The pilot.
+    #[must_use]
+    pub const fn pilot(&self) -> &Pilot {
+        &self.pilot
+    }
+
+    /// The port has been opened.
+    pub fn port_opened(&mut self, now: Time) {
+        self.session.opened(now.0);
+    }
+
+    /// The port has been closed or has hung up.
+    pub fn port_closed(&mut self, now: Time, on_link: &mut impl FnMut(&LinkEvent)) {
+        let mut queue = Queue {
+            events: &mut self.events,
+            dropped: &mut self.dropped,
+        };
+        self.session.closed(now.0, &mut |event| {
+            on_link(&event);
+            queue.link(&event);
+        });
+        queue.push(Event::Link(LinkState::Down));
+    }
+
+    /// Bytes have come from the board, read at `time`.
+    pub fn received(&mut self, time: Time, bytes: &[u8], on_link: &mut impl FnMut(&LinkEvent)) {
+        let mut queue = Queue {
+            events: &mut self.events,
+            dropped: &mut self.dropped,
+        };
+        self.session.handle_bytes(time.0, bytes, &mut |event| {
+            on_link(&event);
+            queue.link(&event);
+        });
+    }
+
+    /// The motion capture has said something of the car.
+    pub fn observed(&mut self, observation: &Observation) {
+        let event = match observation.state {
+            PoseState::Valid(pose) => Event::Pose(PoseSample {
+                capture: Time(pose.capture_time_ns),
+                receive: Time(pose.receive_time_ns),
+                frame: pose.frame_number,
+                position: Position::new(pose.x_m, pose.y_m),
+                yaw: pose.yaw_rad,
+            }),
+            PoseState::Untracked => Event::PoseMissing(PoseMissing::Untracked),
+            PoseState::Absent | PoseState::Unbound(_) => Event::PoseMissing(PoseMissing::Absent),
+            PoseState::Rejected(_) => Event::PoseMissing(PoseMissing::Rejected),
+            PoseState::LockedOut(_) => Event::PoseMissing(PoseMissing::Untrustworthy),
+            PoseState::Stale { .. } | PoseState::NoFrames => {
+                Event::PoseMissing(PoseMissing::Stale)
+            }
+        };
+        self.push(event);
+    }
+
+    /// Somebody asks for something.
+    pub fn request(&mut self, request: Request) {
+        self.push(Event::Request(request));
+    }
+
+    /// One control tick. `write` takes a whole frame or none.
+    pub fn tick(
+        &mut self,
+        now: Time,
+        write: &mut impl FnMut(&[u8]) -> Sent,
+        on_link: &mut impl FnMut(&LinkEvent),
+    ) -> Tick {
+        let mut queue = Queue {
+            events: &mut self.events,
+            dropped: &mut self.dropped,
+        };
+        self.session.handle_timeout(now.0, &mut |event| {
+            on_link(&event);
+            queue.link(&event);
+        });
+        let events = core::mem::take(&mut self.events);
+        let dropped_events = core::mem::take(&mut self.dropped);
+        let output = self.pilot.step(now, &events);
+
+        // The command first: it is what must not be late.
+        let drive = output.command.map(|command| {
+            let frame = self.session.drive(
+                now.0,
+                DriveCommand {
+                    speed_m_s: command.rear_speed,
+                    steering_rad: command.steering,
+                    pose_time_ns: Some(command.pose_time.0),
+                },
+            )?;
+            Ok(write(frame.as_bytes()))
+        });
+        match output.request {
+            Some(BoardRequest::Arm) => {
+                if self.session.arm(now.0).is_err() {
+                    self.push(Event::ArmRefused);
+                }
+            }
+            Some(BoardRequest::Disarm) => {
+                self.session.disarm(now.0);
+            }
+            Some(BoardRequest::EmergencyStop) => {
+                self.session.emergency_stop(now.0);
+            }
+            None => {}
+        }
+        while let Some(transmit) = self.session.poll_transmit(now.0) {
+            write(transmit.as_bytes());
+        }
+        Tick {
+            events,
+            dropped_events,
+            output,
+            drive,
+        }
+    }
+
+    fn push(&mut self, event: Event) {
+        Queue {
+            events: &mut self.events,
+            dropped: &mut self.dropped,
+        }
+        .push(event);
+    }
+}
+
+/// The events of the next tick, while the session is borrowed.
+struct Queue<'a> {
+    events: &'a mut Events,
+    dropped: &'a mut u32,
+}
+
+impl Queue<'_> {
+    fn push(&mut self, event: Event) {
+        if self.events.push(event).is_err() {
+            *self.dropped = self.dropped.saturating_add(1);
+        }
+    }
+
+    /// What an event of the link means to the pilot.
+    fn link(&mut self, event: &LinkEvent) {
+        match event {
+            LinkEvent::Telemetry(record) => self.push(Event::Board(board_sample(record))),
+            LinkEvent::ConfigurationAccepted { .. } => self.push(Event::Link(LinkState::Ready)),
+            LinkEvent::VersionMismatch(_)
+            | LinkEvent::ConfigurationRefused { .. }
+            | LinkEvent::BoardRestarted { .. }
+            | LinkEvent::Lost { .. } => self.push(Event::Link(LinkState::Down)),
+            LinkEvent::Refused {
+                request: BoardRequestKind::Arm,
+                ..
+            }
+            | LinkEvent::Unanswered {
+                request: BoardRequestKind::Arm,
+                ..
+            } => self.push(Event::ArmRefused),
+            LinkEvent::Connected { .. }
+            | LinkEvent::Status(_)
+            | LinkEvent::Acknowledged { .. }
+            | LinkEvent::Refused { .. }
+            | LinkEvent::Unanswered { .. }
+            | LinkEvent::StopConfirmed { .. } => {}
+        }
+    }
+}
+
+/// Telemetry in SI units.
+fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
+    let telemetry = &record.telemetry;
+    let milli = |value: i16| f64::from(value) / 1000.0;
+    let [forward, left, _] = telemetry.linear_acceleration_mm_s2.map(milli);
+    let [_, _, yaw_rate] = telemetry.angular_velocity_mrad_s.map(milli);
+    BoardSample {
+        time: Time(record.board_time_host_ns),
+        inertial: record
+            .imu_time_host_ns
+            .filter(|_| record.has_fresh_imu_sample())
+            .map(|time| InertialSample {
+                time: Time(time),
+                yaw_rate,
+                forward_acceleration: forward,
+                left_acceleration: left,
+            }),
+        motor_speed: milli(telemetry.motor_speed_mm_s),
+        state: match telemetry.mode {
+            BoardMode::Boot => BoardState::Booting,
+            BoardMode::Neutral => BoardState::Neutral,
+            BoardMode::Armed => BoardState::Armed,
+            BoardMode::Driving => BoardState::Driving,
+            BoardMode::Failsafe => BoardState::Failsafe,
+            BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
+        },
+    }
+}
