@@ -73,6 +73,8 @@ pub enum RefusalReason {
     NotArmed,
     /// Reverse is not enabled.
     ReverseDisabled,
+    /// The last [`crate::Hello`] named another [`crate::VERSION`].
+    VersionDiffers,
 }
 
 /// Which kind of request an answer is about.
@@ -200,7 +202,7 @@ pub struct Status {
     pub drives_refused: u16,
     /// The reason of the last such refusal; [`RefusalReason::None`] so far.
     pub last_refusal: RefusalReason,
-    /// Telemetry and status frames dropped because the line was full.
+    /// Frames dropped because the line was full.
     #[serde(with = "postcard::fixint::le")]
     pub frames_dropped: u16,
     /// Bytes lost by the receiver.

@@ -1,0 +1,393 @@
+//! The parts of the board, and the order in which a poll visits them.
+
+use singletrack_protocol::{
+    Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, Refusal, RefusalReason,
+    Request, ResetCause, STATUS_PERIOD_US, Sequence, Status, StopCause, TELEMETRY_PERIOD_US,
+    Telemetry, ToBoard,
+};
+
+use crate::clock::{Ticker, age_us};
+use crate::esc::{Esc, NEUTRAL_AT_BOOT_US};
+use crate::imu::Imu;
+use crate::io::{Inputs, Outputs};
+use crate::link::Link;
+use crate::odometer::Odometer;
+use crate::safety::{Safety, Situation};
+use crate::steering::Steering;
+
+/// The speed loop runs in step with telemetry, just before it: a record shows
+/// what the loop has just done.
+const CONTROL_PERIOD_US: u32 = TELEMETRY_PERIOD_US;
+
+/// The board: give it time, inputs and bytes; do what it puts out.
+#[derive(Debug)]
+pub struct Board {
+    last_poll_us: Option<u32>,
+    active: Option<Active>,
+    link: Link,
+    safety: Safety,
+    odometer: Odometer,
+    imu: Imu,
+    steering: Steering,
+    esc: Esc,
+    control: Ticker,
+    status: Ticker,
+    reset_cause: ResetCause,
+    drives_refused: u16,
+    last_refusal: RefusalReason,
+}
+
+/// The configuration in force.
+#[derive(Debug)]
+struct Active {
+    configuration: Configuration,
+    hash: u32,
+}
+
+impl Board {
+    /// A board that has just started.
+    #[must_use]
+    pub const fn new(reset_cause: ResetCause, software_version: [u8; 3]) -> Self {
+        Self {
+            last_poll_us: None,
+            active: None,
+            link: Link::new(software_version),
+            safety: Safety::new(),
+            odometer: Odometer::new(),
+            imu: Imu::new(),
+            steering: Steering::new(),
+            esc: Esc::new(),
+            control: Ticker::new(CONTROL_PERIOD_US),
+            status: Ticker::new(STATUS_PERIOD_US),
+            reset_cause,
+            drives_refused: 0,
+            last_refusal: RefusalReason::None,
+        }
+    }
+
+    /// Everything the board does.
+    ///
+    /// Call it at least every millisecond; called less often it does the same
+    /// things, later. `now_us` is the board's clock, which never goes backwards
+    /// but wraps. `received` holds the bytes that have arrived since the last
+    /// poll. `transmit` takes one whole frame, or none of it, and tells which;
+    /// it may be called several times in a poll. The outputs are in force until
+    /// the next poll.
+    ///
+    /// Before the first poll the pins must show what [`Board::outputs`] says.
+    pub fn poll(
+        &mut self,
+        now_us: u32,
+        inputs: &Inputs,
+        received: &[u8],
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) -> Outputs {
+        // A clock that went backwards is taken to stand still.
+        let elapsed_us = self
+            .last_poll_us
+            .and_then(|last_us| age_us(now_us, last_us))
+            .unwrap_or(0);
+        self.last_poll_us = Some(now_us);
+
+        self.link.greet(transmit);
+        self.observe(now_us, elapsed_us, inputs);
+        for &byte in received {
+            if let Some(message) = self.link.receive(byte) {
+                self.handle(now_us, inputs, &message, transmit);
+            }
+        }
+        let control_due = self.control.advance(elapsed_us);
+        self.actuate(elapsed_us, control_due);
+        self.link.greet(transmit);
+        self.report(now_us, elapsed_us, inputs, control_due, transmit);
+        self.outputs()
+    }
+
+    /// What the pins have to show now.
+    #[must_use]
+    pub fn outputs(&self) -> Outputs {
+        let esc_neutral_us = self.neutral_us();
+        Outputs {
+            servo_us: self.steering.pulse_us(),
+            esc_us: self
+                .configuration()
+                .map_or(esc_neutral_us, |configuration| {
+                    self.esc.pulse_us(&configuration.esc)
+                }),
+            esc_neutral_us,
+            drive_deadline_us: self.safety.drive_deadline_us(),
+        }
+    }
+
+    /// The state of the safety machine.
+    #[must_use]
+    pub const fn mode(&self) -> BoardMode {
+        self.safety.mode()
+    }
+
+    /// Why the board last went to neutral.
+    #[must_use]
+    pub const fn stop_cause(&self) -> StopCause {
+        self.safety.cause()
+    }
+
+    /// The configuration in force.
+    #[must_use]
+    pub fn configuration(&self) -> Option<&Configuration> {
+        self.active.as_ref().map(|active| &active.configuration)
+    }
+
+    /// Speed measured from the motor pulses, in mm/s, signed by the direction
+    /// driven; zero without a configuration.
+    #[must_use]
+    pub fn motor_speed_mm_s(&self) -> i16 {
+        let magnitude = self.odometer.speed_mm_s();
+        if self.esc.is_reverse() {
+            -magnitude
+        } else {
+            magnitude
+        }
+    }
+
+    fn hash(&self) -> u32 {
+        self.active.as_ref().map_or(0, |active| active.hash)
+    }
+
+    fn neutral_us(&self) -> u16 {
+        self.configuration()
+            .map_or(NEUTRAL_AT_BOOT_US, |configuration| {
+                configuration.esc.neutral_us
+            })
+    }
+
+    /// Time and inputs, before anything received is looked at.
+    fn observe(&mut self, now_us: u32, elapsed_us: u32, inputs: &Inputs) {
+        let driven = self
+            .configuration()
+            .is_some_and(|configuration| self.esc.is_driving(&configuration.esc));
+        self.odometer
+            .observe(now_us, elapsed_us, inputs.motor, driven);
+        self.imu.observe(now_us, elapsed_us, inputs.imu.as_ref());
+
+        let was_driving = self.is_driving();
+        self.safety.advance(now_us, elapsed_us);
+        if self.odometer.has_failed() {
+            self.safety.fail(StopCause::MotorSensor);
+        }
+        if self.has_stop_input() {
+            self.safety.observe_stop_input(inputs.stop_input_open);
+        }
+        self.stop_if(was_driving);
+    }
+
+    fn handle(
+        &mut self,
+        now_us: u32,
+        inputs: &Inputs,
+        message: &ToBoard,
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) {
+        let was_driving = self.is_driving();
+        match message {
+            ToBoard::Hello(hello) => {
+                if self.link.greeted(hello) {
+                    self.safety.host_restarted();
+                    self.stop_if(was_driving);
+                }
+            }
+            ToBoard::Configure(configure) => {
+                let outcome = self.configure(configure, inputs);
+                self.answer(Request::Configure, configure.request, outcome, transmit);
+            }
+            ToBoard::Arm(arm) => {
+                let situation = Situation {
+                    configuration_hash: self.active.as_ref().map(|active| active.hash),
+                    version_differs: self.link.version_differs(),
+                    moving: self.odometer.is_moving(),
+                    stop_input_open: self.has_stop_input() && inputs.stop_input_open,
+                };
+                let outcome = self.safety.arm(now_us, arm, situation);
+                self.answer(Request::Arm, arm.request, outcome, transmit);
+            }
+            ToBoard::Disarm(disarm) => {
+                self.safety.disarm();
+                if was_driving {
+                    self.esc.release();
+                }
+                self.answer(Request::Disarm, disarm.request, Ok(()), transmit);
+            }
+            ToBoard::EmergencyStop(stop) => {
+                self.safety.latch(StopCause::EmergencyStop);
+                self.stop_if(was_driving);
+                self.answer(Request::EmergencyStop, stop.request, Ok(()), transmit);
+            }
+            ToBoard::Drive(drive) => {
+                let active = self.active.as_ref().map(|active| &active.configuration);
+                match self.safety.drive(now_us, drive, active) {
+                    Ok(command) => {
+                        if let Some(configuration) = active {
+                            self.steering
+                                .steer(&configuration.servo, command.steering_100urad);
+                        }
+                    }
+                    Err(reason) => {
+                        self.drives_refused = self.drives_refused.wrapping_add(1);
+                        self.last_refusal = reason;
+                    }
+                }
+            }
+        }
+    }
+
+    fn configure(&mut self, configure: &Configure, inputs: &Inputs) -> Result<(), RefusalReason> {
+        self.safety.may_configure()?;
+        if self.link.version_differs() {
+            return Err(RefusalReason::VersionDiffers);
+        }
+        let configuration = configure.configuration;
+        if configuration.validate().is_err() {
+            return Err(RefusalReason::InvalidConfiguration);
+        }
+        let hash = configuration.hash();
+        if hash == self.hash() {
+            // Asked again because the answer was lost.
+            return Ok(());
+        }
+        let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
+        self.steering.configure(&configuration.servo);
+        self.esc.configure(&configuration.esc);
+        self.active = Some(Active {
+            configuration,
+            hash,
+        });
+        self.safety.configured(neutral_changed);
+        if self.has_stop_input() {
+            self.safety.observe_stop_input(inputs.stop_input_open);
+        }
+        Ok(())
+    }
+
+    /// Lets the ESC stop the car when the safety machine has just decided so.
+    fn stop_if(&mut self, was_driving: bool) {
+        if was_driving && !self.is_driving() {
+            let action = self
+                .configuration()
+                .map_or(FailsafeAction::Coast, |configuration| {
+                    configuration.failsafe
+                });
+            self.esc.stop(action);
+        }
+    }
+
+    const fn is_driving(&self) -> bool {
+        matches!(self.safety.mode(), BoardMode::Driving)
+    }
+
+    fn has_stop_input(&self) -> bool {
+        self.configuration()
+            .is_some_and(|configuration| configuration.stop_input)
+    }
+
+    fn answer(
+        &mut self,
+        request: Request,
+        sequence: Sequence,
+        outcome: Result<(), RefusalReason>,
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) {
+        match outcome {
+            Ok(()) => {
+                let configuration_hash = self.hash();
+                let yes = Acknowledgement {
+                    request,
+                    sequence,
+                    configuration_hash,
+                };
+                self.link.send(yes, transmit);
+            }
+            Err(reason) => {
+                let no = Refusal {
+                    request,
+                    sequence,
+                    reason,
+                };
+                self.link.send(no, transmit);
+            }
+        }
+    }
+
+    fn actuate(&mut self, elapsed_us: u32, control_due: bool) {
+        let Some(Active { configuration, .. }) = &self.active else {
+            return;
+        };
+        if control_due {
+            self.odometer.measure(configuration.speed.pulse_distance_um);
+        }
+        self.steering.advance(elapsed_us);
+        let moving = self.odometer.is_moving();
+        match self.safety.command() {
+            Some(command) => {
+                let wanted = command.speed_mm_s;
+                if control_due {
+                    self.esc
+                        .control(configuration, wanted, self.odometer.speed_mm_s());
+                }
+                self.esc
+                    .advance_driving(&configuration.esc, elapsed_us, wanted, moving);
+            }
+            None => self.esc.advance_stopped(elapsed_us, moving),
+        }
+    }
+
+    fn report(
+        &mut self,
+        now_us: u32,
+        elapsed_us: u32,
+        inputs: &Inputs,
+        telemetry_due: bool,
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) {
+        if telemetry_due && self.link.send(self.telemetry(now_us), transmit) {
+            self.imu.sent();
+        }
+        if self.status.advance(elapsed_us) {
+            self.link.send(self.status(now_us, inputs), transmit);
+        }
+    }
+
+    fn telemetry(&self, now_us: u32) -> Telemetry {
+        let outputs = self.outputs();
+        let sample = self.imu.sample();
+        Telemetry {
+            board_time_us: now_us,
+            mode: self.safety.mode(),
+            stop_cause: self.safety.cause(),
+            last_sequence: self.safety.last_sequence(),
+            imu: self.imu.state(),
+            imu_age_100us: self.imu.age_100us(),
+            linear_acceleration_mm_s2: sample.linear_acceleration_mm_s2,
+            angular_velocity_mrad_s: sample.angular_velocity_mrad_s,
+            attitude_q14: sample.attitude_q14,
+            motor_speed_mm_s: self.motor_speed_mm_s(),
+            servo_us: outputs.servo_us.unwrap_or(0),
+            esc_us: outputs.esc_us,
+        }
+    }
+
+    fn status(&self, now_us: u32, inputs: &Inputs) -> Status {
+        Status {
+            board_time_us: now_us,
+            configuration_hash: self.hash(),
+            reset_cause: self.reset_cause,
+            stop_input_open: self.has_stop_input() && inputs.stop_input_open,
+            battery_mv: inputs.battery_mv,
+            frames_received: self.link.frames_received,
+            frames_damaged: self.link.frames_damaged,
+            drives_refused: self.drives_refused,
+            last_refusal: self.last_refusal,
+            frames_dropped: self.link.frames_dropped,
+            bytes_overrun: inputs.bytes_overrun,
+            imu_errors: inputs.imu_errors,
+        }
+    }
+}

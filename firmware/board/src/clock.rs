@@ -1,0 +1,99 @@
+//! Time on a clock that wraps every 71 minutes.
+//!
+//! A difference of two instants is right only if they are less than half a
+//! turn apart. What may last longer is therefore measured by adding up the time
+//! between polls, and stops at the end of the scale instead of wrapping.
+
+/// Time from `then` to `now`, in µs; `None` when `then` lies in the future.
+pub(crate) fn age_us(now_us: u32, then_us: u32) -> Option<u32> {
+    let age = now_us.wrapping_sub(then_us);
+    (age <= u32::MAX / 2).then_some(age)
+}
+
+/// Measures how long ago something was, however long.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stopwatch(u32);
+
+impl Stopwatch {
+    /// Started now.
+    pub(crate) const fn started() -> Self {
+        Self(0)
+    }
+
+    /// Started a given time ago, in µs.
+    pub(crate) const fn started_ago(us: u32) -> Self {
+        Self(us)
+    }
+
+    pub(crate) const fn advance(&mut self, elapsed_us: u32) {
+        self.0 = self.0.saturating_add(elapsed_us);
+    }
+
+    pub(crate) const fn elapsed_us(self) -> u32 {
+        self.0
+    }
+}
+
+/// Fires once per period, without drifting when polled late.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ticker {
+    period_us: u32,
+    waited_us: u32,
+}
+
+impl Ticker {
+    /// Fires at the first poll, and from then on every `period_us`.
+    pub(crate) const fn new(period_us: u32) -> Self {
+        Self {
+            period_us,
+            waited_us: period_us,
+        }
+    }
+
+    /// Whether the period has ended. Periods that were missed altogether are
+    /// not made up for.
+    pub(crate) const fn advance(&mut self, elapsed_us: u32) -> bool {
+        self.waited_us = self.waited_us.saturating_add(elapsed_us);
+        if self.waited_us < self.period_us {
+            return false;
+        }
+        self.waited_us -= self.period_us;
+        if self.waited_us >= self.period_us {
+            self.waited_us = 0;
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Stopwatch, Ticker, age_us};
+
+    #[test]
+    fn an_age_is_right_across_the_wrap_and_the_future_has_none() {
+        assert_eq!(age_us(5, 5), Some(0));
+        assert_eq!(age_us(5, u32::MAX - 4), Some(10));
+        assert_eq!(age_us(u32::MAX - 4, 5), None);
+    }
+
+    #[test]
+    fn a_stopwatch_stops_at_the_end_of_its_scale() {
+        let mut watch = Stopwatch::started();
+        watch.advance(u32::MAX);
+        watch.advance(10);
+        assert_eq!(watch.elapsed_us(), u32::MAX);
+    }
+
+    #[test]
+    fn a_ticker_polled_late_keeps_its_phase_and_skips_what_it_missed() {
+        let mut ticker = Ticker::new(10);
+        assert!(ticker.advance(0));
+        assert!(!ticker.advance(9));
+        assert!(ticker.advance(4));
+        assert!(!ticker.advance(6));
+        assert!(ticker.advance(1));
+        assert!(ticker.advance(35));
+        assert!(!ticker.advance(9));
+        assert!(ticker.advance(1));
+    }
+}

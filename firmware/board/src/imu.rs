@@ -1,0 +1,68 @@
+//! The newest IMU sample, and whether the host has it.
+
+use singletrack_protocol::ImuState;
+
+use crate::clock::{Stopwatch, age_us};
+use crate::io::ImuSample;
+
+/// Without a sample for so long the IMU is silent.
+pub(crate) const SILENCE_US: u32 = 50_000;
+
+#[derive(Debug)]
+pub(crate) struct Imu {
+    sample: Option<ImuSample>,
+    since_sample: Stopwatch,
+    /// No record that was sent has carried it.
+    unsent: bool,
+}
+
+impl Imu {
+    pub(crate) const fn new() -> Self {
+        Self {
+            sample: None,
+            since_sample: Stopwatch::started_ago(u32::MAX),
+            unsent: false,
+        }
+    }
+
+    pub(crate) fn observe(&mut self, now_us: u32, elapsed_us: u32, newest: Option<&ImuSample>) {
+        self.since_sample.advance(elapsed_us);
+        let Some(&newest) = newest else { return };
+        if self
+            .sample
+            .is_none_or(|known| known.time_us != newest.time_us)
+        {
+            self.sample = Some(newest);
+            self.unsent = true;
+            let age = age_us(now_us, newest.time_us).unwrap_or(0);
+            self.since_sample = Stopwatch::started_ago(age);
+        }
+    }
+
+    /// The newest sample; zeros before the first.
+    pub(crate) fn sample(&self) -> ImuSample {
+        self.sample.unwrap_or_default()
+    }
+
+    pub(crate) const fn state(&self) -> ImuState {
+        if self.since_sample.elapsed_us() >= SILENCE_US {
+            ImuState::Silent
+        } else if self.unsent {
+            ImuState::Fresh
+        } else {
+            ImuState::Repeated
+        }
+    }
+
+    /// In units of 100 µs, saturating.
+    pub(crate) fn age_100us(&self) -> u8 {
+        let limit_us = u16::from(u8::MAX) * 100;
+        let age_us = u16::try_from(self.since_sample.elapsed_us()).unwrap_or(u16::MAX);
+        (age_us.min(limit_us) / 100) as u8
+    }
+
+    /// A record with the newest sample has been sent.
+    pub(crate) const fn sent(&mut self) {
+        self.unsent = false;
+    }
+}

@@ -1,0 +1,107 @@
+//! The board's end of the line: what comes in, and what has to be answered.
+
+use singletrack_protocol::{Decoder, Hello, ToBoard, ToHost, UNSOLICITED, VERSION};
+
+/// The receiver, its counters, and the greeting that waits for its turn.
+#[derive(Debug)]
+pub(crate) struct Link {
+    decoder: Decoder,
+    software_version: [u8; 3],
+    session: Option<Session>,
+    /// Nonces of greetings to be sent: that of the start, that of an answer.
+    announcement: Option<u32>,
+    greeting: Option<u32>,
+    pub(crate) frames_received: u16,
+    pub(crate) frames_damaged: u16,
+    pub(crate) frames_dropped: u16,
+}
+
+/// The host that greeted last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Session {
+    nonce: u32,
+    version: u16,
+}
+
+impl Link {
+    pub(crate) const fn new(software_version: [u8; 3]) -> Self {
+        Self {
+            decoder: Decoder::new(),
+            software_version,
+            session: None,
+            announcement: Some(UNSOLICITED),
+            greeting: None,
+            frames_received: 0,
+            frames_damaged: 0,
+            frames_dropped: 0,
+        }
+    }
+
+    /// The message that ends with this byte.
+    pub(crate) fn receive(&mut self, byte: u8) -> Option<ToBoard> {
+        let outcome = self.decoder.push(byte)?;
+        match outcome.ok().and_then(|packet| ToBoard::decode(packet).ok()) {
+            Some(message) => {
+                self.frames_received = self.frames_received.wrapping_add(1);
+                Some(message)
+            }
+            None => {
+                self.frames_damaged = self.frames_damaged.wrapping_add(1);
+                None
+            }
+        }
+    }
+
+    /// Notes who greets, to be answered. Returns whether it is another session
+    /// than the one before.
+    pub(crate) fn greeted(&mut self, hello: &Hello) -> bool {
+        if hello.nonce == UNSOLICITED {
+            // No host sends that: our own start, echoed by the line.
+            return false;
+        }
+        let session = Some(Session {
+            nonce: hello.nonce,
+            version: hello.protocol_version,
+        });
+        let another = self.session != session;
+        self.session = session;
+        self.greeting = Some(hello.nonce);
+        another
+    }
+
+    /// Whether the host has greeted with another protocol version.
+    pub(crate) fn version_differs(&self) -> bool {
+        self.session
+            .is_some_and(|session| session.version != VERSION)
+    }
+
+    /// Sends the greetings that are due; one that does not fit waits.
+    pub(crate) fn greet(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
+        for due in [&mut self.announcement, &mut self.greeting] {
+            let Some(nonce) = *due else { continue };
+            let hello = Hello {
+                protocol_version: VERSION,
+                software_version: self.software_version,
+                nonce,
+            };
+            if !transmit(ToHost::Hello(hello).encode().as_bytes()) {
+                return;
+            }
+            *due = None;
+        }
+    }
+
+    /// Sends a message, or drops and counts it when the line is full: answers
+    /// are asked for again, records follow one another.
+    pub(crate) fn send(
+        &mut self,
+        message: impl Into<ToHost>,
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) -> bool {
+        let sent = transmit(message.into().encode().as_bytes());
+        if !sent {
+            self.frames_dropped = self.frames_dropped.wrapping_add(1);
+        }
+        sent
+    }
+}

@@ -1,0 +1,225 @@
+//! Speed from the pulses of the motor.
+
+use crate::clock::{Stopwatch, age_us};
+use crate::io::MotorPulses;
+
+/// The wheels stand still when no pulse has come for so long.
+pub(crate) const STANDSTILL_US: u32 = 150_000;
+
+/// Driven for so long without a pulse, the sensor has failed: a loop closed on
+/// a dead sensor would go on to full throttle.
+pub(crate) const SENSOR_PATIENCE_US: u32 = 150_000;
+
+/// After so long without a pulse the speed is zero, and the next pulse says
+/// nothing about the speed: it only begins a new interval.
+const FORGET_US: u32 = 500_000;
+
+/// More pulses than this are halved, together with their time, so that the
+/// product with the distance keeps within 32 bits: 2^16 · 1000 · 64 < 2^32.
+const MOST_PULSES: u32 = 64;
+
+/// What the motor pulses tell.
+#[derive(Debug)]
+pub(crate) struct Odometer {
+    /// The newest pulse; `None` before the first poll.
+    newest: Option<MotorPulses>,
+    /// The pulse at which the interval now measured began.
+    reference: Option<MotorPulses>,
+    since_pulse: Stopwatch,
+    driven: Stopwatch,
+    speed_mm_s: i16,
+}
+
+impl Odometer {
+    pub(crate) const fn new() -> Self {
+        Self {
+            newest: None,
+            reference: None,
+            since_pulse: Stopwatch::started_ago(u32::MAX),
+            driven: Stopwatch::started(),
+            speed_mm_s: 0,
+        }
+    }
+
+    /// Takes in the pulses at every poll. `driven`: whether the pulse to the
+    /// ESC was beyond the deadband in the time before.
+    pub(crate) fn observe(
+        &mut self,
+        now_us: u32,
+        elapsed_us: u32,
+        pulses: MotorPulses,
+        driven: bool,
+    ) {
+        self.since_pulse.advance(elapsed_us);
+        if driven {
+            self.driven.advance(elapsed_us);
+        } else {
+            self.driven = Stopwatch::started();
+        }
+        let newest = *self.newest.get_or_insert(pulses);
+        if newest.count != pulses.count {
+            self.newest = Some(pulses);
+            // An edge after `now` was read is an edge now.
+            let age = age_us(now_us, pulses.last_edge_us).unwrap_or(0);
+            self.since_pulse = Stopwatch::started_ago(age);
+        }
+    }
+
+    pub(crate) const fn is_moving(&self) -> bool {
+        self.since_pulse.elapsed_us() < STANDSTILL_US
+    }
+
+    /// Whether the motor has been driven for too long without a pulse.
+    pub(crate) const fn has_failed(&self) -> bool {
+        self.driven.elapsed_us() >= SENSOR_PATIENCE_US
+            && self.since_pulse.elapsed_us() >= SENSOR_PATIENCE_US
+    }
+
+    /// Measures the speed anew; called once per control period.
+    ///
+    /// The pulses since the last call over the time between the first and the
+    /// last of them; without any, no more than one pulse in the time since.
+    pub(crate) fn measure(&mut self, pulse_distance_um: u16) {
+        let Some(newest) = self.newest else { return };
+        let waited_us = self.since_pulse.elapsed_us();
+        let new_pulses = self
+            .reference
+            .map_or(0, |reference| newest.count.wrapping_sub(reference.count));
+        self.speed_mm_s = match self.reference {
+            Some(reference) if new_pulses != 0 => {
+                let span_us = newest.last_edge_us.wrapping_sub(reference.last_edge_us);
+                speed_mm_s(pulse_distance_um, new_pulses.into(), span_us)
+            }
+            _ if waited_us >= FORGET_US => 0,
+            _ => self
+                .speed_mm_s
+                .min(speed_mm_s(pulse_distance_um, 1, waited_us)),
+        };
+        self.reference = (waited_us < FORGET_US).then_some(newest);
+    }
+
+    /// The speed without its sign, in mm/s.
+    pub(crate) const fn speed_mm_s(&self) -> i16 {
+        self.speed_mm_s
+    }
+}
+
+/// `pulses` pulses in `span_us`, in mm/s, saturating.
+fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 {
+    while pulses > MOST_PULSES {
+        pulses /= 2;
+        span_us /= 2;
+    }
+    let distance_nm = u32::from(pulse_distance_um) * 1_000 * pulses;
+    match distance_nm.checked_div(span_us) {
+        Some(speed) if speed < i16::MAX.unsigned_abs().into() => speed as i16,
+        _ => i16::MAX,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Odometer;
+    use crate::io::MotorPulses;
+    use std::vec::Vec;
+
+    const PULSE_UM: u16 = 5_000;
+
+    /// Pulses at a constant rate, polled every millisecond, measured every ten;
+    /// returns every speed measured.
+    fn run(odometer: &mut Odometer, from_us: u32, period_us: u32, total_us: u32) -> Vec<i16> {
+        let mut speeds = Vec::new();
+        for elapsed in (0..=total_us).step_by(1_000) {
+            let pulses = elapsed / period_us;
+            odometer.observe(
+                from_us.wrapping_add(elapsed),
+                1_000,
+                MotorPulses {
+                    count: (pulses as u16).wrapping_add(65_530),
+                    last_edge_us: from_us.wrapping_add(pulses * period_us),
+                },
+                false,
+            );
+            if elapsed % 10_000 == 0 {
+                odometer.measure(PULSE_UM);
+                speeds.push(odometer.speed_mm_s());
+            }
+        }
+        speeds
+    }
+
+    #[test]
+    fn a_constant_rate_gives_the_constant_speed_at_any_rate_and_across_both_wraps() {
+        for period_us in [150, 500, 2_500, 10_000, 33_000, 140_000] {
+            let speeds = run(&mut Odometer::new(), u32::MAX - 300_000, period_us, 600_000);
+            let exact = f64::from(PULSE_UM) * 1_000.0 / f64::from(period_us);
+            let exact = exact.min(32_767.0);
+            let settled = &speeds[35..];
+            assert!(
+                settled
+                    .iter()
+                    .all(|&speed| (f64::from(speed) - exact).abs() <= 1.0 + exact / 100.0),
+                "{period_us}: {settled:?} instead of {exact}"
+            );
+        }
+    }
+
+    #[test]
+    fn without_pulses_the_speed_falls_as_fast_as_is_known_and_ends_at_zero() {
+        let mut odometer = Odometer::new();
+        run(&mut odometer, 0, 5_000, 100_000);
+        let start = odometer.speed_mm_s();
+        assert_eq!(start, 1_000);
+        let last = MotorPulses {
+            count: 65_530_u16.wrapping_add(20),
+            last_edge_us: 100_000,
+        };
+        let mut before = start;
+        for elapsed in (10_000..=600_000_u32).step_by(10_000) {
+            odometer.observe(100_000 + elapsed, 10_000, last, false);
+            odometer.measure(PULSE_UM);
+            let now = odometer.speed_mm_s();
+            assert!(now <= before && u32::from(now.unsigned_abs()) <= 5_000_000 / elapsed);
+            before = now;
+        }
+        assert_eq!(before, 0);
+    }
+
+    #[test]
+    fn the_first_pulse_after_a_standstill_gives_no_speed() {
+        let mut odometer = Odometer::new();
+        run(&mut odometer, 0, 1_000_000, 900_000);
+        let first = MotorPulses {
+            count: 65_531,
+            last_edge_us: 905_000,
+        };
+        odometer.observe(910_000, 10_000, first, false);
+        odometer.measure(PULSE_UM);
+        assert_eq!(odometer.speed_mm_s(), 0);
+        let second = MotorPulses {
+            count: 65_532,
+            last_edge_us: 915_000,
+        };
+        odometer.observe(920_000, 10_000, second, false);
+        odometer.measure(PULSE_UM);
+        assert_eq!(odometer.speed_mm_s(), 500);
+    }
+
+    #[test]
+    fn impossible_pulses_saturate() {
+        let mut odometer = Odometer::new();
+        for count in [0, 40_000, 14_464] {
+            odometer.observe(
+                7,
+                0,
+                MotorPulses {
+                    count,
+                    last_edge_us: 7,
+                },
+                true,
+            );
+            odometer.measure(u16::MAX);
+        }
+        assert_eq!(odometer.speed_mm_s(), i16::MAX);
+    }
+}

@@ -1,0 +1,288 @@
+//! The safety machine: who may drive, and until when.
+//!
+//! ```text
+//! Boot --2 s of neutral--> Neutral --Arm--> Armed --Drive--> Driving
+//!                             ^               |                 |
+//!                             +----Disarm-----+-----------------+
+//! Failsafe          from Armed and Driving, by itself; Arm leaves it
+//! EmergencyStopped  from everywhere; only a reset leaves it
+//! ```
+//!
+//! A command is in force until its own time to live or the age of the pose
+//! behind it ends, whichever is first. Both are measured on the board's clock
+//! from the telemetry that the host had seen, so that no command gains time by
+//! waiting in a line.
+
+use singletrack_protocol::{
+    Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Drive, RefusalReason, Sequence,
+    StopCause,
+};
+
+use crate::clock::{Stopwatch, age_us};
+
+/// ESCs arm after they have seen neutral for a second or more.
+pub(crate) const NEUTRAL_HOLD_US: u32 = 2_000_000;
+
+/// What a request to arm is judged by, beside the machine's own state.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Situation {
+    pub(crate) configuration_hash: Option<u32>,
+    pub(crate) version_differs: bool,
+    pub(crate) moving: bool,
+    /// False unless the stop input is configured.
+    pub(crate) stop_input_open: bool,
+}
+
+/// A command that was accepted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Command {
+    pub(crate) speed_mm_s: i16,
+    pub(crate) steering_100urad: i16,
+    /// Board time of the telemetry behind it.
+    telemetry_time_us: u32,
+    /// How long after that its pose reaches the configured limit.
+    pose_time_to_live_us: u32,
+}
+
+impl Command {
+    /// How long after `telemetry_time_us` it is in force, and what ends it.
+    const fn time_to_live(&self) -> (u32, StopCause) {
+        if self.pose_time_to_live_us < COMMAND_TIME_TO_LIVE_US {
+            (self.pose_time_to_live_us, StopCause::PoseTooOld)
+        } else {
+            (COMMAND_TIME_TO_LIVE_US, StopCause::CommandTimeout)
+        }
+    }
+
+    const fn deadline_us(&self) -> u32 {
+        self.telemetry_time_us.wrapping_add(self.time_to_live().0)
+    }
+}
+
+#[derive(Debug)]
+pub(crate) struct Safety {
+    mode: BoardMode,
+    cause: StopCause,
+    /// Since when the ESC has been shown the present neutral pulse.
+    neutral: Stopwatch,
+    /// The request that armed last: sent again, it does not arm again.
+    arm_request: Option<Sequence>,
+    /// In force; while driving.
+    command: Option<Command>,
+    last_sequence: Sequence,
+    /// Only a switch that has been seen closed can open.
+    stop_input_closed: bool,
+}
+
+impl Safety {
+    pub(crate) const fn new() -> Self {
+        Self {
+            mode: BoardMode::Boot,
+            cause: StopCause::None,
+            neutral: Stopwatch::started(),
+            arm_request: None,
+            command: None,
+            last_sequence: Sequence(0),
+            stop_input_closed: false,
+        }
+    }
+
+    pub(crate) const fn mode(&self) -> BoardMode {
+        self.mode
+    }
+
+    pub(crate) const fn cause(&self) -> StopCause {
+        self.cause
+    }
+
+    pub(crate) const fn last_sequence(&self) -> Sequence {
+        self.last_sequence
+    }
+
+    /// The command in force; only while driving.
+    pub(crate) const fn command(&self) -> Option<&Command> {
+        self.command.as_ref()
+    }
+
+    pub(crate) fn drive_deadline_us(&self) -> Option<u32> {
+        self.command.as_ref().map(Command::deadline_us)
+    }
+
+    pub(crate) const fn is_armed(&self) -> bool {
+        matches!(self.mode, BoardMode::Armed | BoardMode::Driving)
+    }
+
+    /// Time goes by, before anything received is looked at: what has expired
+    /// is not revived by what arrives late.
+    pub(crate) fn advance(&mut self, now_us: u32, elapsed_us: u32) {
+        self.neutral.advance(elapsed_us);
+        if self.mode == BoardMode::Boot && self.neutral.elapsed_us() >= NEUTRAL_HOLD_US {
+            self.mode = BoardMode::Neutral;
+        }
+        if let Some(command) = &self.command {
+            let (time_to_live_us, cause) = command.time_to_live();
+            let age = age_us(now_us, command.telemetry_time_us);
+            if age.is_none_or(|age| age > time_to_live_us) {
+                self.fail(cause);
+            }
+        }
+    }
+
+    /// The level of a stop input that is configured.
+    pub(crate) const fn observe_stop_input(&mut self, open: bool) {
+        if !open {
+            self.stop_input_closed = true;
+        } else if self.stop_input_closed {
+            self.latch(StopCause::StopInput);
+        }
+    }
+
+    /// Another configuration is in force.
+    pub(crate) const fn configured(&mut self, neutral_changed: bool) {
+        self.stop_input_closed = false;
+        if neutral_changed {
+            self.neutral = Stopwatch::started();
+            if matches!(self.mode, BoardMode::Neutral) {
+                self.mode = BoardMode::Boot;
+            }
+        }
+    }
+
+    /// Whether a configuration may be taken over now.
+    pub(crate) const fn may_configure(&self) -> Result<(), RefusalReason> {
+        match self.mode {
+            BoardMode::Boot | BoardMode::Neutral | BoardMode::Failsafe => Ok(()),
+            BoardMode::Armed | BoardMode::Driving => Err(RefusalReason::Busy),
+            BoardMode::EmergencyStopped => Err(RefusalReason::EmergencyStopLatched),
+        }
+    }
+
+    pub(crate) fn arm(
+        &mut self,
+        now_us: u32,
+        arm: &Arm,
+        situation: Situation,
+    ) -> Result<(), RefusalReason> {
+        if self.is_armed() {
+            // Asked again because the answer was lost: nothing to be done.
+            return if self.arm_request == Some(arm.request) {
+                Ok(())
+            } else {
+                Err(RefusalReason::Busy)
+            };
+        }
+        if situation.stop_input_open {
+            return Err(RefusalReason::StopInputOpen);
+        }
+        if self.mode == BoardMode::EmergencyStopped {
+            return Err(RefusalReason::EmergencyStopLatched);
+        }
+        if situation.version_differs {
+            return Err(RefusalReason::VersionDiffers);
+        }
+        match situation.configuration_hash {
+            None => return Err(RefusalReason::NotConfigured),
+            Some(hash) if hash != arm.configuration_hash => {
+                return Err(RefusalReason::ConfigurationDiffers);
+            }
+            Some(_) => {}
+        }
+        fresh_age_us(now_us, arm.telemetry_time_us)?;
+        if self.arm_request == Some(arm.request) {
+            // It armed once, and the board has stopped the car since.
+            return Err(RefusalReason::OutOfSequence);
+        }
+        if self.mode == BoardMode::Boot || self.neutral.elapsed_us() < NEUTRAL_HOLD_US {
+            return Err(RefusalReason::NotYetNeutral);
+        }
+        if situation.moving {
+            return Err(RefusalReason::Moving);
+        }
+        self.mode = BoardMode::Armed;
+        self.arm_request = Some(arm.request);
+        Ok(())
+    }
+
+    pub(crate) fn drive(
+        &mut self,
+        now_us: u32,
+        drive: &Drive,
+        configuration: Option<&Configuration>,
+    ) -> Result<Command, RefusalReason> {
+        if self.mode == BoardMode::EmergencyStopped {
+            return Err(RefusalReason::EmergencyStopLatched);
+        }
+        let Some(configuration) = configuration else {
+            return Err(RefusalReason::NotConfigured);
+        };
+        if !self.is_armed() {
+            return Err(RefusalReason::NotArmed);
+        }
+        let age = fresh_age_us(now_us, drive.telemetry_time_us)?;
+        if self.mode == BoardMode::Driving && !drive.sequence.is_newer_than(self.last_sequence) {
+            return Err(RefusalReason::OutOfSequence);
+        }
+        let pose_time_to_live_us = configuration
+            .max_pose_age_ms
+            .checked_sub(drive.pose_age_ms)
+            .map(|left_ms| u32::from(left_ms) * 1_000)
+            .filter(|&left_us| age <= left_us)
+            .ok_or(RefusalReason::PoseTooOld)?;
+        let speed = &configuration.speed;
+        if drive.speed_mm_s < 0 && speed.max_reverse_mm_s == 0 {
+            return Err(RefusalReason::ReverseDisabled);
+        }
+        let command = Command {
+            speed_mm_s: i32::from(drive.speed_mm_s)
+                .min(speed.max_forward_mm_s.into())
+                .max(-i32::from(speed.max_reverse_mm_s)) as i16,
+            steering_100urad: drive.steering_100urad,
+            telemetry_time_us: drive.telemetry_time_us,
+            pose_time_to_live_us,
+        };
+        self.mode = BoardMode::Driving;
+        self.last_sequence = drive.sequence;
+        self.command = Some(command);
+        Ok(command)
+    }
+
+    /// The host wants no more.
+    pub(crate) const fn disarm(&mut self) {
+        if self.is_armed() {
+            self.mode = BoardMode::Neutral;
+            self.cause = StopCause::Disarmed;
+            self.command = None;
+        }
+    }
+
+    /// Another host, or the same one anew: it knows nothing of what it armed.
+    pub(crate) const fn host_restarted(&mut self) {
+        self.fail(StopCause::HostRestarted);
+        self.arm_request = None;
+    }
+
+    /// Stops until armed again; has no effect unless armed.
+    pub(crate) const fn fail(&mut self, cause: StopCause) {
+        if self.is_armed() {
+            self.mode = BoardMode::Failsafe;
+            self.cause = cause;
+            self.command = None;
+        }
+    }
+
+    /// Stops until reset. The first cause stands.
+    pub(crate) const fn latch(&mut self, cause: StopCause) {
+        if !matches!(self.mode, BoardMode::EmergencyStopped) {
+            self.mode = BoardMode::EmergencyStopped;
+            self.cause = cause;
+            self.command = None;
+        }
+    }
+}
+
+/// The age of the telemetry behind a request, if it is fresh enough to act on.
+fn fresh_age_us(now_us: u32, telemetry_time_us: u32) -> Result<u32, RefusalReason> {
+    age_us(now_us, telemetry_time_us)
+        .filter(|&age| age <= COMMAND_TIME_TO_LIVE_US)
+        .ok_or(RefusalReason::Stale)
+}

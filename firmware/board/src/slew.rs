@@ -1,0 +1,99 @@
+//! Limits how fast a pulse changes.
+
+/// A stall of the main loop gives no more change than one servo frame.
+const LONGEST_STEP_US: u32 = 20_000;
+
+/// Fractional bits of the change that is allowed in a microsecond.
+///
+/// As many as fit: with the highest rate (1400 µs in 20 ms) and the longest
+/// step the product needs 31 bits. No division, which on the AVR would cost a
+/// tenth of the time of a poll every millisecond.
+const FRACTION_BITS: u32 = 20;
+
+/// A rate of change, and what is left of it from one poll to the next.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SlewLimiter {
+    /// µs of pulse per µs of time.
+    rate: u32,
+    /// Less than one µs of pulse.
+    remainder: u32,
+}
+
+impl SlewLimiter {
+    /// Rounded down: never faster than stated, by less than 2 % slower.
+    pub(crate) const fn new(us_per_20ms: u16) -> Self {
+        Self {
+            rate: ((us_per_20ms as u32) << FRACTION_BITS) / 20_000,
+            remainder: 0,
+        }
+    }
+
+    /// The pulse after `elapsed_us` on the way from `current` to `target`.
+    pub(crate) fn approach(&mut self, current: i16, target: i16, elapsed_us: u32) -> i16 {
+        if current == target {
+            self.remainder = 0;
+            return target;
+        }
+        let allowed = self.remainder + self.rate * elapsed_us.min(LONGEST_STEP_US);
+        self.remainder = allowed & ((1 << FRACTION_BITS) - 1);
+        // At most 1401, see FRACTION_BITS.
+        let allowed = (allowed >> FRACTION_BITS) as i16;
+        if current < target {
+            current.saturating_add(allowed).min(target)
+        } else {
+            current.saturating_sub(allowed).max(target)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SlewLimiter;
+
+    #[test]
+    fn the_change_in_a_given_time_does_not_depend_on_the_poll_rate() {
+        for rate in [1, 7, 90, 1_400] {
+            for (polls, every_us) in [(1_000, 1_000), (10_000, 100), (77, 13_000), (50, 20_000)] {
+                let mut slew = SlewLimiter::new(rate);
+                let mut pulse = 0;
+                let mut elapsed = 0;
+                for _ in 0..polls {
+                    pulse = slew.approach(pulse, i16::MAX, every_us);
+                    elapsed += every_us;
+                }
+                let allowed = i64::from(rate) * i64::from(elapsed) / 20_000;
+                let allowed = allowed.min(i16::MAX.into());
+                let shortfall = allowed - i64::from(pulse);
+                assert!(
+                    (0..=1 + allowed / 50).contains(&shortfall),
+                    "{rate}: {pulse} of {allowed}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_target_is_reached_exactly_from_both_sides() {
+        let mut slew = SlewLimiter::new(100);
+        assert_eq!(slew.approach(1_500, 1_504, 1_000), 1_504);
+        assert_eq!(slew.approach(1_500, 1_496, 1_000), 1_496);
+        let pulse = slew.approach(1_500, 1_600, 2_000);
+        assert!((1_509..=1_510).contains(&pulse), "{pulse}");
+    }
+
+    #[test]
+    fn waiting_saves_nothing_up() {
+        let mut slew = SlewLimiter::new(100);
+        for _ in 0..100 {
+            slew.approach(1_500, 1_500, 999);
+        }
+        assert!(slew.approach(1_500, 1_600, 1_000) <= 1_505);
+    }
+
+    #[test]
+    fn a_stall_allows_the_change_of_one_servo_frame() {
+        let mut slew = SlewLimiter::new(1_400);
+        let pulse = slew.approach(0, i16::MAX, u32::MAX);
+        assert!((1_399..=1_400).contains(&pulse), "{pulse}");
+    }
+}

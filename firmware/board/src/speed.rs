@@ -1,0 +1,150 @@
+//! The speed loop: feed-forward, proportional, and a limited integral.
+
+use singletrack_protocol::SpeedLoop;
+
+/// Units of the integral per µs of pulse: an integral gain of 1 µs/m times an
+/// error of 1 mm/s over one control period of 10 ms is one unit.
+const UNITS_PER_US: i32 = 100_000;
+
+/// Where the pulse can go, in µs beyond the deadband, in the direction driven.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Room {
+    /// The highest that the limits allow.
+    pub(crate) highest: i32,
+    /// Whether the pulse is still slewing up to what was asked last.
+    pub(crate) lagging: bool,
+}
+
+/// The loop's memory. Speeds and pulses are counted in the direction driven.
+#[derive(Debug)]
+pub(crate) struct SpeedController {
+    integral: i32,
+}
+
+impl SpeedController {
+    pub(crate) const fn new() -> Self {
+        Self { integral: 0 }
+    }
+
+    pub(crate) const fn reset(&mut self) {
+        self.integral = 0;
+    }
+
+    /// The pulse beyond the deadband for the next control period, in µs; the
+    /// caller limits it to the room. The error of now enters the integral of
+    /// the next period.
+    ///
+    /// With validated gains (5000 at most) and 16-bit speeds every product is
+    /// below 2^29.
+    pub(crate) fn update(
+        &mut self,
+        gains: &SpeedLoop,
+        wanted_mm_s: i32,
+        measured_mm_s: i32,
+        room: Room,
+    ) -> i32 {
+        let error = wanted_mm_s - measured_mm_s;
+        let direct = (i32::from(gains.feed_forward_us_per_m_s) * wanted_mm_s
+            + i32::from(gains.proportional_us_per_m_s) * error)
+            / 1_000;
+        let pulse = direct + self.integral / UNITS_PER_US;
+        // Anti-windup: what the pulse cannot follow is not integrated.
+        let too_high = pulse >= room.highest || room.lagging;
+        let too_low = pulse <= 0;
+        if !(error > 0 && too_high || error < 0 && too_low) {
+            let limit = i32::from(gains.integral_limit_us) * UNITS_PER_US;
+            let change = i32::from(gains.integral_us_per_m) * error;
+            self.integral = (self.integral + change).min(limit).max(-limit);
+        }
+        pulse
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Room, SpeedController};
+    use singletrack_protocol::SpeedLoop;
+
+    const GAINS: SpeedLoop = SpeedLoop {
+        pulse_distance_um: 5_000,
+        feed_forward_us_per_m_s: 100,
+        proportional_us_per_m_s: 50,
+        integral_us_per_m: 200,
+        integral_limit_us: 80,
+        max_forward_mm_s: 3_000,
+        max_reverse_mm_s: 500,
+    };
+    const FREE: Room = Room {
+        highest: 1_000,
+        lagging: false,
+    };
+
+    #[test]
+    fn feed_forward_proportional_and_integral_add_up() {
+        let mut controller = SpeedController::new();
+        // 100 us + 50 us, and 200 us/m * 1 m/s * 10 ms = 2 us.
+        assert_eq!(controller.update(&GAINS, 1_000, 0, FREE), 150);
+        assert_eq!(controller.update(&GAINS, 1_000, 1_000, FREE), 102);
+        assert_eq!(controller.update(&GAINS, 1_000, 1_500, FREE), 77);
+        assert_eq!(controller.update(&GAINS, 1_000, 1_000, FREE), 101);
+    }
+
+    #[test]
+    fn the_integral_ends_at_its_limit_on_both_sides() {
+        let mut controller = SpeedController::new();
+        for _ in 0..1_000 {
+            controller.update(&GAINS, 1_000, 500, FREE);
+        }
+        assert_eq!(controller.update(&GAINS, 1_000, 1_000, FREE), 180);
+        for _ in 0..1_000 {
+            controller.update(&GAINS, 2_500, 3_000, FREE);
+        }
+        assert_eq!(controller.update(&GAINS, 2_500, 2_500, FREE), 170);
+    }
+
+    #[test]
+    fn what_the_pulse_cannot_follow_is_not_integrated() {
+        for room in [
+            Room {
+                highest: 120,
+                lagging: false,
+            },
+            Room {
+                highest: 1_000,
+                lagging: true,
+            },
+        ] {
+            let mut controller = SpeedController::new();
+            for _ in 0..1_000 {
+                controller.update(&GAINS, 1_000, 0, room);
+            }
+            assert_eq!(controller.update(&GAINS, 1_000, 1_000, FREE), 100);
+        }
+        let mut controller = SpeedController::new();
+        for _ in 0..1_000 {
+            controller.update(&GAINS, 100, 1_000, FREE);
+        }
+        assert_eq!(controller.update(&GAINS, 100, 100, FREE), 10);
+    }
+
+    #[test]
+    fn the_extremes_of_a_valid_configuration_do_not_overflow() {
+        let gains = SpeedLoop {
+            feed_forward_us_per_m_s: 5_000,
+            proportional_us_per_m_s: 5_000,
+            integral_us_per_m: 5_000,
+            integral_limit_us: 700,
+            ..GAINS
+        };
+        let mut controller = SpeedController::new();
+        let free = Room {
+            highest: i32::MAX,
+            lagging: false,
+        };
+        for (wanted, measured) in [(20_000, 0), (0, 32_767), (20_000, 32_767)] {
+            for _ in 0..100 {
+                controller.update(&gains, wanted, measured, free);
+            }
+        }
+    }
+}

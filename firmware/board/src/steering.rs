@@ -1,0 +1,154 @@
+//! From steering angle to servo pulse.
+
+use singletrack_protocol::ServoCalibration;
+
+use crate::slew::SlewLimiter;
+
+/// The servo: silent until it is configured, then always on its way to the
+/// last angle that was asked for.
+#[derive(Debug)]
+pub(crate) struct Steering {
+    angle_100urad: i16,
+    servo: Option<Servo>,
+}
+
+#[derive(Debug)]
+struct Servo {
+    pulse_us: i16,
+    target_us: i16,
+    slew: SlewLimiter,
+}
+
+impl Steering {
+    pub(crate) const fn new() -> Self {
+        Self {
+            angle_100urad: 0,
+            servo: None,
+        }
+    }
+
+    /// Uses a calibration from now on. A silent servo goes straight to its
+    /// pulse: where it stands is not known. Another one slews there.
+    pub(crate) fn configure(&mut self, calibration: &ServoCalibration) {
+        let target_us = pulse_us(calibration, self.angle_100urad);
+        let pulse_us = self
+            .servo
+            .as_ref()
+            .map_or(target_us, |servo| servo.pulse_us);
+        self.servo = Some(Servo {
+            pulse_us: clamp(calibration, pulse_us.into()),
+            target_us,
+            slew: SlewLimiter::new(calibration.slew_us_per_20ms),
+        });
+    }
+
+    /// Steers to an angle, left positive, in units of 100 µrad.
+    pub(crate) fn steer(&mut self, calibration: &ServoCalibration, angle_100urad: i16) {
+        self.angle_100urad = angle_100urad;
+        if let Some(servo) = &mut self.servo {
+            servo.target_us = pulse_us(calibration, angle_100urad);
+        }
+    }
+
+    pub(crate) fn advance(&mut self, elapsed_us: u32) {
+        if let Some(servo) = &mut self.servo {
+            servo.pulse_us = servo
+                .slew
+                .approach(servo.pulse_us, servo.target_us, elapsed_us);
+        }
+    }
+
+    /// The pulse, in µs; `None` while silent.
+    pub(crate) fn pulse_us(&self) -> Option<u16> {
+        self.servo
+            .as_ref()
+            .map(|servo| servo.pulse_us.unsigned_abs())
+    }
+}
+
+fn pulse_us(calibration: &ServoCalibration, angle_100urad: i16) -> i16 {
+    const UNITS_PER_RAD: i32 = 10_000;
+    // Two 16-bit factors: no overflow.
+    let scaled = i32::from(calibration.gain_us_per_rad) * i32::from(angle_100urad);
+    let rounding = if scaled < 0 {
+        -UNITS_PER_RAD / 2
+    } else {
+        UNITS_PER_RAD / 2
+    };
+    let change = (scaled + rounding) / UNITS_PER_RAD;
+    clamp(calibration, i32::from(calibration.centre_us) + change)
+}
+
+/// Between the limits, which are those of a validated configuration: at most
+/// 2200 µs, so that it fits.
+fn clamp(calibration: &ServoCalibration, pulse_us: i32) -> i16 {
+    pulse_us
+        .min(calibration.max_us.into())
+        .max(calibration.min_us.into()) as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Steering, pulse_us};
+    use singletrack_protocol::ServoCalibration;
+
+    const CALIBRATION: ServoCalibration = ServoCalibration {
+        centre_us: 1_490,
+        gain_us_per_rad: -800,
+        min_us: 1_100,
+        max_us: 1_800,
+        slew_us_per_20ms: 90,
+    };
+
+    #[test]
+    fn trim_and_gain_map_the_angle_and_the_limits_hold() {
+        for (angle_100urad, pulse) in [
+            (0, 1_490),
+            (1_000, 1_410),
+            (-1_000, 1_570),
+            (6, 1_490),
+            (7, 1_489),
+            (-7, 1_491),
+            (i16::MAX, 1_100),
+            (i16::MIN, 1_800),
+        ] {
+            assert_eq!(
+                pulse_us(&CALIBRATION, angle_100urad),
+                pulse,
+                "{angle_100urad}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_servo_is_silent_then_centred_then_slews() {
+        let mut steering = Steering::new();
+        steering.steer(&CALIBRATION, 0);
+        steering.advance(1_000_000);
+        assert_eq!(steering.pulse_us(), None);
+        steering.configure(&CALIBRATION);
+        assert_eq!(steering.pulse_us(), Some(1_490));
+        steering.steer(&CALIBRATION, -1_000);
+        steering.advance(10_000);
+        let pulse = steering.pulse_us().unwrap();
+        assert!((1_534..=1_535).contains(&pulse), "{pulse}");
+        steering.advance(10_000);
+        assert_eq!(steering.pulse_us(), Some(1_570));
+    }
+
+    #[test]
+    fn a_new_calibration_keeps_the_angle_and_its_own_limits() {
+        let mut steering = Steering::new();
+        steering.configure(&CALIBRATION);
+        steering.steer(&CALIBRATION, i16::MIN);
+        for _ in 0..10 {
+            steering.advance(20_000);
+        }
+        assert_eq!(steering.pulse_us(), Some(1_800));
+        steering.configure(&ServoCalibration {
+            max_us: 1_600,
+            ..CALIBRATION
+        });
+        assert_eq!(steering.pulse_us(), Some(1_600));
+    }
+}
