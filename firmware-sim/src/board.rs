@@ -1,12 +1,12 @@
 //! The Arduino around the real board code: clock, bytes, pins, resets.
 
 use serde::{Deserialize, Serialize};
+use singletrack_board::{Board, ImuSample, Inputs, MotorPulses};
 use singletrack_protocol::ResetCause;
 
 use crate::{
-    car::{BatteryParameters, Car, ImuReading, MotorPulses},
+    car::{BatteryParameters, Car, ImuReading},
     clock::SkewedClock,
-    firmware::{Firmware, FirmwareInputs, FirmwareOutputs},
     pulse_log::{PulseLog, PulseRecord},
     random::{Random, Stream},
     wire::SerialWire,
@@ -28,6 +28,8 @@ pub struct BoardParameters {
     pub poll_period_us: u64,
     /// Room for bytes that wait for the line.
     pub transmit_buffer: usize,
+    /// Room for bytes that wait for the main loop; what comes on top is lost.
+    pub receive_buffer: usize,
     /// Start-up time after power-on, brown-out and watchdog, in µs.
     pub start_up_us: u64,
     /// Shortest and longest time in the bootloader after an external reset, in µs.
@@ -41,6 +43,7 @@ impl Default for BoardParameters {
             clock_offset_us: 0,
             poll_period_us: 1_000,
             transmit_buffer: 128,
+            receive_buffer: 64,
             start_up_us: 65_000,
             bootloader_us: [800_000, 3_000_000],
         }
@@ -61,13 +64,16 @@ enum Phase {
 
 #[derive(Debug)]
 struct Running {
-    firmware: Firmware,
+    board: Board,
     started_us: u64,
+    /// Rounds of the main loop and servo frames so far.
     polls: u64,
     frames: u64,
-    outputs: FirmwareOutputs,
-    imu: Option<(u64, ImuReading)>,
+    inputs: Inputs,
 }
+
+/// The version that the simulated board reports: this crate's.
+const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 
 /// The Arduino around the real board code.
 #[derive(Debug)]
@@ -125,6 +131,15 @@ impl SimulatedBoard {
             Phase::Running(running) => {
                 Some(local_time(&self.clock, running.started_us, simulation_us))
             }
+            _ => None,
+        }
+    }
+
+    /// The board's code, to look into; `None` while it does not run.
+    #[must_use]
+    pub fn code(&self) -> Option<&Board> {
+        match &self.phase {
+            Phase::Running(running) => Some(&running.board),
             _ => None,
         }
     }
@@ -207,7 +222,12 @@ impl SimulatedBoard {
 
     pub(crate) fn take_imu(&mut self, now_us: u64, reading: &ImuReading) {
         if let Phase::Running(running) = &mut self.phase {
-            running.imu = Some((now_us, *reading));
+            running.inputs.imu = Some(ImuSample {
+                time_us: local_time(&self.clock, running.started_us, now_us),
+                linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
+                angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
+                attitude_q14: reading.attitude_q14,
+            });
         }
     }
 
@@ -220,12 +240,11 @@ impl SimulatedBoard {
                     self.received.clear();
                     wire.board_read(now_us, &mut self.received);
                     self.phase = Phase::Running(Box::new(Running {
-                        firmware: Firmware::new(*cause),
+                        board: Board::new(*cause, SOFTWARE_VERSION),
                         started_us: now_us,
                         polls: 0,
                         frames: 0,
-                        outputs: FirmwareOutputs::default(),
-                        imu: None,
+                        inputs: Inputs::default(),
                     }));
                     self.run(now_us, car, wire);
                 }
@@ -244,29 +263,33 @@ impl SimulatedBoard {
         if running.polls * self.parameters.poll_period_us <= elapsed {
             running.polls = elapsed / self.parameters.poll_period_us + 1;
             if !self.hung {
+                running.sense(clock, car, &mut self.battery_noise);
+                running.inputs.stop_input_open = self.stop_input_open;
                 self.received.clear();
                 wire.board_read(now_us, &mut self.received);
-                let battery = battery_mv(car, &car.parameters().battery, &mut self.battery_noise);
-                let inputs =
-                    running.inputs(clock, car.motor_pulses(), battery, self.stop_input_open);
+                let room = self.parameters.receive_buffer;
+                let lost = self.received.len().saturating_sub(room);
+                self.received.truncate(room);
+                running.inputs.bytes_overrun =
+                    running.inputs.bytes_overrun.wrapping_add(lost as u16);
                 let room = self.parameters.transmit_buffer;
-                running.outputs =
-                    running
-                        .firmware
-                        .poll(board_time_us, &inputs, &self.received, &mut |frame| {
-                            let fits = wire.board_backlog(now_us) + frame.len() <= room;
-                            if fits {
-                                wire.board_write(now_us, frame);
-                            }
-                            fits
-                        });
+                running.board.poll(
+                    board_time_us,
+                    &running.inputs,
+                    &self.received,
+                    &mut |frame: &[u8]| {
+                        let fits = wire.board_backlog(now_us) + frame.len() <= room;
+                        if fits {
+                            wire.board_write(now_us, frame);
+                        }
+                        fits
+                    },
+                );
             }
         }
         if running.frames * SERVO_FRAME_US <= elapsed {
             running.frames = elapsed / SERVO_FRAME_US + 1;
-            let FirmwareOutputs {
-                servo_us, esc_us, ..
-            } = running.outputs.supervised(board_time_us);
+            let (servo_us, esc_us) = running.pulses(board_time_us);
             car.apply_pulses(servo_us, esc_us);
             self.pulses.push(PulseRecord {
                 time_us: now_us,
@@ -279,32 +302,30 @@ impl SimulatedBoard {
 }
 
 impl Running {
-    fn inputs(
-        &self,
-        clock: &SkewedClock,
-        pulses: MotorPulses,
-        battery_mv: u16,
-        stop_input_open: bool,
-    ) -> FirmwareInputs {
-        // An edge from before the start is not seen by the capture.
-        let local = |time_us: u64| {
-            (time_us >= self.started_us).then(|| local_time(clock, self.started_us, time_us))
+    /// Reads the sensors that are polled.
+    fn sense(&mut self, clock: &SkewedClock, car: &Car, battery_noise: &mut Random) {
+        let pulses = car.motor_pulses();
+        let last_us = pulses.last_us.unwrap_or(0);
+        self.inputs.motor = MotorPulses {
+            count: pulses.count,
+            last_edge_us: local_time(clock, self.started_us, last_us),
         };
-        let last = pulses.last_us.and_then(local);
-        let before = pulses.before_us.and_then(local);
-        FirmwareInputs {
-            pulse_count: pulses.count,
-            last_pulse_us: last,
-            pulse_period_us: match (last, before) {
-                (Some(last), Some(before)) => Some(last.wrapping_sub(before)),
-                _ => None,
-            },
-            imu: self
-                .imu
-                .map(|(time_us, reading)| (local_time(clock, self.started_us, time_us), reading)),
-            battery_mv,
-            stop_input_open,
-        }
+        self.inputs.battery_mv = battery_mv(car, &car.parameters().battery, battery_noise);
+    }
+
+    /// What the pins show, with the timer interrupt's last word: once the
+    /// command has run out, neutral, whether the main loop is alive or not.
+    fn pulses(&self, board_time_us: u32) -> (u16, u16) {
+        let outputs = self.board.outputs();
+        let expired = outputs
+            .drive_deadline_us
+            .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
+        let esc_us = if expired {
+            outputs.esc_neutral_us
+        } else {
+            outputs.esc_us
+        };
+        (outputs.servo_us.unwrap_or(0), esc_us)
     }
 }
 

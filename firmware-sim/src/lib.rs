@@ -4,18 +4,24 @@
 //! board code, the car that it steers, the serial line between board and host,
 //! and the cameras with their NatNet server. The same seed and the same inputs
 //! at the same times give the same bits, on every machine and in every build.
+//!
+//! [`RealTimeSimulator`] runs a world on its own thread, behind a
+//! pseudo-terminal and UDP sockets, for a host that is another process.
 
 mod attitude;
 mod board;
 mod cameras;
 mod car;
 mod clock;
-mod firmware;
+mod defaults;
 mod loss;
 mod natnet_server;
 mod parameters;
+mod pty;
 mod pulse_log;
 mod random;
+mod real_time;
+mod udp;
 mod wire;
 mod world;
 
@@ -29,12 +35,18 @@ pub use car::{
     MotorSensorFault, MotorSensorParameters, ServoParameters, StartPose, Truth,
 };
 pub use clock::SkewedClock;
+pub use defaults::default_board_configuration;
 pub use loss::{LossPattern, LossPatternError, LossWindow, parse_duration_us};
 pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
 pub use parameters::{ConfigError, SimulationConfig};
+pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseLog, PulseRecord};
+pub use real_time::{
+    Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
+};
+pub use udp::{UdpConfig, UdpError};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

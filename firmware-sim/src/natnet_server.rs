@@ -91,6 +91,9 @@ pub enum Destination {
 pub struct Datagram {
     /// Where it goes.
     pub to: Destination,
+    /// Whether it is a frame, which leaves from the data port; answers leave
+    /// from the command port.
+    pub is_frame: bool,
     /// What it holds.
     pub bytes: Vec<u8>,
 }
@@ -245,7 +248,11 @@ impl NatNetServer {
             .filter_map(|(to, version)| {
                 let bytes = self.encoded(|out| encode_frame(version, frame, changed, out))?;
                 self.counters.frames += 1;
-                Some(Datagram { to, bytes })
+                Some(Datagram {
+                    to,
+                    is_frame: true,
+                    bytes,
+                })
             })
             .collect()
     }
@@ -348,6 +355,7 @@ impl NatNetServer {
     ) -> Option<Datagram> {
         Some(Datagram {
             to: Destination::Client(to),
+            is_frame: false,
             bytes: self.encoded(encode)?,
         })
     }

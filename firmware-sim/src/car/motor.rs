@@ -48,7 +48,8 @@ impl Default for MotorParameters {
     fn default() -> Self {
         Self {
             neutral_us: 1500,
-            deadband_us: 30,
+            // With the breakaway: 30 µs, in which the wheels stand.
+            deadband_us: 26,
             breakaway_us: 4.0,
             gain_m_s_per_us: 0.01,
             saturation_us: 400.0,

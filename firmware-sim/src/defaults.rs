@@ -1,0 +1,41 @@
+//! The configuration that fits the default car.
+
+use singletrack_protocol::{
+    Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
+};
+
+/// The board's configuration for the default [`crate::CarParameters`]: what
+/// someone who calibrated that car would have written down.
+#[must_use]
+pub const fn default_board_configuration() -> Configuration {
+    Configuration {
+        servo: ServoCalibration {
+            centre_us: 1_500,
+            gain_us_per_rad: -800,
+            min_us: 1_080,
+            max_us: 1_920,
+            // 6 rad/s: nearly what the servo can do.
+            slew_us_per_20ms: 96,
+        },
+        esc: EscCalibration {
+            neutral_us: 1_500,
+            deadband_us: 30,
+            min_us: 1_200,
+            max_us: 1_700,
+            slew_us_per_20ms: 40,
+            brake_us: 1_350,
+        },
+        speed: SpeedLoop {
+            pulse_distance_um: 3_000,
+            feed_forward_us_per_m_s: 105,
+            proportional_us_per_m_s: 60,
+            integral_us_per_m: 250,
+            integral_limit_us: 60,
+            max_forward_mm_s: 1_500,
+            max_reverse_mm_s: 0,
+        },
+        failsafe: FailsafeAction::Coast,
+        max_pose_age_ms: 900,
+        stop_input: false,
+    }
+}

@@ -1,0 +1,134 @@
+//! The NatNet server's sockets.
+
+use std::{
+    io,
+    net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
+};
+
+use serde::{Deserialize, Serialize};
+use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::natnet_server::{Datagram, Destination};
+
+/// Where the NatNet server listens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct UdpConfig {
+    /// Address of the interface to serve on; also the interface of the
+    /// multicast frames. Only this machine by default.
+    pub interface: Ipv4Addr,
+    /// Port for commands, 1510 in a real laboratory; 0 takes a free one.
+    pub command_port: u16,
+    /// Port for frames, 1511 in a real laboratory; 0 takes a free one.
+    pub data_port: u16,
+}
+
+impl Default for UdpConfig {
+    fn default() -> Self {
+        Self {
+            interface: Ipv4Addr::LOCALHOST,
+            command_port: 0,
+            data_port: 0,
+        }
+    }
+}
+
+/// Why the NatNet server has no socket.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "cannot serve NatNet on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
+)]
+pub struct UdpError {
+    /// The address asked for.
+    pub address: SocketAddrV4,
+    /// What it was for.
+    pub purpose: &'static str,
+    /// What the system says.
+    pub source: io::Error,
+}
+
+/// The NatNet server's sockets.
+#[derive(Debug)]
+pub(crate) struct NatNetSockets {
+    command: UdpSocket,
+    data: UdpSocket,
+    command_address: SocketAddrV4,
+    data_address: SocketAddrV4,
+    group: SocketAddrV4,
+}
+
+impl NatNetSockets {
+    pub(crate) fn bind(config: &UdpConfig, group: Ipv4Addr) -> Result<Self, UdpError> {
+        let (command, command_address) =
+            bind(config.interface, config.command_port, "command port")?;
+        let (data, data_address) = bind(config.interface, config.data_port, "data port")?;
+        Ok(Self {
+            command,
+            data,
+            command_address,
+            data_address,
+            group: SocketAddrV4::new(group, data_address.port()),
+        })
+    }
+
+    pub(crate) const fn command_address(&self) -> SocketAddrV4 {
+        self.command_address
+    }
+
+    pub(crate) const fn data_address(&self) -> SocketAddrV4 {
+        self.data_address
+    }
+
+    /// The next datagram that has arrived.
+    pub(crate) fn receive(&self, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+        loop {
+            match self.command.recv_from(buffer) {
+                Ok(received) => return Some(received),
+                // A client that has gone: the answer to an earlier frame.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+                Err(_) => return None,
+            }
+        }
+    }
+
+    /// Sends; what cannot be sent is lost, as on any network.
+    pub(crate) fn send(&self, datagram: &Datagram) -> bool {
+        let to: SocketAddr = match datagram.to {
+            Destination::Client(address) => address,
+            Destination::Group => self.group.into(),
+        };
+        let socket = if datagram.is_frame {
+            &self.data
+        } else {
+            &self.command
+        };
+        socket.send_to(&datagram.bytes, to).is_ok()
+    }
+}
+
+fn bind(
+    interface: Ipv4Addr,
+    port: u16,
+    purpose: &'static str,
+) -> Result<(UdpSocket, SocketAddrV4), UdpError> {
+    let address = SocketAddrV4::new(interface, port);
+    let open = || -> io::Result<(UdpSocket, SocketAddrV4)> {
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+        socket.set_nonblocking(true)?;
+        if purpose == "data port" {
+            // Multicast clients on this machine bind the same port.
+            socket.set_reuse_address(true)?;
+        }
+        socket.set_multicast_if_v4(&interface)?;
+        socket.set_multicast_loop_v4(true)?;
+        socket.set_multicast_ttl_v4(1)?;
+        socket.bind(&address.into())?;
+        let bound = socket.local_addr()?.as_socket_ipv4().unwrap_or(address);
+        Ok((socket.into(), bound))
+    };
+    open().map_err(|source| UdpError {
+        address,
+        purpose,
+        source,
+    })
+}
