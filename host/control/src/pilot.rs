@@ -113,6 +113,12 @@ impl Pilot {
         self.supervisor.mode()
     }
 
+    /// Why the car does not drive, or stopped.
+    #[must_use]
+    pub const fn reason(&self) -> Option<Reason> {
+        self.supervisor.reason()
+    }
+
     /// One control tick: takes in what happened since the last one and decides
     /// what the car does until the next.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {

@@ -1,0 +1,185 @@
+//! The laws against the kinematics that they invert.
+
+use proptest::prelude::*;
+use singletrack_control::{
+    FrontPointLaw, LawError, Motion, SingleTrack, SingleTrackState, Singularity, VehicleParameters,
+    Velocity, VelocityPointLaw, direction,
+};
+
+const L_F: f64 = 0.1368;
+const P: f64 = 0.35;
+
+fn wheelbase() -> f64 {
+    VehicleParameters::paper().wheelbase_m()
+}
+
+/// Equation 4: the velocity of P.
+fn point_velocity(
+    motion: &Motion,
+    steering: f64,
+    speed: f64,
+    steering_rate: f64,
+    l_f: f64,
+    p: f64,
+) -> Velocity {
+    let left = |angle: f64| direction(angle + std::f64::consts::FRAC_PI_2);
+    speed * direction(motion.yaw + motion.sideslip)
+        + l_f * motion.yaw_rate * left(motion.yaw)
+        + p * (motion.yaw_rate + steering_rate) * left(motion.yaw + steering)
+}
+
+prop_compose! {
+    fn motions()(
+        yaw in -7.0..7.0,
+        yaw_rate in -4.0..4.0,
+        sideslip in -0.6..0.6,
+    ) -> Motion {
+        Motion { yaw, yaw_rate, sideslip }
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_proposed_law_gives_p_the_velocity_wanted(
+        motion in motions(),
+        steering in -0.6..0.6,
+        vx in -2.0..2.0,
+        vy in -2.0..2.0,
+    ) {
+        let wanted = Velocity::new(vx, vy);
+        let law = FrontPointLaw::new(L_F, P, wheelbase()).unwrap();
+        let command = law.command(&motion, steering, &wanted).unwrap();
+        let velocity =
+            point_velocity(&motion, steering, command.speed, command.steering_rate, L_F, P);
+        prop_assert!((velocity - wanted).norm() < 1e-12, "{velocity} against {wanted}");
+    }
+
+    #[test]
+    fn with_a_wrong_centre_of_mass_the_deviation_is_that_of_equation_9(
+        motion in motions(),
+        steering in -0.6..0.6,
+        believed in 0.0..0.26,
+    ) {
+        let wanted = Velocity::new(0.4, -0.3);
+        let law = FrontPointLaw::new(believed, P, wheelbase()).unwrap();
+        let command = law.command(&motion, steering, &wanted).unwrap();
+        let velocity =
+            point_velocity(&motion, steering, command.speed, command.steering_rate, L_F, P);
+        let dl = believed - L_F;
+        let deviation =
+            dl * motion.yaw_rate * Velocity::new(motion.yaw.sin(), -motion.yaw.cos());
+        prop_assert!((velocity - wanted - deviation).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_appendix_law_turns_the_velocity_of_its_point_as_wanted(
+        motion in motions(),
+        pace in 0.1..2.0,
+        angle in -1.2..1.2,
+    ) {
+        let vehicle = VehicleParameters::paper();
+        let law = VelocityPointLaw::new(vehicle, P).unwrap();
+        let wanted = pace * direction(motion.yaw + motion.sideslip + angle);
+        let command = law.command(&motion, &wanted).unwrap();
+        let slope = SingleTrack::new(vehicle).derivative(
+            &SingleTrackState {
+                x: 0.0,
+                y: 0.0,
+                yaw: motion.yaw,
+                yaw_rate: motion.yaw_rate,
+                sideslip: motion.sideslip,
+            },
+            command.speed,
+            command.steering,
+        );
+        let course = motion.yaw + motion.sideslip;
+        let velocity = command.speed * direction(course)
+            + P * (slope.yaw + slope.sideslip)
+                * direction(course + std::f64::consts::FRAC_PI_2);
+        prop_assert!((velocity - wanted).norm() < 1e-9, "{velocity} against {wanted}");
+    }
+}
+
+#[test]
+fn wheels_across_the_velocity_are_refused_as_singular() {
+    let law = FrontPointLaw::new(L_F, P, wheelbase()).unwrap();
+    let motion = Motion {
+        yaw: 0.0,
+        yaw_rate: 0.0,
+        sideslip: 0.0,
+    };
+    for steering in [1.48, 1.57, 1.66, -1.57] {
+        assert!(matches!(
+            law.command(&motion, steering, &Velocity::new(0.5, 0.0)),
+            Err(Singularity::WheelsAcrossVelocity { .. })
+        ));
+    }
+    // The corner of the range that the paper calls typical.
+    let corner = Motion {
+        sideslip: 40.0_f64.to_radians(),
+        ..motion
+    };
+    assert!(
+        law.command(&corner, -50.0_f64.to_radians(), &Velocity::new(0.5, 0.0))
+            .is_err()
+    );
+}
+
+#[test]
+fn what_is_not_finite_is_refused() {
+    let law = FrontPointLaw::new(L_F, P, wheelbase()).unwrap();
+    let good = Motion {
+        yaw: 0.1,
+        yaw_rate: 0.2,
+        sideslip: 0.1,
+    };
+    for bad in [f64::NAN, f64::INFINITY] {
+        for motion in [
+            Motion { yaw: bad, ..good },
+            Motion {
+                yaw_rate: bad,
+                ..good
+            },
+            Motion {
+                sideslip: bad,
+                ..good
+            },
+        ] {
+            assert!(law.command(&motion, 0.1, &Velocity::new(0.5, 0.0)).is_err());
+        }
+        assert!(law.command(&good, bad, &Velocity::new(0.5, 0.0)).is_err());
+        assert!(law.command(&good, 0.1, &Velocity::new(0.5, bad)).is_err());
+    }
+}
+
+#[test]
+fn the_appendix_law_refuses_standstill_by_name() {
+    let law = VelocityPointLaw::new(VehicleParameters::paper(), P).unwrap();
+    let motion = Motion {
+        yaw: 0.0,
+        yaw_rate: 0.0,
+        sideslip: 0.0,
+    };
+    let error = law.command(&motion, &Velocity::new(0.0, 0.5)).unwrap_err();
+    assert!(matches!(error, Singularity::Standstill { .. }));
+    assert!(error.to_string().contains("standstill") || error.to_string().contains("moves"));
+}
+
+#[test]
+fn both_ends_of_the_meaningful_range_are_accepted_and_beyond_is_refused() {
+    for accepted in [0.0, 0.26, L_F + 0.1232] {
+        FrontPointLaw::new(accepted, P, wheelbase()).unwrap();
+    }
+    for refused in [-1e-6, 0.2601, f64::NAN] {
+        assert!(matches!(
+            FrontPointLaw::new(refused, P, wheelbase()),
+            Err(LawError::FrontAxleDistance { .. })
+        ));
+    }
+    for refused in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+        assert!(matches!(
+            FrontPointLaw::new(L_F, refused, wheelbase()),
+            Err(LawError::PointDistance(_))
+        ));
+    }
+}

@@ -1,0 +1,357 @@
+//! The pilot on a car that does exactly what it is told: modes, reasons, and
+//! what becomes of every way to go blind.
+
+use singletrack_control::{
+    BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, FrontPointLaw, InertialSample,
+    Limits, LinkState, Mode, Output, Pilot, PilotConfig, PoseMissing, PoseSample, Position,
+    ProportionalLoop, Reason, Reference, Request, SupervisorConfig, Time, TrackingLoop,
+    VehicleParameters, Velocity, VelocityStep, VelocitySteps, direction,
+};
+
+const TICK_NS: u64 = 10_000_000;
+
+/// A kinematic car with perfect sensors, and the pilot that drives it.
+struct Bench {
+    pilot: Pilot,
+    tick: u64,
+    position: Position,
+    yaw: f64,
+    speed: f64,
+    steering: f64,
+    board: BoardState,
+    link: bool,
+    imu: bool,
+    pose: Pose,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Pose {
+    Seen,
+    Missing,
+    Jumped,
+}
+
+fn config() -> PilotConfig {
+    let vehicle = VehicleParameters::paper();
+    PilotConfig {
+        law: FrontPointLaw::new(vehicle.front_axle_distance_m, 0.35, vehicle.wheelbase_m())
+            .unwrap(),
+        tracking: TrackingLoop::Proportional(ProportionalLoop {
+            gain: Velocity::new(1.0, 1.0),
+            feed_forward: true,
+        }),
+        reference: Reference::VelocitySteps(
+            VelocitySteps::new(&[VelocityStep {
+                duration: 5.0,
+                velocity: Velocity::new(0.5, 0.1),
+            }])
+            .unwrap(),
+        ),
+        limits: Limits::paper(),
+        estimator: EstimatorConfig::for_vehicle(&vehicle),
+        supervisor: SupervisorConfig::paper(),
+        stop_deceleration: 1.5,
+        period: 0.01,
+    }
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self {
+            pilot: Pilot::new(config()),
+            tick: 1000,
+            position: Position::origin(),
+            yaw: 0.0,
+            speed: 0.0,
+            steering: 0.0,
+            board: BoardState::Neutral,
+            link: true,
+            imu: true,
+            pose: Pose::Seen,
+        }
+    }
+
+    fn now(&self) -> Time {
+        Time(self.tick * TICK_NS)
+    }
+
+    fn step_with(&mut self, request: Option<Request>) -> Output {
+        self.tick += 1;
+        let wheelbase = VehicleParameters::paper().wheelbase_m();
+        let yaw_rate = self.speed * self.steering.tan() / wheelbase;
+        let sideslip = (0.1232 / wheelbase * self.steering.tan()).atan();
+        self.yaw += yaw_rate * 0.01;
+        self.position += self.speed * 0.01 * direction(self.yaw + sideslip);
+
+        let now = self.now();
+        let mut events = Vec::new();
+        if self.tick == 1001 {
+            events.push(Event::Link(LinkState::Ready));
+        }
+        if self.link {
+            events.push(Event::Board(BoardSample {
+                time: now,
+                inertial: self.imu.then_some(InertialSample {
+                    time: now,
+                    yaw_rate,
+                    forward_acceleration: 0.0,
+                    left_acceleration: self.speed * yaw_rate,
+                }),
+                motor_speed: self.speed,
+                state: self.board,
+            }));
+        }
+        events.push(match self.pose {
+            Pose::Seen | Pose::Jumped => Event::Pose(PoseSample {
+                capture: now,
+                receive: now,
+                frame: i32::try_from(self.tick).unwrap(),
+                position: if self.pose == Pose::Jumped {
+                    self.position + Velocity::new(0.5, 0.0)
+                } else {
+                    self.position
+                },
+                yaw: self.yaw,
+            }),
+            Pose::Missing => Event::PoseMissing(PoseMissing::Untracked),
+        });
+        events.extend(request.map(Event::Request));
+        let output = self.pilot.step(now, &events);
+        if let Some(command) = output.command {
+            self.speed = command.rear_speed;
+            self.steering = command.steering;
+            self.board = BoardState::Driving;
+        }
+        match output.request {
+            Some(BoardRequest::Arm) => self.board = BoardState::Armed,
+            Some(BoardRequest::Disarm) => {
+                self.board = BoardState::Neutral;
+                self.speed = 0.0;
+            }
+            Some(BoardRequest::EmergencyStop) => {
+                self.board = BoardState::EmergencyStopped;
+                self.speed = 0.0;
+            }
+            None => {}
+        }
+        output
+    }
+
+    fn step(&mut self) -> Output {
+        self.step_with(None)
+    }
+
+    fn run(&mut self, ticks: u32) -> Output {
+        for _ in 1..ticks {
+            self.step();
+        }
+        self.step()
+    }
+
+    fn drive(&mut self) {
+        assert_eq!(self.run(100).mode, Mode::Ready);
+        self.step_with(Some(Request::Arm));
+        let output = self.run(3);
+        assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+        self.run(100);
+        assert!(self.speed > 0.3);
+    }
+
+    /// Runs until the pilot no longer drives or stops; returns the last output
+    /// and the seconds that it took to stand.
+    fn run_until_idle(&mut self) -> (Output, f64) {
+        let mut stood = None;
+        for tick in 0..500 {
+            let output = self.step();
+            if self.speed == 0.0 && stood.is_none() {
+                stood = Some(f64::from(tick) * 0.01);
+            }
+            if !matches!(output.mode, Mode::Driving | Mode::Stopping) {
+                return (output, stood.unwrap_or(f64::INFINITY));
+            }
+        }
+        panic!("never stopped");
+    }
+}
+
+#[test]
+fn it_drives_only_after_an_explicit_request() {
+    let mut bench = Bench::new();
+    for _ in 0..2000 {
+        let output = bench.step();
+        assert!(output.command.is_none() && output.request.is_none());
+    }
+    assert_eq!(bench.pilot.mode(), Mode::Ready);
+}
+
+#[test]
+fn a_request_made_too_early_is_refused_with_a_reason_and_not_kept() {
+    let mut bench = Bench::new();
+    bench.pose = Pose::Missing;
+    bench.run(100);
+    let output = bench.step_with(Some(Request::Arm));
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::NoPose))
+    );
+    bench.pose = Pose::Seen;
+    for _ in 0..300 {
+        assert_ne!(bench.step().mode, Mode::Driving);
+    }
+}
+
+#[test]
+fn a_short_marker_loss_is_driven_through_with_the_last_pose() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.pose = Pose::Missing;
+    let mut held = None;
+    for tick in 0..20 {
+        let output = bench.step();
+        assert_eq!(output.mode, Mode::Driving);
+        assert!(output.held);
+        let estimate = output.estimate.unwrap();
+        if tick > 3 {
+            let pose = (estimate.position, estimate.yaw);
+            assert_eq!(*held.get_or_insert(pose), pose, "the pose is held");
+        }
+    }
+    bench.pose = Pose::Seen;
+    let output = bench.step();
+    assert!(!output.held);
+    assert!((output.estimate.unwrap().position - bench.position).norm() < 0.02);
+}
+
+#[test]
+fn a_long_marker_loss_ends_in_a_stop_that_says_why() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.pose = Pose::Missing;
+    let (output, seconds) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::PoseTooOld));
+    // Hold, then ramp: 0.3 s, and 0.5 m/s at 1.5 m/s².
+    assert!(seconds < 0.9, "{seconds} s");
+}
+
+#[test]
+fn a_stop_stays_told_until_the_next_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(Request::Disarm));
+    let (output, _) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::Requested));
+    let output = bench.run(50);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Ready, Some(Reason::Requested))
+    );
+    bench.step_with(Some(Request::Arm));
+    let output = bench.run(3);
+    assert_eq!((output.mode, output.reason), (Mode::Driving, None));
+}
+
+#[test]
+fn the_end_of_the_reference_ends_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let (output, _) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::ReferenceFinished));
+}
+
+#[test]
+fn a_silent_imu_ends_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.imu = false;
+    let (output, seconds) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::ImuSilent));
+    assert!(seconds < 0.6);
+}
+
+#[test]
+fn poses_that_gyro_and_speed_cannot_explain_are_refused_and_end_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let before = bench.step().estimate.unwrap();
+    bench.pose = Pose::Jumped;
+    let after = bench.step().estimate.unwrap();
+    assert!(
+        (after.position - before.position).norm() < 0.02,
+        "one jump moves nothing"
+    );
+    let (output, seconds) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::PoseImplausible));
+    assert!(seconds < 0.7);
+}
+
+#[test]
+fn a_lost_link_ends_the_drive_at_once_and_its_return_does_not_start_it() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.tick += 1;
+    let output = bench
+        .pilot
+        .step(bench.now(), &[Event::Link(LinkState::Down)]);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Disconnected, Some(Reason::LinkDown))
+    );
+    assert!(output.command.is_none());
+    bench.speed = 0.0;
+    bench.board = BoardState::Neutral;
+    bench.tick += 1;
+    bench
+        .pilot
+        .step(bench.now(), &[Event::Link(LinkState::Ready)]);
+    for _ in 0..300 {
+        let output = bench.step();
+        assert!(output.command.is_none() && output.request.is_none());
+    }
+}
+
+#[test]
+fn a_board_that_stops_by_itself_is_followed_and_not_armed_again() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.board = BoardState::Failsafe;
+    let output = bench.step();
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::BoardFailsafe))
+    );
+    bench.speed = 0.0;
+    for _ in 0..300 {
+        let output = bench.step();
+        assert!(output.command.is_none() && output.request.is_none());
+    }
+}
+
+#[test]
+fn an_emergency_stop_is_passed_on_in_any_mode_and_latched() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let output = bench.step_with(Some(Request::EmergencyStop));
+    assert_eq!(output.request, Some(BoardRequest::EmergencyStop));
+    assert!(output.command.is_none());
+    assert_eq!(output.mode, Mode::Fault);
+    let output = bench.step_with(Some(Request::Disarm));
+    assert_eq!(output.mode, Mode::Fault, "the board is still stopped");
+    for _ in 0..100 {
+        assert!(bench.step_with(Some(Request::Arm)).command.is_none());
+    }
+}
+
+#[test]
+fn the_same_events_give_the_same_bits() {
+    let run = || {
+        let mut bench = Bench::new();
+        bench.drive();
+        bench.pose = Pose::Missing;
+        bench.run(15);
+        bench.pose = Pose::Seen;
+        (0..200)
+            .map(|_| format!("{:?}", bench.step()))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(run(), run());
+}
