@@ -207,11 +207,13 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
     }
     let before = bench.clock.host_time_ns(bench.stamp());
     let now_ns = bench.host_ns + 1_000_000;
-    assert_eq!(
-        bench.clock.observe(now_ns, 3_000_000_000),
-        Observation::Implausible
-    );
-    assert_eq!(bench.clock.host_time_ns(bench.stamp()), before);
+    // Behind, the same again, and an hour ahead.
+    for stamp_us in [3_000_000_000, bench.stamp(), 1_000_000_000] {
+        let mut clock = bench.clock.clone();
+        assert_eq!(clock.observe(now_ns, stamp_us), Observation::Implausible);
+        assert_eq!(clock.host_time_ns(bench.stamp()), before);
+    }
+    bench.clock.observe(now_ns, 3_000_000_000);
     // The record after it fits: the run of impossible ones is over.
     bench.record();
     let now_ns = bench.host_ns + 1_000_000;
@@ -225,6 +227,25 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
         bench.clock.observe(now_ns + 20_000_000, 20_010),
         Observation::Mapped(_)
     ));
+}
+
+#[test]
+fn the_first_record_held_up_misplaces_none_after_it() {
+    let mut clock = BoardClock::new();
+    // The first record was held up for 50 ms; the second one shows it.
+    let first = clock.observe(START_NS + 50_000_000, 0);
+    let second = clock.observe(START_NS + 50_000_001, 10_000);
+    let third = clock.observe(START_NS + 50_000_002, 50_000);
+    for (observation, at_ns) in [
+        (first, START_NS + 50_000_000),
+        (second, START_NS + 50_000_001),
+        (third, START_NS + 50_000_002),
+    ] {
+        let Observation::Mapped(stamp) = observation else {
+            panic!("{observation:?}");
+        };
+        assert_eq!(stamp.host_time_ns, at_ns);
+    }
 }
 
 proptest! {

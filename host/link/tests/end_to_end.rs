@@ -1,10 +1,10 @@
-//! The session and a board, with a bad line between them.
+//! The session and the real board, with a bad line between them.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
 mod common;
 
-use common::stand_in::StandIn;
+use common::board::TestBoard;
 use common::wire::{Faults, Noise, Wire};
 use common::{MS, START_NS, configuration, session_config};
 use proptest::prelude::*;
@@ -18,7 +18,7 @@ const SKEW: f64 = 0.004;
 struct World {
     now_ns: u64,
     session: Session,
-    board: Option<StandIn>,
+    board: Option<TestBoard>,
     to_board: Wire,
     to_host: Wire,
     events: Vec<Event>,
@@ -47,7 +47,7 @@ impl World {
     /// A configured board, out of its boot time.
     fn ready(seed: u64) -> Self {
         let mut world = Self::new(seed, Faults::default());
-        world.board = Some(StandIn::started(world.board_us()));
+        world.board = Some(TestBoard::started());
         world.session.opened(world.now_ns);
         world.run(2_500);
         world
@@ -69,7 +69,7 @@ impl World {
     }
 
     fn board_mode(&self) -> BoardMode {
-        self.board.as_ref().expect("a board").mode
+        self.board.as_ref().expect("a board").mode()
     }
 
     fn arm(&mut self) {
@@ -132,9 +132,9 @@ impl World {
     /// What must hold whatever happens on the line.
     fn check(&self) {
         if let (State::Ready { .. }, Some(board)) = (self.session.state(), &self.board) {
-            let restarted = board.configuration.is_none();
+            let restarted = board.configuration().is_none();
             // A board that has just restarted has not yet been heard of.
-            let hash = board.configuration.map(|it| it.hash());
+            let hash = board.configuration().map(Configuration::hash);
             assert!(
                 restarted || hash == Some(self.session.configuration_hash()),
                 "ready with {hash:?}"
@@ -157,7 +157,7 @@ fn a_board_that_boots_for_three_seconds_is_configured_armed_and_driven() {
     world.to_host.put(world.now_ns, &[0xff, 0x14, 0x80, 0x10]);
     world.run(3_000);
     assert!(matches!(world.session.state(), State::Greeting { .. }));
-    world.board = Some(StandIn::started(world.board_us()));
+    world.board = Some(TestBoard::started());
     world.run(100);
     assert_eq!(
         world.session.state(),
@@ -200,7 +200,7 @@ fn telemetry_stamps_are_right_to_a_millisecond_over_the_wrap() {
 fn a_board_that_restarts_while_driving_is_configured_anew_and_stays_idle() {
     let mut world = World::driving(3);
     world.events.clear();
-    world.board = Some(StandIn::started(world.board_us()));
+    world.board = Some(TestBoard::started());
     world.run(5_000);
     assert_eq!(
         world.count(|event| matches!(
@@ -213,7 +213,7 @@ fn a_board_that_restarts_while_driving_is_configured_anew_and_stays_idle() {
     );
     assert_eq!(world.board_mode(), BoardMode::Neutral);
     assert_eq!(world.board.as_ref().unwrap().armed, 0);
-    assert!(world.board.as_ref().unwrap().configuration.is_some());
+    assert!(world.board.as_ref().unwrap().configuration().is_some());
     // Driving again takes an explicit request, and then works.
     world.arm();
     world.run(100);
@@ -261,7 +261,7 @@ fn commands_from_a_line_that_was_stuck_drive_nothing() {
     world.run(200);
     let board = world.board.as_ref().unwrap();
     assert_eq!((board.driven, board.armed), (driven, 1));
-    assert_eq!(board.mode, BoardMode::Failsafe);
+    assert_eq!(board.mode(), BoardMode::Failsafe);
 }
 
 #[test]
@@ -372,7 +372,7 @@ proptest! {
         actions in prop::collection::vec(action(), 1..40),
     ) {
         let mut world = World::new(seed, Faults::default());
-        world.board = Some(StandIn::started(world.board_us()));
+        world.board = Some(TestBoard::started());
         world.driving = true;
         world.session.opened(world.now_ns);
         for action in actions {
@@ -402,7 +402,7 @@ proptest! {
                 Action::StartBoard => {
                     world.to_board.clear();
                     world.arms_asked = 0;
-                    world.board = Some(StandIn::started(world.board_us()));
+                    world.board = Some(TestBoard::started());
                     // A request that is still pending may be sent to this one
                     // before its greeting is heard; it has no configuration.
                 }
@@ -420,7 +420,7 @@ proptest! {
         world.to_host.faults = Faults::default();
         world.to_board.stuck = false;
         if world.board.is_none() {
-            world.board = Some(StandIn::started(world.board_us()));
+            world.board = Some(TestBoard::started());
         }
         world.run(3_000);
         world.check();

@@ -308,6 +308,33 @@ fn an_unsolicited_hello_while_driving_configures_the_board_anew_and_waits() {
 }
 
 #[test]
+fn a_restart_that_is_announced_after_the_loss_is_still_told_once() {
+    let mut bench = Bench::ready();
+    bench.pass_in_silence(300 * MS);
+    let nonce = bench.nonce();
+    bench.announce_restart();
+    bench.announce_restart();
+    assert_ne!(bench.nonce(), nonce);
+    assert_eq!(bench.session.counters().board_restarts, 1);
+    bench.answer_hello();
+    bench.answer_configure();
+    assert!(bench.is_ready());
+}
+
+#[test]
+fn what_a_bootloader_says_does_not_count_against_the_line() {
+    let mut bench = Bench::opened();
+    for _ in 0..50 {
+        bench.bytes(&[3, 1, 2, 0]);
+    }
+    bench.answer_hello();
+    let quality = bench.session.line_quality(bench.now_ns);
+    assert_eq!(quality.damaged, 0);
+    assert_eq!(bench.session.counters().crc_errors, 0);
+    assert_eq!(bench.session.counters().decode_errors, 50);
+}
+
+#[test]
 fn a_restart_that_was_not_announced_is_seen_by_the_boards_clock() {
     let mut bench = Bench::armed();
     bench.board_time_us = 500;

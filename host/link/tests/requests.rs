@@ -187,6 +187,19 @@ fn a_disarm_is_repeated_until_telemetry_after_its_answer_shows_it() {
 }
 
 #[test]
+fn the_answer_to_an_earlier_stop_confirms_nothing() {
+    let mut bench = Bench::ready();
+    let sequence = bench.session.disarm(bench.now_ns);
+    bench.acknowledge(Request::Disarm, Sequence(sequence.0.wrapping_sub(2)));
+    bench.acknowledge(Request::EmergencyStop, sequence);
+    bench.pass(100 * MS);
+    assert!(bench.session.is_stop_pending());
+    bench.acknowledge(Request::Disarm, sequence);
+    bench.pass(10 * MS);
+    assert!(!bench.session.is_stop_pending());
+}
+
+#[test]
 fn while_a_stop_is_pending_nothing_drives_or_arms() {
     let mut bench = Bench::armed();
     bench.session.disarm(bench.now_ns);
@@ -334,6 +347,17 @@ fn the_round_trip_is_measured_from_command_to_first_echo() {
     let round_trip = bench.session.round_trip().unwrap();
     assert_eq!(round_trip.min_ns, 7 * MS);
     assert_eq!(round_trip.last_ns, 9 * MS);
+}
+
+#[test]
+fn an_echo_from_before_a_loss_measures_no_round_trip() {
+    let mut bench = Bench::armed();
+    bench.last_sequence = drive(&mut bench, COMMAND).sequence;
+    bench.pass_in_silence(250 * MS);
+    bench.answer_hello();
+    bench.answer_configure();
+    bench.pass(100 * MS);
+    assert_eq!(bench.session.round_trip(), None);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 #![allow(dead_code)] // Each test binary uses its own part.
 
-pub(crate) mod stand_in;
+pub(crate) mod board;
 pub(crate) mod wire;
 
 use std::num::NonZeroU32;
