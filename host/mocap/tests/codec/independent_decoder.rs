@@ -1,0 +1,143 @@
+//! An independent decoder reads what we write.
+
+use core::net::Ipv4Addr;
+use core::num::NonZeroU64;
+
+use natnet::{DataSet, Decoder, FrameOfData, Message, ParsePolicy, Version};
+use proptest::prelude::*;
+use singletrack_mocap::codec::{
+    BitstreamVersion, Connection, DataChannel, RigidBodyDefinition, ServerInfo,
+};
+use singletrack_mocap::encode::{self, Dataset, DefinitionMarker};
+
+use crate::encoded;
+use crate::strategies::any_frame;
+
+/// The versions that both read.
+const SHARED: [BitstreamVersion; 4] = [
+    BitstreamVersion::V3_0,
+    BitstreamVersion::V3_1,
+    BitstreamVersion::V4_0,
+    BitstreamVersion::V4_1,
+];
+
+fn decode(datagram: &[u8], version: BitstreamVersion) -> Message {
+    Decoder::new(Version::from_bytes(version.to_wire()))
+        .unwrap()
+        .with_policy(ParsePolicy::Strict)
+        .parse(datagram)
+        .unwrap()
+        .into_message()
+}
+
+fn frame_of(message: Message) -> FrameOfData {
+    match message {
+        Message::FrameOfData(frame) => *frame,
+        other => panic!("not a frame: {other:?}"),
+    }
+}
+
+proptest! {
+    #[test]
+    fn frames_are_read_to_the_same_values(frame in any_frame()) {
+        for version in SHARED {
+            let theirs = frame_of(decode(&frame.encode(version), version));
+            prop_assert_eq!(theirs.frame_number, frame.number);
+            prop_assert_eq!(theirs.rigid_bodies.len(), frame.rigid_bodies.len());
+            for (theirs, ours) in theirs.rigid_bodies.iter().zip(&frame.rigid_bodies) {
+                prop_assert_eq!(theirs.id, ours.id);
+                prop_assert_eq!(theirs.position, ours.position_m);
+                prop_assert_eq!(theirs.orientation, ours.orientation_xyzw);
+                prop_assert_eq!(theirs.mean_marker_error, ours.mean_error_m);
+                prop_assert_eq!(theirs.params, ours.params);
+                prop_assert_eq!(theirs.tracking_valid(), ours.tracking_valid());
+            }
+            let names: Vec<_> = theirs.marker_sets.iter().map(|set| &set.name).collect();
+            let expected: Vec<_> = frame.marker_sets.iter().map(|(name, _)| name).collect();
+            prop_assert_eq!(names, expected);
+            prop_assert_eq!(&theirs.other_markers, &frame.other_markers);
+            prop_assert_eq!(theirs.labeled_markers.len(), frame.labelled_markers.len());
+            prop_assert_eq!(theirs.skeletons.count as usize, frame.skeletons.len());
+            prop_assert_eq!(theirs.force_plates.count as usize, frame.force_plates.len());
+            prop_assert_eq!(theirs.devices.count as usize, frame.devices.len());
+            let timing = theirs.timing;
+            prop_assert_eq!([timing.timecode, timing.timecode_subframe], frame.timecode);
+            prop_assert_eq!(timing.timestamp.to_bits(), frame.timestamp_s.to_bits());
+            prop_assert_eq!(timing.camera_mid_exposure, frame.ticks.mid_exposure);
+            prop_assert_eq!(timing.camera_data_received, frame.ticks.received);
+            prop_assert_eq!(timing.transmit, frame.ticks.transmit);
+            prop_assert_eq!(theirs.params, frame.flags.0);
+            if version == BitstreamVersion::V4_1 {
+                prop_assert_eq!(theirs.assets.count as usize, frame.assets.len());
+                prop_assert_eq!(timing.precision_timestamp_secs, frame.precision_time.seconds);
+            }
+        }
+    }
+}
+
+#[test]
+fn model_definitions_are_read_to_the_same_values() {
+    let definition = RigidBodyDefinition {
+        name: "car",
+        id: 42,
+        parent_id: -1,
+        offset_m: [0.1, 0.2, 0.3],
+    };
+    let datasets = [
+        Dataset::MarkerSet {
+            name: "all",
+            marker_names: &["a", "b"],
+        },
+        Dataset::RigidBody {
+            definition,
+            markers: &[DefinitionMarker {
+                position_m: [1.0, 2.0, 3.0],
+                label: 5,
+                name: "front",
+            }],
+        },
+    ];
+    for version in SHARED {
+        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let Message::ModelDef(theirs) = decode(&datagram, version) else {
+            panic!("not model definitions");
+        };
+        let [DataSet::MarkerSet(set), DataSet::RigidBody(body)] = &theirs.datasets[..] else {
+            panic!("not the datasets written: {theirs:?}");
+        };
+        assert_eq!(set.marker_names, ["a", "b"]);
+        assert_eq!(body.name, definition.name);
+        assert_eq!(body.id, definition.id);
+        assert_eq!(body.parent_id, definition.parent_id);
+        assert_eq!(body.offset, definition.offset_m);
+    }
+}
+
+#[test]
+fn server_info_is_read_to_the_same_values() {
+    let group = Ipv4Addr::new(239, 255, 42, 99);
+    let info = ServerInfo {
+        application: "Motive",
+        application_version: [3, 1, 2, 1],
+        natnet_version: [4, 1, 0, 0],
+        connection: Some(Connection {
+            ticks_per_second: NonZeroU64::new(10_000_000),
+            data_channel: DataChannel {
+                port: 1511,
+                multicast: true,
+                group,
+            },
+        }),
+    };
+    let datagram = encoded(|out| encode::server_info(&info, out));
+    let Message::ServerInfo(theirs) = decode(&datagram, BitstreamVersion::V4_1) else {
+        panic!("not a server info");
+    };
+    assert_eq!(theirs.application_name, "Motive");
+    assert_eq!(theirs.server_version, Version::new(3, 1, 2, 1));
+    assert_eq!(theirs.protocol_version, Version::V4_1);
+    assert_eq!(theirs.high_res_clock_frequency, 10_000_000);
+    assert_eq!(theirs.connection.data_port, 1511);
+    assert!(theirs.connection.multicast);
+    assert_eq!(theirs.multicast_group(), group);
+}

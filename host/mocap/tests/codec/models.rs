@@ -1,0 +1,239 @@
+//! Model definitions.
+
+use proptest::collection::vec;
+use proptest::prelude::*;
+use singletrack_mocap::codec::{
+    BitstreamVersion, DecodeError, ModelDefinitions, RigidBodyDefinition, ServerMessage,
+};
+use singletrack_mocap::encode::{self, Dataset, DefinitionMarker};
+
+use crate::strategies::{name, number};
+use crate::{all_versions, encoded, with_fitting_header};
+
+type OwnedBody = (String, i32, i32, [f32; 3]);
+
+#[derive(Debug, Clone)]
+enum OwnedDataset {
+    RigidBody(OwnedBody, Vec<([f32; 3], i32, String)>),
+    MarkerSet(String, Vec<String>),
+    Skeleton(String, i32, Vec<OwnedBody>),
+    ForcePlate,
+    Device,
+    Camera,
+}
+
+fn body() -> impl Strategy<Value = OwnedBody> {
+    (
+        name(),
+        any::<i32>(),
+        any::<i32>(),
+        [number(), number(), number()],
+    )
+}
+
+fn dataset() -> impl Strategy<Value = OwnedDataset> {
+    let marker = ([number(), number(), number()], any::<i32>(), name());
+    prop_oneof![
+        3 => (body(), vec(marker, 0..4))
+            .prop_map(|(body, markers)| OwnedDataset::RigidBody(body, markers)),
+        1 => (name(), vec(name(), 0..4))
+            .prop_map(|(name, markers)| OwnedDataset::MarkerSet(name, markers)),
+        1 => (name(), any::<i32>(), vec(body(), 0..4))
+            .prop_map(|(name, id, bones)| OwnedDataset::Skeleton(name, id, bones)),
+        1 => Just(OwnedDataset::ForcePlate),
+        1 => Just(OwnedDataset::Device),
+        1 => Just(OwnedDataset::Camera),
+    ]
+}
+
+fn definition((name, id, parent_id, offset_m): &OwnedBody) -> RigidBodyDefinition<'_> {
+    RigidBodyDefinition {
+        name,
+        id: *id,
+        parent_id: *parent_id,
+        offset_m: *offset_m,
+    }
+}
+
+/// id, serial, geometry, two types, two channels.
+fn force_plate() -> Vec<u8> {
+    let mut bytes = vec![1, 0, 0, 0, b'F', b'P', 0];
+    bytes.resize(bytes.len() + (2 + 3 + 144 + 12) * 4 + 8, 0x11);
+    bytes.extend_from_slice(b"\x02\0\0\0Fx\0Fy\0");
+    bytes
+}
+
+/// id, name, serial, two types, one channel.
+fn device() -> Vec<u8> {
+    b"\x05\0\0\0NI\x001234\0\x01\0\0\0\x02\0\0\0\x01\0\0\0ai0\0".to_vec()
+}
+
+/// name, position, orientation.
+fn camera() -> Vec<u8> {
+    let mut bytes = b"Prime 13\0".to_vec();
+    bytes.resize(bytes.len() + 7 * 4, 0x22);
+    bytes
+}
+
+fn encode_all(datasets: &[OwnedDataset], version: BitstreamVersion) -> Vec<u8> {
+    let (force_plate, device, camera) = (force_plate(), device(), camera());
+    let markers: Vec<Vec<DefinitionMarker<'_>>> = datasets
+        .iter()
+        .map(|dataset| match dataset {
+            OwnedDataset::RigidBody(_, markers) => markers
+                .iter()
+                .map(|(position_m, label, name)| DefinitionMarker {
+                    position_m: *position_m,
+                    label: *label,
+                    name,
+                })
+                .collect(),
+            _ => vec![],
+        })
+        .collect();
+    let names: Vec<Vec<&str>> = datasets
+        .iter()
+        .map(|dataset| match dataset {
+            OwnedDataset::MarkerSet(_, names) => names.iter().map(String::as_str).collect(),
+            _ => vec![],
+        })
+        .collect();
+    let bones: Vec<Vec<RigidBodyDefinition<'_>>> = datasets
+        .iter()
+        .map(|dataset| match dataset {
+            OwnedDataset::Skeleton(_, _, bones) => bones.iter().map(definition).collect(),
+            _ => vec![],
+        })
+        .collect();
+    let borrowed: Vec<Dataset<'_>> = datasets
+        .iter()
+        .enumerate()
+        .map(|(index, dataset)| match dataset {
+            OwnedDataset::RigidBody(body, _) => Dataset::RigidBody {
+                definition: definition(body),
+                markers: &markers[index],
+            },
+            OwnedDataset::MarkerSet(name, _) => Dataset::MarkerSet {
+                name,
+                marker_names: &names[index],
+            },
+            OwnedDataset::Skeleton(name, id, _) => Dataset::Skeleton {
+                name,
+                id: *id,
+                bones: &bones[index],
+            },
+            OwnedDataset::ForcePlate => Dataset::Other {
+                type_id: 3,
+                body: &force_plate,
+            },
+            OwnedDataset::Device => Dataset::Other {
+                type_id: 4,
+                body: &device,
+            },
+            OwnedDataset::Camera => Dataset::Other {
+                type_id: 5,
+                body: &camera,
+            },
+        })
+        .collect();
+    encoded(|out| encode::model_definitions(version, &borrowed, out))
+}
+
+fn decode(datagram: &[u8], version: BitstreamVersion) -> Result<ModelDefinitions<'_>, DecodeError> {
+    match ServerMessage::decode(datagram, version)? {
+        ServerMessage::ModelDefinitions(definitions) => Ok(definitions),
+        other => panic!("not model definitions: {other:?}"),
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_rigid_bodies_of_any_definitions_are_found(datasets in vec(dataset(), 0..8)) {
+        let expected: Vec<_> = datasets
+            .iter()
+            .filter_map(|dataset| match dataset {
+                OwnedDataset::RigidBody(body, _) => Some(definition(body)),
+                _ => None,
+            })
+            .collect();
+        for version in all_versions() {
+            let datagram = encode_all(&datasets, version);
+            let definitions = decode(&datagram, version).unwrap();
+            prop_assert_eq!(definitions.dataset_count, datasets.len());
+            prop_assert_eq!(definitions.rigid_bodies().collect::<Vec<_>>(), expected.clone());
+        }
+    }
+
+    #[test]
+    fn every_strict_prefix_and_every_surplus_is_refused(datasets in vec(dataset(), 0..3)) {
+        for version in all_versions() {
+            let datagram = encode_all(&datasets, version);
+            for len in 4..datagram.len() {
+                let prefix = with_fitting_header(datagram[..len].to_vec());
+                prop_assert!(decode(&prefix, version).is_err());
+            }
+            let mut longer = datagram;
+            longer.push(0);
+            let is_trailing = matches!(
+                decode(&with_fitting_header(longer), version),
+                Err(DecodeError::TrailingBytes { .. })
+            );
+            prop_assert!(is_trailing);
+        }
+    }
+
+    #[test]
+    fn random_damage_never_panics(
+        datasets in vec(dataset(), 0..4),
+        damage in vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+    ) {
+        for version in all_versions() {
+            let mut datagram = encode_all(&datasets, version);
+            for (index, byte) in &damage {
+                *index.get_mut(&mut datagram[4..]) = *byte;
+            }
+            if let Ok(ServerMessage::ModelDefinitions(definitions)) =
+                ServerMessage::decode(&datagram, version)
+            {
+                prop_assert!(definitions.rigid_bodies().count() <= definitions.dataset_count);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_unknown_dataset_is_skipped_by_size_or_refused_by_type() {
+    let datasets = [
+        Dataset::Other {
+            type_id: 77,
+            body: &[1, 2, 3, 4, 5],
+        },
+        Dataset::rigid_body(RigidBodyDefinition {
+            name: "car",
+            id: 4,
+            parent_id: -1,
+            offset_m: [0.0; 3],
+        }),
+    ];
+    for version in all_versions() {
+        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let definitions = decode(&datagram, version);
+        if version >= BitstreamVersion::V4_1 {
+            let ids: Vec<i32> = definitions
+                .unwrap()
+                .rigid_bodies()
+                .map(|body| body.id)
+                .collect();
+            assert_eq!(ids, [4]);
+        } else {
+            assert_eq!(
+                definitions.unwrap_err(),
+                DecodeError::UnknownDataset {
+                    offset: 8,
+                    type_id: 77,
+                    version
+                }
+            );
+        }
+    }
+}

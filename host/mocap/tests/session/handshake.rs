@@ -1,0 +1,287 @@
+//! From the first CONNECT to the first frame, and back again.
+
+use std::net::SocketAddr;
+
+use singletrack_mocap::codec::{BitstreamVersion, UnsupportedVersion};
+use singletrack_mocap::{
+    Binding, Config, ConfigError, Event, Outcome, Phase, PoseState, RestartReason, Session,
+    Transport, UpAxis,
+};
+
+use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};
+
+#[test]
+fn a_session_connects_binds_the_name_and_sees_the_car() {
+    let mut world = World::connected(config(UNICAST));
+    assert_eq!(
+        world.session.phase(),
+        Phase::Streaming(BitstreamVersion::V4_1)
+    );
+    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
+    assert!(matches!(
+        world.next_state(&Frame::at_rest(1)),
+        PoseState::Valid(_)
+    ));
+}
+
+#[test]
+fn connect_is_repeated_until_the_server_answers() {
+    let mut world = World::new(config(UNICAST));
+    world.server.answers = false;
+    world.run(1_900 * MS);
+    assert_eq!(world.count_sent(&Sent::Connect), 4);
+    assert_eq!(world.session.phase(), Phase::Connecting);
+    world.server.answers = true;
+    world.run(200 * MS);
+    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+}
+
+#[test]
+fn a_network_that_loses_half_of_all_datagrams_only_delays_the_binding() {
+    let mut world = World::new(config(UNICAST));
+    world.server.native = [4, 4];
+    let mut random = jitter(1);
+    world.network = Box::new(move |_| (random(2) == 0).then_some(100_000));
+    for number in 0..1_500 {
+        world.run(10 * MS);
+        world.frame(&Frame::at_rest(number));
+    }
+    assert!(matches!(world.session.phase(), Phase::Streaming(_)));
+    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+}
+
+#[test]
+fn a_newer_server_is_asked_for_the_configured_bitstream() {
+    let mut world = World::new(config(UNICAST));
+    world.server.native = [4, 9];
+    world.run(20 * MS);
+    assert_eq!(
+        world.count_sent(&Sent::Request("Bitstream,4.1".to_owned())),
+        1
+    );
+    assert_eq!(
+        world.session.phase(),
+        Phase::Streaming(BitstreamVersion::V4_1)
+    );
+    assert!(matches!(
+        world.next_state(&Frame::at_rest(1)),
+        PoseState::Valid(_)
+    ));
+}
+
+#[test]
+fn an_older_server_is_taken_as_it_is() {
+    for (native, version) in [
+        ([3, 0], BitstreamVersion::V3_0),
+        ([2, 9], BitstreamVersion::V2_9),
+        ([2, 7], BitstreamVersion::V2_7),
+    ] {
+        let mut world = World::new(config(UNICAST));
+        world.server.native = native;
+        world.run(20 * MS);
+        assert_eq!(world.session.phase(), Phase::Streaming(version));
+        assert!(matches!(
+            world.next_state(&Frame::at_rest(1)),
+            PoseState::Valid(_)
+        ));
+    }
+}
+
+#[test]
+fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
+    for status in [Some(1), None] {
+        let mut world = World::new(config(UNICAST));
+        world.server.native = [4, 3];
+        world.server.bitstream_status = status;
+        world.run(20 * MS);
+        let kept = BitstreamVersion::new(4, 3).unwrap();
+        assert_eq!(world.session.phase(), Phase::Streaming(kept));
+        assert!(world.events.contains(&Event::BitstreamKept {
+            requested: BitstreamVersion::V4_1,
+            kept
+        }));
+    }
+}
+
+#[test]
+fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
+    let mut world = World::new(config(UNICAST));
+    world.server.native = [4, 5];
+    world.server.bitstream_status = Some(1);
+    world.run(3 * S);
+    let refusal = UnsupportedVersion { major: 4, minor: 5 };
+    assert_eq!(world.session.phase(), Phase::Refused(refusal));
+    let told = world
+        .events
+        .iter()
+        .filter(|event| **event == Event::Refused(refusal))
+        .count();
+    assert_eq!(told, 1);
+    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
+    assert_eq!(world.session.counters().early, 1);
+
+    world.server.native = [4, 1];
+    world.run(S);
+    assert_eq!(
+        world.session.phase(),
+        Phase::Streaming(BitstreamVersion::V4_1)
+    );
+}
+
+#[test]
+fn an_ancient_server_is_refused_without_asking() {
+    let mut world = World::new(config(UNICAST));
+    world.server.native = [2, 5];
+    world.run(20 * MS);
+    assert_eq!(
+        world.session.phase(),
+        Phase::Refused(UnsupportedVersion { major: 2, minor: 5 })
+    );
+    assert_eq!(world.sent.len(), 1);
+}
+
+#[test]
+fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
+    let mut world = World::new(config(Transport::Multicast));
+    world.server.native = [4, 2];
+    world.server.multicast = true;
+    world.run(5 * S);
+    assert_eq!(world.count_sent(&Sent::KeepAlive), 0);
+    assert!(
+        world
+            .sent
+            .iter()
+            .all(|(_, sent)| !matches!(sent, Sent::Request(_)))
+    );
+    let version = BitstreamVersion::V4_2;
+    assert!(
+        world.events.iter().any(
+            |event| matches!(event, Event::Connected(connected) if connected.version == version)
+        )
+    );
+
+    let mut world = World::new(config(Transport::Multicast));
+    world.server.native = [4, 5];
+    world.run(20 * MS);
+    assert_eq!(
+        world.session.phase(),
+        Phase::Refused(UnsupportedVersion { major: 4, minor: 5 })
+    );
+}
+
+#[test]
+fn a_server_that_streams_the_other_way_is_told_of() {
+    let mut world = World::new(config(UNICAST));
+    world.server.multicast = true;
+    world.run(20 * MS);
+    assert!(world.events.contains(&Event::TransportMismatch {
+        server_multicast: true
+    }));
+}
+
+#[test]
+fn keep_alive_and_echo_keep_their_rates() {
+    let mut world = World::connected(config(UNICAST));
+    for number in 0..1_000 {
+        world.next_state(&Frame::at_rest(number));
+    }
+    world.sent.clear();
+    for number in 1_000..2_000 {
+        world.next_state(&Frame::at_rest(number));
+    }
+    assert_eq!(world.count_sent(&Sent::KeepAlive), 10);
+    assert!((10..=20).contains(&world.count_sent(&Sent::Echo)));
+    assert_eq!(world.count_sent(&Sent::Models), 2);
+    assert_eq!(world.count_sent(&Sent::Connect), 0);
+}
+
+#[test]
+fn frames_before_the_handshake_are_counted_and_dropped() {
+    let mut world = World::new(config(UNICAST));
+    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
+    assert_eq!(world.session.counters().early, 1);
+    assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
+}
+
+#[test]
+fn another_address_is_counted_and_changes_nothing() {
+    let mut world = World::connected(config(UNICAST));
+    let bytes = world.encode(&Frame::at_rest(1));
+    let stranger: SocketAddr = "192.168.1.66:1510".parse().unwrap();
+    assert_eq!(
+        world
+            .session
+            .handle_datagram(world.now_ns, stranger, &bytes),
+        Outcome::WrongSource
+    );
+    assert_eq!(world.session.counters().wrong_source, 1);
+    assert_eq!(world.session.counters().frames, 0);
+    // The data port is the server's as well.
+    let data_port = SocketAddr::new(SERVER.ip(), 1511);
+    assert!(matches!(
+        world
+            .session
+            .handle_datagram(world.now_ns, data_port, &bytes),
+        Outcome::Frame(_)
+    ));
+}
+
+#[test]
+fn a_server_that_leaves_and_returns_is_connected_to_again() {
+    let mut world = World::connected(config(UNICAST));
+    world.next_state(&Frame::at_rest(1));
+    let mut goodbye = [0; 4];
+    singletrack_mocap::encode::disconnect(&mut goodbye).unwrap();
+    world.receive(&goodbye);
+    assert_eq!(world.session.phase(), Phase::Connecting);
+    world.run(S);
+    assert!(
+        world
+            .events
+            .contains(&Event::Restarted(RestartReason::ServerLeft))
+    );
+    // Its numbers start again, as after any restart.
+    assert!(matches!(
+        world.next_state(&Frame::at_rest(0)),
+        PoseState::Valid(_)
+    ));
+}
+
+#[test]
+fn a_closed_session_says_goodbye_and_then_nothing() {
+    let mut world = World::connected(config(UNICAST));
+    world.sent.clear();
+    world.session.close();
+    assert_eq!(world.session.poll_timeout(), Some(0));
+    world.run(10 * S);
+    let sent: Vec<_> = world.sent.iter().map(|(_, sent)| sent.clone()).collect();
+    assert_eq!(sent, [Sent::Disconnect]);
+    assert_eq!(world.session.phase(), Phase::Closed);
+    assert_eq!(world.session.poll_timeout(), None);
+}
+
+#[test]
+fn nonsense_in_the_configuration_is_refused_by_name() {
+    let new = |name: &str| Config::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
+    assert_eq!(new(""), Err(ConfigError::RigidBodyName { len: 0 }));
+    assert_eq!(
+        new(&"x".repeat(256)),
+        Err(ConfigError::RigidBodyName { len: 256 })
+    );
+    let mut bad = config(UNICAST);
+    bad.limits.max_speed_m_s = -1.0;
+    assert_eq!(
+        Session::new(bad).map(drop).unwrap_err(),
+        ConfigError::NotPositive {
+            key: "max_speed_m_s",
+            value: -1.0
+        }
+    );
+    let mut bad = config(UNICAST);
+    bad.timing.echo_ns = 0;
+    assert_eq!(
+        Session::new(bad).map(drop).unwrap_err(),
+        ConfigError::Zero { key: "echo_ns" }
+    );
+}

@@ -1,0 +1,13 @@
+//! The session in virtual time, against a scripted server.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "test helpers fail the test that calls them"
+)]
+
+mod clock;
+mod handshake;
+mod models;
+mod poses;
+mod stream;
+mod world;

@@ -1,0 +1,105 @@
+//! Which id has the name.
+
+use singletrack_mocap::codec::{FrameFlags, RigidBody};
+use singletrack_mocap::{Binding, Event, PoseState};
+
+use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, config};
+
+#[test]
+fn a_name_that_is_missing_is_a_state_until_it_appears() {
+    let mut world = World::new(config(UNICAST));
+    world.server.models = vec![("other", 3), ("Car", CAR)];
+    world.run(20 * MS);
+    assert_eq!(world.session.binding(), Binding::Missing);
+    assert_eq!(
+        world.next_state(&Frame::at_rest(1)),
+        PoseState::Unbound(Binding::Missing)
+    );
+    assert_eq!(world.session.counters().unbound, 1);
+    world.server.models.push(("car", 12));
+    world.run(600 * MS);
+    assert_eq!(world.session.binding(), Binding::Bound { id: 12 });
+}
+
+#[test]
+fn a_name_that_two_bodies_have_is_not_guessed_at() {
+    let mut world = World::new(config(UNICAST));
+    world.server.models = vec![("car", 1), ("other", 3), ("car", CAR)];
+    world.run(20 * MS);
+    let ambiguous = Binding::Ambiguous { count: 2 };
+    assert_eq!(world.session.binding(), ambiguous);
+    assert!(world.events.contains(&Event::Binding(ambiguous)));
+    assert_eq!(
+        world.next_state(&Frame::at_rest(1)),
+        PoseState::Unbound(ambiguous)
+    );
+}
+
+/// Another body stands where the car's id used to point.
+fn after_swap(number: i32) -> Frame {
+    let mut other = car_at(0.02, 0.0);
+    other.id = CAR;
+    let mut car = car_at(0.0, 0.0);
+    car.id = 8;
+    Frame::new(number, &[other, car])
+}
+
+#[test]
+fn ids_that_change_with_the_flag_never_yield_another_bodys_pose() {
+    let mut world = World::connected(config(UNICAST));
+    world.next_state(&Frame::at_rest(1));
+    world.server.models = vec![("other", CAR), ("car", 8)];
+    let mut changed = after_swap(2);
+    changed.flags = FrameFlags::MODELS_CHANGED;
+    assert_eq!(
+        world.next_state(&changed),
+        PoseState::Unbound(Binding::Unresolved)
+    );
+    // The flag may stay for a while: the definitions are read once, then slowly.
+    for number in 3..20 {
+        let mut frame = after_swap(number);
+        frame.flags = FrameFlags::MODELS_CHANGED;
+        let state = world.next_state(&frame);
+        let PoseState::Valid(pose) = state else {
+            panic!("{state:?}");
+        };
+        assert!(pose.x_m.abs() < 1e-9, "the other body's pose");
+    }
+}
+
+#[test]
+fn ids_that_change_without_the_flag_are_noticed_by_polling() {
+    let mut world = World::connected(config(UNICAST));
+    world.server.models = vec![("other", CAR), ("car", 8)];
+    for number in 0..600 {
+        world.next_state(&after_swap(number));
+    }
+    assert_eq!(world.session.binding(), Binding::Bound { id: 8 });
+}
+
+#[test]
+fn lost_definitions_are_asked_for_again_soon() {
+    let mut world = World::connected(config(UNICAST));
+    world.server.answers = false;
+    let mut changed = Frame::at_rest(1);
+    changed.flags = FrameFlags::MODELS_CHANGED;
+    world.next_state(&changed);
+    world.run(50 * MS);
+    world.server.answers = true;
+    world.run(110 * MS);
+    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+}
+
+#[test]
+fn a_damaged_definition_is_counted_and_leaves_the_binding() {
+    let mut world = World::connected(config(UNICAST));
+    world.receive(&[5, 0, 4, 0, 1, 0, 0, 0]);
+    assert_eq!(world.session.counters().malformed, 1);
+    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    world.run(S);
+    let body = RigidBody::tracked(CAR, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);
+    assert!(matches!(
+        world.next_state(&Frame::new(1, &[body])),
+        PoseState::Valid(_)
+    ));
+}

@@ -1,0 +1,227 @@
+//! Which poses are believed.
+
+use std::f32::consts::{FRAC_1_SQRT_2, PI};
+use std::f64::consts::FRAC_PI_2;
+
+use singletrack_mocap::codec::RigidBody;
+use singletrack_mocap::{Pose, PoseState, RejectReason, UpAxis};
+
+use crate::world::{CAR, Frame, MS, UNICAST, World, car_at, car_heading, config};
+
+const LEVEL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
+
+#[track_caller]
+fn valid(state: PoseState) -> Pose {
+    match state {
+        PoseState::Valid(pose) => pose,
+        other => panic!("not valid: {other:?}"),
+    }
+}
+
+/// A connected world that has seen the car at rest in frame 0.
+fn world_with_car() -> World {
+    let mut world = World::connected(config(UNICAST));
+    valid(world.next_state(&Frame::at_rest(0)));
+    world
+}
+
+#[track_caller]
+fn assert_rejected(body: RigidBody, reason: RejectReason) {
+    let mut world = world_with_car();
+    assert_eq!(
+        world.next_state(&Frame::new(1, &[body])),
+        PoseState::Rejected(reason)
+    );
+    assert_eq!(world.session.counters().rejected.total(), 1);
+    valid(world.next_state(&Frame::at_rest(2)));
+}
+
+#[test]
+fn a_valid_pose_carries_what_the_frame_said() {
+    let mut world = world_with_car();
+    let mut body = car_heading(0.3);
+    body.position_m = [0.01, -0.02, 0.05];
+    body.mean_error_m = 0.000_2;
+    let pose = valid(world.next_state(&Frame::new(1, &[body])));
+    assert!((pose.x_m - 0.01).abs() < 1e-7);
+    assert!((pose.y_m + 0.02).abs() < 1e-7);
+    assert!((pose.z_m - 0.05).abs() < 1e-7);
+    assert!((pose.yaw_rad - 0.3).abs() < 1e-6);
+    assert!(pose.tilt_rad.abs() < 1e-6);
+    assert!((pose.mean_error_m - 0.000_2).abs() < 1e-9);
+    assert_eq!(pose.frame_number, 1);
+    assert_eq!(pose.receive_time_ns, world.now_ns);
+    assert!(!pose.reacquired);
+}
+
+#[test]
+fn y_up_turns_position_and_attitude_alike() {
+    let mut y_up = config(UNICAST);
+    y_up.up_axis = UpAxis::Y;
+    let mut world = World::connected(y_up);
+    // Stream: 1 m along x, 0.1 m up, 2 m along z; a quarter turn about y.
+    let body = RigidBody::tracked(
+        CAR,
+        [1.0, 0.1, 2.0],
+        [0.0, FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2],
+    );
+    let pose = valid(world.next_state(&Frame::new(1, &[body])));
+    assert!((pose.x_m - 1.0).abs() < 1e-6);
+    assert!((pose.y_m + 2.0).abs() < 1e-6);
+    assert!((pose.z_m - 0.1).abs() < 1e-6);
+    assert!((pose.yaw_rad - FRAC_PI_2).abs() < 1e-6);
+    assert!(pose.tilt_rad < 1e-6);
+    assert!(pose.reacquired, "the first pose continues nothing");
+}
+
+#[test]
+fn untracked_and_absent_are_not_poses() {
+    let mut world = world_with_car();
+    let lost = car_at(0.0, 0.0).with_tracking_valid(false);
+    assert_eq!(
+        world.next_state(&Frame::new(1, &[lost])),
+        PoseState::Untracked
+    );
+    assert_eq!(world.next_state(&Frame::new(2, &[])), PoseState::Absent);
+    let mut other = car_at(0.0, 0.0);
+    other.id = 3;
+    assert_eq!(
+        world.next_state(&Frame::new(3, &[other])),
+        PoseState::Absent
+    );
+    let counters = world.session.counters();
+    assert_eq!((counters.untracked, counters.absent), (1, 2));
+    assert!(!valid(world.next_state(&Frame::at_rest(4))).reacquired);
+}
+
+#[test]
+fn numbers_that_are_none_are_rejected() {
+    for index in 0..3 {
+        let mut body = car_at(0.0, 0.0);
+        body.position_m[index] = f32::NAN;
+        assert_rejected(body, RejectReason::NotFinite);
+    }
+    for index in 0..4 {
+        let mut body = car_at(0.0, 0.0);
+        body.orientation_xyzw[index] = f32::INFINITY;
+        assert_rejected(body, RejectReason::NotFinite);
+    }
+    let mut body = car_at(0.0, 0.0);
+    body.mean_error_m = f32::NAN;
+    assert_rejected(body, RejectReason::NotFinite);
+}
+
+#[test]
+fn a_quaternion_that_is_no_rotation_is_rejected() {
+    for quaternion in [[0.0; 4], [0.0, 0.0, 0.0, 1.02], [1.0, 1.0, 1.0, 1.0]] {
+        let body = RigidBody::tracked(CAR, [0.0; 3], quaternion);
+        assert_rejected(body, RejectReason::NotUnitQuaternion);
+    }
+}
+
+#[test]
+fn a_bad_fit_is_rejected() {
+    let mut body = car_at(0.0, 0.0);
+    body.mean_error_m = 0.005_1;
+    assert_rejected(body, RejectReason::MeanError);
+}
+
+#[test]
+fn an_id_that_two_bodies_have_is_rejected() {
+    let mut world = world_with_car();
+    let frame = Frame::new(1, &[car_at(0.0, 0.0), car_at(0.0, 0.0)]);
+    assert_eq!(
+        world.next_state(&frame),
+        PoseState::Rejected(RejectReason::DuplicateId)
+    );
+}
+
+#[test]
+fn a_jump_faster_than_the_car_is_rejected() {
+    // 5 m/s for 10 ms and 5 cm of margin.
+    assert_rejected(car_at(0.11, 0.0), RejectReason::Jump);
+    let mut world = world_with_car();
+    valid(world.next_state(&Frame::new(1, &[car_at(0.09, 0.0)])));
+}
+
+#[test]
+fn a_heading_that_flips_is_rejected() {
+    assert_rejected(car_heading(PI), RejectReason::Flip);
+    // Across the branch cut is no flip.
+    let mut world = World::connected(config(UNICAST));
+    valid(world.next_state(&Frame::new(1, &[car_heading(PI - 0.01)])));
+    valid(world.next_state(&Frame::new(2, &[car_heading(0.01 - PI)])));
+}
+
+#[test]
+fn an_up_axis_that_tips_over_is_rejected() {
+    let tilted = |angle_rad: f32| {
+        let (sin, cos) = (angle_rad / 2.0).sin_cos();
+        RigidBody::tracked(CAR, [0.0, 0.0, 0.05], [sin, 0.0, 0.0, cos])
+    };
+    assert_rejected(tilted(0.51), RejectReason::Flip);
+    assert_rejected(tilted(PI), RejectReason::Flip);
+    let mut world = world_with_car();
+    let pose = valid(world.next_state(&Frame::new(1, &[tilted(0.4)])));
+    assert!((pose.tilt_rad - 0.4).abs() < 1e-6);
+}
+
+#[test]
+fn many_rejects_lock_the_body_out_and_consistent_ones_let_it_in_again() {
+    let mut world = world_with_car();
+    // Far away, so that time does not explain the jump.
+    let elsewhere = |number| Frame::new(number, &[car_at(30.0, 0.0)]);
+    for number in 1..10 {
+        assert_eq!(
+            world.next_state(&elsewhere(number)),
+            PoseState::Rejected(RejectReason::Jump)
+        );
+    }
+    for number in 10..20 {
+        assert_eq!(
+            world.next_state(&elsewhere(number)),
+            PoseState::LockedOut(RejectReason::Jump)
+        );
+    }
+    let pose = valid(world.next_state(&elsewhere(20)));
+    assert!(pose.reacquired);
+    assert!((pose.x_m - 30.0).abs() < 1e-6);
+    assert!(!valid(world.next_state(&elsewhere(21))).reacquired);
+    assert_eq!(world.session.counters().rejected.jump, 19);
+    assert_eq!(world.session.counters().locked_out, 10);
+}
+
+#[test]
+fn poses_that_disagree_with_each_other_never_end_the_lock_out() {
+    let mut world = world_with_car();
+    for number in 1..100 {
+        let x_m = if number % 2 == 0 { 30.0 } else { -30.0 };
+        let state = world.next_state(&Frame::new(number, &[car_at(x_m, 0.0)]));
+        if number >= 10 {
+            assert_eq!(state, PoseState::LockedOut(RejectReason::Jump));
+        }
+    }
+    assert!(valid(world.next_state(&Frame::at_rest(100))).reacquired);
+}
+
+#[test]
+fn a_silent_stream_is_stale_and_its_last_pose_is_not_passed_on() {
+    let mut world = world_with_car();
+    world.run(100 * MS);
+    assert!(matches!(
+        world.session.pose_state(world.now_ns),
+        PoseState::Valid(_)
+    ));
+    assert_eq!(
+        world.session.pose_state(world.now_ns + 1),
+        PoseState::Stale {
+            silent_ns: 100 * MS + 1
+        }
+    );
+    world.run(100 * MS);
+    assert_eq!(world.session.counters().stale, 1);
+    valid(world.next_state(&Frame::new(
+        1,
+        &[RigidBody::tracked(CAR, [0.0, 0.0, 0.05], LEVEL)],
+    )));
+}
