@@ -131,6 +131,13 @@ impl Board {
         self.safety.cause()
     }
 
+    /// The last [`singletrack_protocol::Drive`] that was accepted; zero before
+    /// the first.
+    #[must_use]
+    pub const fn last_sequence(&self) -> Sequence {
+        self.safety.last_sequence()
+    }
+
     /// The configuration in force.
     #[must_use]
     pub fn configuration(&self) -> Option<&Configuration> {
@@ -255,7 +262,7 @@ impl Board {
         }
         let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
         self.steering.configure(&configuration.servo);
-        self.esc.configure(&configuration.esc);
+        self.esc.configure(&configuration);
         self.active = Some(Active {
             configuration,
             hash,

@@ -70,8 +70,13 @@ impl Esc {
         }
     }
 
-    pub(crate) const fn configure(&mut self, calibration: &EscCalibration) {
-        self.slew = SlewLimiter::new(calibration.slew_us_per_20ms);
+    /// Uses a configuration from now on; a stop that brakes goes on braking
+    /// unless it says to coast.
+    pub(crate) fn configure(&mut self, configuration: &Configuration) {
+        self.slew = SlewLimiter::new(configuration.esc.slew_us_per_20ms);
+        if configuration.failsafe == FailsafeAction::Coast {
+            self.release();
+        }
     }
 
     /// Neutral from now on, without braking.

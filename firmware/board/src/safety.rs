@@ -65,6 +65,8 @@ pub(crate) struct Safety {
     cause: StopCause,
     /// Since when the ESC has been shown the present neutral pulse.
     neutral: Stopwatch,
+    /// Since when the car is stopped by [`Safety::fail`].
+    failed: Stopwatch,
     /// The request that armed last: sent again, it does not arm again.
     arm_request: Option<Sequence>,
     /// In force; while driving.
@@ -80,6 +82,7 @@ impl Safety {
             mode: BoardMode::Boot,
             cause: StopCause::None,
             neutral: Stopwatch::started(),
+            failed: Stopwatch::started_ago(u32::MAX),
             arm_request: None,
             command: None,
             last_sequence: Sequence(0),
@@ -116,6 +119,7 @@ impl Safety {
     /// is not revived by what arrives late.
     pub(crate) fn advance(&mut self, now_us: u32, elapsed_us: u32) {
         self.neutral.advance(elapsed_us);
+        self.failed.advance(elapsed_us);
         if self.mode == BoardMode::Boot && self.neutral.elapsed_us() >= NEUTRAL_HOLD_US {
             self.mode = BoardMode::Neutral;
         }
@@ -187,7 +191,11 @@ impl Safety {
             }
             Some(_) => {}
         }
-        fresh_age_us(now_us, arm.telemetry_time_us)?;
+        let age = fresh_age_us(now_us, arm.telemetry_time_us)?;
+        if age > self.failed.elapsed_us() {
+            // Whoever asked did not know yet that the board has stopped the car.
+            return Err(RefusalReason::Stale);
+        }
         if self.arm_request == Some(arm.request) {
             // It armed once, and the board has stopped the car since.
             return Err(RefusalReason::OutOfSequence);
@@ -265,6 +273,7 @@ impl Safety {
     pub(crate) const fn fail(&mut self, cause: StopCause) {
         if self.is_armed() {
             self.mode = BoardMode::Failsafe;
+            self.failed = Stopwatch::started();
             self.cause = cause;
             self.command = None;
         }

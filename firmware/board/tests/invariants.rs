@@ -1,0 +1,466 @@
+//! What holds whatever comes over the line, whatever the pins show, and
+//! whenever the board is polled.
+
+mod rig;
+
+use proptest::{prelude::*, test_runner::FileFailurePersistence};
+use rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use singletrack_board::{ImuSample, Outputs};
+use singletrack_protocol::{
+    Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop, EscCalibration,
+    FailsafeAction, Hello, Sequence, ServoCalibration, SpeedLoop, VERSION,
+};
+
+#[derive(Clone, Debug)]
+enum Step {
+    Wait {
+        polls: u32,
+        poll_us: u32,
+    },
+    Garbage(Vec<u8>),
+    Greet {
+        nonce: u32,
+        version: u16,
+    },
+    Configure(Configuration),
+    Arm {
+        age_us: u32,
+        right_hash: bool,
+        again: bool,
+    },
+    Disarm,
+    EmergencyStop,
+    Drive {
+        ahead: u8,
+        age_us: u32,
+        speed_mm_s: i16,
+        steering_100urad: i16,
+        pose_age_ms: u16,
+    },
+    /// A good host for a while.
+    DriveWell {
+        commands: u32,
+        speed_mm_s: i16,
+        steering_100urad: i16,
+    },
+    Wheels(Option<u32>),
+    Motor {
+        count: u16,
+        last_edge_us: u32,
+    },
+    StopInput(bool),
+    Imu {
+        age_us: u32,
+    },
+    Line(bool),
+}
+
+fn age() -> impl Strategy<Value = u32> {
+    prop_oneof![
+        4 => Just(0),
+        4 => 0..20 * MS,
+        1 => TTL - 2..TTL + 3,
+        1 => Just(u32::MAX),
+        1 => any::<u32>(),
+    ]
+}
+
+fn any_configuration() -> impl Strategy<Value = Configuration> {
+    let servo = (
+        900..1_400_u16,
+        1_600..2_100_u16,
+        prop_oneof![-3_000..-50_i16, 50..3_000_i16],
+        1..400_u16,
+    );
+    let esc = (
+        1_400..=1_600_u16,
+        0..60_u16,
+        900..1_300_u16,
+        1_700..2_100_u16,
+        1..1_400_u16,
+        1_300..1_400_u16,
+    );
+    let speed = (
+        1..20_000_u16,
+        0..5_000_u16,
+        0..5_000_u16,
+        0..5_000_u16,
+        0..700_u16,
+    );
+    let limits = (
+        1..20_000_u16,
+        prop_oneof![Just(0), 1..2_000_u16],
+        1..=1_000_u16,
+        any::<bool>(),
+        any::<bool>(),
+    );
+    (servo, esc, speed, limits).prop_map(|(servo, esc, speed, limits)| Configuration {
+        servo: ServoCalibration {
+            min_us: servo.0,
+            max_us: servo.1,
+            centre_us: 1_500,
+            gain_us_per_rad: servo.2,
+            slew_us_per_20ms: servo.3,
+        },
+        esc: EscCalibration {
+            neutral_us: esc.0,
+            deadband_us: esc.1,
+            min_us: esc.2,
+            max_us: esc.3,
+            slew_us_per_20ms: esc.4,
+            brake_us: esc.5,
+        },
+        speed: SpeedLoop {
+            pulse_distance_um: speed.0,
+            feed_forward_us_per_m_s: speed.1,
+            proportional_us_per_m_s: speed.2,
+            integral_us_per_m: speed.3,
+            integral_limit_us: speed.4,
+            max_forward_mm_s: limits.0,
+            max_reverse_mm_s: limits.1,
+        },
+        failsafe: if limits.3 {
+            FailsafeAction::Brake
+        } else {
+            FailsafeAction::Coast
+        },
+        max_pose_age_ms: limits.2,
+        stop_input: limits.4,
+    })
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        8 => (1..60_u32, prop_oneof![8 => Just(MS), 1 => 1..300_u32, 1 => MS..200 * MS])
+            .prop_map(|(polls, poll_us)| Step::Wait { polls, poll_us }),
+        2 => Just(Step::Wait { polls: 2_200, poll_us: MS }),
+        2 => proptest::collection::vec(any::<u8>(), 0..100).prop_map(Step::Garbage),
+        1 => (0..3_u32, prop_oneof![9 => Just(VERSION), 1 => any::<u16>()])
+            .prop_map(|(nonce, version)| Step::Greet { nonce, version }),
+        3 => any_configuration().prop_map(Step::Configure),
+        1 => Just(Step::Configure(Configuration { max_pose_age_ms: 0, ..configuration() })),
+        8 => (age(), any::<bool>(), any::<bool>())
+            .prop_map(|(age_us, right, again)| Step::Arm { age_us, right_hash: right || again, again }),
+        1 => Just(Step::Disarm),
+        1 => prop_oneof![9 => Just(Step::Disarm), 1 => Just(Step::EmergencyStop)],
+        6 => (0..130_u8, age(), any::<i16>(), any::<i16>(), 0..1_100_u16).prop_map(
+            |(ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms)| Step::Drive {
+                ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms,
+            }
+        ),
+        8 => (1..100_u32, -3_000..6_000_i16, any::<i16>()).prop_map(
+            |(commands, speed_mm_s, steering_100urad)| Step::DriveWell {
+                commands, speed_mm_s, steering_100urad,
+            }
+        ),
+        6 => prop_oneof![Just(None), (200..60_000_u32).prop_map(Some)].prop_map(Step::Wheels),
+        1 => (any::<u16>(), any::<u32>())
+            .prop_map(|(count, last_edge_us)| Step::Motor { count, last_edge_us }),
+        1 => prop_oneof![4 => Just(false), 1 => Just(true)].prop_map(Step::StopInput),
+        1 => age().prop_map(|age_us| Step::Imu { age_us }),
+        1 => any::<bool>().prop_map(Step::Line),
+    ]
+}
+
+/// What must have been seen before, for what is seen now to be right.
+struct Watch {
+    mode: BoardMode,
+    outputs: Outputs,
+    configuration: Option<Configuration>,
+    time_us: u32,
+    /// Time with the ESC at the braking pulse of a stop.
+    braked_us: u32,
+    drove: bool,
+    braked: bool,
+}
+
+impl Watch {
+    fn new(rig: &Rig) -> Self {
+        Self {
+            mode: rig.board.mode(),
+            outputs: rig.outputs,
+            configuration: None,
+            time_us: rig.now,
+            braked_us: 0,
+            drove: false,
+            braked: false,
+        }
+    }
+
+    fn check(&mut self, rig: &Rig) {
+        let (before, mode, outputs) = (self.mode, rig.board.mode(), rig.outputs);
+        let elapsed_us = rig.now.wrapping_sub(self.time_us);
+        assert!(may_follow(before, mode), "{before:?} -> {mode:?}");
+        assert_eq!(
+            mode == BoardMode::Driving,
+            outputs.drive_deadline_us.is_some()
+        );
+        if let Some(deadline) = outputs.drive_deadline_us {
+            assert!(
+                deadline.wrapping_sub(rig.now) <= TTL,
+                "a command beyond its time to live"
+            );
+        }
+        let configuration = rig.board.configuration().copied();
+        let Some(now) = configuration else {
+            assert_eq!((outputs.servo_us, outputs.esc_us), (None, NEUTRAL));
+            assert!(matches!(
+                mode,
+                BoardMode::Boot | BoardMode::Neutral | BoardMode::EmergencyStopped
+            ));
+            self.mode = mode;
+            self.time_us = rig.now;
+            return;
+        };
+
+        let servo_us = outputs.servo_us.unwrap_or(0);
+        assert!((now.servo.min_us..=now.servo.max_us).contains(&servo_us));
+        if self.configuration == configuration
+            && let Some(servo_before_us) = self.outputs.servo_us
+        {
+            let slew = u64::from(now.servo.slew_us_per_20ms) * u64::from(elapsed_us.min(20_000));
+            let change = u64::from(servo_us.abs_diff(servo_before_us));
+            assert!(change <= slew / 20_000 + 1, "{change} in {elapsed_us} us");
+        }
+
+        let (esc, esc_us) = (&now.esc, outputs.esc_us);
+        assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
+        assert!((esc.min_us..=esc.max_us).contains(&esc_us));
+        if mode == BoardMode::Driving {
+            self.drove = true;
+            self.braked_us = 0;
+            if now.speed.max_reverse_mm_s == 0 {
+                assert!(esc_us >= esc.neutral_us, "reverse");
+            }
+        } else if esc_us != esc.neutral_us {
+            // A stop that brakes: once, after driving, for half a second at most.
+            self.braked = true;
+            assert_eq!(esc_us, esc.brake_us);
+            assert!(matches!(
+                mode,
+                BoardMode::Failsafe | BoardMode::EmergencyStopped
+            ));
+            assert_eq!(now.failsafe, FailsafeAction::Brake);
+            if before != BoardMode::Driving {
+                self.braked_us = self.braked_us.saturating_add(elapsed_us);
+            }
+            assert!(
+                self.braked_us < 500 * MS,
+                "braked for {} us",
+                self.braked_us
+            );
+        }
+        self.mode = mode;
+        self.outputs = outputs;
+        self.configuration = configuration;
+        self.time_us = rig.now;
+    }
+}
+
+/// Whether one poll may lead from one mode to another.
+fn may_follow(before: BoardMode, after: BoardMode) -> bool {
+    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral};
+    before == after
+        || after == EmergencyStopped
+        || matches!(
+            (before, after),
+            (Boot, Neutral)
+                | (Neutral, Boot | Armed)
+                | (Armed, Neutral | Driving | Failsafe)
+                | (Driving, Neutral | Failsafe)
+                | (Failsafe, Armed)
+                // The board stops the car; the request seen in the same poll
+                // claims to know that.
+                | (Driving, Armed)
+        )
+}
+
+/// Takes one step, checking after every poll.
+fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
+    match step {
+        Step::Wait { polls, poll_us } => {
+            rig.poll_us = poll_us;
+            for _ in 0..polls {
+                rig.run(poll_us);
+                watch.check(rig);
+            }
+            rig.poll_us = MS;
+        }
+        Step::Garbage(bytes) => {
+            rig.poll(&bytes);
+        }
+        Step::Greet { nonce, version } => {
+            rig.send(Hello {
+                protocol_version: version,
+                software_version: [0; 3],
+                nonce,
+            });
+        }
+        Step::Configure(configuration) => {
+            let request = rig.request();
+            rig.send(Configure {
+                request,
+                configuration,
+            });
+        }
+        Step::Arm {
+            age_us,
+            right_hash,
+            again,
+        } => {
+            let mut arm = rig.arm_request();
+            if again {
+                arm.request = *last_arm;
+            }
+            *last_arm = arm.request;
+            rig.send(Arm {
+                telemetry_time_us: rig.now.wrapping_sub(age_us),
+                configuration_hash: arm.configuration_hash ^ u32::from(!right_hash),
+                ..arm
+            });
+        }
+        Step::Disarm => {
+            let request = rig.request();
+            rig.send(Disarm { request });
+        }
+        Step::EmergencyStop => {
+            let request = rig.request();
+            rig.send(EmergencyStop { request });
+        }
+        Step::Drive {
+            ahead,
+            age_us,
+            speed_mm_s,
+            steering_100urad,
+            pose_age_ms,
+        } => {
+            rig.send(Drive {
+                sequence: Sequence(rig.board.last_sequence().0.wrapping_add(ahead)),
+                speed_mm_s,
+                steering_100urad,
+                telemetry_time_us: rig.now.wrapping_sub(age_us),
+                pose_age_ms,
+            });
+        }
+        Step::DriveWell {
+            commands,
+            speed_mm_s,
+            steering_100urad,
+        } => {
+            for _ in 0..commands {
+                let sequence = rig.board.last_sequence().next();
+                let mut command = rig.command(speed_mm_s, steering_100urad);
+                command.sequence = sequence;
+                command.pose_age_ms = 0;
+                rig.send(command);
+                watch.check(rig);
+                for _ in 0..10 {
+                    rig.run(MS);
+                    watch.check(rig);
+                }
+            }
+        }
+        Step::Wheels(period) => rig.pulse_period_us = period,
+        Step::Motor {
+            count,
+            last_edge_us,
+        } => {
+            rig.pulse_period_us = None;
+            rig.inputs.motor.count = count;
+            rig.inputs.motor.last_edge_us = last_edge_us;
+        }
+        Step::StopInput(open) => rig.inputs.stop_input_open = open,
+        Step::Imu { age_us } => {
+            let time_us = rig.now.wrapping_sub(age_us);
+            rig.inputs.imu = Some(ImuSample {
+                time_us,
+                ..ImuSample::default()
+            });
+        }
+        Step::Line(open) => rig.line_open = open,
+    }
+    watch.check(rig);
+}
+
+fn run(start: u32, ready: bool, steps: Vec<Step>) -> Watch {
+    let mut rig = Rig::starting_at(start);
+    rig.poll(&[]);
+    let mut watch = Watch::new(&rig);
+    let mut last_arm = Sequence(0);
+    let opening = [
+        Step::Configure(Configuration {
+            failsafe: FailsafeAction::Brake,
+            ..configuration()
+        }),
+        Step::Wait {
+            polls: 2_100,
+            poll_us: MS,
+        },
+        Step::Arm {
+            age_us: 0,
+            right_hash: true,
+            again: false,
+        },
+        Step::Wheels(Some(5_000)),
+        Step::DriveWell {
+            commands: 20,
+            speed_mm_s: 1_000,
+            steering_100urad: 0,
+        },
+    ];
+    let opening = opening.into_iter().filter(|_| ready);
+    for step in opening.chain(steps) {
+        take(&mut rig, &mut watch, &mut last_arm, step);
+    }
+    watch
+}
+
+fn start() -> impl Strategy<Value = u32> {
+    prop_oneof![any::<u32>(), u32::MAX - 10_000 * MS..=u32::MAX]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 128,
+        failure_persistence: Some(Box::new(FileFailurePersistence::Direct(
+            "tests/invariants.proptest-regressions",
+        ))),
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn no_course_of_events_breaks_a_promise(
+        start in start(),
+        ready: bool,
+        steps in proptest::collection::vec(step(), 1..60),
+    ) {
+        run(start, ready, steps);
+    }
+
+    #[test]
+    fn any_bytes_in_any_pieces_move_nothing(
+        start in start(),
+        pieces in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..70), 0..50),
+    ) {
+        let mut rig = Rig::starting_at(start);
+        for piece in pieces {
+            rig.run(MS);
+            rig.poll(&piece);
+            prop_assert_eq!((rig.outputs.servo_us, rig.outputs.esc_us), (None, NEUTRAL));
+        }
+    }
+}
+
+#[test]
+fn the_courses_tried_do_drive_and_do_brake() {
+    // A property that is never put to the test proves nothing.
+    let watch = run(
+        0,
+        true,
+        vec![Step::Wait {
+            polls: 200,
+            poll_us: MS,
+        }],
+    );
+    assert!(watch.drove && watch.braked);
+}
