@@ -234,6 +234,19 @@ fn the_link_is_lost_after_200_ms_and_found_again() {
 }
 
 #[test]
+fn a_board_that_refused_the_configuration_can_be_lost_too() {
+    let mut bench = Bench::opened();
+    bench.answer_hello();
+    let sequence = bench.last_configure().request;
+    bench.refuse(Request::Configure, sequence, RefusalReason::Busy);
+    bench.pass_in_silence(200 * MS);
+    assert!(bench.has(Event::Lost {
+        cause: LossCause::Silence
+    }));
+    assert!(matches!(bench.session.state(), State::Greeting { .. }));
+}
+
+#[test]
 fn bytes_that_waited_for_a_late_owner_are_no_silence() {
     let mut bench = Bench::ready();
     bench.now_ns += 300 * MS;
