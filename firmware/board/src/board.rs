@@ -256,10 +256,6 @@ impl Board {
             return Err(RefusalReason::InvalidConfiguration);
         }
         let hash = configuration.hash();
-        if hash == self.hash() {
-            // Asked again because the answer was lost.
-            return Ok(());
-        }
         let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
         self.steering.configure(&configuration.servo);
         self.esc.configure(&configuration);

@@ -149,11 +149,8 @@ impl Esc {
         } else if !self.gear.drives(wanted_mm_s) {
             self.neutral();
         }
-        // Towards neutral at once; away from it, and from it, slowly.
-        let opposite = i32::from(self.offset_us) * i32::from(self.target_us) < 0;
-        if opposite {
-            self.offset_us = 0;
-        }
+        // Towards neutral at once, away from it slowly. Never across: every
+        // change of direction begins with neutral, see `shift`.
         if self.target_us.unsigned_abs() < self.offset_us.unsigned_abs() {
             self.offset_us = self.target_us;
         }

@@ -88,6 +88,20 @@ fn a_speed_of_zero_forgets_the_integral() {
 }
 
 #[test]
+fn the_integral_waits_for_a_throttle_that_still_slews() {
+    let mut slow = configuration();
+    slow.esc.slew_us_per_20ms = 5;
+    let mut rig = Rig::armed_with(slow);
+    rig.pulse_period_us = Some(10_000);
+    rig.drive_for(500 * MS, 1_000, 0);
+    // At the commanded speed, before the throttle has come up.
+    rig.pulse_period_us = Some(5_000);
+    rig.drive_for(200 * MS, 1_000, 0);
+    let beyond_deadband = rig.outputs.esc_us - NEUTRAL - 20;
+    assert!(beyond_deadband.abs_diff(100) <= 2, "{beyond_deadband}");
+}
+
+#[test]
 fn faster_commands_are_clamped_to_the_configured_speed() {
     let settled = |speed_mm_s| {
         let mut rig = Rig::driving_with(configuration());

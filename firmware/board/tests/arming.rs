@@ -154,6 +154,20 @@ fn the_same_request_sent_again_is_acknowledged_again_but_does_not_rearm() {
 }
 
 #[test]
+fn a_new_host_may_use_the_request_number_of_the_one_before() {
+    let mut rig = Rig::ready_with(configuration());
+    let arm = rig.arm_request();
+    assert_eq!(rig.arm_as(arm), Ok(()));
+    rig.greet(1_234);
+    rig.run(20 * MS);
+    let arm = Arm {
+        telemetry_time_us: rig.now,
+        ..arm
+    };
+    assert_eq!(rig.arm_as(arm), Ok(()));
+}
+
+#[test]
 fn a_request_made_before_the_board_stopped_the_car_does_not_arm() {
     for (before, outcome) in [(1, Err(RefusalReason::Stale)), (0, Ok(()))] {
         let mut rig = Rig::armed_with(configuration());

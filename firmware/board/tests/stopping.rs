@@ -84,6 +84,19 @@ fn a_stop_at_standstill_does_not_brake() {
 }
 
 #[test]
+fn a_stop_in_reverse_does_not_brake_because_the_pulse_would_drive() {
+    let mut configuration = braking();
+    configuration.speed.max_reverse_mm_s = 500;
+    let mut rig = Rig::armed_with(configuration);
+    rig.drive_for(250 * MS, -500, 0);
+    rig.pulse_period_us = Some(10_000);
+    rig.drive_for(500 * MS, -500, 0);
+    assert!(rig.outputs.esc_us < NEUTRAL - 20);
+    rig.emergency_stop();
+    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+}
+
+#[test]
 fn disarming_coasts_to_neutral_mode() {
     let mut rig = Rig::driving_with(braking());
     rig.disarm();
@@ -169,6 +182,18 @@ fn a_switch_that_was_never_closed_forbids_arming_and_latches_nothing() {
     rig.inputs.stop_input_open = true;
     rig.run(MS);
     assert_eq!(rig.board.mode(), BoardMode::EmergencyStopped);
+}
+
+#[test]
+fn a_switch_must_be_seen_closed_under_every_configuration_anew() {
+    let mut rig = Rig::ready_with(with_stop_input());
+    assert_eq!(rig.configure(configuration()), Ok(()));
+    rig.inputs.stop_input_open = true;
+    rig.run(MS);
+    assert_eq!(rig.configure(with_stop_input()), Ok(()));
+    rig.run(MS);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+    assert_eq!(rig.arm(), Err(RefusalReason::StopInputOpen));
 }
 
 #[test]
