@@ -127,6 +127,7 @@ impl SpeedController {
             return;
         }
         self.neutral_since_us = None;
+        self.reverse_ready &= deflection < 0.0;
         let driving = (beyond - p.breakaway_us).max(0.0);
         let settled = p.gain_m_s_per_us * driving / (1.0 + driving / p.saturation_us);
         self.drive = if !self.armed {

@@ -9,19 +9,19 @@ use singletrack_protocol::{
 use singletrack_sim::{SimulationConfig, World, default_board_configuration};
 
 /// What a host remembers of the board.
-pub struct Host {
+pub(crate) struct Host {
     decoder: Decoder,
-    pub telemetry: Option<Telemetry>,
-    pub status: Option<Status>,
-    pub records: u64,
-    pub damaged: u64,
-    pub refusals: Vec<RefusalReason>,
-    pub hellos: Vec<Hello>,
+    pub(crate) telemetry: Option<Telemetry>,
+    pub(crate) status: Option<Status>,
+    pub(crate) records: u64,
+    pub(crate) damaged: u64,
+    pub(crate) refusals: Vec<RefusalReason>,
+    pub(crate) hellos: Vec<Hello>,
     sequence: Sequence,
 }
 
 impl Host {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             decoder: Decoder::new(),
             telemetry: None,
@@ -34,7 +34,7 @@ impl Host {
         }
     }
 
-    pub fn take(&mut self, bytes: &[u8]) {
+    pub(crate) fn take(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let message = match self.decoder.push(byte) {
                 None => continue,
@@ -42,7 +42,7 @@ impl Host {
                     self.damaged += 1;
                     continue;
                 }
-                Some(Ok(packet)) => ToHost::decode(&packet),
+                Some(Ok(packet)) => ToHost::decode(packet),
             };
             match message {
                 Ok(ToHost::Telemetry(telemetry)) => {
@@ -58,20 +58,21 @@ impl Host {
         }
     }
 
-    pub fn next_sequence(&mut self) -> Sequence {
+    pub(crate) fn next_sequence(&mut self) -> Sequence {
         self.sequence = self.sequence.next();
         self.sequence
     }
 
-    pub fn telemetry_time_us(&self) -> u32 {
-        self.telemetry.map_or(0, |telemetry| telemetry.board_time_us)
+    pub(crate) fn telemetry_time_us(&self) -> u32 {
+        self.telemetry
+            .map_or(0, |telemetry| telemetry.board_time_us)
     }
 
-    pub fn mode(&self) -> Option<BoardMode> {
+    pub(crate) fn mode(&self) -> Option<BoardMode> {
         self.telemetry.map(|telemetry| telemetry.mode)
     }
 
-    pub fn drive(&mut self, speed_mm_s: i16, steering_100urad: i16) -> Vec<u8> {
+    pub(crate) fn drive(&mut self, speed_mm_s: i16, steering_100urad: i16) -> Vec<u8> {
         let sequence = self.next_sequence();
         bytes(&ToBoard::Drive(Drive {
             sequence,
@@ -83,19 +84,19 @@ impl Host {
     }
 }
 
-pub fn bytes(message: &ToBoard) -> Vec<u8> {
+pub(crate) fn bytes(message: &ToBoard) -> Vec<u8> {
     message.encode().as_bytes().to_vec()
 }
 
 /// A world and its host, in step.
-pub struct Bench {
-    pub world: World,
-    pub host: Host,
-    pub configuration: Configuration,
+pub(crate) struct Bench {
+    pub(crate) world: World,
+    pub(crate) host: Host,
+    pub(crate) configuration: Configuration,
 }
 
 impl Bench {
-    pub fn new(config: SimulationConfig) -> Self {
+    pub(crate) fn new(config: SimulationConfig) -> Self {
         Self {
             world: World::new(config).unwrap(),
             host: Host::new(),
@@ -103,12 +104,12 @@ impl Bench {
         }
     }
 
-    pub fn send(&mut self, message: &ToBoard) {
+    pub(crate) fn send(&mut self, message: &ToBoard) {
         self.world.host_write(&bytes(message));
     }
 
     /// Lets time pass by whole milliseconds, the host listening.
-    pub fn run_ms(&mut self, ms: u64) {
+    pub(crate) fn run_ms(&mut self, ms: u64) {
         let start = self.world.now_us();
         for i in 1..=ms {
             self.world.advance_to(start + i * 1_000);
@@ -116,14 +117,14 @@ impl Bench {
         }
     }
 
-    pub fn listen(&mut self) {
+    pub(crate) fn listen(&mut self) {
         let mut received = Vec::new();
         self.world.host_read(&mut received);
         self.host.take(&received);
     }
 
     /// Powers up, configures and arms.
-    pub fn armed(config: SimulationConfig) -> Self {
+    pub(crate) fn armed(config: SimulationConfig) -> Self {
         let mut bench = Self::new(config);
         bench.run_ms(200);
         bench.configure();
@@ -138,7 +139,7 @@ impl Bench {
         bench
     }
 
-    pub fn configure(&mut self) {
+    pub(crate) fn configure(&mut self) {
         self.send(&ToBoard::Hello(Hello {
             protocol_version: VERSION,
             software_version: [0, 1, 0],
@@ -154,7 +155,7 @@ impl Bench {
         self.run_ms(20);
     }
 
-    pub fn arm(&mut self) {
+    pub(crate) fn arm(&mut self) {
         let request = self.host.next_sequence();
         let arm = Arm {
             request,
@@ -166,7 +167,7 @@ impl Bench {
     }
 
     /// Drives for whole ticks of 10 ms; `each` sees the bench after every one.
-    pub fn drive(
+    pub(crate) fn drive(
         &mut self,
         ticks: u64,
         speed_mm_s: i16,

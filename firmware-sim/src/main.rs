@@ -1,0 +1,203 @@
+//! `singletrack-sim`: the board and the car behind a pseudo-terminal, the
+//! cameras behind UDP, to point a daemon at.
+
+use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
+
+use clap::Parser;
+use singletrack_mocap::codec::BitstreamVersion;
+use singletrack_sim::{
+    LossKind, LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose,
+    UdpConfig, parse_bitstream, parse_duration_us,
+};
+use tokio::signal::unix::{SignalKind, signal};
+
+/// A simulated car to point a controller at.
+///
+/// The board's serial port is a pseudo-terminal; the motion-capture system is a
+/// NatNet server on UDP. Both behave like the real ones, in real time: use
+/// their addresses in the daemon's configuration, and it drives the simulated
+/// car as it would drive the real one. Stop with Ctrl-C.
+#[derive(Debug, Parser)]
+#[command(name = "singletrack-sim", version)]
+struct Arguments {
+    /// Where to link the board's serial port
+    #[arg(long, value_name = "PATH", default_value = "/tmp/singletrack-board")]
+    port: PathBuf,
+
+    /// Interface to serve NatNet on, by its address; only this machine by default
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    interface: Ipv4Addr,
+
+    /// UDP port for NatNet commands (0: any free one)
+    #[arg(long, value_name = "PORT", default_value_t = 1510)]
+    command_port: u16,
+
+    /// UDP port for NatNet frames (0: any free one)
+    #[arg(long, value_name = "PORT", default_value_t = 1511)]
+    data_port: u16,
+
+    /// Send frames to the multicast group 239.255.42.99 instead of to each client
+    #[arg(long)]
+    multicast: bool,
+
+    /// NatNet bitstream version, 2.7 to 4.4
+    #[arg(long, value_name = "VERSION", default_value = "4.1", value_parser = parse_bitstream)]
+    bitstream: BitstreamVersion,
+
+    /// All random numbers follow from this
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Where the centre of mass starts, in metres, and the yaw, in degrees
+    #[arg(long, value_name = "X,Y,YAW", default_value = "0,0,0", allow_hyphen_values = true, value_parser = parse_pose)]
+    start: StartPose,
+
+    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
+    #[arg(long, value_name = "DURATION@INTERVAL")]
+    loss: Option<LossPattern>,
+
+    /// What a loss looks like: the tracking bit cleared, the body absent, or no frame at all
+    #[arg(long, value_name = "KIND", default_value = "occluded", value_parser = parse_loss_kind)]
+    loss_kind: LossKind,
+
+    /// Probability that a byte on the serial line has a bit flipped
+    #[arg(long, value_name = "PROBABILITY", default_value_t = 0.0)]
+    corrupt: f64,
+
+    /// Probability that a byte on the serial line is lost
+    #[arg(long, value_name = "PROBABILITY", default_value_t = 0.0)]
+    drop: f64,
+
+    /// Stop after this long, such as 40s; without it, run until Ctrl-C
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    duration: Option<Duration>,
+
+    /// Say nothing but errors
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    parse_duration_us(text)
+        .map(Duration::from_micros)
+        .map_err(|error| error.to_string())
+}
+
+fn parse_loss_kind(text: &str) -> Result<LossKind, String> {
+    match text {
+        "occluded" => Ok(LossKind::Occluded),
+        "absent" => Ok(LossKind::Absent),
+        "silent" => Ok(LossKind::Silent),
+        _ => Err("choose occluded, absent or silent".to_owned()),
+    }
+}
+
+fn parse_pose(text: &str) -> Result<StartPose, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[x_m, y_m, yaw_deg]) if [x_m, y_m, yaw_deg].iter().all(|x| x.is_finite()) => {
+            Ok(StartPose {
+                x_m,
+                y_m,
+                yaw_rad: yaw_deg.to_radians(),
+            })
+        }
+        _ => Err(
+            "write three numbers: x and y in metres, yaw in degrees; for instance 1.5,-0.5,135"
+                .to_owned(),
+        ),
+    }
+}
+
+impl Arguments {
+    fn config(&self) -> RealTimeConfig {
+        let mut simulation = SimulationConfig {
+            seed: self.seed,
+            ..SimulationConfig::default()
+        };
+        simulation.car.start = self.start;
+        simulation.wire.faults.corrupt = self.corrupt;
+        simulation.wire.faults.drop = self.drop;
+        simulation.cameras.loss = self.loss;
+        simulation.cameras.loss_kind = self.loss_kind;
+        simulation.natnet.bitstream = self.bitstream;
+        simulation.natnet.multicast = self.multicast;
+        RealTimeConfig {
+            simulation,
+            pty_link: Some(self.port.clone()),
+            udp: UdpConfig {
+                interface: self.interface,
+                command_port: self.command_port,
+                data_port: self.data_port,
+            },
+            ..RealTimeConfig::default()
+        }
+    }
+}
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(&arguments).await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("singletrack-sim: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    // First of all, so that a signal never leaves the link behind.
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    let simulator = RealTimeSimulator::start(arguments.config())?;
+    if !arguments.quiet {
+        introduce(arguments, &simulator);
+    }
+    let end = async {
+        match arguments.duration {
+            Some(duration) => tokio::time::sleep(duration).await,
+            None => core::future::pending().await,
+        }
+    };
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+        () = end => {}
+    }
+    let finished = simulator.stop()?;
+    if !arguments.quiet {
+        let truth = finished.world.truth();
+        let cameras = finished.world.cameras().counters();
+        println!(
+            "stopped after {:.1} s at x {:.3} m, y {:.3} m, yaw {:.1} degrees; \
+             {} camera frames, {} without the car",
+            truth.time_us as f64 * 1e-6,
+            truth.x,
+            truth.y,
+            truth.yaw.to_degrees(),
+            cameras.exposed,
+            cameras.lost,
+        );
+    }
+    Ok(())
+}
+
+fn introduce(arguments: &Arguments, simulator: &RealTimeSimulator) {
+    let body = &SimulationConfig::default().cameras.car.name;
+    println!("serial port  {}", simulator.pty_path().display());
+    println!(
+        "NatNet       {} (commands), {} (frames), bitstream {}, {}, Y up",
+        simulator.command_address(),
+        simulator.data_address(),
+        arguments.bitstream,
+        if arguments.multicast {
+            "multicast"
+        } else {
+            "unicast"
+        },
+    );
+    println!("rigid body   \"{body}\", its pivot above the centre of mass");
+    println!("Ctrl-C stops.");
+}
