@@ -2,6 +2,11 @@
 //!
 //! Criterion's throughput, in "elements", is simulated seconds per second.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 #![allow(missing_docs, reason = "criterion_group writes a public function")]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

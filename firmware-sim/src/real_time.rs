@@ -71,10 +71,10 @@ pub enum RealTimeError {
     Stopped,
 }
 
-/// The truth at a moment of CLOCK_MONOTONIC.
+/// The truth at a moment of `CLOCK_MONOTONIC`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TimedTruth {
-    /// CLOCK_MONOTONIC, in ns.
+    /// `CLOCK_MONOTONIC`, in ns.
     pub monotonic_ns: u64,
     /// What was so.
     pub truth: Truth,
@@ -104,7 +104,7 @@ pub struct Finished {
     pub trajectory: Vec<TimedTruth>,
     /// How the thread has fared.
     pub counters: RealTimeCounters,
-    /// CLOCK_MONOTONIC at simulation time zero, in ns.
+    /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
     pub started_ns: u64,
 }
 
@@ -187,7 +187,7 @@ impl RealTimeSimulator {
         self.data_address
     }
 
-    /// CLOCK_MONOTONIC at simulation time zero, in ns.
+    /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
     #[must_use]
     pub const fn started_ns(&self) -> u64 {
         self.started_ns
@@ -410,7 +410,7 @@ impl Machine {
     }
 }
 
-/// CLOCK_MONOTONIC, in ns.
+/// `CLOCK_MONOTONIC`, in ns.
 fn monotonic_ns() -> u64 {
     let now = clock_gettime(rustix::time::ClockId::Monotonic);
     // The clock starts at boot: it is never negative.

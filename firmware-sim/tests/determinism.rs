@@ -1,5 +1,11 @@
 //! The same seed and the same inputs at the same times give the same bits.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 mod common;
 
 use common::Bench;

@@ -1,5 +1,11 @@
 //! What the simulated cameras put on the network, read by two decoders.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 use std::net::SocketAddr;
 
 use natnet::{Decoder, Message, Version};

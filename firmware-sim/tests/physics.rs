@@ -1,5 +1,11 @@
 //! The car on its own.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 use libm::{cos, sin};
 use singletrack_control::{SingleTrack, SingleTrackState, VehicleParameters};
 use singletrack_sim::{Car, CarParameters, StartPose};

@@ -1,5 +1,11 @@
 //! The simulator as another process sees it: pseudo-terminal and UDP.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 mod common;
 
 use std::{
@@ -20,7 +26,7 @@ use singletrack_sim::{
     Pty, PtyError, RealTimeConfig, RealTimeSimulator, SimulationConfig, UdpConfig,
 };
 
-/// O_NONBLOCK | O_NOCTTY on Linux.
+/// `O_NONBLOCK` and `O_NOCTTY` on Linux.
 const NON_BLOCKING: i32 = 0o4000 | 0o400;
 const PATIENCE: Duration = Duration::from_secs(5);
 

@@ -1,6 +1,7 @@
 //! A small host for the simulated board: enough to configure, arm and drive.
 
 #![allow(dead_code, reason = "not every test uses every part")]
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Decoder, Drive, Hello, RefusalReason, Sequence,
