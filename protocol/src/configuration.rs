@@ -124,6 +124,7 @@ pub enum FailsafeAction {
     /// Neutral: the car rolls out.
     Coast,
     /// The braking pulse until the wheels stand still, at most half a second,
-    /// then neutral.
+    /// then neutral. Neutral at once after driving in reverse, where the pulse
+    /// would not brake.
     Brake,
 }

@@ -7,7 +7,8 @@ use crate::{Sequence, fixint_array};
 /// The state of the board's safety machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BoardMode {
-    /// Just started: ESC neutral for its own arming, servo silent.
+    /// ESC at neutral for its own arming, for two seconds: after a start, and
+    /// after a change of the neutral pulse.
     Boot,
     /// ESC neutral; ready to be configured and armed.
     Neutral,
