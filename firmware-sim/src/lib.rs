@@ -5,6 +5,22 @@
 //! and the cameras with their NatNet server. The same seed and the same inputs
 //! at the same times give the same bits, on every machine and in every build.
 //!
+//! ```
+//! use singletrack_sim::{SimulationConfig, World};
+//!
+//! let mut world = World::new(SimulationConfig::default())?;
+//! let mut bytes = Vec::new();
+//! for tick in 1..=100 {
+//!     world.advance_to(tick * 10_000);
+//!     world.host_read(&mut bytes); // frames of singletrack-protocol
+//!     while let Some(frame) = world.poll_camera_frame() {
+//!         assert!(frame.sent_us <= world.now_us());
+//!     }
+//! }
+//! assert!(!bytes.is_empty());
+//! # Ok::<(), singletrack_sim::ConfigError>(())
+//! ```
+//!
 //! [`RealTimeSimulator`] runs a world on its own thread, behind a
 //! pseudo-terminal and UDP sockets, for a host that is another process.
 

@@ -156,27 +156,27 @@ fn telemetry_comes_through_unplugged_and_plugged_in_again() {
     assert_eq!(points[0].monotonic_ns, finished.started_ns);
 }
 
+fn monotonic_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
 #[test]
 fn simulated_time_keeps_up_with_real_time_and_never_runs_ahead() {
     let directory = tempfile::tempdir().unwrap();
     let simulator = start(SimulationConfig::default(), &directory.path().join("b"));
+    let mut before = 0;
     for _ in 0..20 {
-        let before = Instant::now();
-        let first = simulator.truth().unwrap().truth.time_us;
-        std::thread::sleep(Duration::from_millis(20));
-        let second = simulator.truth().unwrap().truth.time_us;
-        let elapsed = before.elapsed().as_micros() as u64;
-        // A round may be late on a busy machine, but never early.
-        assert!(
-            second - first <= elapsed + 60_000,
-            "{first} {second} {elapsed}"
-        );
-        assert!(second > first);
+        // A busy machine may delay a round, but not every one.
+        wait_for("truth of now", || {
+            let time_ns = simulator.truth().unwrap().monotonic_ns;
+            let now_ns = monotonic_ns();
+            assert!(before <= time_ns && time_ns <= now_ns);
+            before = time_ns;
+            now_ns - time_ns < 10_000_000
+        });
     }
-    let counters = simulator.counters().unwrap();
-    let finished = simulator.stop().unwrap();
-    assert!(counters.rounds > 0);
-    assert!(finished.world.now_us() >= 400_000);
+    assert!(simulator.counters().unwrap().rounds > 0);
 }
 
 fn request(message: &ClientMessage<'_>) -> Vec<u8> {
