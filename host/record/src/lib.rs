@@ -1,7 +1,37 @@
-//! The record of a drive: what every tick saw and did, in a file.
+//! The record of a drive: what every tick saw and did, in a file that opens in
+//! the tools labs already use, and that a replay can start from bit for bit.
+//!
+//! A record is an MCAP file of ROS 2 messages (CDR, with their `ros2msg`
+//! definitions): Foxglove, Lichtblick, PlotJuggler, rerun and the Python readers
+//! open it without a plugin. Each kind of [`Entry`] is a [`Topic`] with its own
+//! channel; the [`Meta`] is the file's metadata and, for the configuration, its
+//! attachment.
+//!
+//! - [`Recorder`] writes, [`RecorderThread`] does so behind bounded rings.
+//! - [`Reader`] reads, unfinished files as well.
+//! - [`Entry::write_json`] and [`Entry::values`] show an entry.
+//!
+//! Times in the messages are nanoseconds on the host's monotonic clock. The
+//! file's log and publish times are the same moments on the wall clock, by the
+//! one mapping taken when the record began: setting the clock changes nothing.
 
 mod entry;
+mod error;
+mod feed;
+mod message;
+mod meta;
+mod reader;
+mod recorder;
 mod tick;
+mod topic;
+mod value;
 
 pub use entry::{Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
+pub use error::RecordError;
+pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
+pub use meta::{ClockMapping, Meta, RECORD_VERSION};
+pub use reader::{Ending, Reader};
+pub use recorder::{Finished, Recorder, part_path};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
+pub use topic::{Topic, UnknownTopic};
+pub use value::Value;

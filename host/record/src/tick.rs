@@ -88,3 +88,140 @@ pub enum LinkPhase {
     /// The board has its configuration.
     Ready,
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use singletrack_control::{
+        Actuation, BoardSample, BoardState, DriveCommand, Estimate, InertialSample, LinkState,
+        Mode, PoseMissing, PoseSample, Position, Reason, ReferencePoint, Request, Velocity,
+    };
+
+    use super::*;
+
+    /// The first tick of a daemon without a board.
+    pub(crate) fn empty() -> TickRecord {
+        TickRecord {
+            index: 0,
+            scheduled_ns: 1_000_000_000,
+            start_ns: 999_999_000,
+            finish_ns: 1_000_020_000,
+            skipped: 0,
+            pilot_time: Time(1_000_000_000),
+            events: heapless::Vec::new(),
+            events_dropped: 0,
+            output: Output {
+                mode: Mode::Disconnected,
+                reason: Some(Reason::LinkDown),
+                estimate: None,
+                held: true,
+                drive_time: None,
+                reference: None,
+                point: None,
+                point_velocity: None,
+                actuation: Actuation::default(),
+                turning_round: false,
+                command: None,
+                request: None,
+            },
+            drive: None,
+            link: LinkPhase::Greeting,
+        }
+    }
+
+    /// A tick in the middle of a drive, with every kind of event.
+    pub(crate) fn full() -> TickRecord {
+        let pose_time = Time(40_000_000_000);
+        TickRecord {
+            index: 4_001,
+            scheduled_ns: 40_010_000_000,
+            start_ns: 40_010_060_000,
+            finish_ns: 40_010_100_000,
+            skipped: 2,
+            pilot_time: Time(40_010_060_000),
+            events: [
+                Event::Pose(PoseSample {
+                    capture: pose_time,
+                    receive: Time(40_008_000_000),
+                    frame: 17,
+                    position: Position::new(0.1, -0.2),
+                    yaw: -0.0,
+                }),
+                Event::PoseMissing(PoseMissing::Rejected),
+                Event::Board(BoardSample {
+                    time: Time(40_009_000_000),
+                    inertial: Some(InertialSample {
+                        time: Time(40_008_500_000),
+                        yaw_rate: 0.5,
+                        forward_acceleration: f64::MIN_POSITIVE,
+                        left_acceleration: -1.25,
+                    }),
+                    motor_speed: 0.4,
+                    state: BoardState::Driving,
+                }),
+                Event::Link(LinkState::Ready),
+                Event::Request(Request::EmergencyStop),
+                Event::ArmRefused,
+            ]
+            .into_iter()
+            .collect(),
+            events_dropped: 3,
+            output: Output {
+                mode: Mode::Driving,
+                reason: None,
+                estimate: Some(Estimate {
+                    time: Time(40_010_060_000),
+                    position: Position::new(1.0, 2.0),
+                    yaw: 0.1 + 0.2,
+                    yaw_rate: 0.5,
+                    sideslip: 0.15,
+                    speed: 0.4,
+                    pose_time,
+                }),
+                held: false,
+                drive_time: Some(12.34),
+                reference: Some(ReferencePoint {
+                    position: Some(Position::new(0.9, 0.1)),
+                    velocity: Velocity::new(0.0, 0.5),
+                }),
+                point: Some(Position::new(0.8, 0.2)),
+                point_velocity: Some(Velocity::new(0.1, 0.4)),
+                actuation: Actuation {
+                    speed: 0.41,
+                    steering: 0.32,
+                    steering_rate: -0.01,
+                },
+                turning_round: false,
+                command: Some(DriveCommand {
+                    rear_speed: 0.39,
+                    steering: 0.32,
+                    pose_time,
+                }),
+                request: None,
+            },
+            drive: Some(DriveWrite {
+                sequence: 255,
+                written: true,
+                time_ns: 40_010_095_000,
+            }),
+            link: LinkPhase::Ready,
+        }
+    }
+
+    #[test]
+    fn lateness_and_latency_follow_from_the_times() {
+        assert_eq!(full().lateness_ns(), 60_000);
+        assert_eq!(empty().lateness_ns(), -1_000);
+        assert_eq!(full().capture_to_command_ns(), Some(10_095_000));
+    }
+
+    #[test]
+    fn a_command_that_was_not_written_has_no_latency() {
+        let mut tick = full();
+        tick.drive = tick.drive.map(|drive| DriveWrite {
+            written: false,
+            ..drive
+        });
+        assert_eq!(tick.capture_to_command_ns(), None);
+        assert_eq!(empty().capture_to_command_ns(), None);
+    }
+}

@@ -1,0 +1,223 @@
+//! What the pilot was told, exactly: a replay starts from these.
+
+use nalgebra::Point2;
+use singletrack_control::{
+    BoardSample, BoardState, Event, InertialSample, LinkState, PoseMissing, PoseSample, Request,
+    Time,
+};
+
+use super::{
+    Senseless,
+    code::{Code, EventKind, OptionalCode},
+    field::Maybe,
+    message,
+};
+
+message! {
+    /// Something that happened between two ticks. Which of the fields are present
+    /// follows from the kind.
+    EventMessage as "Event" {
+        kind: Code<EventKind>,
+        pose: Maybe<PoseSampleMessage>,
+        /// Why a frame brought no pose.
+        pose_missing: OptionalCode<PoseMissing>,
+        board: Maybe<BoardSampleMessage>,
+        link: OptionalCode<LinkState>,
+        request: OptionalCode<Request>,
+    }
+}
+
+message! {
+    /// A valid pose of the car, from the motion capture.
+    PoseSampleMessage as "PoseSample" {
+        /// Mid-exposure, in ns of the host's monotonic clock.
+        capture_ns: u64,
+        /// When the packet arrived, in ns of the host's monotonic clock.
+        receive_ns: u64,
+        /// Number that the motion capture gave to the frame.
+        frame: i32,
+        /// Position of the rigid body's origin, world frame, in m.
+        x_m: f64,
+        y_m: f64,
+        /// Yaw of the rigid body, left positive, in rad, from -pi to pi.
+        yaw_rad: f64,
+    }
+}
+
+message! {
+    /// What the board measured, in the car's axes (forward, left, up).
+    BoardSampleMessage as "BoardSample" {
+        /// When the board made the record, in ns of the host's monotonic clock.
+        time_ns: u64,
+        /// Absent if the IMU is silent or its sample was reported before.
+        inertial: Maybe<InertialSampleMessage>,
+        /// Speed of the rear axle by the motor pulses, in m/s.
+        motor_speed_m_s: f64,
+        /// The board's safety machine.
+        state: Code<BoardState>,
+    }
+}
+
+message! {
+    /// A sample of the inertial measurement unit.
+    InertialSampleMessage as "InertialSample" {
+        /// When it was measured, in ns of the host's monotonic clock.
+        time_ns: u64,
+        /// Angular velocity about the vertical, left positive, in rad/s.
+        yaw_rate_rad_s: f64,
+        /// Acceleration forward, without gravity, in m/s^2.
+        forward_acceleration_m_s2: f64,
+        /// Acceleration to the left, without gravity, in m/s^2.
+        left_acceleration_m_s2: f64,
+    }
+}
+
+impl EventMessage {
+    const fn of(kind: EventKind) -> Self {
+        Self {
+            kind: Code(kind),
+            pose: Maybe(None),
+            pose_missing: OptionalCode(None),
+            board: Maybe(None),
+            link: OptionalCode(None),
+            request: OptionalCode(None),
+        }
+    }
+}
+
+impl From<&Event> for EventMessage {
+    fn from(event: &Event) -> Self {
+        match *event {
+            Event::Pose(pose) => Self {
+                pose: Maybe(Some(pose.into())),
+                ..Self::of(EventKind::Pose)
+            },
+            Event::PoseMissing(missing) => Self {
+                pose_missing: OptionalCode(Some(missing)),
+                ..Self::of(EventKind::PoseMissing)
+            },
+            Event::Board(sample) => Self {
+                board: Maybe(Some(sample.into())),
+                ..Self::of(EventKind::Board)
+            },
+            Event::Link(link) => Self {
+                link: OptionalCode(Some(link)),
+                ..Self::of(EventKind::Link)
+            },
+            Event::Request(request) => Self {
+                request: OptionalCode(Some(request)),
+                ..Self::of(EventKind::Request)
+            },
+            Event::ArmRefused => Self::of(EventKind::ArmRefused),
+        }
+    }
+}
+
+impl TryFrom<&EventMessage> for Event {
+    type Error = Senseless;
+
+    fn try_from(message: &EventMessage) -> Result<Self, Senseless> {
+        let missing = |part| Senseless::PartMissing {
+            kind: "an event",
+            part,
+        };
+        Ok(match message.kind.0 {
+            EventKind::Pose => Self::Pose(
+                message
+                    .pose
+                    .0
+                    .clone()
+                    .ok_or_else(|| missing("its pose"))?
+                    .into(),
+            ),
+            EventKind::PoseMissing => Self::PoseMissing(
+                message
+                    .pose_missing
+                    .0
+                    .ok_or_else(|| missing("why the pose is missing"))?,
+            ),
+            EventKind::Board => Self::Board(
+                message
+                    .board
+                    .0
+                    .clone()
+                    .ok_or_else(|| missing("the board's sample"))?
+                    .into(),
+            ),
+            EventKind::Link => Self::Link(message.link.0.ok_or_else(|| missing("the link"))?),
+            EventKind::Request => {
+                Self::Request(message.request.0.ok_or_else(|| missing("the request"))?)
+            }
+            EventKind::ArmRefused => Self::ArmRefused,
+        })
+    }
+}
+
+impl From<PoseSample> for PoseSampleMessage {
+    fn from(pose: PoseSample) -> Self {
+        Self {
+            capture_ns: pose.capture.0,
+            receive_ns: pose.receive.0,
+            frame: pose.frame,
+            x_m: pose.position.x,
+            y_m: pose.position.y,
+            yaw_rad: pose.yaw,
+        }
+    }
+}
+
+impl From<PoseSampleMessage> for PoseSample {
+    fn from(message: PoseSampleMessage) -> Self {
+        Self {
+            capture: Time(message.capture_ns),
+            receive: Time(message.receive_ns),
+            frame: message.frame,
+            position: Point2::new(message.x_m, message.y_m),
+            yaw: message.yaw_rad,
+        }
+    }
+}
+
+impl From<BoardSample> for BoardSampleMessage {
+    fn from(sample: BoardSample) -> Self {
+        Self {
+            time_ns: sample.time.0,
+            inertial: Maybe::from(sample.inertial),
+            motor_speed_m_s: sample.motor_speed,
+            state: Code(sample.state),
+        }
+    }
+}
+
+impl From<BoardSampleMessage> for BoardSample {
+    fn from(message: BoardSampleMessage) -> Self {
+        Self {
+            time: Time(message.time_ns),
+            inertial: message.inertial.0.map(Into::into),
+            motor_speed: message.motor_speed_m_s,
+            state: message.state.0,
+        }
+    }
+}
+
+impl From<InertialSample> for InertialSampleMessage {
+    fn from(sample: InertialSample) -> Self {
+        Self {
+            time_ns: sample.time.0,
+            yaw_rate_rad_s: sample.yaw_rate,
+            forward_acceleration_m_s2: sample.forward_acceleration,
+            left_acceleration_m_s2: sample.left_acceleration,
+        }
+    }
+}
+
+impl From<InertialSampleMessage> for InertialSample {
+    fn from(message: InertialSampleMessage) -> Self {
+        Self {
+            time: Time(message.time_ns),
+            yaw_rate: message.yaw_rate_rad_s,
+            forward_acceleration: message.forward_acceleration_m_s2,
+            left_acceleration: message.left_acceleration_m_s2,
+        }
+    }
+}

@@ -1,0 +1,350 @@
+//! Reading a record, finished or not.
+
+use std::{
+    collections::HashMap,
+    fmt,
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+    thread,
+    time::Duration,
+};
+
+use mcap::{
+    McapError,
+    records::{Metadata, Record},
+    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+};
+
+use crate::{
+    Entry, Meta, RecordError, Topic,
+    meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
+    recorder::PROFILE,
+};
+
+/// No part of a record is longer than this: a length beyond it is damage, and
+/// must not be allocated.
+const MAX_PART_LENGTH: usize = 16 << 20;
+/// How much is read from the file at once.
+const READ_LENGTH: usize = 64 << 10;
+/// How often a record that is being written is looked at.
+const FOLLOW_PERIOD: Duration = Duration::from_millis(100);
+
+/// Reads a record from start to end, as an iterator over its entries.
+///
+/// An unfinished record is read as far as it goes; [`Reader::ending`] then tells
+/// so. Channels that are not ours are skipped. After an error nothing follows.
+pub struct Reader {
+    path: PathBuf,
+    file: File,
+    linear: LinearReader,
+    catalogue: Catalogue,
+    meta: Meta,
+    bytes: u64,
+    entries: u64,
+    topics: Option<Vec<Topic>>,
+    follow: bool,
+    ending: Option<Ending>,
+    failed: bool,
+}
+
+/// How a record ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// As it should.
+    Finished,
+    /// In the middle: the recorder was stopped, or the file was cut.
+    Unfinished {
+        /// Entries that could be read.
+        entries: u64,
+        /// Length of the file.
+        bytes: u64,
+    },
+}
+
+impl fmt::Display for Ending {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Finished => formatter.write_str("the record is complete"),
+            Self::Unfinished { entries, bytes } => write!(
+                formatter,
+                "the record is unfinished: it stops after {entries} entries ({bytes} bytes); up to a second before the recorder stopped may be missing"
+            ),
+        }
+    }
+}
+
+/// What the file has said so far of its own structure.
+#[derive(Default)]
+struct Catalogue {
+    header: Option<(String, String)>,
+    metadata: Option<Metadata>,
+    configuration: Option<Vec<u8>>,
+    /// Schema names by id, and whether they are as this program knows them.
+    schemas: HashMap<u16, (String, bool)>,
+    /// Our channels by id.
+    channels: HashMap<u16, Topic>,
+}
+
+/// One step through the file.
+enum Step {
+    Nothing,
+    Entry(Entry),
+    /// An entry that was not asked for.
+    Skipped,
+    End,
+    /// No more bytes, and yet no end.
+    Cut,
+}
+
+impl Reader {
+    /// Opens a record and reads what it says of itself.
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be read, is not a record, or is one of another version.
+    pub fn open(path: &Path) -> Result<Self, RecordError> {
+        let file = File::open(path).map_err(|source| RecordError::Io {
+            action: "open",
+            path: path.to_owned(),
+            source,
+        })?;
+        let options = LinearReaderOptions::default()
+            // Nothing of a damaged chunk is believed.
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MAX_PART_LENGTH);
+        let mut reader = Self {
+            path: path.to_owned(),
+            file,
+            linear: LinearReader::new_with_options(options),
+            catalogue: Catalogue::default(),
+            meta: Meta::none(),
+            bytes: 0,
+            entries: 0,
+            topics: None,
+            follow: false,
+            ending: None,
+            failed: false,
+        };
+        reader.meta = reader.read_meta()?;
+        Ok(reader)
+    }
+
+    /// Yields entries of these topics only; the others are not even decoded.
+    #[must_use]
+    pub fn only(mut self, topics: &[Topic]) -> Self {
+        self.topics = Some(topics.to_vec());
+        self
+    }
+
+    /// Waits for more at the end of an unfinished record, until it is finished.
+    #[must_use]
+    pub const fn follow(mut self) -> Self {
+        self.follow = true;
+        self
+    }
+
+    /// What the record says of itself.
+    #[must_use]
+    pub const fn meta(&self) -> &Meta {
+        &self.meta
+    }
+
+    /// How it ended; none before the iterator has come to the end, or when it
+    /// stopped with an error.
+    #[must_use]
+    pub const fn ending(&self) -> Option<Ending> {
+        self.ending
+    }
+
+    fn read_meta(&mut self) -> Result<Meta, RecordError> {
+        loop {
+            match self.step() {
+                Ok(Step::Nothing | Step::Skipped) => {}
+                Ok(Step::Cut) => {
+                    return Err(RecordError::Empty {
+                        path: self.path.clone(),
+                        bytes: self.bytes,
+                    });
+                }
+                Ok(Step::Entry(_) | Step::End) => return Err(self.not_ours()),
+                Err(error) => return Err(error),
+            }
+            let Catalogue {
+                header,
+                metadata,
+                configuration,
+                schemas,
+                ..
+            } = &self.catalogue;
+            if header
+                .as_ref()
+                .is_some_and(|(profile, _)| profile != PROFILE)
+                || (metadata.is_none() && !schemas.is_empty())
+            {
+                return Err(self.not_ours());
+            }
+            if let Some(metadata) = metadata {
+                check_version(&self.path, metadata)?;
+                if let Some(configuration) = configuration {
+                    return Meta::from_parts(&self.path, metadata, configuration);
+                }
+            }
+        }
+    }
+
+    fn not_ours(&self) -> RecordError {
+        let (profile, library) = self.catalogue.header.clone().unwrap_or_default();
+        RecordError::NotOurs {
+            path: self.path.clone(),
+            profile,
+            library,
+        }
+    }
+
+    fn damaged(&self, reason: impl fmt::Display) -> RecordError {
+        RecordError::Damaged {
+            path: self.path.clone(),
+            entries: self.entries,
+            bytes: self.bytes,
+            reason: reason.to_string(),
+        }
+    }
+
+    /// Goes one record of the container further.
+    fn step(&mut self) -> Result<Step, RecordError> {
+        let step = match self.linear.next_event() {
+            None => return Ok(Step::End),
+            Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                let buffer = self.linear.insert(wanted.clamp(1, READ_LENGTH));
+                let length = self.file.read(buffer).map_err(|source| RecordError::Io {
+                    action: "read",
+                    path: self.path.clone(),
+                    source,
+                })?;
+                self.bytes += length as u64;
+                if length == 0 {
+                    return Ok(Step::Cut);
+                }
+                self.linear.notify_read(length);
+                return Ok(Step::Nothing);
+            }
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                self.catalogue.take(opcode, data, self.topics.as_deref())
+            }
+            Some(Err(McapError::BadMagic)) if self.catalogue.header.is_none() => {
+                return Err(RecordError::NotMcap(self.path.clone()));
+            }
+            Some(Err(error)) => Err(Refused::Damage(error.to_string())),
+        };
+        step.map_err(|refused| match refused {
+            Refused::Damage(reason) => self.damaged(reason),
+            Refused::OtherSchema(schema) => RecordError::OtherSchema {
+                path: self.path.clone(),
+                schema,
+            },
+        })
+    }
+}
+
+/// Why a part of the file is not accepted.
+enum Refused {
+    Damage(String),
+    OtherSchema(String),
+}
+
+impl From<McapError> for Refused {
+    fn from(error: McapError) -> Self {
+        Self::Damage(error.to_string())
+    }
+}
+
+impl Catalogue {
+    /// Takes in one record of the container.
+    fn take(&mut self, opcode: u8, data: &[u8], topics: Option<&[Topic]>) -> Result<Step, Refused> {
+        match mcap::parse_record(opcode, data)? {
+            Record::Header(header) => self.header = Some((header.profile, header.library)),
+            Record::Metadata(metadata) if metadata.name == METADATA_NAME => {
+                self.metadata = Some(metadata);
+            }
+            Record::Attachment { header, data, .. } if header.name == CONFIGURATION_NAME => {
+                self.configuration = Some(data.into_owned());
+            }
+            Record::Schema { header, data } => {
+                let same = Topic::ALL.into_iter().any(|topic| {
+                    header.name == topic.schema_name()
+                        && header.encoding == "ros2msg"
+                        && *data == *topic.schema_text().as_bytes()
+                });
+                self.schemas.insert(header.id, (header.name, same));
+            }
+            Record::Channel(channel) => {
+                let topic = Topic::ALL
+                    .into_iter()
+                    .find(|topic| topic.channel() == channel.topic);
+                if let Some(topic) = topic {
+                    match self.schemas.get(&channel.schema_id) {
+                        Some((name, true)) if *name == topic.schema_name() => {}
+                        Some((name, _)) => return Err(Refused::OtherSchema(name.clone())),
+                        None => {
+                            return Err(Refused::Damage(format!(
+                                "the channel {} has no schema",
+                                channel.topic
+                            )));
+                        }
+                    }
+                    self.channels.insert(channel.id, topic);
+                }
+            }
+            Record::Message { header, data } => {
+                let Some(topic) = self.channels.get(&header.channel_id) else {
+                    return Ok(Step::Nothing);
+                };
+                if topics.is_some_and(|topics| !topics.contains(topic)) {
+                    return Ok(Step::Skipped);
+                }
+                return Entry::decode(*topic, &data)
+                    .map(Step::Entry)
+                    .map_err(|reason| Refused::Damage(format!("{topic}: {reason}")));
+            }
+            _ => {}
+        }
+        Ok(Step::Nothing)
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Entry, RecordError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed || self.ending.is_some() {
+            return None;
+        }
+        loop {
+            match self.step() {
+                Ok(Step::Nothing) => {}
+                Ok(Step::Skipped) => self.entries += 1,
+                Ok(Step::Entry(entry)) => {
+                    self.entries += 1;
+                    return Some(Ok(entry));
+                }
+                Ok(Step::Cut) if self.follow => thread::sleep(FOLLOW_PERIOD),
+                Ok(Step::Cut) => {
+                    self.ending = Some(Ending::Unfinished {
+                        entries: self.entries,
+                        bytes: self.bytes,
+                    });
+                    return None;
+                }
+                Ok(Step::End) => {
+                    self.ending = Some(Ending::Finished);
+                    return None;
+                }
+                Err(error) => {
+                    self.failed = true;
+                    return Some(Err(error));
+                }
+            }
+        }
+    }
+}
