@@ -18,6 +18,7 @@
 mod entry;
 mod error;
 mod feed;
+mod json;
 mod message;
 mod meta;
 mod reader;
@@ -29,6 +30,7 @@ mod value;
 pub use entry::{Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
 pub use error::RecordError;
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
+pub use json::{NotAnEntry, Shown, json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};
 pub use reader::{Ending, Reader};
 pub use recorder::{Finished, Recorder, part_path};

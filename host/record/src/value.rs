@@ -37,7 +37,7 @@ impl fmt::Display for Value {
 /// Walks through a message in the order of its schema.
 pub(crate) trait Visitor {
     /// A part without parts.
-    fn value(&mut self, name: &'static str, value: Value);
+    fn value(&mut self, name: &str, value: Value);
     /// A message within the message. Its fields mean nothing if it is not present.
     fn message(&mut self, name: &'static str, present: bool, fields: &dyn Fn(&mut dyn Visitor));
     /// A list of messages.
@@ -58,7 +58,7 @@ pub(crate) struct Paths {
 }
 
 impl Visitor for Paths {
-    fn value(&mut self, name: &'static str, _: Value) {
+    fn value(&mut self, name: &str, _: Value) {
         self.paths.push(format!("{}{name}", self.prefix));
     }
 
@@ -83,7 +83,7 @@ pub(crate) struct Values {
 }
 
 impl Visitor for Values {
-    fn value(&mut self, _: &'static str, value: Value) {
+    fn value(&mut self, _: &str, value: Value) {
         self.values
             .push(if self.absent { Value::Absent } else { value });
     }
@@ -127,7 +127,7 @@ impl<'a> Json<'a> {
 }
 
 impl Visitor for Json<'_> {
-    fn value(&mut self, name: &'static str, value: Value) {
+    fn value(&mut self, name: &str, value: Value) {
         self.key(name);
         match value {
             Value::Absent => self.text.push_str("null"),

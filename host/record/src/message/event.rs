@@ -221,3 +221,151 @@ impl From<InertialSampleMessage> for InertialSample {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use byteorder::LittleEndian;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Every bit pattern, also of what is not a number.
+    fn any_float() -> impl Strategy<Value = f64> {
+        any::<u64>().prop_map(f64::from_bits)
+    }
+
+    fn any_time() -> impl Strategy<Value = Time> {
+        any::<u64>().prop_map(Time)
+    }
+
+    fn any_pose() -> impl Strategy<Value = PoseSample> {
+        (
+            any_time(),
+            any_time(),
+            any::<i32>(),
+            any_float(),
+            any_float(),
+            any_float(),
+        )
+            .prop_map(|(capture, receive, frame, x, y, yaw)| PoseSample {
+                capture,
+                receive,
+                frame,
+                position: Point2::new(x, y),
+                yaw,
+            })
+    }
+
+    fn any_inertial() -> impl Strategy<Value = InertialSample> {
+        (any_time(), any_float(), any_float(), any_float()).prop_map(
+            |(time, yaw_rate, forward_acceleration, left_acceleration)| InertialSample {
+                time,
+                yaw_rate,
+                forward_acceleration,
+                left_acceleration,
+            },
+        )
+    }
+
+    fn any_board() -> impl Strategy<Value = BoardSample> {
+        let state = prop::sample::select(vec![
+            BoardState::Booting,
+            BoardState::Neutral,
+            BoardState::Armed,
+            BoardState::Driving,
+            BoardState::Failsafe,
+            BoardState::EmergencyStopped,
+        ]);
+        (
+            any_time(),
+            prop::option::of(any_inertial()),
+            any_float(),
+            state,
+        )
+            .prop_map(|(time, inertial, motor_speed, state)| BoardSample {
+                time,
+                inertial,
+                motor_speed,
+                state,
+            })
+    }
+
+    fn any_event() -> impl Strategy<Value = Event> {
+        prop_oneof![
+            any_pose().prop_map(Event::Pose),
+            any_board().prop_map(Event::Board),
+            prop::sample::select(vec![
+                Event::PoseMissing(PoseMissing::Untracked),
+                Event::PoseMissing(PoseMissing::Absent),
+                Event::PoseMissing(PoseMissing::Stale),
+                Event::PoseMissing(PoseMissing::Rejected),
+                Event::PoseMissing(PoseMissing::Untrustworthy),
+                Event::Link(LinkState::Down),
+                Event::Link(LinkState::Ready),
+                Event::Request(Request::Arm),
+                Event::Request(Request::Disarm),
+                Event::Request(Request::EmergencyStop),
+                Event::ArmRefused,
+            ]),
+        ]
+    }
+
+    /// All floats of an event by their bits, for which equality is not enough.
+    fn bits(event: &Event) -> Vec<u64> {
+        let floats = match event {
+            Event::Pose(pose) => vec![pose.position.x, pose.position.y, pose.yaw],
+            Event::Board(board) => {
+                let mut floats = vec![board.motor_speed];
+                if let Some(inertial) = board.inertial {
+                    floats.extend([
+                        inertial.yaw_rate,
+                        inertial.forward_acceleration,
+                        inertial.left_acceleration,
+                    ]);
+                }
+                floats
+            }
+            _ => Vec::new(),
+        };
+        floats.into_iter().map(f64::to_bits).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn an_event_comes_back_from_its_bytes_bit_for_bit(
+            events in prop::collection::vec(any_event(), 0..crate::MAX_EVENTS),
+        ) {
+            let messages: Vec<EventMessage> = events.iter().map(Into::into).collect();
+            let bytes = cdr_encoding::to_vec::<_, LittleEndian>(&messages).unwrap();
+            let (read, length) =
+                cdr_encoding::from_bytes::<Vec<EventMessage>, LittleEndian>(&bytes).unwrap();
+            prop_assert_eq!(length, bytes.len());
+            prop_assert_eq!(read.len(), events.len());
+            for (read, event) in read.iter().zip(&events) {
+                let read = Event::try_from(read).unwrap();
+                // The text differs in everything but the payload of NaNs.
+                prop_assert_eq!(format!("{read:?}"), format!("{event:?}"));
+                prop_assert_eq!(bits(&read), bits(event));
+            }
+        }
+
+        #[test]
+        fn arbitrary_bytes_are_an_event_or_refused(bytes: Vec<u8>) {
+            let read = cdr_encoding::from_bytes::<EventMessage, LittleEndian>(&bytes);
+            if let Ok((message, _)) = read
+                && let Ok(event) = Event::try_from(&message)
+            {
+                prop_assert_eq!(EventMessage::from(&event).kind, message.kind);
+            }
+        }
+    }
+
+    #[test]
+    fn an_event_without_its_part_is_refused() {
+        let message = EventMessage::of(EventKind::Pose);
+        assert_eq!(
+            Event::try_from(&message).unwrap_err().to_string(),
+            "an event without its pose"
+        );
+    }
+}

@@ -1,0 +1,174 @@
+//! What is recorded is what is read.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
+mod common;
+
+use std::fs;
+
+use proptest::prelude::*;
+use singletrack_record::{
+    Drops, Ending, Entry, Reader, RecordError, Recorder, RecorderThread, Topic, Value, feed,
+    part_path,
+};
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn every_entry_comes_back_as_it_was(
+        entries in prop::collection::vec(common::entry(), 0..40),
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("drive.mcap");
+        common::record(&path, &entries);
+        let mut reader = Reader::open(&path).unwrap();
+        prop_assert_eq!(reader.meta(), &common::meta());
+        let read: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+        prop_assert_eq!(reader.ending(), Some(Ending::Finished));
+        // The text tells -0.0 from 0.0.
+        prop_assert_eq!(format!("{read:?}"), format!("{entries:?}"));
+    }
+
+    #[test]
+    fn json_and_values_show_the_same(entry in common::entry()) {
+        let mut json = String::new();
+        entry.write_json(&mut json);
+        prop_assert!(!json.contains('\n'));
+        let object: serde_json::Value = serde_json::from_str(&json).unwrap();
+        prop_assert_eq!(&object["topic"], entry.topic().name());
+        let fields = entry.topic().fields();
+        let values = entry.values();
+        prop_assert_eq!(fields.len(), values.len());
+        for (field, value) in fields.iter().zip(values) {
+            let shown = field.split('.').fold(&object, |part, name| &part[name]);
+            match value {
+                Value::Absent => prop_assert!(shown.is_null(), "{}", field),
+                Value::Bool(value) => prop_assert_eq!(shown, value),
+                Value::Unsigned(length) if shown.is_array() => {
+                    prop_assert_eq!(shown.as_array().unwrap().len() as u64, length);
+                }
+                Value::Unsigned(value) => prop_assert_eq!(shown, value),
+                Value::Signed(value) => prop_assert_eq!(shown, value),
+                Value::Float(value) if value.is_finite() => {
+                    prop_assert_eq!(Value::Float(value).to_string().parse(), Ok(value));
+                }
+                Value::Float(_) => prop_assert!(shown.is_null()),
+                Value::Text(value) => prop_assert_eq!(shown, &*value),
+            }
+        }
+    }
+}
+
+#[test]
+fn the_file_has_its_name_only_once_it_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let mut recorder = Recorder::create(&path, &common::meta()).unwrap();
+    recorder.write(&common::log(1)).unwrap();
+    assert!(!path.exists());
+    assert!(part_path(&path).exists());
+    let finished = recorder.finish().unwrap();
+    assert_eq!(finished.entries, 1);
+    assert_eq!(finished.bytes, fs::metadata(&path).unwrap().len());
+    assert!(!part_path(&path).exists());
+}
+
+#[test]
+fn a_record_is_never_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    common::record(&path, &[common::log(1)]);
+    let error = Recorder::create(&path, &common::meta()).err().unwrap();
+    assert!(matches!(&error, RecordError::Exists(existing) if *existing == path));
+
+    let other = folder.path().join("other.mcap");
+    drop(Recorder::create(&other, &common::meta()).unwrap());
+    let error = Recorder::create(&other, &common::meta()).err().unwrap();
+    assert!(
+        error.to_string().contains("other.mcap.part exists already"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("nowhere").join("drive.mcap");
+    let error = Recorder::create(&path, &common::meta()).err().unwrap();
+    assert!(
+        error.to_string().contains("nowhere/drive.mcap.part"),
+        "{error}"
+    );
+}
+
+#[test]
+fn only_the_topics_asked_for_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let drops = Entry::Drops(Drops {
+        time_ns: 2,
+        entries: 9,
+    });
+    common::record(&path, &[common::log(1), drops.clone(), common::log(3)]);
+    let read: Vec<_> = Reader::open(&path)
+        .unwrap()
+        .only(&[Topic::Drops])
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(read, [drops]);
+}
+
+#[test]
+fn times_in_the_container_are_on_the_wall_and_do_not_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let start = common::meta().start;
+    common::record(&path, &[common::log(start.monotonic_ns + 250)]);
+    let bytes = fs::read(&path).unwrap();
+    let messages: Vec<_> = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    let [message] = &messages[..] else {
+        panic!("{messages:?}");
+    };
+    assert_eq!(message.log_time, start.wall_ns + 250);
+    assert_eq!(message.channel.message_encoding, "cdr");
+    let schema = message.channel.schema.as_ref().unwrap();
+    assert_eq!(schema.name, "singletrack_msgs/msg/Log");
+    assert_eq!(schema.encoding, "ros2msg");
+}
+
+#[test]
+fn the_recorder_thread_writes_what_is_pushed_and_counts_what_finds_no_room() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let (mut input, output) = feed(4);
+    // Nobody empties the ring yet.
+    let pushed = (0..6).filter(|time| input.push(common::log(*time))).count();
+    assert_eq!(pushed, 4);
+    let recorder = Recorder::create(&path, &common::meta()).unwrap();
+    let (sender, observed) = std::sync::mpsc::channel();
+    let thread = RecorderThread::start(recorder, vec![output], move |entry| {
+        sender.send(entry.clone()).unwrap();
+    })
+    .unwrap();
+    let finished = thread.finish().unwrap();
+    let read: Vec<_> = Reader::open(&path).unwrap().map(Result::unwrap).collect();
+    assert_eq!(finished.entries, 5);
+    assert_eq!(read[..4], (0..4).map(common::log).collect::<Vec<_>>());
+    assert_eq!(
+        read[4],
+        Entry::Drops(Drops {
+            time_ns: 3,
+            entries: 2
+        })
+    );
+    assert_eq!(observed.into_iter().collect::<Vec<_>>(), read);
+}
