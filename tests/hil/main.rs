@@ -1,0 +1,137 @@
+//! What the shipped daemon must do with a board, in real time; see
+//! [`singletrack_hil`] for how to run it.
+
+mod board;
+mod drive;
+mod line;
+mod markers;
+mod process;
+mod stop;
+
+use std::{path::PathBuf, process::ExitCode, time::Duration};
+
+use clap::Parser;
+use libtest_mimic::{Arguments, Completion, Failed, Trial};
+use singletrack_hil::{
+    Failure, Measurements, Outcome,
+    bench::{Bench, Equipment},
+    program,
+    rig::Need,
+};
+
+/// The shipped daemon against a board, in real time.
+#[derive(Debug, Parser)]
+#[command(disable_version_flag = true)]
+struct Options {
+    /// A physical UNO instead of the simulator: servo and motor WILL MOVE, wheels off the ground!
+    #[arg(long, value_name = "DEVICE")]
+    port: Option<PathBuf>,
+
+    /// A singletrackd that is already there, instead of building one
+    #[arg(long, value_name = "PATH")]
+    daemon: Option<PathBuf>,
+
+    #[command(flatten)]
+    libtest: Arguments,
+}
+
+/// What must happen, and what it takes to see it.
+#[derive(Clone, Copy)]
+struct Scenario {
+    name: &'static str,
+    needs: &'static [Need],
+    run: fn(&mut Bench) -> Outcome,
+}
+
+impl Scenario {
+    const fn new(name: &'static str, run: fn(&mut Bench) -> Outcome) -> Self {
+        Self {
+            name,
+            needs: &[],
+            run,
+        }
+    }
+
+    const fn needing(self, needs: &'static [Need]) -> Self {
+        Self { needs, ..self }
+    }
+}
+
+/// So often a test is run that has shown nothing.
+const ATTEMPTS: u64 = 3;
+
+/// When the rig itself was late by more, a failure shows nothing: a command
+/// lives for 95 ms, of which the simulator must not use up half.
+const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    let mut libtest = options.libtest.clone();
+    // Each test needs the machine's real time for itself.
+    libtest.test_threads.get_or_insert(1);
+    let measurements = Measurements::default();
+    let scenarios = [
+        drive::SCENARIOS,
+        markers::SCENARIOS,
+        line::SCENARIOS,
+        process::SCENARIOS,
+        board::SCENARIOS,
+        stop::SCENARIOS,
+    ]
+    .concat();
+    let program = if libtest.list {
+        PathBuf::new()
+    } else {
+        match options.daemon.map_or_else(program::build, Ok) {
+            Ok(program) => program,
+            Err(failure) => {
+                eprintln!("error: {failure}");
+                return ExitCode::FAILURE;
+            }
+        }
+    };
+    let equipment = Equipment {
+        program,
+        port: options.port,
+        measurements: measurements.clone(),
+    };
+    let trials = scenarios
+        .into_iter()
+        .map(|scenario| {
+            let equipment = equipment.clone();
+            Trial::ignorable_test(scenario.name, move || run(&scenario, &equipment))
+        })
+        .collect();
+    let conclusion = libtest_mimic::run(&libtest, trials);
+    let table = measurements.table();
+    if !table.is_empty() {
+        println!("measured, and the limits:\n{table}");
+    }
+    conclusion.exit_code()
+}
+
+/// Runs a scenario, again if it has shown nothing.
+fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
+    let mut attempt = 1;
+    loop {
+        let mut bench = Bench::new(scenario.name, equipment, attempt)?;
+        if let Some(lack) = scenario.needs.iter().find_map(|&need| bench.lacks(need)) {
+            return Ok(Completion::ignored_with(lack));
+        }
+        let Err(failure) = (scenario.run)(&mut bench) else {
+            return Ok(Completion::Completed);
+        };
+        let lateness = bench.rig().lateness().unwrap_or_default();
+        let void = matches!(failure, Failure::Void(_)) || lateness > TOLERATED_LATENESS;
+        if !void || attempt == ATTEMPTS {
+            let log = bench.last_log();
+            return Err(format!(
+                "{failure}\n(the rig was late by {lateness:.0?} at most)\nthe daemon's last words:\n{log}"
+            )
+            .into());
+        }
+        eprintln!("repeated, the rig was late by {lateness:.0?}: {failure}");
+        equipment.measurements.forget(scenario.name);
+        attempt += 1;
+    }
+}

@@ -1,0 +1,122 @@
+//! When the daemon is killed, ended or started twice.
+
+use std::time::Duration;
+
+use singletrack_hil::{Outcome, bench::Bench, daemon::Daemon, ensure, settings, wait};
+
+use crate::Scenario;
+
+pub(crate) const SCENARIOS: &[Scenario] = &[
+    Scenario::new("a_killed_daemon_leaves_a_car_that_stops", killed),
+    Scenario::new("a_termination_while_driving_stops_the_car_first", terminated_driving),
+    Scenario::new("a_termination_at_rest_is_prompt", terminated_at_rest),
+    Scenario::new("a_second_daemon_is_refused", second_daemon),
+];
+
+/// How long the car had driven when the daemon was killed, in ms: while it
+/// speeds up, and at moments that fall differently on ticks and servo frames.
+const KILLED_AFTER_MS: [u64; 3] = [53, 571, 1_238];
+
+fn killed(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    for after_ms in KILLED_AFTER_MS {
+        bench.keep_driving(Duration::from_millis(after_ms))?;
+        bench.daemon()?.kill()?;
+        bench.neutral_after_last_command()?;
+        bench.wait_until_standing()?;
+
+        // The next one finds the board and the socket that was left behind,
+        // and waits.
+        let place = bench.rig().trace()?.len();
+        bench.start_daemon()?;
+        bench.wait_until_ready()?;
+        bench.stays_neutral(Duration::from_millis(500))?;
+        bench.was_neutral_since(place)?;
+        bench.arm_and_drive()?;
+    }
+    Ok(())
+}
+
+/// From the signal to the end of the process, the car standing by then: the
+/// ramp takes 0.2 s at this speed, standing still and disarming some more.
+const DRIVING_LIMIT: Duration = Duration::from_millis(2_500);
+
+fn terminated_driving(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    let (status, took) = bench.daemon()?.terminate(DRIVING_LIMIT)?;
+    ensure!(status.success(), "it ended with {status}");
+    bench.at_most(
+        "from SIGTERM to the end, driving",
+        took.as_secs_f64() * 1_000.0,
+        2_000.0,
+        "ms",
+    )?;
+    let truth = bench.rig().truth()?;
+    ensure!(
+        truth.wheel_speed < 0.1,
+        "it ended while the car drove {} m/s",
+        truth.wheel_speed
+    );
+    // Told to, rather than left alone.
+    let cause = bench.rig().stop_cause()?;
+    ensure!(
+        cause == Some(singletrack_protocol::StopCause::Disarmed),
+        "the board stopped because of {cause:?}"
+    );
+    bench.stays_neutral(Duration::from_millis(300))?;
+    nothing_is_left(bench)
+}
+
+/// The target on the car's computer is 50 ms; here others use the processors.
+const REST_LIMIT_MS: f64 = 250.0;
+
+fn terminated_at_rest(bench: &mut Bench) -> Outcome {
+    bench.start_daemon()?;
+    bench.wait_until_ready()?;
+    let (status, took) = bench.daemon()?.terminate(DRIVING_LIMIT)?;
+    ensure!(status.success(), "it ended with {status}");
+    bench.at_most(
+        "from SIGTERM to the end, at rest",
+        took.as_secs_f64() * 1_000.0,
+        REST_LIMIT_MS,
+        "ms",
+    )?;
+    nothing_is_left(bench)
+}
+
+/// No socket, and no process with the test's configuration.
+fn nothing_is_left(bench: &Bench) -> Outcome {
+    let socket = settings::socket(bench.folder());
+    ensure!(!socket.exists(), "{} is left", socket.display());
+    let config = bench.config_file();
+    let config = config.to_string_lossy();
+    let left = std::fs::read_dir("/proc")
+        .into_iter()
+        .flatten()
+        .flatten()
+        .find(|process| {
+            std::fs::read(process.path().join("cmdline"))
+                .is_ok_and(|line| String::from_utf8_lossy(&line).contains(&*config))
+        });
+    ensure!(left.is_none(), "a process is left: {left:?}");
+    Ok(())
+}
+
+fn second_daemon(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    let log = bench.folder().join("second.log");
+    let mut second = Daemon::start(bench.program(), &bench.config_file(), &log)?;
+    let status = wait::until("the second daemon's end", Duration::from_secs(3), || {
+        second.status()
+    })?;
+    ensure!(!status.success(), "the second daemon ended with success");
+    let said = second.log();
+    let socket = settings::socket(bench.folder());
+    ensure!(
+        said.contains(&*socket.to_string_lossy()),
+        "it does not say what is in the way: {said}"
+    );
+    // The first is not disturbed.
+    bench.keep_driving(Duration::from_secs(1))
+}

@@ -1,0 +1,85 @@
+//! Emergency stops: asked for, and by the switch.
+
+use std::time::Duration;
+
+use singletrack_hil::{Outcome, bench::Bench, ensure, rig::Need};
+use singletrack_protocol::{ResetCause, StopCause};
+
+use crate::Scenario;
+
+pub(crate) const SCENARIOS: &[Scenario] = &[
+    Scenario::new("a_stop_is_neutral_at_once_and_latched", stop_command),
+    Scenario::new("a_latched_stop_ends_with_a_reset_of_the_board", stop_and_reset)
+        .needing(&[Need::Reset]),
+    Scenario::new("an_open_stop_switch_stops_the_car", stop_switch).needing(&[Need::StopSwitch]),
+];
+
+/// From the request on the socket: the socket's thread, a tick of 10 ms, 2 ms
+/// on the line, a poll, a servo period; the rest is for a busy machine.
+const REQUEST_LIMIT_MS: f64 = 80.0;
+
+fn stop_command(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_millis(700))?;
+    stop_and_check_latch(bench)
+}
+
+fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
+    let mut client = bench.client()?;
+    let asked_us = bench.board_time_us()?;
+    client.stop()?.accepted()?;
+    bench.neutral_within("after a stop was asked for", asked_us, REQUEST_LIMIT_MS)?;
+    let status = bench.wait_for_mode("fault", Duration::from_millis(500))?;
+    ensure!(
+        status.reason() == "emergency-stop",
+        "the reason for the stop: {}",
+        status.text()
+    );
+    let cause = bench.rig().stop_cause()?;
+    ensure!(cause == Some(StopCause::EmergencyStop), "the board: {cause:?}");
+    bench.wait_until_standing()?;
+
+    // Neither arm nor disarm leads out of it, and the answer says why.
+    let place = bench.rig().trace()?.len();
+    client.disarm()?;
+    let answer = client.arm()?;
+    ensure!(
+        answer.is_refused() && answer.text().contains("emergency-stop"),
+        "the answer to arm: {}",
+        answer.text()
+    );
+    bench.stays_neutral(Duration::from_millis(500))?;
+    bench.was_neutral_since(place)?;
+    let status = bench.status()?;
+    ensure!(status.mode() == "fault", "no longer latched: {}", status.text());
+    Ok(())
+}
+
+fn stop_and_reset(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    stop_and_check_latch(bench)?;
+    let place = bench.rig().trace()?.len();
+    bench.rig().reset(ResetCause::External)?;
+    bench.wait_until_ready()?;
+    bench.was_neutral_since(place)?;
+    bench.arm_and_drive()
+}
+
+/// A poll and a servo period of the board.
+const SWITCH_LIMIT_MS: f64 = 25.0;
+
+fn stop_switch(bench: &mut Bench) -> Outcome {
+    bench.config_mut().board.stop_input = true;
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_millis(700))?;
+    let opened_us = bench.board_time_us()?;
+    bench.rig().open_stop_switch()?;
+    bench.neutral_within("after the stop switch opened", opened_us, SWITCH_LIMIT_MS)?;
+    let status = bench.wait_for_mode("fault", Duration::from_millis(500))?;
+    ensure!(
+        status.reason() == "emergency-stop" && status.stop_cause() == "stop-input",
+        "the reason for the stop: {}",
+        status.text()
+    );
+    bench.wait_until_standing()
+}

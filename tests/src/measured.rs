@@ -1,0 +1,79 @@
+//! What the tests measured, for the table at the end.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::{Failure, Outcome};
+
+/// What the tests measured, beside the limits; shared by all tests.
+#[derive(Clone, Debug, Default)]
+pub struct Measurements(Arc<Mutex<Vec<Line>>>);
+
+#[derive(Debug)]
+struct Line {
+    test: String,
+    what: String,
+    value: f64,
+    limit: f64,
+    unit: &'static str,
+}
+
+impl Measurements {
+    /// Notes a value, and fails if it is above its limit or not a number.
+    ///
+    /// # Errors
+    ///
+    /// The value above its limit.
+    pub fn at_most(
+        &self,
+        test: &str,
+        what: &str,
+        value: f64,
+        limit: f64,
+        unit: &'static str,
+    ) -> Outcome {
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(Line {
+                test: test.to_owned(),
+                what: what.to_owned(),
+                value,
+                limit,
+                unit,
+            });
+        if value <= limit {
+            Ok(())
+        } else {
+            Err(Failure::new(format!(
+                "{what}: {value:.1} {unit}, more than {limit} {unit}"
+            )))
+        }
+    }
+
+    /// Forgets what a test has measured: it is repeated.
+    pub fn forget(&self, test: &str) {
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|line| line.test != test);
+    }
+
+    /// The table; empty if nothing was measured.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut table = String::new();
+        let mut test = "";
+        for line in lines.iter() {
+            if line.test != test {
+                test = &line.test;
+                table.push_str(&format!("{test}\n"));
+            }
+            table.push_str(&format!(
+                "  {:<62} {:>9.1} of {:>7.1} {}\n",
+                line.what, line.value, line.limit, line.unit
+            ));
+        }
+        table
+    }
+}

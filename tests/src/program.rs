@@ -1,0 +1,43 @@
+//! The daemon's program: built once, as it is shipped.
+
+use std::{
+    ffi::OsString,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use serde_json::Value;
+
+use crate::{Failure, Outcome};
+
+/// Builds `singletrackd` in the release profile, whatever profile the tests are
+/// built in, and says where it is.
+///
+/// # Errors
+///
+/// It does not build; the compiler has said why.
+pub fn build() -> Outcome<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let output = Command::new(&cargo)
+        .current_dir(&root)
+        .args(["build", "--release", "--package", "singletrackd", "--bins"])
+        .arg("--message-format=json-render-diagnostics")
+        .stderr(Stdio::inherit())
+        .output()
+        .map_err(Failure::system(format!("cannot run {}", cargo.display())))?;
+    if !output.status.success() {
+        return Err(Failure::new(format!(
+            "singletrackd does not build ({}); see above, or try `cargo build --release -p singletrackd`",
+            output.status
+        )));
+    }
+    String::from_utf8_lossy(&output.stdout)
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
+        .filter(|message| {
+            message["reason"] == "compiler-artifact" && message["target"]["name"] == "singletrackd"
+        })
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .ok_or_else(|| Failure::new("cargo has built no program named singletrackd"))
+}

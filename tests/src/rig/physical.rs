@@ -1,0 +1,342 @@
+//! A physical UNO, with the harness between it and the daemon.
+
+use std::{
+    io::{Read, Write},
+    net::SocketAddrV4,
+    path::{Path, PathBuf},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use serialport::{SerialPort, TTYPort};
+use singletrack_protocol::{StopCause, Telemetry};
+use singletrack_sim::{
+    LossKind, Pty, RealTimeConfig, RealTimeSimulator, SimulationConfig, Truth,
+};
+
+use super::{
+    LineFaults, Need, Rig,
+    proxy::{Damage, Frames, replace_motion},
+    simulated,
+};
+use crate::{Failure, Outcome, Pulses, Trace};
+
+/// The firmware's rate.
+const BAUD: u32 = 115_200;
+/// How long the harness waits for bytes from the UNO before it looks at those
+/// of the daemon.
+const READ_TIMEOUT: Duration = Duration::from_millis(1);
+
+/// A physical UNO, with the harness between it and the daemon.
+///
+/// Its car and cameras are the simulator's, whose board is switched off: the
+/// pulses that the UNO reports move the car.
+#[derive(Debug)]
+pub struct PhysicalRig {
+    link: PathBuf,
+    car: Arc<RealTimeSimulator>,
+    shared: Arc<Mutex<Shared>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What the line's thread and the test both see.
+#[derive(Debug)]
+struct Shared {
+    pty: Option<Pty>,
+    line: LineFaults,
+    trace: Vec<Pulses>,
+    newest: Option<(Telemetry, Instant)>,
+    /// The record before the one that showed a new command for the last time.
+    last_command_us: u32,
+    max_lateness: Duration,
+    /// Why the line's thread has given up.
+    broken: Option<String>,
+}
+
+impl PhysicalRig {
+    /// Opens the UNO's port, which resets it, and the daemon's at `link`.
+    ///
+    /// # Errors
+    ///
+    /// No such port, no pseudo-terminal, or no simulator.
+    pub fn start(port: &Path, link: PathBuf, seed: u64) -> Outcome<Self> {
+        let uno = serialport::new(port.to_string_lossy(), BAUD)
+            .timeout(READ_TIMEOUT)
+            .open_native()
+            .map_err(|error| {
+                Failure::new(format!(
+                    "cannot open {}: {error}; is the UNO plugged in, and are you in its group (dialout)?",
+                    port.display()
+                ))
+            })?;
+        // What waits there is from before.
+        let _ = uno.clear(serialport::ClearBuffer::All);
+        let car = simulated::start(RealTimeConfig {
+            simulation: SimulationConfig {
+                seed,
+                ..SimulationConfig::default()
+            },
+            ..RealTimeConfig::default()
+        })?;
+        car.with_world(|world| world.set_board_power(false))?;
+        let car = Arc::new(car);
+        let shared = Arc::new(Mutex::new(Shared {
+            pty: Some(open(&link)?),
+            line: LineFaults::default(),
+            trace: Vec::new(),
+            newest: None,
+            last_command_us: 0,
+            max_lateness: Duration::ZERO,
+            broken: None,
+        }));
+        let stop = Arc::new(AtomicBool::new(false));
+        let line = Line {
+            uno,
+            car: Arc::clone(&car),
+            shared: Arc::clone(&shared),
+            frames: Frames::default(),
+            to_board: Vec::new(),
+            to_host: Vec::new(),
+            damage: Damage::new(seed),
+        };
+        let stopped = Arc::clone(&stop);
+        let thread = thread::Builder::new()
+            .name("line".to_owned())
+            .spawn(move || line.run(&stopped))
+            .map_err(Failure::system("cannot start the line's thread"))?;
+        Ok(Self {
+            link,
+            car,
+            shared,
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    fn shared(&self) -> Outcome<MutexGuard<'_, Shared>> {
+        let shared = lock(&self.shared);
+        match &shared.broken {
+            None => Ok(shared),
+            Some(broken) => Err(Failure::new(broken.clone())),
+        }
+    }
+
+    fn newest(&self) -> Outcome<Option<Telemetry>> {
+        // A board that reports no more is not running, as far as can be seen.
+        Ok(self
+            .shared()?
+            .newest
+            .filter(|(_, seen)| seen.elapsed() < Duration::from_millis(100))
+            .map(|(telemetry, _)| telemetry))
+    }
+}
+
+impl Drop for PhysicalRig {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // It has nothing to say any more.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn open(link: &Path) -> Outcome<Pty> {
+    Pty::open(Some(link)).map_err(|error| Failure::new(error.to_string()))
+}
+
+impl Rig for PhysicalRig {
+    fn port(&self) -> &Path {
+        &self.link
+    }
+
+    fn cameras(&self) -> SocketAddrV4 {
+        self.car.command_address()
+    }
+
+    fn unplug(&self) -> Outcome {
+        self.shared()?.pty = None;
+        Ok(())
+    }
+
+    fn plug(&self) -> Outcome {
+        let pty = open(&self.link)?;
+        self.shared()?.pty = Some(pty);
+        Ok(())
+    }
+
+    fn set_line(&self, line: LineFaults) -> Outcome {
+        self.shared()?.line = line;
+        Ok(())
+    }
+
+    fn set_markers(&self, loss: Option<LossKind>) -> Outcome {
+        Ok(self
+            .car
+            .with_world(move |world| world.cameras_mut().faults_mut().loss = loss)?)
+    }
+
+    fn truth(&self) -> Outcome<Truth> {
+        Ok(self.car.truth()?.truth)
+    }
+
+    fn trace(&self) -> Outcome<Trace> {
+        Ok(Trace(self.shared()?.trace.clone()))
+    }
+
+    fn board_time_us(&self) -> Outcome<Option<u32>> {
+        Ok(self.newest()?.map(|telemetry| telemetry.board_time_us))
+    }
+
+    fn stop_cause(&self) -> Outcome<Option<StopCause>> {
+        Ok(self.newest()?.map(|telemetry| telemetry.stop_cause))
+    }
+
+    /// Telemetry tells which command was the last, to one record's time: the
+    /// record before is the one that is not too late.
+    fn last_command_us(&self) -> Outcome<u32> {
+        let mut last = self.shared()?.last_command_us;
+        let mut since = Instant::now();
+        let start = Instant::now();
+        // Nothing for longer than a command lives.
+        while since.elapsed() < Duration::from_millis(150) {
+            thread::sleep(READ_TIMEOUT);
+            let now = self.shared()?.last_command_us;
+            if now != last {
+                (last, since) = (now, Instant::now());
+            }
+            if start.elapsed() > Duration::from_secs(2) {
+                return Err(Failure::new("commands still reach the board after 2 s"));
+            }
+        }
+        Ok(last)
+    }
+
+    fn lateness(&self) -> Outcome<Duration> {
+        Ok(self.shared()?.max_lateness)
+    }
+
+    fn lacks(&self, need: Need) -> Option<&'static str> {
+        Some(match need {
+            Need::Reset => "a physical UNO has no reset line that the harness could pull",
+            Need::MotorSensor => "the motor of a physical car can't be silenced from here",
+            Need::StopSwitch => "the stop switch of a physical car can't be opened from here",
+        })
+    }
+}
+
+/// Everything on the line's thread.
+struct Line {
+    uno: TTYPort,
+    car: Arc<RealTimeSimulator>,
+    shared: Arc<Mutex<Shared>>,
+    frames: Frames,
+    to_board: Vec<u8>,
+    to_host: Vec<u8>,
+    damage: Damage,
+}
+
+impl Line {
+    fn run(mut self, stop: &AtomicBool) {
+        let mut rounds = 0_u64;
+        while !stop.load(Ordering::Relaxed) {
+            let begin = Instant::now();
+            if let Err(broken) = self.round(rounds) {
+                lock(&self.shared).broken = Some(broken);
+                return;
+            }
+            rounds += 1;
+            let lateness = begin.elapsed().saturating_sub(READ_TIMEOUT);
+            let mut shared = lock(&self.shared);
+            shared.max_lateness = shared.max_lateness.max(lateness);
+        }
+    }
+
+    fn round(&mut self, rounds: u64) -> Result<(), String> {
+        self.from_board()?;
+        let shared = lock(&self.shared);
+        let line = shared.line;
+        if let Some(pty) = &shared.pty {
+            if rounds.is_multiple_of(100) {
+                pty.clear_exclusive();
+            }
+            // Into a stuck line the host's writes pile up in its own driver.
+            if !line.stuck {
+                let mut buffer = [0; 1024];
+                while let Ok(count @ 1..) = pty.read(&mut buffer) {
+                    self.to_board
+                        .extend_from_slice(buffer.get(..count).unwrap_or(&[]));
+                }
+                self.damage.apply(&mut self.to_host, line.corrupt);
+                // What the daemon does not fetch is lost.
+                let _ = pty.write(&self.to_host);
+                self.to_host.clear();
+            }
+        } else {
+            self.to_host.clear();
+        }
+        drop(shared);
+        self.damage.apply(&mut self.to_board, line.corrupt);
+        self.uno
+            .write_all(&self.to_board)
+            .map_err(|error| format!("cannot write to the UNO: {error}"))?;
+        self.to_board.clear();
+        Ok(())
+    }
+
+    fn from_board(&mut self) -> Result<(), String> {
+        let mut buffer = [0; 1024];
+        let count = match self.uno.read(&mut buffer) {
+            Ok(count) => count,
+            Err(error) if error.kind() == std::io::ErrorKind::TimedOut => 0,
+            Err(error) => return Err(format!("cannot read from the UNO: {error}")),
+        };
+        let (car, shared) = (&self.car, &self.shared);
+        let mut stopped = false;
+        self.frames.pass(
+            buffer.get(..count).unwrap_or(&[]),
+            &mut self.to_host,
+            |telemetry| {
+                let (servo_us, esc_us) = (telemetry.servo_us, telemetry.esc_us);
+                let truth = car.with_world(move |world| {
+                    world.car_mut().apply_pulses(servo_us, esc_us);
+                    world.truth()
+                });
+                match truth {
+                    Ok(truth) => replace_motion(telemetry, &truth),
+                    Err(_) => stopped = true,
+                }
+                lock(shared).saw(telemetry);
+            },
+        );
+        if stopped {
+            return Err("the simulator has stopped".to_owned());
+        }
+        Ok(())
+    }
+}
+
+impl Shared {
+    fn saw(&mut self, telemetry: &Telemetry) {
+        if let Some((before, _)) = &self.newest
+            && before.last_sequence != telemetry.last_sequence
+        {
+            self.last_command_us = before.board_time_us;
+        }
+        self.newest = Some((*telemetry, Instant::now()));
+        self.trace.push(Pulses {
+            board_time_us: telemetry.board_time_us,
+            servo_us: telemetry.servo_us,
+            esc_us: telemetry.esc_us,
+        });
+    }
+}

@@ -1,0 +1,85 @@
+//! The pieces of a line with a harness in the middle.
+
+use singletrack_protocol::{Decoder, ImuState, Telemetry, ToHost};
+use singletrack_sim::Truth;
+
+/// Cuts the bytes from the board into frames, and hands on what it does not
+/// understand unchanged.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    decoder: Decoder,
+    frame: Vec<u8>,
+}
+
+impl Frames {
+    /// Takes bytes from the board and appends to `out` what the host gets:
+    /// the same, but for the telemetry, which `replace` may change.
+    pub(super) fn pass(
+        &mut self,
+        bytes: &[u8],
+        out: &mut Vec<u8>,
+        mut replace: impl FnMut(&mut Telemetry),
+    ) {
+        for &byte in bytes {
+            self.frame.push(byte);
+            let message = match self.decoder.push(byte) {
+                Some(Ok(packet)) => ToHost::decode(packet).ok(),
+                Some(Err(_)) | None => None,
+            };
+            if let Some(ToHost::Telemetry(mut telemetry)) = message {
+                replace(&mut telemetry);
+                out.extend_from_slice(ToHost::Telemetry(telemetry).encode().as_bytes());
+                self.frame.clear();
+            } else if byte == 0 {
+                out.append(&mut self.frame);
+            }
+        }
+    }
+}
+
+/// Puts the simulated car's motion in the place of the measured one: the car on
+/// the stand does not turn.
+pub(super) fn replace_motion(telemetry: &mut Telemetry, truth: &Truth) {
+    let milli = |value: f64| (value * 1_000.0).round() as i16;
+    telemetry.imu = ImuState::Fresh;
+    telemetry.imu_age_100us = 0;
+    telemetry.linear_acceleration_mm_s2 = [
+        milli(truth.longitudinal_acceleration),
+        milli(truth.lateral_acceleration),
+        0,
+    ];
+    telemetry.angular_velocity_mrad_s = [0, 0, milli(truth.yaw_rate)];
+    let (sine, cosine) = (0.5 * truth.yaw).sin_cos();
+    let q14 = |value: f64| (value * 16_384.0).round() as i16;
+    telemetry.attitude_q14 = [q14(cosine), 0, 0, q14(sine)];
+}
+
+/// Flips bits, the same ones every time.
+#[derive(Debug)]
+pub(super) struct Damage(u64);
+
+impl Damage {
+    pub(super) const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// Flips one bit of each byte with this probability.
+    pub(super) fn apply(&mut self, bytes: &mut [u8], probability: f64) {
+        for byte in bytes {
+            let draw = self.next();
+            let uniform = (draw >> 11) as f64 / (1_u64 << 53) as f64;
+            if uniform < probability {
+                *byte ^= 1 << (draw & 7);
+            }
+        }
+    }
+
+    /// SplitMix64.
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+}

@@ -1,0 +1,163 @@
+//! Board, car and cameras in the simulator.
+
+use std::{
+    net::SocketAddrV4,
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, Instant},
+};
+
+use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ResetCause, StopCause};
+use singletrack_sim::{
+    LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, SimulationConfig, Truth,
+};
+
+use super::{LineFaults, Need, Rig};
+use crate::{Failure, Outcome, Pulses, Trace};
+
+/// Board, car and cameras in the simulator.
+#[derive(Debug)]
+pub struct SimulatedRig(RealTimeSimulator);
+
+impl SimulatedRig {
+    /// Powers everything on, with the board's port at `link`.
+    ///
+    /// # Errors
+    ///
+    /// What the simulator does not start for.
+    pub fn start(link: PathBuf, seed: u64) -> Outcome<Self> {
+        let config = RealTimeConfig {
+            simulation: SimulationConfig {
+                seed,
+                ..SimulationConfig::default()
+            },
+            pty_link: Some(link),
+            ..RealTimeConfig::default()
+        };
+        start(config).map(Self)
+    }
+}
+
+/// Starts the simulator with its thread first in line: it stands for hardware,
+/// which has no processor to share.
+pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
+    thread::spawn(move || {
+        // Threads inherit it. Without the permission to, the simulator is late
+        // more often, and says so.
+        let _ = rustix::process::setpriority_process(None, -20);
+        RealTimeSimulator::start(config)
+    })
+    .join()
+    .map_err(|_| Failure::new("the simulator's start panicked"))?
+    .map_err(Failure::from)
+}
+
+impl Rig for SimulatedRig {
+    fn port(&self) -> &Path {
+        self.0.pty_path()
+    }
+
+    fn cameras(&self) -> SocketAddrV4 {
+        self.0.command_address()
+    }
+
+    fn unplug(&self) -> Outcome {
+        Ok(self.0.unplug()?)
+    }
+
+    fn plug(&self) -> Outcome {
+        self.0.plug()?;
+        Ok(())
+    }
+
+    fn set_line(&self, line: LineFaults) -> Outcome {
+        Ok(self.0.with_world(move |world| {
+            let faults = world.wire_mut().faults_mut();
+            faults.corrupt = line.corrupt;
+            faults.stuck = line.stuck;
+        })?)
+    }
+
+    fn set_markers(&self, loss: Option<LossKind>) -> Outcome {
+        Ok(self
+            .0
+            .with_world(move |world| world.cameras_mut().faults_mut().loss = loss)?)
+    }
+
+    fn truth(&self) -> Outcome<Truth> {
+        Ok(self.0.truth()?.truth)
+    }
+
+    fn trace(&self) -> Outcome<Trace> {
+        Ok(Trace(self.0.with_world(|world| {
+            world
+                .board()
+                .pulses()
+                .iter()
+                .map(|record| Pulses {
+                    board_time_us: record.board_time_us,
+                    servo_us: record.servo_us,
+                    esc_us: record.esc_us,
+                })
+                .collect()
+        })?))
+    }
+
+    fn board_time_us(&self) -> Outcome<Option<u32>> {
+        Ok(self
+            .0
+            .with_world(|world| world.board().board_time_us(world.now_us()))?)
+    }
+
+    fn stop_cause(&self) -> Outcome<Option<StopCause>> {
+        Ok(self
+            .0
+            .with_world(|world| world.board().code().map(|code| code.stop_cause()))?)
+    }
+
+    /// The board keeps the moment at which its command runs out; from there
+    /// back is the telemetry that the host had seen when it sent it.
+    fn last_command_us(&self) -> Outcome<u32> {
+        let deadline = || {
+            self.0.with_world(|world| {
+                let code = world.board().code();
+                code.and_then(|code| code.outputs().drive_deadline_us)
+            })
+        };
+        let mut last = deadline()?.ok_or_else(|| {
+            Failure::Void("the last command had run out before it could be seen".to_owned())
+        })?;
+        let start = Instant::now();
+        while let Some(deadline) = deadline()? {
+            last = deadline;
+            if start.elapsed() > Duration::from_secs(2) {
+                return Err(Failure::new("commands still reach the board after 2 s"));
+            }
+        }
+        Ok(last.wrapping_sub(COMMAND_TIME_TO_LIVE_US))
+    }
+
+    fn lateness(&self) -> Outcome<Duration> {
+        Ok(Duration::from_micros(self.0.counters()?.max_lateness_us))
+    }
+
+    fn lacks(&self, _need: Need) -> Option<&'static str> {
+        None
+    }
+
+    fn reset(&self, cause: ResetCause) -> Outcome {
+        Ok(self.0.with_world(move |world| world.reset_board(cause))?)
+    }
+
+    fn cut_motor_sensor(&self) -> Outcome {
+        Ok(self
+            .0
+            .with_world(|world| world.car_mut().set_motor_sensor_fault(MotorSensorFault::Gone))?)
+    }
+
+    fn open_stop_switch(&self) -> Outcome {
+        Ok(self
+            .0
+            .with_world(|world| world.board_mut().set_stop_input_open(true))?)
+    }
+}

@@ -1,0 +1,71 @@
+//! The configuration that the daemon is given.
+
+use std::{
+    net::SocketAddrV4,
+    path::{Path, PathBuf},
+};
+
+use singletrackd::config::{
+    BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, LawKind, LawSection,
+    LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
+    SerialSection, SocketSection, SupervisorSection, UpAxisKind,
+};
+use singletrack_control::VehicleParameters;
+
+/// The paper's circle with feed-forward, for the simulated car.
+///
+/// The board's failsafe coasts rather than brakes: the ESC is then at neutral
+/// exactly, and nothing else counts as stopped.
+#[must_use]
+pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
+    Config {
+        serial: SerialSection::new(port),
+        motion_capture: MotionCaptureSection {
+            command_port: cameras.port(),
+            ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxisKind::Y)
+        },
+        law: LawSection {
+            kind: LawKind::FrontPoint,
+            point_distance_m: POINT_DISTANCE_M,
+            front_axle_distance_m: VehicleParameters::paper().front_axle_distance_m,
+        },
+        outer_loop: OuterLoopSection::Proportional {
+            gain_per_s: [1.0, 1.0],
+            feed_forward: true,
+        },
+        reference: ReferenceSection::Circle {
+            radius_m: RADIUS_M,
+            angular_velocity_rad_s: 0.5,
+            centre_m: [0.0, 0.0],
+        },
+        vehicle: VehicleParameters::paper(),
+        limits: LimitsSection::default(),
+        estimator: EstimatorSection::default(),
+        supervisor: SupervisorSection::default(),
+        board: BoardSection {
+            failsafe: FailsafeKind::Coast,
+            ..BoardSection::simulated()
+        },
+        control: ControlSection::default(),
+        record: RecordSection {
+            enabled: true,
+            directory: folder.join("records"),
+        },
+        socket: SocketSection {
+            enabled: true,
+            path: socket(folder),
+        },
+    }
+}
+
+/// The point P is this far beyond the front axle, in m.
+pub const POINT_DISTANCE_M: f64 = 0.35;
+
+/// Radius of the circle, in m.
+pub const RADIUS_M: f64 = 1.0;
+
+/// The daemon's control socket.
+#[must_use]
+pub fn socket(folder: &Path) -> PathBuf {
+    folder.join("control.sock")
+}
