@@ -8,7 +8,7 @@ use singletrack_mocap::PoseState;
 use crate::{
     Entry, Value,
     message::{
-        DropsMessage, LogMessage, Message, PoseMessage, StatusMessage, TelemetryMessage,
+        DropsMessage, LogMessage, Message, PoseMessage, Senseless, StatusMessage, TelemetryMessage,
         TickMessage, schema_name, schema_text,
     },
     value::{Json, Paths, Values, Visitor},
@@ -248,22 +248,20 @@ impl Entry {
     /// The entry that `bytes` encode.
     pub(crate) fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
         Ok(match topic {
-            Topic::Tick => {
-                Self::Tick(TryInto::try_into(message::<TickMessage>(bytes)?).map_err(senseless)?)
-            }
+            Topic::Tick => Self::Tick(
+                TryInto::try_into(message::<TickMessage>(bytes)?)
+                    .map_err(|error: Senseless| error.to_string())?,
+            ),
             Topic::Telemetry => Self::Telemetry(message::<TelemetryMessage>(bytes)?.into()),
             Topic::Status => Self::Status(message::<StatusMessage>(bytes)?.into()),
-            Topic::Pose => {
-                Self::Pose(TryInto::try_into(message::<PoseMessage>(bytes)?).map_err(senseless)?)
-            }
+            Topic::Pose => Self::Pose(
+                TryInto::try_into(message::<PoseMessage>(bytes)?)
+                    .map_err(|error: Senseless| error.to_string())?,
+            ),
             Topic::Log => Self::Log(message::<LogMessage>(bytes)?.into()),
             Topic::Drops => Self::Drops(message::<DropsMessage>(bytes)?.into()),
         })
     }
-}
-
-fn senseless(error: crate::message::Senseless) -> String {
-    error.to_string()
 }
 
 /// The message that `bytes` encode, no more and no less.

@@ -26,7 +26,7 @@ message! {
         last_sequence: u8,
         /// Whether the IMU's values are new.
         imu: Code<ImuState>,
-        /// Age of the IMU's sample at board_time_us, in units of 100 us, saturating.
+        /// Age of the IMU's sample at `board_time_us`, in units of 100 us, saturating.
         imu_age_100us: u8,
         /// Acceleration without gravity along the car's axes, in mm/s^2.
         forward_acceleration_mm_s2: i16,

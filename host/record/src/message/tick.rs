@@ -27,7 +27,7 @@ message! {
         start_ns: u64,
         /// When its command was decided and handed to the line.
         finish_ns: u64,
-        /// start_ns - scheduled_ns.
+        /// `start_ns` - `scheduled_ns`.
         lateness_ns: i64,
         /// Points of the grid skipped just before it: the tick before took too long.
         skipped: u32,

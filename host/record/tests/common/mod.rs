@@ -18,7 +18,7 @@ use singletrack_record::{
     TelemetryRecord, TickRecord,
 };
 
-pub fn meta() -> Meta {
+pub(crate) fn meta() -> Meta {
     Meta {
         configuration: "# the paper's circle\n[control]\nperiod_ms = 10\n".to_owned(),
         software: BTreeMap::from([("singletrackd".to_owned(), "0.1.0".to_owned())]),
@@ -32,7 +32,7 @@ pub fn meta() -> Meta {
 }
 
 /// Writes a finished record.
-pub fn record(path: &Path, entries: &[Entry]) {
+pub(crate) fn record(path: &Path, entries: &[Entry]) {
     let mut recorder = Recorder::create(path, &meta()).unwrap();
     for entry in entries {
         recorder.write(entry).unwrap();
@@ -40,7 +40,7 @@ pub fn record(path: &Path, entries: &[Entry]) {
     recorder.finish().unwrap();
 }
 
-pub fn log(time_ns: u64) -> Entry {
+pub(crate) fn log(time_ns: u64) -> Entry {
     Entry::Log(Log {
         time_ns,
         level: Level::Info,
@@ -292,7 +292,7 @@ fn pose_state() -> impl Strategy<Value = PoseState> {
 }
 
 /// An entry of any kind.
-pub fn entry() -> impl Strategy<Value = Entry> {
+pub(crate) fn entry() -> impl Strategy<Value = Entry> {
     prop_oneof![
         tick().prop_map(Entry::Tick),
         telemetry().prop_map(Entry::Telemetry),
