@@ -121,9 +121,7 @@ impl Controller {
             PoseState::Absent | PoseState::Unbound(_) => Event::PoseMissing(PoseMissing::Absent),
             PoseState::Rejected(_) => Event::PoseMissing(PoseMissing::Rejected),
             PoseState::LockedOut(_) => Event::PoseMissing(PoseMissing::Untrustworthy),
-            PoseState::Stale { .. } | PoseState::NoFrames => {
-                Event::PoseMissing(PoseMissing::Stale)
-            }
+            PoseState::Stale { .. } | PoseState::NoFrames => Event::PoseMissing(PoseMissing::Stale),
         };
         self.push(event);
     }
@@ -131,6 +129,12 @@ impl Controller {
     /// Somebody asks for something.
     pub fn request(&mut self, request: Request) {
         self.push(Event::Request(request));
+    }
+
+    /// Asks the board to disarm without slowing down first; the next tick
+    /// writes it, and the link repeats it until telemetry shows it.
+    pub fn disarm_now(&mut self, now: Time) {
+        self.session.disarm(now.0);
     }
 
     /// One control tick. `write` takes a whole frame or none.
@@ -166,7 +170,8 @@ impl Controller {
         });
         match output.request {
             Some(BoardRequest::Arm) => {
-                if self.session.arm(now.0).is_err() {
+                let asked = self.session.arm(now.0);
+                if asked.is_err() {
                     self.push(Event::ArmRefused);
                 }
             }

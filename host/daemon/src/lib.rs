@@ -1,4 +1,47 @@
 //! The daemon that drives the car, as a library: its threads, and the
 //! controller that they and the simulations share.
+//!
+//! ```text
+//! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
+//! motion capture --ring----> control thread --<                   \--> recorder
+//! socket, owner ---ring--/     |               \--> the port's write half
+//! ```
+//!
+//! The control thread waits for nothing but its deadline: what comes to it and
+//! from it goes through bounded rings; what finds no room is dropped and counted.
 
+pub mod config;
+pub mod control_loop;
 pub mod controller;
+pub mod serial_port;
+pub mod serial_reader;
+
+mod clock;
+mod collector;
+mod control_thread;
+mod daemon;
+mod histogram;
+mod mocap_receiver;
+mod mocap_socket;
+mod realtime;
+mod recording;
+mod report;
+mod requests;
+mod snapshot;
+mod socket;
+mod summary;
+mod system;
+mod wake;
+
+pub use clock::monotonic_ns;
+pub use config::{Config, ConfigError};
+pub use daemon::{Daemon, StartError, StartOptions, StopError};
+pub use histogram::Percentiles;
+pub use mocap_socket::MocapSocketError;
+pub use realtime::RealTimeStatus;
+pub use recording::RecordingError;
+pub use report::{LineCounters, Report};
+pub use requests::Stalled;
+pub use snapshot::{Snapshot, TickView};
+pub use socket::{SOCKET_VERSION, SocketError};
+pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

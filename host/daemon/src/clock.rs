@@ -1,0 +1,109 @@
+//! The clock of everything: `CLOCK_MONOTONIC`, which nobody sets.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use rustix::{
+    thread::clock_nanosleep_absolute,
+    time::{ClockId, Timespec, clock_gettime},
+};
+
+const SECOND_NS: u64 = 1_000_000_000;
+
+/// Now, in nanoseconds of `CLOCK_MONOTONIC`.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    // It starts with the machine, and is never negative.
+    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
+    let nanoseconds = u64::try_from(now.tv_nsec).unwrap_or(0);
+    seconds * SECOND_NS + nanoseconds
+}
+
+/// Sleeps until `deadline_ns` of `CLOCK_MONOTONIC`, or not at all if that is past.
+pub(crate) fn sleep_until(deadline_ns: u64) {
+    let deadline = Timespec {
+        // 2^63 s and 10^9 ns fit every width that these have.
+        tv_sec: (deadline_ns / SECOND_NS) as _,
+        tv_nsec: (deadline_ns % SECOND_NS) as _,
+    };
+    // Interrupted by a signal, it sleeps on.
+    while let Err(rustix::io::Errno::INTR) =
+        clock_nanosleep_absolute(rustix::thread::ClockId::Monotonic, &deadline)
+    {}
+}
+
+/// Nanoseconds since 1970 on the wall; 0 if the clock says it is earlier.
+pub(crate) fn wall_ns() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| {
+            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+        })
+}
+
+/// A moment in UTC as `20250131T235959Z`.
+pub(crate) fn compact_utc(wall_ns: u64) -> String {
+    let seconds = wall_ns / SECOND_NS;
+    let (mut days, of_day) = (seconds / 86_400, seconds % 86_400);
+    let is_leap = |year: u64| {
+        year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
+    };
+    let mut year = 1970;
+    while days >= 365 + u64::from(is_leap(year)) {
+        days -= 365 + u64::from(is_leap(year));
+        year += 1;
+    }
+    let mut month = 1;
+    for length in [
+        31,
+        28 + u64::from(is_leap(year)),
+        31,
+        30,
+        31,
+        30,
+        31,
+        31,
+        30,
+        31,
+        30,
+        31,
+    ] {
+        if days < length {
+            break;
+        }
+        days -= length;
+        month += 1;
+    }
+    let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
+    format!(
+        "{year:04}{month:02}{:02}T{hour:02}{minute:02}{second:02}Z",
+        days + 1
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (seconds, text) in [
+            (0, "19700101T000000Z"),
+            (951_782_399, "20000228T235959Z"),
+            (951_782_400, "20000229T000000Z"),
+            (1_735_689_599, "20241231T235959Z"),
+            (1_735_689_600, "20250101T000000Z"),
+            (4_107_542_400, "21000301T000000Z"),
+        ] {
+            assert_eq!(compact_utc(seconds * SECOND_NS), text);
+        }
+    }
+
+    #[test]
+    fn a_deadline_is_not_undercut() {
+        let deadline = monotonic_ns() + 2_000_000;
+        sleep_until(deadline);
+        assert!(monotonic_ns() >= deadline);
+        sleep_until(deadline - 1_000_000);
+    }
+}

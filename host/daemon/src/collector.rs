@@ -1,0 +1,232 @@
+//! The thread that takes what the real-time threads tell, and passes it on: to
+//! the log, the record, the figures and whoever watches.
+
+use std::{
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
+
+use rtrb::Consumer;
+use singletrack_control::{Mode, Reason};
+use singletrack_link::Event as LinkEvent;
+use singletrack_protocol::{BoardMode, Status, StopCause};
+use singletrack_record::{Entry, FeedInput, Level, Log, TickRecord, Topic};
+use tokio::sync::broadcast;
+
+use crate::{
+    clock::monotonic_ns, mocap_receiver::MocapReport, report::Report, snapshot::TickView,
+    summary::Tally,
+};
+
+/// How long the collector sleeps when nobody wakes it.
+const NAP: Duration = Duration::from_millis(20);
+
+/// Lines that a watcher may be behind before it misses some.
+const WATCH_CAPACITY: usize = 1_024;
+
+/// The latest of everything.
+#[derive(Debug, Default)]
+pub(crate) struct Latest {
+    pub(crate) tick: Option<TickView>,
+    pub(crate) board: Option<(BoardMode, StopCause)>,
+    pub(crate) board_status: Option<Status>,
+    pub(crate) tally: Tally,
+}
+
+/// What everybody but the control thread may look at.
+#[derive(Debug)]
+pub(crate) struct Board {
+    latest: Mutex<Latest>,
+    /// Records as JSON lines.
+    pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
+}
+
+impl Board {
+    pub(crate) fn new() -> Self {
+        Self {
+            latest: Mutex::default(),
+            watchers: broadcast::Sender::new(WATCH_CAPACITY),
+        }
+    }
+
+    /// Not for the control thread.
+    pub(crate) fn latest(&self) -> MutexGuard<'_, Latest> {
+        // Whoever panicked with it left figures, not promises.
+        self.latest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Everything on the collector's thread.
+pub(crate) struct Collector {
+    pub(crate) ticks: Consumer<TickRecord>,
+    pub(crate) reports: Consumer<Report>,
+    pub(crate) mocap: Consumer<MocapReport>,
+    pub(crate) board: Arc<Board>,
+    pub(crate) record: Option<FeedInput>,
+    /// Entries that the record has no room for.
+    pub(crate) record_dropped: u64,
+    pub(crate) told: Option<(Mode, Option<Reason>)>,
+    /// Everybody else has ended.
+    pub(crate) stop: Arc<AtomicBool>,
+}
+
+impl Collector {
+    /// Runs until it is told to stop and everything is passed on.
+    pub(crate) fn run(mut self) {
+        loop {
+            // Asked first: what was told before the stop is passed on.
+            let stopping = self.stop.load(Ordering::Acquire);
+            self.pass_on();
+            if stopping {
+                return;
+            }
+            thread::park_timeout(NAP);
+        }
+    }
+
+    fn pass_on(&mut self) {
+        while let Ok(report) = self.reports.pop() {
+            self.report(report);
+        }
+        while let Ok(report) = self.mocap.pop() {
+            match report {
+                MocapReport::Observation(observation) => self.entry(Entry::Pose(observation)),
+                MocapReport::Counters(counters) => self.board.latest().tally.mocap(&counters),
+            }
+        }
+        while let Ok(tick) = self.ticks.pop() {
+            self.mode(tick.start_ns, tick.output.mode, tick.output.reason);
+            {
+                let mut latest = self.board.latest();
+                latest.tick = Some(TickView::from(&tick));
+                latest.tally.tick(&tick);
+            }
+            self.entry(Entry::Tick(tick));
+        }
+    }
+
+    fn report(&mut self, report: Report) {
+        match report {
+            Report::Telemetry(record) => {
+                let telemetry = &record.telemetry;
+                self.board.latest().board = Some((telemetry.mode, telemetry.stop_cause));
+                self.entry(Entry::Telemetry(record));
+            }
+            Report::Status(record) => {
+                self.board.latest().board_status = Some(record.status);
+                self.entry(Entry::Status(record));
+            }
+            Report::Link { time_ns, event } => {
+                let (level, text) = describe(&event);
+                self.log(time_ns, level, text);
+            }
+            Report::Counters(counters) => self.board.latest().tally.line(&counters),
+        }
+    }
+
+    /// Logs a change of mode, with the word that explains it.
+    fn mode(&mut self, time_ns: u64, mode: Mode, reason: Option<Reason>) {
+        if self.told == Some((mode, reason)) {
+            return;
+        }
+        self.told = Some((mode, reason));
+        let level = match (mode, reason) {
+            (Mode::Fault, _) | (Mode::Stopping, Some(_)) => Level::Warning,
+            _ => Level::Info,
+        };
+        let text = match reason {
+            Some(reason) => format!("mode {mode}: {reason}"),
+            None => format!("mode {mode}"),
+        };
+        self.log(time_ns, level, text);
+    }
+
+    fn log(&mut self, time_ns: u64, level: Level, text: String) {
+        match level {
+            Level::Debug => tracing::debug!("{text}"),
+            Level::Info => tracing::info!("{text}"),
+            Level::Warning => tracing::warn!("{text}"),
+            Level::Error => tracing::error!("{text}"),
+        }
+        self.entry(Entry::Log(Log {
+            time_ns,
+            level,
+            text,
+        }));
+    }
+
+    fn entry(&mut self, entry: Entry) {
+        if self.board.watchers.receiver_count() > 0 {
+            let mut line = String::new();
+            entry.write_json(&mut line);
+            // Without watchers nobody misses it.
+            let _ = self.board.watchers.send((entry.topic(), Arc::from(line)));
+        }
+        if let Some(record) = &mut self.record
+            && !record.push(entry)
+        {
+            if self.record_dropped == 0 {
+                tracing::warn!(
+                    time_ns = monotonic_ns(),
+                    "the record is incomplete: the disk does not keep up"
+                );
+            }
+            self.record_dropped += 1;
+            self.board
+                .latest()
+                .tally
+                .record_dropped(self.record_dropped);
+        }
+    }
+}
+
+/// An event of the link for the log.
+fn describe(event: &LinkEvent) -> (Level, String) {
+    let version = |[major, minor, patch]: [u8; 3]| format!("{major}.{minor}.{patch}");
+    match event {
+        LinkEvent::Connected {
+            board_software_version,
+        } => (
+            Level::Info,
+            format!(
+                "board connected, software {}",
+                version(*board_software_version)
+            ),
+        ),
+        LinkEvent::VersionMismatch(mismatch) => (Level::Error, mismatch.to_string()),
+        LinkEvent::ConfigurationAccepted { hash } => (
+            Level::Info,
+            format!("board took its configuration, {hash:08x}"),
+        ),
+        LinkEvent::ConfigurationRefused { reason } => (
+            Level::Error,
+            format!("board refused its configuration: {reason:?}"),
+        ),
+        LinkEvent::BoardRestarted { evidence } => {
+            (Level::Warning, format!("board restarted: {evidence:?}"))
+        }
+        LinkEvent::Acknowledged { request, .. } => {
+            (Level::Info, format!("board did as asked: {request:?}"))
+        }
+        LinkEvent::Refused {
+            request, reason, ..
+        } => (
+            Level::Warning,
+            format!("board refused: {request:?}: {reason:?}"),
+        ),
+        LinkEvent::Unanswered { request, .. } => {
+            (Level::Warning, format!("board did not answer: {request:?}"))
+        }
+        LinkEvent::StopConfirmed { request } => {
+            (Level::Info, format!("board confirmed: {request:?}"))
+        }
+        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {cause:?}")),
+        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
+            (Level::Debug, "board reported".to_owned())
+        }
+    }
+}

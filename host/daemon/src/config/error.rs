@@ -1,0 +1,85 @@
+//! What can be wrong with a configuration.
+
+use core::fmt;
+use std::path::{Path, PathBuf};
+
+use singletrack_control::{LawError, ReferenceError, VehicleParameterError};
+use singletrack_protocol::ConfigurationError;
+
+/// A configuration with which nothing can be driven: key, value and fix.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file can't be read.
+    #[error("can't read {}: {source}", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is no configuration: a syntax error, an unknown or a missing
+    /// key, a value of the wrong type.
+    #[error("{}{message}", prefix(.path))]
+    Parse {
+        /// The file, if it came from one.
+        path: Option<PathBuf>,
+        /// Where and why.
+        message: String,
+    },
+    /// The waypoints can't be read.
+    #[error("reference.file: {}: {source}", .path.display())]
+    Waypoints {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        source: csv::Error,
+    },
+    /// The reference makes no sense.
+    #[error("[reference] {0}")]
+    Reference(#[from] ReferenceError),
+    /// The law makes no sense.
+    #[error("[law] {0}")]
+    Law(#[from] LawError),
+    /// The vehicle makes no sense.
+    #[error("[vehicle] {0}")]
+    Vehicle(#[from] VehicleParameterError),
+    /// No board would take these values.
+    #[error("board.{0}")]
+    Board(#[from] ConfigurationError),
+    /// A value outside its range, or at odds with another.
+    #[error("{key} is {value}: {fix}")]
+    Value {
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        fix: String,
+    },
+}
+
+impl ConfigError {
+    pub(crate) fn value(
+        key: &'static str,
+        value: impl fmt::Display,
+        fix: impl Into<String>,
+    ) -> Self {
+        Self::Value {
+            key,
+            value: value.to_string(),
+            fix: fix.into(),
+        }
+    }
+
+    pub(crate) fn parse(path: Option<&Path>, error: &toml::de::Error) -> Self {
+        Self::Parse {
+            path: path.map(Path::to_owned),
+            message: error.to_string(),
+        }
+    }
+}
+
+fn prefix(path: &Option<PathBuf>) -> String {
+    path.as_ref()
+        .map_or_else(String::new, |path| format!("{}: ", path.display()))
+}

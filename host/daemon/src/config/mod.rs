@@ -1,0 +1,261 @@
+//! The configuration: one TOML file, units in the key names, unknown keys
+//! refused, every value checked before anything starts.
+//!
+//! `singletrackd.example.toml` lists every key with its default.
+
+mod board;
+mod check;
+mod control;
+mod error;
+mod estimator;
+mod law;
+mod limits;
+mod motion_capture;
+mod outer_loop;
+mod output;
+mod reference;
+mod serial;
+mod supervisor;
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use singletrack_control::{PilotConfig, VehicleParameters};
+use singletrack_link::SessionConfig;
+
+pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
+pub use control::ControlSection;
+pub use error::ConfigError;
+pub use estimator::{EstimatorSection, MarkerLossKind};
+pub use law::{LawKind, LawSection};
+pub use limits::LimitsSection;
+pub use motion_capture::{
+    Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
+};
+pub use outer_loop::OuterLoopSection;
+pub use output::{RecordSection, SocketSection};
+pub use reference::{ReferenceSection, StepSection};
+pub use serial::SerialSection;
+pub use supervisor::SupervisorSection;
+
+/// Everything that the daemon is told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The line to the board.
+    pub serial: SerialSection,
+    /// The cameras.
+    pub motion_capture: MotionCaptureSection,
+    /// The linearising law.
+    pub law: LawSection,
+    /// The position loop around it.
+    pub outer_loop: OuterLoopSection,
+    /// Where P should be.
+    pub reference: ReferenceSection,
+    /// The car; the paper's if left out.
+    #[serde(default)]
+    pub vehicle: VehicleParameters,
+    /// What the car may do.
+    #[serde(default)]
+    pub limits: LimitsSection,
+    /// How the state is estimated.
+    #[serde(default)]
+    pub estimator: EstimatorSection,
+    /// When to stop.
+    #[serde(default)]
+    pub supervisor: SupervisorSection,
+    /// What the board is given.
+    pub board: BoardSection,
+    /// How the controller runs.
+    #[serde(default)]
+    pub control: ControlSection,
+    /// The record of every tick.
+    #[serde(default)]
+    pub record: RecordSection,
+    /// The control socket.
+    #[serde(default)]
+    pub socket: SocketSection,
+}
+
+impl Config {
+    /// Reads and checks a file. Relative paths of waypoints start at its folder.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, by key.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let mut config: Self =
+            toml::from_str(&text).map_err(|error| ConfigError::parse(Some(path), &error))?;
+        if let Some(folder) = path.parent() {
+            config.reference.resolve(folder);
+        }
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Reads and checks a text. Relative paths start at the working directory.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, by key.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        let config: Self =
+            toml::from_str(text).map_err(|error| ConfigError::parse(None, &error))?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The configuration as a file with every key.
+    ///
+    /// # Errors
+    ///
+    /// A path that is not UTF-8.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    /// Refuses what cannot be driven with.
+    ///
+    /// # Errors
+    ///
+    /// The first value that is out of range or at odds with another, with key,
+    /// value and fix.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.serial.validate()?;
+        self.motion_capture.validate()?;
+        self.motion_capture.session()?;
+        self.vehicle.validate()?;
+        if self.law.kind != LawKind::FrontPoint {
+            return Err(ConfigError::value(
+                "law.kind",
+                "velocity-point",
+                "the car is driven with \"front-point\" only; the other is for simulations",
+            ));
+        }
+        self.law.validate(&self.vehicle)?;
+        self.outer_loop.validate(&self.reference.reference()?)?;
+        self.limits.validate()?;
+        self.estimator.validate()?;
+        self.supervisor.validate()?;
+        self.control.validate()?;
+        self.board.configuration().validate()?;
+        self.record.validate()?;
+        self.socket.validate()?;
+        self.validate_together()
+    }
+
+    /// Host and board must agree on what the car does.
+    fn validate_together(&self) -> Result<(), ConfigError> {
+        let Self {
+            limits,
+            board,
+            supervisor,
+            control,
+            ..
+        } = self;
+        let fastest = f64::from(board.speed.max_forward_mm_s) / 1_000.0;
+        if limits.max_speed_m_s > fastest {
+            return Err(ConfigError::value(
+                "limits.max_speed_m_s",
+                limits.max_speed_m_s,
+                format!(
+                    "the board obeys at most {fastest} m/s; lower it, or raise board.speed.max_forward_mm_s"
+                ),
+            ));
+        }
+        let fastest_reverse = f64::from(board.speed.max_reverse_mm_s) / 1_000.0;
+        if limits.max_reverse_speed_m_s > fastest_reverse {
+            return Err(ConfigError::value(
+                "limits.max_reverse_speed_m_s",
+                limits.max_reverse_speed_m_s,
+                format!(
+                    "the board obeys at most {fastest_reverse} m/s; lower it, or raise board.speed.max_reverse_mm_s"
+                ),
+            ));
+        }
+        let servo = &board.servo;
+        let room_us = (servo.max_us.saturating_sub(servo.centre_us))
+            .min(servo.centre_us.saturating_sub(servo.min_us));
+        let reach_rad = f64::from(room_us) / f64::from(servo.gain_us_per_rad).abs();
+        if limits.max_steering_rad > reach_rad {
+            return Err(ConfigError::value(
+                "limits.max_steering_rad",
+                limits.max_steering_rad,
+                format!(
+                    "the servo's pulses reach {reach_rad:.3} rad; lower it, or widen board.servo.min_us and max_us"
+                ),
+            ));
+        }
+        if self.motion_capture.pose.max_speed_m_s <= limits.max_speed_m_s {
+            return Err(ConfigError::value(
+                "motion_capture.pose.max_speed_m_s",
+                self.motion_capture.pose.max_speed_m_s,
+                format!(
+                    "poses of a car at limits.max_speed_m_s, {} m/s, would be refused; raise it",
+                    limits.max_speed_m_s
+                ),
+            ));
+        }
+        let stop_ms = 1_000.0 * limits.max_speed_m_s / control.stop_deceleration_m_s2;
+        let blind_ms = f64::from(supervisor.hold_ms) + stop_ms;
+        if blind_ms > f64::from(board.max_pose_age_ms) {
+            return Err(ConfigError::value(
+                "board.max_pose_age_ms",
+                board.max_pose_age_ms,
+                format!(
+                    "the host holds for supervisor.hold_ms and stops from limits.max_speed_m_s in {blind_ms:.0} ms, \
+                     and must be first; raise it (up to 1000), shorten the hold, lower the speed or brake harder"
+                ),
+            ));
+        }
+        Ok(())
+    }
+
+    /// For the pilot; reads the waypoints.
+    ///
+    /// # Errors
+    ///
+    /// A law or a reference that makes no sense.
+    pub fn pilot(&self) -> Result<PilotConfig, ConfigError> {
+        Ok(PilotConfig {
+            law: self.law.front_point_law(&self.vehicle)?,
+            tracking: self.outer_loop.tracking_loop(),
+            reference: self.reference.reference()?,
+            limits: self.limits.limits(),
+            estimator: self.estimator.config(
+                &self.vehicle,
+                self.motion_capture.marker_offset_m,
+                self.motion_capture.marker_yaw_rad,
+            ),
+            supervisor: self.supervisor.config(),
+            stop_deceleration: self.control.stop_deceleration_m_s2,
+            period: check::seconds(self.control.period_ms),
+        })
+    }
+
+    /// For the session with the board. The seed should differ from one start
+    /// to the next.
+    #[must_use]
+    pub fn link(&self, nonce_seed: u64) -> SessionConfig {
+        SessionConfig {
+            configuration: self.board.configuration(),
+            software_version: software_version(),
+            nonce_seed,
+            baud: self.serial.baud(),
+        }
+    }
+}
+
+/// The version of this software: major, minor, patch.
+fn software_version() -> [u8; 3] {
+    [
+        env!("CARGO_PKG_VERSION_MAJOR"),
+        env!("CARGO_PKG_VERSION_MINOR"),
+        env!("CARGO_PKG_VERSION_PATCH"),
+    ]
+    .map(|number| number.parse().unwrap_or(u8::MAX))
+}

@@ -1,0 +1,141 @@
+//! `[reference]`: where P should be.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use singletrack_control::{
+    Circle, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps, Waypoint,
+    Waypoints,
+};
+
+use super::ConfigError;
+
+/// The reference of P.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum ReferenceSection {
+    /// See [`Circle`].
+    Circle {
+        /// Radius, in m.
+        radius_m: f64,
+        /// Angular velocity, in rad/s.
+        angular_velocity_rad_s: f64,
+        /// Centre, in m.
+        #[serde(default)]
+        centre_m: [f64; 2],
+    },
+    /// See [`VelocitySteps`].
+    VelocitySteps {
+        /// The steps, in order.
+        steps: Vec<StepSection>,
+    },
+    /// See [`FigureOfEight`].
+    FigureOfEight {
+        /// Reach along x, in m.
+        half_length_m: f64,
+        /// Reach along y, in m.
+        half_width_m: f64,
+        /// 2π over the time for one figure, in rad/s.
+        angular_velocity_rad_s: f64,
+        /// Centre, in m.
+        #[serde(default)]
+        centre_m: [f64; 2],
+    },
+    /// See [`Waypoints`].
+    Waypoints {
+        /// CSV file with the columns `t_s,x_m,y_m`; relative to the file that
+        /// names it.
+        file: PathBuf,
+    },
+}
+
+/// One velocity step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepSection {
+    /// How long it lasts, in s.
+    pub duration_s: f64,
+    /// Velocity of P along x, in m/s.
+    pub v_x_m_s: f64,
+    /// Velocity of P along y, in m/s.
+    pub v_y_m_s: f64,
+}
+
+impl ReferenceSection {
+    /// Finds the waypoint file from `folder` if its path is relative.
+    pub fn resolve(&mut self, folder: &Path) {
+        if let Self::Waypoints { file } = self {
+            *file = folder.join(&*file);
+        }
+    }
+
+    /// The reference, with waypoints read from their file.
+    ///
+    /// # Errors
+    ///
+    /// A reference that makes no sense, or waypoints that can't be read.
+    pub fn reference(&self) -> Result<Reference, ConfigError> {
+        Ok(match self {
+            Self::Circle {
+                radius_m,
+                angular_velocity_rad_s,
+                centre_m: [x, y],
+            } => Reference::Circle(Circle::new(
+                Position::new(*x, *y),
+                *radius_m,
+                *angular_velocity_rad_s,
+            )?),
+            Self::VelocitySteps { steps } => {
+                let steps: Vec<_> = steps
+                    .iter()
+                    .map(|step| VelocityStep {
+                        duration: step.duration_s,
+                        velocity: Velocity::new(step.v_x_m_s, step.v_y_m_s),
+                    })
+                    .collect();
+                Reference::VelocitySteps(VelocitySteps::new(&steps)?)
+            }
+            Self::FigureOfEight {
+                half_length_m,
+                half_width_m,
+                angular_velocity_rad_s,
+                centre_m: [x, y],
+            } => Reference::FigureOfEight(FigureOfEight::new(
+                Position::new(*x, *y),
+                *half_length_m,
+                *half_width_m,
+                *angular_velocity_rad_s,
+            )?),
+            Self::Waypoints { file } => {
+                Reference::Waypoints(Waypoints::new(&read_waypoints(file)?)?)
+            }
+        })
+    }
+}
+
+/// A row of a waypoint file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WaypointRow {
+    t_s: f64,
+    x_m: f64,
+    y_m: f64,
+}
+
+fn read_waypoints(path: &Path) -> Result<Vec<Waypoint>, ConfigError> {
+    let error = |source| ConfigError::Waypoints {
+        path: path.to_owned(),
+        source,
+    };
+    csv::Reader::from_path(path)
+        .map_err(error)?
+        .deserialize()
+        .map(|row| {
+            let row: WaypointRow = row.map_err(error)?;
+            Ok(Waypoint {
+                time: row.t_s,
+                position: Position::new(row.x_m, row.y_m),
+            })
+        })
+        .collect()
+}

@@ -1,0 +1,454 @@
+//! The daemon: all threads together.
+
+use std::{
+    io,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use rtrb::RingBuffer;
+use singletrack_control::{Pilot, Request};
+use singletrack_link::Session as LinkSession;
+use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
+use singletrack_record::RecorderThread;
+use tracing::{info, warn};
+
+use crate::{
+    clock::wall_ns,
+    collector::{Board, Collector},
+    config::{Config, ConfigError},
+    control_loop::{ControlLoop, ControlRequest, Rings},
+    control_thread::{self, Ended},
+    controller::Controller,
+    mocap_receiver::MocapReceiver,
+    mocap_socket::{MocapSocketError, MocapSockets},
+    realtime::{self, RealTimeStatus},
+    recording::{self, RecordingError},
+    report::LineCounters,
+    requests::{Requests, Stalled},
+    serial_reader::{ReaderCounters, SerialReader},
+    snapshot::Snapshot,
+    socket::{BoundSocket, SocketError, SocketThread},
+    summary::Summary,
+    wake::StopFlag,
+};
+
+/// How the daemon is started, beside its configuration.
+#[derive(Clone, Debug, Default)]
+pub struct StartOptions {
+    /// Arms once, as soon as the pilot is ready.
+    pub arm: bool,
+    /// Keeps the whole process in memory, if the system allows it.
+    pub lock_memory: bool,
+    /// Where the record goes, instead of a new file in the configured folder.
+    pub record: Option<PathBuf>,
+    /// For the record: the seed of the simulation that is driven.
+    pub seed: Option<u64>,
+}
+
+/// Why the daemon does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The configuration makes no sense.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// No socket to the cameras.
+    #[error(transparent)]
+    MotionCapture(#[from] MocapSocketError),
+    /// No record.
+    #[error(transparent)]
+    Record(#[from] RecordingError),
+    /// No control socket.
+    #[error(transparent)]
+    Socket(#[from] SocketError),
+    /// No thread.
+    #[error("can't start the {name} thread: {source}")]
+    Thread {
+        /// Which one.
+        name: &'static str,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// Why the daemon did not end well. The board goes to neutral by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StopError {
+    /// The control thread panicked.
+    #[error("the control thread has panicked; the board stops the car by itself")]
+    Panicked,
+    /// The control thread does not end.
+    #[error("the control thread does not end; the board stops the car by itself")]
+    Stuck,
+}
+
+/// What may be known and asked from anywhere but the control thread.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    pub(crate) board: Arc<Board>,
+    pub(crate) requests: Requests,
+    realtime: RealTimeStatus,
+}
+
+impl View {
+    pub(crate) fn snapshot(&self) -> Snapshot {
+        let latest = self.board.latest();
+        Snapshot {
+            tick: latest.tick,
+            board: latest.board,
+            board_status: latest.board_status,
+            figures: latest.tally.figures(),
+            realtime: self.realtime.clone(),
+        }
+    }
+}
+
+/// A running daemon. Dropped, it disarms and ends.
+#[derive(Debug)]
+pub struct Daemon {
+    view: View,
+    control: Option<JoinHandle<LineCounters>>,
+    ended: Arc<AtomicBool>,
+    give_up: Arc<AtomicBool>,
+    stop: StopFlag,
+    reader: Option<JoinHandle<ReaderCounters>>,
+    receiver: Option<JoinHandle<(MocapCounters, u64)>>,
+    collector_stop: Arc<AtomicBool>,
+    collector: Option<JoinHandle<()>>,
+    recorder: Option<Recording>,
+    socket: Option<SocketThread>,
+}
+
+struct Recording {
+    thread: RecorderThread,
+    path: PathBuf,
+}
+
+impl core::fmt::Debug for Recording {
+    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        formatter
+            .debug_struct("Recording")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
+    }
+}
+
+/// How many of each may wait. A stall of the control thread of half a second
+/// loses nothing; one of the records' of two seconds neither.
+const SERIAL_EVENTS: usize = 512;
+const OBSERVATIONS: usize = 256;
+const REQUESTS: usize = 32;
+const TICKS: usize = 256;
+const REPORTS: usize = 512;
+
+/// How long a control thread may take to end, beyond what it takes to stop the
+/// car.
+const END_PATIENCE: Duration = Duration::from_secs(4);
+
+impl Daemon {
+    /// Starts all threads. The port need not be there: it is opened when it is.
+    ///
+    /// Block the signals that are to be handled before: threads inherit that.
+    ///
+    /// # Errors
+    ///
+    /// What stands in the way, with the fix. Nothing runs then.
+    pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
+        config.validate()?;
+        let mut refusals = Vec::new();
+        let memory_locked = options.lock_memory
+            && realtime::lock_memory()
+                .map_err(|refusal| refusals.push(refusal))
+                .is_ok();
+        let link = LinkSession::new(config.link(wall_ns() ^ u64::from(std::process::id())))
+            .map_err(ConfigError::from)?;
+        let controller = Controller::new(link, Pilot::new(config.pilot()?));
+        let session = MocapSession::new(config.motion_capture.session()?)
+            .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
+        let sockets = MocapSockets::open(&config.motion_capture)?;
+        let socket = match config.socket.enabled {
+            true => Some(BoundSocket::bind(&config.socket.path)?),
+            false => None,
+        };
+        let stop = StopFlag::new().map_err(|source| StartError::Thread {
+            name: "control",
+            source,
+        })?;
+        let (recorder, record) = match recording::start(&config, options.record, options.seed)? {
+            Some((thread, input, path)) => (Some(Recording { thread, path }), Some(input)),
+            None => (None, None),
+        };
+
+        let (serial_in, serial) = RingBuffer::new(SERIAL_EVENTS);
+        let (returned, returned_out) = RingBuffer::new(2);
+        let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
+        let (requests_in, requests) = RingBuffer::new(REQUESTS);
+        let (ticks, ticks_out) = RingBuffer::new(TICKS);
+        let (reports, reports_out) = RingBuffer::new(REPORTS);
+        let (mocap_reports, mocap_out) = RingBuffer::new(REPORTS);
+
+        let board = Arc::new(Board::new());
+        let mut daemon = Self {
+            view: View {
+                board: Arc::clone(&board),
+                requests: Requests::new(requests_in),
+                realtime: RealTimeStatus {
+                    fifo_priority: None,
+                    memory_locked,
+                    refusals,
+                },
+            },
+            control: None,
+            ended: Arc::new(AtomicBool::new(false)),
+            give_up: Arc::new(AtomicBool::new(false)),
+            stop: stop.clone(),
+            reader: None,
+            receiver: None,
+            collector_stop: Arc::new(AtomicBool::new(false)),
+            collector: None,
+            recorder,
+            socket: None,
+        };
+
+        let collector = Collector {
+            ticks: ticks_out,
+            reports: reports_out,
+            mocap: mocap_out,
+            board,
+            record,
+            record_dropped: 0,
+            told: None,
+            stop: Arc::clone(&daemon.collector_stop),
+        };
+        let collector = spawn("collector", move || collector.run())?;
+        let collector_thread = collector.thread().clone();
+        daemon.collector = Some(collector);
+
+        let control = ControlLoop::new(
+            controller,
+            Rings {
+                serial,
+                returned,
+                observations,
+                requests,
+                ticks,
+                reports,
+            },
+            options.arm,
+        );
+        daemon.start_control(&config, control, collector_thread)?;
+        let reader = SerialReader {
+            config: config.serial,
+            events: serial_in,
+            returned: returned_out,
+            stop: stop.clone(),
+            counters: ReaderCounters::default(),
+        };
+        daemon.reader = Some(spawn("serial", move || reader.run())?);
+        let receiver = MocapReceiver {
+            session,
+            sockets,
+            observations: observations_in,
+            reports: mocap_reports,
+            stop,
+        };
+        daemon.receiver = Some(spawn("mocap", move || receiver.run())?);
+        if let Some(socket) = socket {
+            let started = SocketThread::start(socket, daemon.view.clone());
+            daemon.socket = Some(started.map_err(|source| StartError::Thread {
+                name: "socket",
+                source,
+            })?);
+        }
+        Ok(daemon)
+    }
+
+    /// Starts the control thread and waits for what the system grants it.
+    fn start_control(
+        &mut self,
+        config: &Config,
+        control: ControlLoop<crate::serial_port::WriteHalf>,
+        collector: thread::Thread,
+    ) -> Result<(), StartError> {
+        let priority = config.control.realtime_priority;
+        let period_ns = u64::from(config.control.period_ms) * 1_000_000;
+        let ended = Ended(Arc::clone(&self.ended));
+        let give_up = Arc::clone(&self.give_up);
+        let (granted_in, granted) = mpsc::sync_channel(1);
+        self.control = Some(spawn("control", move || {
+            let _ended = ended;
+            // The starter waits for it.
+            let _ = granted_in.send(realtime::make_punctual(priority));
+            control_thread::run(control, period_ns, &give_up, &collector)
+        })?);
+        let status = &mut self.view.realtime;
+        match granted.recv() {
+            Ok(Ok(priority)) => status.fifo_priority = priority,
+            Ok(Err(refusal)) => status.refusals.push(refusal),
+            Err(_) => status
+                .refusals
+                .push("the control thread has ended".to_owned()),
+        }
+        for refusal in &status.refusals {
+            warn!("{refusal}");
+        }
+        info!(
+            fifo_priority = status.fifo_priority,
+            memory_locked = status.memory_locked,
+            period_ms = config.control.period_ms,
+            "control thread runs"
+        );
+        Ok(())
+    }
+
+    /// How the daemon is doing.
+    #[must_use]
+    pub fn snapshot(&self) -> Snapshot {
+        self.view.snapshot()
+    }
+
+    /// Asks the pilot for something. What comes of it shows in
+    /// [`snapshot`](Self::snapshot).
+    ///
+    /// # Errors
+    ///
+    /// When the control thread takes no requests.
+    pub fn request(&self, request: Request) -> Result<(), Stalled> {
+        self.view.requests.push(ControlRequest::Pilot(request))
+    }
+
+    /// Begins to end: the car slows down and stops, the board is disarmed.
+    ///
+    /// # Errors
+    ///
+    /// When the control thread takes no requests.
+    pub fn begin_stop(&self) -> Result<(), Stalled> {
+        self.view.requests.push(ControlRequest::Finish)
+    }
+
+    /// Begins to end at once: the board is disarmed while the car drives.
+    ///
+    /// # Errors
+    ///
+    /// When the control thread takes no requests.
+    pub fn begin_abort(&self) -> Result<(), Stalled> {
+        self.view.requests.push(ControlRequest::Abort)
+    }
+
+    /// Whether the control thread has ended: on request, or by a panic.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.ended.load(Ordering::Acquire)
+    }
+
+    /// Stops the car, ends all threads and says what it came to.
+    ///
+    /// # Errors
+    ///
+    /// When the control thread did not end well.
+    pub fn stop(mut self) -> Result<Summary, StopError> {
+        self.end(ControlRequest::Finish)
+    }
+
+    fn end(&mut self, how: ControlRequest) -> Result<Summary, StopError> {
+        let control = self.end_control(how);
+        // The others serve the control thread: they end after it.
+        self.stop.raise();
+        if let Some(socket) = self.socket.take() {
+            socket.stop();
+        }
+        let mut tally = TallyAtEnd::default();
+        if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
+            tally.serial_bytes = counters.bytes_dropped;
+        }
+        if let Some(Ok((counters, dropped))) = self.receiver.take().map(JoinHandle::join) {
+            tally.mocap = Some(counters);
+            tally.observations = dropped;
+        }
+        self.collector_stop.store(true, Ordering::Release);
+        if let Some(collector) = self.collector.take() {
+            collector.thread().unpark();
+            if collector.join().is_err() {
+                warn!("the collector's thread has panicked");
+            }
+        }
+        let (record, record_error) = match self.recorder.take() {
+            None => (None, None),
+            Some(Recording { thread, path }) => match thread.finish() {
+                Ok(finished) => (Some(finished.path), None),
+                Err(error) => {
+                    warn!("record: {error}");
+                    (Some(path), Some(error.to_string()))
+                }
+            },
+        };
+        let counters = control?;
+        let mut latest = self.view.board.latest();
+        latest.tally.line(&counters);
+        if let Some(counters) = &tally.mocap {
+            latest.tally.mocap(counters);
+        }
+        latest
+            .tally
+            .dropped_on_the_way(tally.observations, tally.serial_bytes);
+        Ok(Summary {
+            figures: latest.tally.figures(),
+            realtime: self.view.realtime.clone(),
+            record,
+            record_error,
+        })
+    }
+
+    /// Has the control thread stop the car, and waits for it.
+    fn end_control(&mut self, how: ControlRequest) -> Result<LineCounters, StopError> {
+        let Some(control) = self.control.take() else {
+            return Err(StopError::Panicked);
+        };
+        if !self.has_ended() && self.view.requests.push(how).is_err() {
+            self.give_up.store(true, Ordering::Relaxed);
+        }
+        let begin = Instant::now();
+        while !control.is_finished() {
+            if begin.elapsed() > END_PATIENCE {
+                self.give_up.store(true, Ordering::Relaxed);
+                return Err(StopError::Stuck);
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+        control.join().map_err(|_| StopError::Panicked)
+    }
+}
+
+/// What the threads beside the control thread counted.
+#[derive(Default)]
+struct TallyAtEnd {
+    serial_bytes: u64,
+    observations: u64,
+    mocap: Option<MocapCounters>,
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if self.collector.is_some()
+            && let Err(error) = self.end(ControlRequest::Abort)
+        {
+            warn!("{error}");
+        }
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &'static str,
+    body: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, StartError> {
+    thread::Builder::new()
+        .name(name.to_owned())
+        .spawn(body)
+        .map_err(|source| StartError::Thread { name, source })
+}

@@ -1,0 +1,159 @@
+//! `singletrackd`: drives the car.
+
+mod signals;
+
+use std::{
+    io::{self, IsTerminal},
+    path::PathBuf,
+    process::ExitCode,
+    time::Duration,
+};
+
+use clap::{Parser, ValueEnum};
+use signals::Signals;
+use singletrackd::{Config, Daemon, StartOptions, Summary};
+use tracing::{error, info, warn};
+use tracing_subscriber::EnvFilter;
+
+/// Drives the car: motion capture in, commands to the board out, 100 times a
+/// second.
+///
+/// It arms when asked on its control socket, or with --arm. SIGTERM and SIGINT
+/// slow the car down, disarm the board and end; a second one disarms at once.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    /// The configuration; singletrackd.example.toml explains every key.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Arm once, as soon as everything is there. The car moves by itself then.
+    #[arg(long)]
+    arm: bool,
+    /// Say whether the configuration is good, and end.
+    #[arg(long)]
+    check: bool,
+    /// How the log is written, on stderr. `RUST_LOG` filters it.
+    #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]
+    log_format: LogFormat,
+}
+
+/// How the log is written.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// The configuration is missing or wrong.
+const BAD_CONFIGURATION: u8 = 2;
+
+/// How often the main thread looks whether the control thread still runs.
+const LOOK_AROUND: Duration = Duration::from_millis(10);
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    // Before any thread: they inherit it.
+    let signals = match Signals::block() {
+        Ok(signals) => signals,
+        Err(error) => {
+            eprintln!("singletrackd: can't block signals: {error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let Some(path) = &arguments.config else {
+        eprintln!(
+            "singletrackd needs a configuration: singletrackd --config FILE\n\n\
+             At least these it can't know: serial.port, motion_capture.server, .rigid_body and .up_axis,\n\
+             [law], [outer_loop] and [reference], and the calibration in [board].\n\
+             singletrackd.example.toml explains every key."
+        );
+        return ExitCode::from(BAD_CONFIGURATION);
+    };
+    let config = match Config::read(path) {
+        Ok(config) => config,
+        Err(error) => {
+            eprintln!("singletrackd: {error}");
+            return ExitCode::from(BAD_CONFIGURATION);
+        }
+    };
+    if arguments.check {
+        println!("{}: good", path.display());
+        return ExitCode::SUCCESS;
+    }
+    start_log(arguments.log_format);
+    info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
+    let options = StartOptions {
+        arm: arguments.arm,
+        lock_memory: true,
+        ..StartOptions::default()
+    };
+    match Daemon::start(config, options) {
+        Ok(daemon) => run(daemon, &signals),
+        Err(error) => {
+            error!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Until a signal says otherwise.
+fn run(daemon: Daemon, signals: &Signals) -> ExitCode {
+    let mut told = 0;
+    while !daemon.has_ended() {
+        let Some(signal) = signals.wait(LOOK_AROUND) else {
+            continue;
+        };
+        let asked = if told == 0 {
+            info!(signal, "stopping");
+            daemon.begin_stop()
+        } else {
+            warn!(signal, "disarming at once");
+            daemon.begin_abort()
+        };
+        told += 1;
+        if let Err(error) = asked {
+            error!("{error}");
+            break;
+        }
+    }
+    match daemon.stop() {
+        Ok(summary) => {
+            tell(&summary);
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            error!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn tell(summary: &Summary) {
+    let figures = &summary.figures;
+    info!(
+        ticks = figures.ticks,
+        driving_ticks = figures.driving_ticks,
+        deadline_misses = figures.deadline_misses,
+        lateness_p99_us = figures.lateness_us.p99,
+        lateness_max_us = figures.lateness_us.max,
+        frames = ?figures.frames,
+        mocap = ?figures.mocap,
+        dropped = ?figures.dropped,
+        record = summary.record.as_ref().map(|path| path.display().to_string()),
+        "singletrackd ends"
+    );
+}
+
+fn start_log(format: LogFormat) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(io::stderr);
+    match format {
+        LogFormat::Text => log.with_target(false).init(),
+        LogFormat::Json => log.json().init(),
+    }
+}

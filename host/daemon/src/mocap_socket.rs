@@ -1,0 +1,100 @@
+//! The sockets to the motion capture.
+
+use std::{
+    io,
+    net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
+    os::fd::{AsFd, BorrowedFd},
+};
+
+use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::config::{MotionCaptureSection, TransportKind};
+
+/// Why there is no socket.
+#[derive(Debug, thiserror::Error)]
+#[error("motion capture: can't {action} {address}: {source}; {fix}")]
+pub struct MocapSocketError {
+    action: &'static str,
+    address: SocketAddrV4,
+    source: io::Error,
+    fix: &'static str,
+}
+
+/// Unicast: one socket for everything. Multicast: frames come to their own.
+#[derive(Debug)]
+pub(crate) struct MocapSockets {
+    command: UdpSocket,
+    data: Option<UdpSocket>,
+}
+
+impl MocapSockets {
+    pub(crate) fn open(config: &MotionCaptureSection) -> Result<Self, MocapSocketError> {
+        let command = bind(
+            SocketAddrV4::new(config.interface, 0),
+            "motion_capture.interface must be an address of this computer, or 0.0.0.0",
+        )?;
+        let data = match config.transport {
+            TransportKind::Unicast => None,
+            TransportKind::Multicast => Some(join(config)?),
+        };
+        Ok(Self { command, data })
+    }
+
+    /// What to poll.
+    pub(crate) fn files(&self) -> heapless::Vec<BorrowedFd<'_>, 2> {
+        core::iter::once(&self.command)
+            .chain(&self.data)
+            .map(AsFd::as_fd)
+            .collect()
+    }
+
+    /// The next datagram that waits.
+    pub(crate) fn receive(&self, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+        core::iter::once(&self.command)
+            .chain(&self.data)
+            // A datagram that can't be received is one that is lost.
+            .find_map(|socket| socket.recv_from(buffer).ok())
+    }
+
+    pub(crate) fn send(&self, to: SocketAddr, bytes: &[u8]) -> io::Result<()> {
+        self.command.send_to(bytes, to).map(drop)
+    }
+}
+
+fn bind(address: SocketAddrV4, fix: &'static str) -> Result<UdpSocket, MocapSocketError> {
+    let open = || -> io::Result<UdpSocket> {
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+        socket.set_nonblocking(true)?;
+        if address.port() != 0 {
+            // Other clients on this computer listen to the same group.
+            socket.set_reuse_address(true)?;
+        }
+        socket.bind(&address.into())?;
+        Ok(socket.into())
+    };
+    open().map_err(|source| MocapSocketError {
+        action: "bind to",
+        address,
+        source,
+        fix,
+    })
+}
+
+fn join(config: &MotionCaptureSection) -> Result<UdpSocket, MocapSocketError> {
+    // Bound to the group, it gets what is sent there and nothing else.
+    let address = SocketAddrV4::new(config.group, config.data_port);
+    let socket = bind(
+        address,
+        "is motion_capture.data_port in use by a program that does not share it?",
+    )?;
+    let interface: Ipv4Addr = config.interface;
+    socket
+        .join_multicast_v4(&config.group, &interface)
+        .map_err(|source| MocapSocketError {
+            action: "join",
+            address,
+            source,
+            fix: "motion_capture.interface must be this computer's address in the cameras' network",
+        })?;
+    Ok(socket)
+}

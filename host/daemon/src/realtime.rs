@@ -1,0 +1,58 @@
+//! What the system grants a thread that must not be late.
+//!
+//! All of it is best effort: without it the car drives, and everybody is told.
+
+use core::num::NonZeroU64;
+
+use rustix::{
+    mm::{MlockAllFlags, mlockall},
+    process::{Resource, getrlimit},
+    thread::{CapabilitySet, capabilities, set_current_timer_slack},
+};
+use serde::Serialize;
+
+use crate::system;
+
+/// What the system granted the control thread.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RealTimeStatus {
+    /// Its `SCHED_FIFO` priority; none if it is scheduled like any other thread.
+    pub fifo_priority: Option<u8>,
+    /// Whether the process stays in memory.
+    pub memory_locked: bool,
+    /// What was not granted, and how to change that.
+    pub refusals: Vec<String>,
+}
+
+/// Keeps the process in memory, if it may lock as much as it likes.
+///
+/// With a limit, `MCL_FUTURE` would make some later allocation fail.
+pub(crate) fn lock_memory() -> Result<(), String> {
+    let unlimited = getrlimit(Resource::Memlock).current.is_none();
+    let capable =
+        capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK));
+    if !unlimited && !capable {
+        return Err(
+            "memory is not locked: the limit for it is too small; set LimitMEMLOCK=infinity or ulimit -l unlimited"
+                .to_owned(),
+        );
+    }
+    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)
+        .map_err(|error| format!("memory is not locked: mlockall: {error}"))
+}
+
+/// Makes the calling thread a real-time thread.
+pub(crate) fn make_punctual(priority: u8) -> Result<Option<u8>, String> {
+    // For when the thread is not scheduled in real time: its timers are not
+    // to be bundled with others'. Without it they are 50 µs later.
+    let _ = set_current_timer_slack(NonZeroU64::new(1));
+    if priority == 0 {
+        return Ok(None);
+    }
+    system::schedule_fifo(priority).map(|()| Some(priority)).map_err(|error| {
+        format!(
+            "the control thread is not scheduled in real time: SCHED_FIFO at {priority}: {error}; \
+             set LimitRTPRIO={priority} or ulimit -r {priority}, or control.realtime_priority = 0"
+        )
+    })
+}

@@ -1,0 +1,87 @@
+//! The record of a run: where it goes, and what it says of itself.
+
+use std::{
+    collections::BTreeMap,
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use singletrack_record::{
+    ClockMapping, FeedInput, Meta, RecordError, Recorder, RecorderThread, feed, part_path,
+};
+
+use crate::{
+    clock::{compact_utc, monotonic_ns, wall_ns},
+    config::Config,
+};
+
+/// Entries that may wait for the disk: some 3 s at 350 a second.
+const CAPACITY: usize = 1_024;
+
+/// Why there is no record.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// No folder.
+    #[error("can't make record.directory {}: {source}; choose another, or set record.enabled = false", path.display())]
+    Directory {
+        /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// No file.
+    #[error("{0}; choose another record.directory, or set record.enabled = false")]
+    Record(#[from] RecordError),
+}
+
+/// Starts the record of a run: at `path`, or under a new name in the
+/// configured folder. None if the configuration wants none and no path is given.
+pub(crate) fn start(
+    config: &Config,
+    path: Option<PathBuf>,
+    seed: Option<u64>,
+) -> Result<Option<(RecorderThread, FeedInput, PathBuf)>, RecordingError> {
+    let start = ClockMapping {
+        monotonic_ns: monotonic_ns(),
+        wall_ns: wall_ns(),
+    };
+    let path = match path {
+        Some(path) => path,
+        None if config.record.enabled => {
+            let directory = &config.record.directory;
+            fs::create_dir_all(directory).map_err(|source| RecordingError::Directory {
+                path: directory.clone(),
+                source,
+            })?;
+            free_name(directory, &compact_utc(start.wall_ns))
+        }
+        None => return Ok(None),
+    };
+    let meta = Meta {
+        // It has been read from such a text.
+        configuration: config.to_toml().unwrap_or_default(),
+        software: BTreeMap::from([(
+            env!("CARGO_PKG_NAME").to_owned(),
+            env!("CARGO_PKG_VERSION").to_owned(),
+        )]),
+        protocol_version: singletrack_protocol::VERSION,
+        seed,
+        start,
+    };
+    let recorder = Recorder::create(&path, &meta)?;
+    let (input, output) = feed(CAPACITY);
+    let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
+    Ok(Some((thread, input, path)))
+}
+
+/// A name that no record has: two daemons may start in the same second.
+fn free_name(directory: &Path, time: &str) -> PathBuf {
+    (1..)
+        .map(|number| match number {
+            1 => format!("singletrack-{time}.mcap"),
+            number => format!("singletrack-{time}-{number}.mcap"),
+        })
+        .map(|name| directory.join(name))
+        .find(|path| !path.exists() && !part_path(path).exists())
+        .unwrap_or_else(|| directory.join("singletrack.mcap"))
+}

@@ -1,0 +1,48 @@
+//! The signals that end the daemon.
+
+#![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
+
+use std::{io, mem::MaybeUninit, ptr, time::Duration};
+
+/// SIGTERM, SIGINT and SIGHUP, which are delivered to nobody but
+/// [`wait`](Self::wait).
+pub(crate) struct Signals(libc::sigset_t);
+
+impl Signals {
+    /// Blocks them for this thread and those that it starts from now on.
+    pub(crate) fn block() -> io::Result<Self> {
+        let mut set = MaybeUninit::<libc::sigset_t>::uninit();
+        // SAFETY: sigemptyset initialises the set, which is only then used; the
+        // signals exist; the old mask is not asked for.
+        let (set, result) = unsafe {
+            libc::sigemptyset(set.as_mut_ptr());
+            let mut set = set.assume_init();
+            for signal in [libc::SIGTERM, libc::SIGINT, libc::SIGHUP] {
+                libc::sigaddset(&raw mut set, signal);
+            }
+            let result = libc::pthread_sigmask(libc::SIG_BLOCK, &raw const set, ptr::null_mut());
+            (set, result)
+        };
+        if result != 0 {
+            return Err(io::Error::from_raw_os_error(result));
+        }
+        Ok(Self(set))
+    }
+
+    /// Waits for one of them; its name, or none when time is up.
+    pub(crate) fn wait(&self, timeout: Duration) -> Option<&'static str> {
+        let timeout = libc::timespec {
+            tv_sec: timeout.as_secs() as _,
+            tv_nsec: timeout.subsec_nanos() as _,
+        };
+        // SAFETY: set and time outlive the call; who sent the signal is not asked.
+        let signal =
+            unsafe { libc::sigtimedwait(&raw const self.0, ptr::null_mut(), &raw const timeout) };
+        match signal {
+            libc::SIGTERM => Some("SIGTERM"),
+            libc::SIGINT => Some("SIGINT"),
+            libc::SIGHUP => Some("SIGHUP"),
+            _ => None,
+        }
+    }
+}

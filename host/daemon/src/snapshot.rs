@@ -1,0 +1,160 @@
+//! How the daemon is doing right now.
+
+use serde_json::{Value, json};
+use singletrack_control::{Estimate, Mode, Position, Reason, ReferencePoint};
+use singletrack_protocol::{BoardMode, Status, StopCause};
+use singletrack_record::{LinkPhase, TickRecord};
+
+use crate::{realtime::RealTimeStatus, summary::Figures};
+
+/// How the daemon is doing: the last tick, what the board last said, and the
+/// figures so far.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// The last tick; none before the first.
+    pub tick: Option<TickView>,
+    /// The board's own mode and why it last stopped, by its last telemetry.
+    pub board: Option<(BoardMode, StopCause)>,
+    /// What the board last said of itself.
+    pub board_status: Option<Status>,
+    /// The figures so far.
+    pub figures: Figures,
+    /// What the system granted the control thread.
+    pub realtime: RealTimeStatus,
+}
+
+/// What a tick saw and decided, without its events.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickView {
+    /// Its number, from 0.
+    pub index: u64,
+    /// When it began, on `CLOCK_MONOTONIC`.
+    pub start_ns: u64,
+    /// The pilot's mode after it.
+    pub mode: Mode,
+    /// Why the car does not drive, or stopped.
+    pub reason: Option<Reason>,
+    /// The session with the board.
+    pub link: LinkPhase,
+    /// Whether no new valid pose had come.
+    pub held: bool,
+    /// Time since the first driving tick, in s.
+    pub drive_time_s: Option<f64>,
+    /// The state that it acted on.
+    pub estimate: Option<Estimate>,
+    /// Where P is.
+    pub point: Option<Position>,
+    /// Where P should be.
+    pub reference: Option<ReferencePoint>,
+    /// Steering after limits, in rad.
+    pub steering_rad: f64,
+    /// Speed after limits, in m/s.
+    pub speed_m_s: f64,
+}
+
+impl From<&TickRecord> for TickView {
+    fn from(tick: &TickRecord) -> Self {
+        let output = &tick.output;
+        Self {
+            index: tick.index,
+            start_ns: tick.start_ns,
+            mode: output.mode,
+            reason: output.reason,
+            link: tick.link,
+            held: output.held,
+            drive_time_s: output.drive_time,
+            estimate: output.estimate,
+            point: output.point,
+            reference: output.reference,
+            steering_rad: output.actuation.steering,
+            speed_m_s: output.actuation.speed,
+        }
+    }
+}
+
+impl Snapshot {
+    /// The pilot's mode; disconnected before the first tick.
+    #[must_use]
+    pub fn mode(&self) -> Mode {
+        self.tick.map_or(Mode::Disconnected, |tick| tick.mode)
+    }
+
+    /// Why the car does not drive, or stopped.
+    #[must_use]
+    pub fn reason(&self) -> Option<Reason> {
+        self.tick.and_then(|tick| tick.reason)
+    }
+
+    /// For the control socket.
+    pub(crate) fn to_json(&self) -> Value {
+        let tick = self.tick.as_ref();
+        json!({
+            "mode": self.mode().name(),
+            "reason": self.reason().map(Reason::name),
+            "link": tick.map(|tick| link_name(tick.link)),
+            "held": tick.map(|tick| tick.held),
+            "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
+            "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
+                "x_m": estimate.position.x,
+                "y_m": estimate.position.y,
+                "yaw_rad": estimate.yaw,
+                "yaw_rate_rad_s": estimate.yaw_rate,
+                "sideslip_rad": estimate.sideslip,
+                "speed_m_s": estimate.speed,
+                "pose_age_ms": estimate.pose_age() * 1_000.0,
+            })),
+            "point_m": tick.and_then(|tick| tick.point).map(|point| [point.x, point.y]),
+            "reference_m": tick
+                .and_then(|tick| tick.reference?.position)
+                .map(|position| [position.x, position.y]),
+            "command": tick.map(|tick| json!({
+                "speed_m_s": tick.speed_m_s,
+                "steering_rad": tick.steering_rad,
+            })),
+            "board": self.board.map(|(mode, cause)| json!({
+                "mode": board_mode_name(mode),
+                "stop_cause": stop_cause_name(cause),
+                "battery_mv": self.board_status.map(|status| status.battery_mv),
+                "stop_input_open": self.board_status.map(|status| status.stop_input_open),
+            })),
+            "figures": self.figures,
+            "realtime": self.realtime,
+        })
+    }
+}
+
+/// The session with the board, as a word.
+pub(crate) const fn link_name(phase: LinkPhase) -> &'static str {
+    match phase {
+        LinkPhase::Disconnected => "disconnected",
+        LinkPhase::Greeting => "greeting",
+        LinkPhase::VersionMismatch => "version-mismatch",
+        LinkPhase::Configuring => "configuring",
+        LinkPhase::ConfigurationRefused => "configuration-refused",
+        LinkPhase::Ready => "ready",
+    }
+}
+
+const fn board_mode_name(mode: BoardMode) -> &'static str {
+    match mode {
+        BoardMode::Boot => "boot",
+        BoardMode::Neutral => "neutral",
+        BoardMode::Armed => "armed",
+        BoardMode::Driving => "driving",
+        BoardMode::Failsafe => "failsafe",
+        BoardMode::EmergencyStopped => "emergency-stopped",
+    }
+}
+
+const fn stop_cause_name(cause: StopCause) -> &'static str {
+    match cause {
+        StopCause::None => "none",
+        StopCause::Disarmed => "disarmed",
+        StopCause::CommandTimeout => "command-timeout",
+        StopCause::PoseTooOld => "pose-too-old",
+        StopCause::MotorSensor => "motor-sensor",
+        StopCause::StopInput => "stop-input",
+        StopCause::EmergencyStop => "emergency-stop",
+        StopCause::HostRestarted => "host-restarted",
+    }
+}

@@ -1,0 +1,176 @@
+//! The control socket of a daemon that has neither board nor cameras.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{
+    io::{BufRead, BufReader, Write},
+    net::Ipv4Addr,
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use serde_json::{Value, json};
+use singletrackd::{Config, Daemon, StartError, StartOptions};
+use tempfile::TempDir;
+
+struct Client {
+    write: UnixStream,
+    read: BufReader<UnixStream>,
+}
+
+impl Client {
+    fn connect(path: &Path) -> Self {
+        let write = UnixStream::connect(path).unwrap();
+        write
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let read = BufReader::new(write.try_clone().unwrap());
+        Self { write, read }
+    }
+
+    fn line(&mut self) -> Value {
+        let mut line = String::new();
+        self.read.read_line(&mut line).unwrap();
+        serde_json::from_str(&line).unwrap()
+    }
+
+    fn ask(&mut self, line: &str) -> Value {
+        writeln!(self.write, "{line}").unwrap();
+        self.line()
+    }
+}
+
+fn start() -> (Daemon, PathBuf, TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control.sock");
+    (
+        Daemon::start(config(folder.path(), &path), StartOptions::default()).unwrap(),
+        path,
+        folder,
+    )
+}
+
+fn config(folder: &Path, socket: &Path) -> Config {
+    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+    config.serial.port = folder.join("board");
+    config.motion_capture.server = Ipv4Addr::LOCALHOST;
+    config.motion_capture.command_port = 9;
+    config.control.realtime_priority = 0;
+    config.record.directory = folder.join("records");
+    socket.clone_into(&mut config.socket.path);
+    config
+}
+
+#[test]
+fn status_tells_mode_reason_and_figures() {
+    let (daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let status = loop {
+        let answer = client.ask(r#"{"version":1,"command":"status"}"#);
+        assert_eq!(answer["ok"], true);
+        assert_eq!(answer["version"], 1);
+        if answer["status"]["figures"]["ticks"].as_u64() > Some(3) {
+            break answer["status"].clone();
+        }
+    };
+    assert_eq!(status["mode"], "disconnected");
+    assert_eq!(status["reason"], "link-down");
+    assert_eq!(status["link"], "disconnected");
+    assert_eq!(status["realtime"]["fifo_priority"], Value::Null);
+    assert_eq!(status["estimate"], Value::Null);
+    assert!(status["figures"]["lateness_us"]["p99"].is_number());
+    daemon.stop().unwrap();
+    assert!(!path.exists());
+}
+
+#[test]
+fn arming_what_is_not_there_is_refused_with_the_reason() {
+    let (daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let answer = client.ask(r#"{"version":1,"command":"arm"}"#);
+    assert_eq!(answer["ok"], false);
+    assert!(
+        answer["error"]
+            .as_str()
+            .unwrap()
+            .contains("mode disconnected"),
+        "{answer}"
+    );
+    for command in ["disarm", "stop"] {
+        let answer = client.ask(&json!({"version": 1, "command": command}).to_string());
+        assert_eq!(answer["ok"], true, "{command}");
+    }
+    daemon.stop().unwrap();
+}
+
+#[test]
+fn nonsense_is_answered_and_the_client_may_go_on() {
+    let (daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    for line in [
+        "",
+        "arm",
+        "{}",
+        r#"{"version":9,"command":"arm"}"#,
+        "\u{1f600}",
+    ] {
+        let answer = client.ask(line);
+        assert_eq!(answer["ok"], false, "{line}");
+        assert!(answer["error"].is_string());
+    }
+    assert_eq!(
+        client.ask(r#"{"version":1,"command":"status"}"#)["ok"],
+        true
+    );
+    let answer = client.ask(&"x".repeat(10_000));
+    assert!(answer["error"].as_str().unwrap().contains("4096"));
+    daemon.stop().unwrap();
+}
+
+#[test]
+fn a_watcher_sees_ticks_as_they_happen() {
+    let (daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let answer = client.ask(r#"{"version":1,"command":"watch","topics":["tick"]}"#);
+    assert_eq!(answer["ok"], true);
+    let first = client.line();
+    assert_eq!(first["topic"], "tick");
+    let second = client.line();
+    assert_eq!(
+        second["index"].as_u64().unwrap(),
+        first["index"].as_u64().unwrap() + 1
+    );
+    daemon.stop().unwrap();
+}
+
+#[test]
+fn two_daemons_do_not_share_a_socket() {
+    let (daemon, path, folder) = start();
+    let mut config = config(folder.path(), &path);
+    config.record.enabled = false;
+    let error = Daemon::start(config, StartOptions::default()).unwrap_err();
+    assert!(matches!(error, StartError::Socket(_)), "{error}");
+    assert!(error.to_string().contains("another singletrackd"));
+    assert!(path.exists());
+    daemon.stop().unwrap();
+}
+
+#[test]
+fn the_record_of_a_run_can_be_read() {
+    let (daemon, _path, _folder) = start();
+    while daemon.snapshot().figures.ticks < 5 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let summary = daemon.stop().unwrap();
+    let ticks = singletrack_record::Reader::open(&summary.record.unwrap())
+        .unwrap()
+        .only(&[singletrack_record::Topic::Tick])
+        .map(Result::unwrap)
+        .count();
+    assert_eq!(ticks as u64, summary.figures.ticks);
+}
