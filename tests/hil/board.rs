@@ -13,8 +13,7 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         restarted,
     )
     .needing(&[Need::Reset]),
-    Scenario::new("a_dead_motor_sensor_stops_the_car", motor_sensor)
-        .needing(&[Need::MotorSensor]),
+    Scenario::new("a_dead_motor_sensor_stops_the_car", motor_sensor).needing(&[Need::MotorSensor]),
 ];
 
 fn restarted(bench: &mut Bench) -> Outcome {
@@ -48,7 +47,10 @@ fn restarted(bench: &mut Bench) -> Outcome {
             .iter()
             .position(|pulses| pulses.servo_us != 0)
             .unwrap_or(after.len());
-        ensure!(configured > 1, "the servo had a pulse right after the reset");
+        ensure!(
+            configured > 1,
+            "the servo had a pulse right after the reset"
+        );
         bench.arm_and_drive()?;
     }
     Ok(())

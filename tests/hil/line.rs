@@ -78,7 +78,11 @@ fn badly_damaged(bench: &mut Bench) -> Outcome {
         corrupt: 0.05,
         stuck: false,
     })?;
-    bench.neutral_within("after 5 % of the bytes are damaged", begin_us, STOP_LIMIT_MS)?;
+    bench.neutral_within(
+        "after 5 % of the bytes are damaged",
+        begin_us,
+        STOP_LIMIT_MS,
+    )?;
     bench.wait_until_standing()?;
     // It can't be armed through this, and nothing moves by itself.
     let place = bench.rig().trace()?.len();
@@ -114,7 +118,12 @@ fn stuck(bench: &mut Bench) -> Outcome {
     bench.was_neutral_since(place)?;
     // What had waited came too late, and the board has said so.
     let refused = drives_refused(bench)? - refused_before;
-    bench.at_most("commands that waited in the stuck line", refused, MAX_QUEUED, "")?;
+    bench.at_most(
+        "commands that waited in the stuck line",
+        refused,
+        MAX_QUEUED,
+        "",
+    )?;
     bench.arm_and_drive()
 }
 

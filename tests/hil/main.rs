@@ -130,7 +130,10 @@ fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed>
             )
             .into());
         }
-        eprintln!("repeated, the rig was late by {lateness:.0?}: {failure}");
+        eprintln!(
+            "{}: again, because the rig was late by {lateness:.0?}: {failure}",
+            scenario.name
+        );
         equipment.measurements.forget(scenario.name);
         attempt += 1;
     }

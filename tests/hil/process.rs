@@ -8,7 +8,10 @@ use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("a_killed_daemon_leaves_a_car_that_stops", killed),
-    Scenario::new("a_termination_while_driving_stops_the_car_first", terminated_driving),
+    Scenario::new(
+        "a_termination_while_driving_stops_the_car_first",
+        terminated_driving,
+    ),
     Scenario::new("a_termination_at_rest_is_prompt", terminated_at_rest),
     Scenario::new("a_second_daemon_is_refused", second_daemon),
 ];

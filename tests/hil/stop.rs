@@ -9,8 +9,11 @@ use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("a_stop_is_neutral_at_once_and_latched", stop_command),
-    Scenario::new("a_latched_stop_ends_with_a_reset_of_the_board", stop_and_reset)
-        .needing(&[Need::Reset]),
+    Scenario::new(
+        "a_latched_stop_ends_with_a_reset_of_the_board",
+        stop_and_reset,
+    )
+    .needing(&[Need::Reset]),
     Scenario::new("an_open_stop_switch_stops_the_car", stop_switch).needing(&[Need::StopSwitch]),
 ];
 
@@ -36,7 +39,10 @@ fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
         status.text()
     );
     let cause = bench.rig().stop_cause()?;
-    ensure!(cause == Some(StopCause::EmergencyStop), "the board: {cause:?}");
+    ensure!(
+        cause == Some(StopCause::EmergencyStop),
+        "the board: {cause:?}"
+    );
     bench.wait_until_standing()?;
 
     // Neither arm nor disarm leads out of it, and the answer says why.
@@ -51,7 +57,11 @@ fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
     bench.stays_neutral(Duration::from_millis(500))?;
     bench.was_neutral_since(place)?;
     let status = bench.status()?;
-    ensure!(status.mode() == "fault", "no longer latched: {}", status.text());
+    ensure!(
+        status.mode() == "fault",
+        "no longer latched: {}",
+        status.text()
+    );
     Ok(())
 }
 

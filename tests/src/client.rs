@@ -198,12 +198,17 @@ impl Status {
     }
 
     /// From where P should be to where the daemon believes it to be, in m.
-    #[must_use]
-    pub fn tracking_error_m(&self) -> Option<f64> {
+    ///
+    /// # Errors
+    ///
+    /// The status does not say.
+    pub fn tracking_error_m(&self) -> Outcome<f64> {
         let place = |name: &str, axis: usize| self.0[name][axis].as_f64();
-        let along =
-            |axis| Some(place("point_m", axis)? - place("reference_m", axis)?);
-        Some(f64::hypot(along(0)?, along(1)?))
+        let along = |axis| Some(place("point_m", axis)? - place("reference_m", axis)?);
+        along(0)
+            .zip(along(1))
+            .map(|(x, y)| x.hypot(y))
+            .ok_or_else(|| Failure::new(format!("no point or no reference in {}", self.0)))
     }
 
     /// In short, for whoever looks into a failure.
@@ -229,8 +234,7 @@ impl Watch {
     /// The board says nothing, or has no such figure.
     pub fn next(&mut self, figure: &str) -> Outcome<f64> {
         let entry = self.0.receive()?;
-        find(&entry, figure)
-            .ok_or_else(|| Failure::new(format!("no {figure} in {entry}")))
+        find(&entry, figure).ok_or_else(|| Failure::new(format!("no {figure} in {entry}")))
     }
 }
 

@@ -37,10 +37,7 @@ impl Daemon {
             .stdout(output)
             .stderr(errors)
             .spawn()
-            .map_err(Failure::system(format!(
-                "cannot run {}",
-                program.display()
-            )))?;
+            .map_err(Failure::system(format!("cannot run {}", program.display())))?;
         Ok(Self {
             child,
             log: log.to_owned(),

@@ -5,12 +5,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use singletrack_control::VehicleParameters;
+use singletrack_sim::{SimulationConfig, StartPose};
 use singletrackd::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, LawKind, LawSection,
     LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
     SerialSection, SocketSection, SupervisorSection, UpAxisKind,
 };
-use singletrack_control::VehicleParameters;
 
 /// The paper's circle with feed-forward, for the simulated car.
 ///
@@ -63,6 +64,29 @@ pub const POINT_DISTANCE_M: f64 = 0.35;
 
 /// Radius of the circle, in m.
 pub const RADIUS_M: f64 = 1.0;
+
+/// Where the car stands at the start: with P where the circle begins, and
+/// nearly along it.
+fn start() -> StartPose {
+    const YAW_RAD: f64 = 1.2;
+    let reach_m = VehicleParameters::paper().front_axle_distance_m + POINT_DISTANCE_M;
+    StartPose {
+        x_m: RADIUS_M - reach_m * YAW_RAD.cos(),
+        y_m: -reach_m * YAW_RAD.sin(),
+        yaw_rad: YAW_RAD,
+    }
+}
+
+/// What is simulated.
+#[must_use]
+pub fn simulation(seed: u64) -> SimulationConfig {
+    let mut config = SimulationConfig {
+        seed,
+        ..SimulationConfig::default()
+    };
+    config.car.start = start();
+    config
+}
 
 /// The daemon's control socket.
 #[must_use]

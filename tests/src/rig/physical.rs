@@ -14,16 +14,14 @@ use std::{
 
 use serialport::{SerialPort, TTYPort};
 use singletrack_protocol::{StopCause, Telemetry};
-use singletrack_sim::{
-    LossKind, Pty, RealTimeConfig, RealTimeSimulator, SimulationConfig, Truth,
-};
+use singletrack_sim::{LossKind, Pty, RealTimeConfig, RealTimeSimulator, Truth};
 
 use super::{
     LineFaults, Need, Rig,
     proxy::{Damage, Frames, replace_motion},
     simulated,
 };
-use crate::{Failure, Outcome, Pulses, Trace};
+use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// The firmware's rate.
 const BAUD: u32 = 115_200;
@@ -77,10 +75,7 @@ impl PhysicalRig {
         // What waits there is from before.
         let _ = uno.clear(serialport::ClearBuffer::All);
         let car = simulated::start(RealTimeConfig {
-            simulation: SimulationConfig {
-                seed,
-                ..SimulationConfig::default()
-            },
+            simulation: settings::simulation(seed),
             ..RealTimeConfig::default()
         })?;
         car.with_world(|world| world.set_board_power(false))?;
@@ -262,7 +257,7 @@ impl Line {
     }
 
     fn round(&mut self, rounds: u64) -> Result<(), String> {
-        self.from_board()?;
+        self.take_from_board()?;
         let shared = lock(&self.shared);
         let line = shared.line;
         if let Some(pty) = &shared.pty {
@@ -293,7 +288,7 @@ impl Line {
         Ok(())
     }
 
-    fn from_board(&mut self) -> Result<(), String> {
+    fn take_from_board(&mut self) -> Result<(), String> {
         let mut buffer = [0; 1024];
         let count = match self.uno.read(&mut buffer) {
             Ok(count) => count,

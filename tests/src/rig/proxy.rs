@@ -74,7 +74,7 @@ impl Damage {
         }
     }
 
-    /// SplitMix64.
+    /// The generator named `SplitMix64`.
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;

@@ -7,13 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
+use singletrack_board::Board;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ResetCause, StopCause};
-use singletrack_sim::{
-    LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, SimulationConfig, Truth,
-};
+use singletrack_sim::{LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth};
 
 use super::{LineFaults, Need, Rig};
-use crate::{Failure, Outcome, Pulses, Trace};
+use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// Board, car and cameras in the simulator.
 #[derive(Debug)]
@@ -27,10 +26,7 @@ impl SimulatedRig {
     /// What the simulator does not start for.
     pub fn start(link: PathBuf, seed: u64) -> Outcome<Self> {
         let config = RealTimeConfig {
-            simulation: SimulationConfig {
-                seed,
-                ..SimulationConfig::default()
-            },
+            simulation: settings::simulation(seed),
             pty_link: Some(link),
             ..RealTimeConfig::default()
         };
@@ -112,7 +108,7 @@ impl Rig for SimulatedRig {
     fn stop_cause(&self) -> Outcome<Option<StopCause>> {
         Ok(self
             .0
-            .with_world(|world| world.board().code().map(|code| code.stop_cause()))?)
+            .with_world(|world| world.board().code().map(Board::stop_cause))?)
     }
 
     /// The board keeps the moment at which its command runs out; from there
@@ -150,9 +146,11 @@ impl Rig for SimulatedRig {
     }
 
     fn cut_motor_sensor(&self) -> Outcome {
-        Ok(self
-            .0
-            .with_world(|world| world.car_mut().set_motor_sensor_fault(MotorSensorFault::Gone))?)
+        Ok(self.0.with_world(|world| {
+            world
+                .car_mut()
+                .set_motor_sensor_fault(MotorSensorFault::Gone);
+        })?)
     }
 
     fn open_stop_switch(&self) -> Outcome {
