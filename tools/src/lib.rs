@@ -1,3 +1,9 @@
 //! The command line of Singletrack, as a library for its tests.
 
+pub mod demo;
+pub mod dump;
+pub mod estimation;
+pub mod figure;
 pub mod simulate;
+pub mod tracking;
+pub mod virtual_drive;

@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::{Parser, Subcommand, ValueEnum};
-use singletrack::simulate;
+use singletrack::{demo, dump, simulate};
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
 #[derive(Parser)]
@@ -19,6 +19,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Drive the paper's circle on the simulated car, in real time.
+    Demo(demo::DemoArgs),
+    /// Print a record, or what the daemon sees now.
+    Dump(dump::DumpArgs),
     /// Run a scenario in virtual time and print its trajectory.
     Simulate {
         /// The scenario file.
@@ -47,6 +51,8 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
     match &cli.command {
+        Command::Demo(args) => Ok(demo::run(args)?),
+        Command::Dump(args) => Ok(dump::run(args)?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,
@@ -60,5 +66,15 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
             }
             Ok(io::stdout().flush()?)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Cli::command().debug_assert();
     }
 }

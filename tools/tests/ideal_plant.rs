@@ -99,7 +99,7 @@ fn unit_gain_settles_on_the_amplitude_and_lag_of_a_first_order_low_pass() {
 #[test]
 fn feed_forward_removes_the_error() {
     let mut scenario = scenario("circle.toml");
-    let singletrack::simulate::OuterLoopSection::Proportional { feed_forward, .. } =
+    let singletrackd::config::OuterLoopSection::Proportional { feed_forward, .. } =
         &mut scenario.outer_loop
     else {
         panic!("the circle is tracked proportionally");
@@ -123,7 +123,7 @@ fn a_wrong_centre_of_mass_moves_p_by_twice_its_error_times_the_sine_of_half_the_
 #[test]
 fn the_velocity_point_law_linearises_its_own_point_exactly() {
     let mut scenario = scenario("steps.toml");
-    scenario.law.kind = singletrack::simulate::LawKind::VelocityPoint;
+    scenario.law.kind = singletrackd::config::LawKind::VelocityPoint;
     for row in simulate(&scenario).unwrap() {
         let error = (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref);
         assert!(error < 1e-8, "t = {}: {error}", row.t);

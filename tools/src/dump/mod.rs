@@ -12,6 +12,7 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use singletrack_record::{Ending, Topic};
+use singletrackd::config::SocketSection;
 
 pub use error::DumpError;
 
@@ -43,7 +44,7 @@ pub struct DumpArgs {
     pub follow: bool,
 
     /// Where the daemon listens, for `live`.
-    #[arg(long, default_value = "/run/singletrack/singletrackd.sock")]
+    #[arg(long, default_value_os_t = SocketSection::default().path)]
     pub socket: PathBuf,
 }
 

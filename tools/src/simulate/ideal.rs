@@ -11,8 +11,9 @@ use singletrack_control::{
 use super::{
     integrator::{IntegrationError, Integrator},
     row::{ROWS_PER_SECOND, Row},
-    scenario::{LawKind, Scenario, ScenarioError, SteeringHold},
+    scenario::{Scenario, ScenarioError, SteeringHold},
 };
+use singletrackd::config::LawKind;
 
 /// Why an ideal simulation stopped.
 #[derive(Debug, thiserror::Error)]
@@ -149,7 +150,7 @@ impl<'a> Simulation<'a> {
             model,
             law,
             tracking: scenario.tracking_loop(),
-            reference: scenario.reference()?,
+            reference: scenario.reference().map_err(ScenarioError::from)?,
             start,
             initial: Vector::from([centre.x, centre.y, yaw, 0.0, 0.0, 0.0]),
         })

@@ -1,14 +1,39 @@
-//! Closed loops in virtual time.
+//! Closed loops in virtual time, from a scenario file to a trajectory.
 
+mod car;
 mod ideal;
 mod integrator;
 mod row;
 mod scenario;
 
-pub use ideal::{IdealError, simulate};
+pub use car::{CarError, virtual_drive_config};
+pub use ideal::IdealError;
 pub use integrator::IntegrationError;
 pub use row::{HEADER, Row, write_csv};
 pub use scenario::{
-    ControlSection, LawKind, LawSection, MarkerLoss, OuterLoopSection, PlantKind, PlantSection,
-    ReferenceSection, RunSection, Scenario, ScenarioError, StartSection, SteeringHold, StepSection,
+    ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
+    StartSection, SteeringHold,
 };
+
+/// Why a simulation stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulateError {
+    /// On the ideal plant.
+    #[error(transparent)]
+    Ideal(#[from] IdealError),
+    /// On the car.
+    #[error(transparent)]
+    Car(#[from] CarError),
+}
+
+/// Runs a scenario on the plant that it names.
+///
+/// # Errors
+///
+/// A scenario that can't be run, with the reason.
+pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, SimulateError> {
+    Ok(match scenario.plant.kind {
+        PlantKind::Ideal => ideal::simulate(scenario)?,
+        PlantKind::Car => car::simulate(scenario)?,
+    })
+}

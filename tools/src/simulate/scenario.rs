@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use singletrack_control::{
-    Circle, FigureOfEight, FrontPointLaw, LawError, OpenLoop, Position, ProportionalLoop,
-    Reference, ReferenceError, TrackingLoop, VehicleParameters, Velocity, VelocityPointLaw,
-    VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    FrontPointLaw, LawError, Reference, TrackingLoop, VehicleParameters, VelocityPointLaw,
 };
+use singletrackd::config::{ConfigError, LawSection, OuterLoopSection, ReferenceSection};
 
 /// Everything that a simulation needs to know; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -33,91 +32,6 @@ pub struct Scenario {
     /// The car; the paper's if left out.
     #[serde(default)]
     pub vehicle: VehicleParameters,
-}
-
-/// Which law, and what it believes.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LawSection {
-    /// Which law.
-    pub kind: LawKind,
-    /// Distance p of the point P, in m.
-    pub point_distance_m: f64,
-    /// The estimate of `l_f` that law and point-P transform use, in m.
-    pub front_axle_distance_m: f64,
-}
-
-/// The two laws of the paper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LawKind {
-    /// The proposed law.
-    FrontPoint,
-    /// The appendix's law.
-    VelocityPoint,
-}
-
-/// The position loop.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum OuterLoopSection {
-    /// Proportional, per axis.
-    Proportional {
-        /// Gains along x and y, per second.
-        gain_per_s: [f64; 2],
-        /// Whether the reference's velocity is added.
-        #[serde(default)]
-        feed_forward: bool,
-    },
-    /// None: the reference's velocity goes to the law.
-    OpenLoop {},
-}
-
-/// The reference of P.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum ReferenceSection {
-    /// See [`Circle`].
-    Circle {
-        /// Radius, in m.
-        radius_m: f64,
-        /// Angular velocity, in rad/s.
-        angular_velocity_rad_s: f64,
-        /// Centre, in m.
-        #[serde(default)]
-        centre_m: [f64; 2],
-    },
-    /// See [`VelocitySteps`].
-    VelocitySteps {
-        /// The steps, in order.
-        steps: Vec<StepSection>,
-    },
-    /// See [`FigureOfEight`].
-    FigureOfEight {
-        /// Reach along x, in m.
-        half_length_m: f64,
-        /// Reach along y, in m.
-        half_width_m: f64,
-        /// 2π over the time for one figure, in rad/s.
-        angular_velocity_rad_s: f64,
-        /// Centre, in m.
-        #[serde(default)]
-        centre_m: [f64; 2],
-    },
-    /// See [`Waypoints`].
-    Waypoints {
-        /// CSV file with the columns `t_s,x_m,y_m`; relative to the scenario.
-        file: PathBuf,
-    },
-}
-
-/// One velocity step.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StepSection {
-    duration_s: f64,
-    v_x_m_s: f64,
-    v_y_m_s: f64,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -217,17 +131,9 @@ pub enum ScenarioError {
         /// Where and why.
         message: String,
     },
-    /// The waypoints can't be read.
-    #[error("{}: {source}", .path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        source: csv::Error,
-    },
-    /// The reference makes no sense.
-    #[error("[reference] {0}")]
-    Reference(#[from] ReferenceError),
+    /// A section that the daemon's configuration has too makes no sense.
+    #[error(transparent)]
+    Section(#[from] ConfigError),
     /// The law makes no sense.
     #[error("[law] {0}")]
     Law(#[from] LawError),
@@ -247,7 +153,7 @@ pub enum ScenarioError {
 }
 
 impl ScenarioError {
-    fn value(key: &'static str, value: impl ToString, fix: &'static str) -> Self {
+    pub(super) fn value(key: &'static str, value: impl ToString, fix: &'static str) -> Self {
         Self::Value {
             key,
             value: value.to_string(),
@@ -271,10 +177,8 @@ impl Scenario {
             path: path.to_owned(),
             message: error.to_string(),
         })?;
-        if let ReferenceSection::Waypoints { file } = &mut scenario.reference
-            && let Some(folder) = path.parent()
-        {
-            *file = folder.join(&*file);
+        if let Some(folder) = path.parent() {
+            scenario.reference.resolve(folder);
         }
         scenario.validate()?;
         Ok(scenario)
@@ -283,29 +187,8 @@ impl Scenario {
     /// Refuses what no simulation can do.
     fn validate(&self) -> Result<(), ScenarioError> {
         self.vehicle.validate()?;
-        match self.law.kind {
-            LawKind::FrontPoint => drop(self.front_point_law()?),
-            LawKind::VelocityPoint => drop(self.velocity_point_law()?),
-        }
-        self.reference()?;
-        if let OuterLoopSection::Proportional { gain_per_s, .. } = self.outer_loop {
-            for gain in gain_per_s {
-                if !(gain.is_finite() && gain >= 0.0) {
-                    return Err(ScenarioError::value(
-                        "outer_loop.gain_per_s",
-                        gain,
-                        "each gain must be finite and not negative",
-                    ));
-                }
-            }
-            if self.reference()?.at(0.0).position.is_none() {
-                return Err(ScenarioError::value(
-                    "outer_loop.kind",
-                    "proportional",
-                    "a reference of velocity steps has no position to follow; use \"open-loop\"",
-                ));
-            }
-        }
+        self.law.validate(&self.vehicle)?;
+        self.outer_loop.validate(&self.reference()?)?;
         let [x, y] = self.start.point_p_m;
         if !(x.is_finite() && y.is_finite() && self.start.yaw_deg.is_finite()) {
             return Err(ScenarioError::value(
@@ -363,35 +246,16 @@ impl Scenario {
         Ok(())
     }
 
-    /// The car as the law believes it to be.
-    fn believed_vehicle(&self) -> VehicleParameters {
-        self.vehicle
-            .with_centre_of_mass_at(self.law.front_axle_distance_m)
-    }
-
     pub(crate) fn front_point_law(&self) -> Result<FrontPointLaw, LawError> {
-        FrontPointLaw::new(
-            self.law.front_axle_distance_m,
-            self.law.point_distance_m,
-            self.vehicle.wheelbase_m(),
-        )
+        self.law.front_point_law(&self.vehicle)
     }
 
     pub(crate) fn velocity_point_law(&self) -> Result<VelocityPointLaw, LawError> {
-        VelocityPointLaw::new(self.believed_vehicle(), self.law.point_distance_m)
+        self.law.velocity_point_law(&self.vehicle)
     }
 
     pub(crate) fn tracking_loop(&self) -> TrackingLoop {
-        match self.outer_loop {
-            OuterLoopSection::Proportional {
-                gain_per_s: [x, y],
-                feed_forward,
-            } => TrackingLoop::Proportional(ProportionalLoop {
-                gain: Velocity::new(x, y),
-                feed_forward,
-            }),
-            OuterLoopSection::OpenLoop {} => TrackingLoop::OpenLoop(OpenLoop),
-        }
+        self.outer_loop.tracking_loop()
     }
 
     /// The reference, with waypoints read from their file.
@@ -399,42 +263,8 @@ impl Scenario {
     /// # Errors
     ///
     /// A reference that makes no sense, or waypoints that can't be read.
-    pub fn reference(&self) -> Result<Reference, ScenarioError> {
-        Ok(match &self.reference {
-            ReferenceSection::Circle {
-                radius_m,
-                angular_velocity_rad_s,
-                centre_m: [x, y],
-            } => Reference::Circle(Circle::new(
-                Position::new(*x, *y),
-                *radius_m,
-                *angular_velocity_rad_s,
-            )?),
-            ReferenceSection::VelocitySteps { steps } => {
-                let steps: Vec<_> = steps
-                    .iter()
-                    .map(|step| VelocityStep {
-                        duration: step.duration_s,
-                        velocity: Velocity::new(step.v_x_m_s, step.v_y_m_s),
-                    })
-                    .collect();
-                Reference::VelocitySteps(VelocitySteps::new(&steps)?)
-            }
-            ReferenceSection::FigureOfEight {
-                half_length_m,
-                half_width_m,
-                angular_velocity_rad_s,
-                centre_m: [x, y],
-            } => Reference::FigureOfEight(FigureOfEight::new(
-                Position::new(*x, *y),
-                *half_length_m,
-                *half_width_m,
-                *angular_velocity_rad_s,
-            )?),
-            ReferenceSection::Waypoints { file } => {
-                Reference::Waypoints(Waypoints::new(&read_waypoints(file)?)?)
-            }
-        })
+    pub fn reference(&self) -> Result<Reference, ConfigError> {
+        self.reference.reference()
     }
 
     pub(crate) fn is_lost(&self, tick: u64) -> bool {
@@ -442,31 +272,4 @@ impl Scenario {
             .iter()
             .any(|loss| tick >= loss.first_tick && tick - loss.first_tick < loss.ticks)
     }
-}
-
-/// A row of a waypoint file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WaypointRow {
-    t_s: f64,
-    x_m: f64,
-    y_m: f64,
-}
-
-fn read_waypoints(path: &Path) -> Result<Vec<Waypoint>, ScenarioError> {
-    let error = |source| ScenarioError::Csv {
-        path: path.to_owned(),
-        source,
-    };
-    csv::Reader::from_path(path)
-        .map_err(error)?
-        .deserialize()
-        .map(|row| {
-            let row: WaypointRow = row.map_err(error)?;
-            Ok(Waypoint {
-                time: row.t_s,
-                position: Position::new(row.x_m, row.y_m),
-            })
-        })
-        .collect()
 }

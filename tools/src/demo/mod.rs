@@ -1,0 +1,333 @@
+//! `singletrack demo`: the paper's circle, driven by the daemon on the
+//! simulated car, in real time.
+//!
+//! The daemon's own threads run in this process, its serial port is a
+//! pseudo-terminal and its cameras are UDP packets: nothing of it knows that
+//! the car is simulated.
+
+mod progress;
+mod report;
+mod settings;
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use singletrack_control::{Mode, Reason, Request};
+use singletrack_sim::{
+    LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
+};
+use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
+
+use progress::Progress;
+
+/// What the demo is told.
+#[derive(Clone, Debug, Args)]
+pub struct DemoArgs {
+    /// How long to drive, such as 40s; a bare number is in seconds
+    #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
+    duration: Duration,
+
+    /// Where the configuration, the record, the figure and the summary go
+    #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
+    out: PathBuf,
+
+    /// All random numbers of the simulation follow from this
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Add the reference's velocity to the position loop: the error goes to zero
+    #[arg(long)]
+    feed_forward: bool,
+
+    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
+    #[arg(long, value_name = "DURATION@INTERVAL")]
+    loss: Option<LossPattern>,
+}
+
+/// Why a demo failed.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// Something can't be written.
+    #[error("can't write {}: {source}", path.display())]
+    Write {
+        /// What.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// No private folder for socket and port.
+    #[error("can't make a temporary folder: {0}")]
+    Temporary(io::Error),
+    /// The simulator does not run.
+    #[error("the simulator: {0}")]
+    Simulator(#[from] RealTimeError),
+    /// The daemon would not take its configuration.
+    #[error("the configuration: {0}")]
+    Config(#[from] ConfigError),
+    /// The configuration can't be written as TOML.
+    #[error("the configuration: {0}")]
+    Toml(#[from] toml::ser::Error),
+    /// The daemon does not start.
+    #[error("the daemon: {0}")]
+    Start(#[from] StartError),
+    /// The daemon did not end well.
+    #[error("the daemon: {0}")]
+    Stop(#[from] StopError),
+    /// The daemon takes no requests.
+    #[error("the daemon: {0}")]
+    Stalled(#[from] singletrackd::Stalled),
+    /// The car was never ready, or did not start.
+    #[error(
+        "the car did not start within {seconds} s: mode {mode}{}",
+        because(*reason)
+    )]
+    NotStarted {
+        /// The mode that it stayed in.
+        mode: Mode,
+        /// Why.
+        reason: Option<Reason>,
+        /// How long it was given.
+        seconds: u64,
+    },
+    /// The car stopped before its time.
+    #[error(
+        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}",
+        because(*reason), folder.display()
+    )]
+    Ended {
+        /// The mode it went to.
+        mode: Mode,
+        /// Why.
+        reason: Option<Reason>,
+        /// How long it drove, in s.
+        after_s: f64,
+        /// How long it should have, in s.
+        wanted_s: f64,
+        /// Where its record is.
+        folder: PathBuf,
+    },
+}
+
+fn because(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+}
+
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    let micros = match text.trim().parse::<u32>() {
+        Ok(seconds) => u64::from(seconds) * 1_000_000,
+        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
+    };
+    if (100_000..=86_400_000_000).contains(&micros) {
+        Ok(Duration::from_micros(micros))
+    } else {
+        Err(format!("{text} is not between 0.1s and 86400s"))
+    }
+}
+
+/// How long board, cameras and estimator may take to be ready.
+const READY_TIMEOUT: Duration = Duration::from_secs(15);
+/// How long the car may take to stop and to be disarmed.
+const STOP_TIMEOUT: Duration = Duration::from_secs(4);
+/// How often the demo looks at the daemon.
+const POLL: Duration = Duration::from_millis(50);
+
+/// A drive that has come to its end, for the report.
+#[derive(Debug)]
+struct Drive {
+    /// CLOCK_MONOTONIC of the first driving tick, in ns.
+    start_ns: u64,
+    /// How long the car drove, in s.
+    duration_s: f64,
+    /// Where the car truly was.
+    truth: Vec<TimedTruth>,
+    /// What the daemon counted.
+    summary: Summary,
+}
+
+/// Runs the demo.
+///
+/// # Errors
+///
+/// What kept the car from driving to the end; what there is of record and
+/// figures is written all the same.
+pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    prepare(&args.out)?;
+    let private = tempfile::Builder::new()
+        .prefix("singletrack-")
+        .tempdir()
+        .map_err(DemoError::Temporary)?;
+    let simulation = settings::simulation(args.seed, args.loss);
+    let simulator =
+        RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
+    simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
+    let config = settings::daemon(&simulator, args, private.path());
+    write(&args.out.join("singletrackd.toml"), &config.to_toml()?)?;
+    write(
+        &args.out.join("simulation.toml"),
+        &toml::to_string(&simulation)?,
+    )?;
+
+    let daemon = Daemon::start(
+        config,
+        StartOptions {
+            record: Some(args.out.join("demo.mcap")),
+            seed: Some(args.seed),
+            ..StartOptions::default()
+        },
+    )?;
+    let mut progress = Progress::new(args.duration);
+    let start_ns = start(&daemon, &simulator, &progress)?;
+    let ended = drive(&daemon, &simulator, args.duration, start_ns, &mut progress)?;
+    stop(&daemon)?;
+    let summary = daemon.stop()?;
+    let finished = simulator.stop()?;
+    progress.finish();
+
+    let driven = Drive {
+        start_ns,
+        duration_s: ended
+            .as_ref()
+            .map_or(args.duration.as_secs_f64(), |ended| ended.after_s),
+        truth: finished.trajectory,
+        summary,
+    };
+    report::write(args, &driven)?;
+    match ended {
+        None => Ok(()),
+        Some(ended) => Err(DemoError::Ended {
+            mode: ended.mode,
+            reason: ended.reason,
+            after_s: ended.after_s,
+            wanted_s: args.duration.as_secs_f64(),
+            folder: args.out.clone(),
+        }),
+    }
+}
+
+/// Makes the folder; removes records that an earlier demo left there.
+fn prepare(folder: &Path) -> Result<(), DemoError> {
+    let error = |source| DemoError::Write {
+        path: folder.to_owned(),
+        source,
+    };
+    std::fs::create_dir_all(folder).map_err(error)?;
+    for name in ["demo.mcap", "demo.mcap.part"] {
+        match std::fs::remove_file(folder.join(name)) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(error(source)),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn write(path: &Path, text: &str) -> Result<(), DemoError> {
+    std::fs::write(path, text).map_err(|source| DemoError::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Waits until the car can drive, arms it, and waits until it does. Returns
+/// CLOCK_MONOTONIC of its first driving tick, in ns.
+fn start(
+    daemon: &Daemon,
+    simulator: &RealTimeSimulator,
+    progress: &Progress,
+) -> Result<u64, DemoError> {
+    let begin = Instant::now();
+    let mut armed = false;
+    loop {
+        let snapshot = daemon.snapshot();
+        progress.waiting(snapshot.mode(), snapshot.reason());
+        match snapshot.mode() {
+            Mode::Ready if !armed => {
+                daemon.request(Request::Arm)?;
+                armed = true;
+            }
+            Mode::Driving => {
+                if let Some(start_ns) = drive_start_ns(&snapshot) {
+                    let epoch_us = start_ns.saturating_sub(simulator.started_ns()) / 1000;
+                    simulator.with_world(move |world| {
+                        world.cameras_mut().set_loss_epoch(Some(epoch_us));
+                    })?;
+                    return Ok(start_ns);
+                }
+            }
+            mode if begin.elapsed() > READY_TIMEOUT => {
+                return Err(DemoError::NotStarted {
+                    mode,
+                    reason: snapshot.reason(),
+                    seconds: READY_TIMEOUT.as_secs(),
+                });
+            }
+            _ => {}
+        }
+        thread::sleep(POLL);
+    }
+}
+
+fn drive_start_ns(snapshot: &Snapshot) -> Option<u64> {
+    let tick = snapshot.tick?;
+    let driven_ns = (tick.drive_time_s? * 1e9) as u64;
+    Some(tick.start_ns.saturating_sub(driven_ns))
+}
+
+/// A drive that ended by itself.
+struct Ended {
+    mode: Mode,
+    reason: Option<Reason>,
+    after_s: f64,
+}
+
+/// Watches the drive for its duration.
+fn drive(
+    daemon: &Daemon,
+    simulator: &RealTimeSimulator,
+    duration: Duration,
+    start_ns: u64,
+    progress: &mut Progress,
+) -> Result<Option<Ended>, DemoError> {
+    let wanted_s = duration.as_secs_f64();
+    let mut last_s = 0.0;
+    loop {
+        let snapshot = daemon.snapshot();
+        if snapshot.mode() != Mode::Driving || daemon.has_ended() {
+            return Ok(Some(Ended {
+                mode: snapshot.mode(),
+                reason: snapshot.reason(),
+                after_s: last_s,
+            }));
+        }
+        let now = simulator.truth()?;
+        let time = now.monotonic_ns.saturating_sub(start_ns) as f64 * 1e-9;
+        if time >= wanted_s {
+            return Ok(None);
+        }
+        last_s = time;
+        progress.driving(time, settings::tracking_error(&now.truth, time), &snapshot);
+        let remaining = Duration::from_secs_f64(wanted_s - time);
+        thread::sleep(POLL.min(remaining));
+    }
+}
+
+/// Asks the car to stop and waits until it is disarmed.
+fn stop(daemon: &Daemon) -> Result<(), DemoError> {
+    let begin = Instant::now();
+    if matches!(daemon.snapshot().mode(), Mode::Driving | Mode::Arming) {
+        daemon.request(Request::Disarm)?;
+        // The request is taken at the next tick.
+        thread::sleep(POLL);
+    }
+    while matches!(daemon.snapshot().mode(), Mode::Driving | Mode::Stopping)
+        && begin.elapsed() < STOP_TIMEOUT
+        && !daemon.has_ended()
+    {
+        thread::sleep(POLL);
+    }
+    Ok(())
+}

@@ -1,0 +1,43 @@
+//! Live progress on a terminal; silence elsewhere.
+
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_control::{Mode, Reason};
+use singletrackd::Snapshot;
+
+pub(super) struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    pub(super) fn new(duration: Duration) -> Self {
+        // Hidden when standard error is no terminal.
+        let bar = ProgressBar::new(u64::try_from(duration.as_millis()).unwrap_or(u64::MAX));
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}") {
+            bar.set_style(style);
+        }
+        Self { bar }
+    }
+
+    pub(super) fn waiting(&self, mode: Mode, reason: Option<Reason>) {
+        self.bar.set_message(match reason {
+            Some(reason) => format!("{mode}: waiting, {reason}"),
+            None => mode.to_string(),
+        });
+    }
+
+    pub(super) fn driving(&mut self, time: f64, error_m: f64, snapshot: &Snapshot) {
+        self.bar.set_position((time * 1000.0) as u64);
+        let held = snapshot.tick.is_some_and(|tick| tick.held);
+        self.bar.set_message(format!(
+            "{time:5.1} s  P is {:5.1} mm from its reference{}",
+            error_m * 1000.0,
+            if held { "  (markers lost)" } else { "" }
+        ));
+    }
+
+    pub(super) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}

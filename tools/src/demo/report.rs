@@ -1,0 +1,260 @@
+//! What the demo leaves behind: a summary, a figure, and a few lines to read.
+
+use std::{f64::consts::TAU, io::IsTerminal, path::Path};
+
+use serde::Serialize;
+use singletrack_sim::LossPattern;
+use singletrackd::{Figures, Percentiles, Summary};
+
+use super::{DemoArgs, DemoError, Drive, settings, write as write_file};
+use crate::{
+    figure::{Curve, Mark, MarkKind, floor_plan},
+    tracking::{Sample, Tracking, last_turn},
+};
+
+/// `summary.json`.
+#[derive(Serialize)]
+struct DemoSummary<'a> {
+    duration_s: f64,
+    seed: u64,
+    feed_forward: bool,
+    loss: Option<String>,
+    ticks: u64,
+    deadline_misses: u64,
+    lateness_us: Percentiles,
+    frames: &'a singletrackd::Frames,
+    mocap: Mocap<'a>,
+    tracking: Option<Tracking>,
+    latency_ms: Latency,
+    daemon: &'a Summary,
+}
+
+/// The cameras, with one figure for all frames that brought no pose.
+#[derive(Serialize)]
+struct Mocap<'a> {
+    /// Frames that brought no valid pose, whatever the reason.
+    #[serde(rename = "lost")]
+    without_pose: u64,
+    frames: u64,
+    held_ticks: u64,
+    detail: &'a singletrackd::MocapFigures,
+}
+
+#[derive(Serialize)]
+struct Latency {
+    capture_to_command: Milliseconds,
+}
+
+#[derive(Serialize)]
+struct Milliseconds {
+    p50: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// Writes summary and figure, and tells the person.
+pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
+    let samples = samples(drive);
+    let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
+    let figures = &drive.summary.figures;
+    let summary = DemoSummary {
+        duration_s: drive.duration_s,
+        seed: args.seed,
+        feed_forward: args.feed_forward,
+        loss: args.loss.as_ref().map(LossPattern::to_string),
+        ticks: figures.ticks,
+        deadline_misses: figures.deadline_misses,
+        lateness_us: figures.lateness_us,
+        frames: &figures.frames,
+        mocap: Mocap {
+            without_pose: frames_without_pose(figures),
+            frames: figures.mocap.frames,
+            held_ticks: figures.mocap.held_ticks,
+            detail: &figures.mocap,
+        },
+        tracking,
+        latency_ms: Latency {
+            capture_to_command: Milliseconds {
+                p50: figures.capture_to_command_us.p50 / 1000.0,
+                p99: figures.capture_to_command_us.p99 / 1000.0,
+                max: figures.capture_to_command_us.max / 1000.0,
+            },
+        },
+        daemon: &drive.summary,
+    };
+    let json = serde_json::to_string_pretty(&summary).map_err(|error| DemoError::Write {
+        path: args.out.join("summary.json"),
+        source: error.into(),
+    })?;
+    write_file(&args.out.join("summary.json"), &format!("{json}\n"))?;
+    write_file(
+        &args.out.join("trajectory.svg"),
+        &figure(args, drive, &samples),
+    )?;
+    // Nobody reads a report that goes into a pipe.
+    if std::io::stdout().is_terminal() {
+        print(&args.out, drive, tracking.as_ref());
+    }
+    Ok(())
+}
+
+fn frames_without_pose(figures: &Figures) -> u64 {
+    let mocap = &figures.mocap;
+    mocap.lost + mocap.untracked + mocap.absent + mocap.rejected
+}
+
+/// The true P beside its reference, over the drive.
+fn samples(drive: &Drive) -> Vec<Sample> {
+    drive
+        .truth
+        .iter()
+        .filter(|truth| truth.monotonic_ns >= drive.start_ns)
+        .map(|truth| {
+            let time = (truth.monotonic_ns - drive.start_ns) as f64 * 1e-9;
+            Sample {
+                time,
+                point: settings::point(&truth.truth),
+                reference: settings::reference(time),
+            }
+        })
+        .take_while(|sample| sample.time <= drive.duration_s)
+        .collect()
+}
+
+/// Reference, P and G, with the spans without markers.
+fn figure(args: &DemoArgs, drive: &Drive, samples: &[Sample]) -> String {
+    let centre: Vec<_> = drive
+        .truth
+        .iter()
+        .filter(|truth| truth.monotonic_ns >= drive.start_ns)
+        .take(samples.len())
+        .map(|truth| [truth.truth.x, truth.truth.y])
+        .collect();
+    // 5 ms a sample are more than a figure shows.
+    let thin = |points: Vec<[f64; 2]>| points.into_iter().step_by(4).collect::<Vec<_>>();
+    let mut curves = vec![
+        Curve {
+            name: Some("reference"),
+            points: circle(),
+            colour: "#999999",
+            width: 2.0,
+            dashed: true,
+        },
+        Curve {
+            name: Some("P"),
+            points: thin(samples.iter().map(|sample| sample.point).collect()),
+            colour: "#c0392b",
+            width: 2.0,
+            dashed: false,
+        },
+        Curve {
+            name: Some("G, centre of mass"),
+            points: thin(centre),
+            colour: "#2c5f8a",
+            width: 1.2,
+            dashed: false,
+        },
+    ];
+    curves.extend(
+        lost_spans(args.loss, samples)
+            .into_iter()
+            .enumerate()
+            .map(|(index, points)| Curve {
+                name: (index == 0).then_some("P while the markers are lost"),
+                points,
+                colour: "#f39c12",
+                width: 5.0,
+                dashed: false,
+            }),
+    );
+    let ends = [
+        (samples.first(), MarkKind::Start, "start"),
+        (samples.last(), MarkKind::End, "end"),
+    ];
+    let marks: Vec<_> = ends
+        .into_iter()
+        .filter_map(|(sample, kind, name)| {
+            Some(Mark {
+                name,
+                point: sample?.point,
+                kind,
+                colour: "#222222",
+            })
+        })
+        .collect();
+    let title = format!(
+        "The paper's circle, {:.0} s{}",
+        drive.duration_s,
+        if args.feed_forward {
+            ", with feed-forward"
+        } else {
+            ""
+        }
+    );
+    floor_plan(&title, &curves, &marks)
+}
+
+/// One turn of the reference.
+fn circle() -> Vec<[f64; 2]> {
+    let turn = TAU / settings::ANGULAR_VELOCITY;
+    (0..=180)
+        .map(|part| settings::reference(turn * f64::from(part) / 180.0))
+        .collect()
+}
+
+/// P in each span in which the cameras lose the markers.
+fn lost_spans(loss: Option<LossPattern>, samples: &[Sample]) -> Vec<Vec<[f64; 2]>> {
+    let Some(loss) = loss else {
+        return Vec::new();
+    };
+    let mut spans = Vec::new();
+    let mut span = Vec::new();
+    for sample in samples {
+        if loss.is_lost((sample.time * 1e6) as u64) {
+            span.push(sample.point);
+        } else if !span.is_empty() {
+            spans.push(std::mem::take(&mut span));
+        }
+    }
+    spans.push(span);
+    spans
+}
+
+fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
+    let figures = &drive.summary.figures;
+    println!("Drove {:.1} s of the paper's circle.", drive.duration_s);
+    match tracking {
+        Some(tracking) => println!(
+            "  P, last full turn   amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm",
+            tracking.amplitude_m,
+            tracking.lag_rad,
+            tracking.rms_error_m * 1000.0
+        ),
+        None => println!("  P                   no full turn: a turn takes 12.6 s"),
+    }
+    println!(
+        "  ticks               {}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
+        figures.ticks, figures.deadline_misses, figures.lateness_us.p50, figures.lateness_us.p99
+    );
+    println!(
+        "  capture to command  {:.1} ms at the median, {:.1} ms at p99",
+        figures.capture_to_command_us.p50 / 1000.0,
+        figures.capture_to_command_us.p99 / 1000.0
+    );
+    println!(
+        "  cameras             {} frames, {} without a pose, {} ticks held",
+        figures.mocap.frames,
+        frames_without_pose(figures),
+        figures.mocap.held_ticks
+    );
+    println!(
+        "  line                {} frames out, {} in, {} damaged",
+        figures.frames.sent,
+        figures.frames.received,
+        figures.frames.crc_errors + figures.frames.decode_errors
+    );
+    println!(
+        "In {}: trajectory.svg, summary.json, demo.mcap, singletrackd.toml, simulation.toml",
+        folder.display()
+    );
+}

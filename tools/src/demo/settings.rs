@@ -1,0 +1,113 @@
+//! The demo's world and the daemon's configuration.
+
+use std::{net::Ipv4Addr, path::Path};
+
+use singletrack_control::VehicleParameters;
+use singletrack_sim::{
+    LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
+};
+use singletrackd::config::{
+    BoardSection, Config, ControlSection, EstimatorSection, LawKind, LawSection, LimitsSection,
+    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
+    SocketSection, SupervisorSection, UpAxisKind,
+};
+
+use super::DemoArgs;
+
+/// The paper's circle: radius in m, angular velocity in rad/s.
+pub(super) const RADIUS: f64 = 1.0;
+pub(super) const ANGULAR_VELOCITY: f64 = 0.5;
+/// The paper's distance p, in m.
+pub(super) const POINT_DISTANCE: f64 = 0.35;
+/// Where P and the car start: position in m, yaw in degrees.
+const START_POINT: [f64; 2] = [1.5, -0.5];
+const START_YAW_DEG: f64 = 135.0;
+
+pub(super) fn simulation(seed: u64, loss: Option<LossPattern>) -> SimulationConfig {
+    let mut config = SimulationConfig {
+        seed,
+        ..SimulationConfig::default()
+    };
+    let yaw_rad = START_YAW_DEG.to_radians();
+    let ahead = config.car.vehicle.front_axle_distance_m + POINT_DISTANCE;
+    config.car.start = StartPose {
+        x_m: START_POINT[0] - ahead * yaw_rad.cos(),
+        y_m: START_POINT[1] - ahead * yaw_rad.sin(),
+        yaw_rad,
+    };
+    config.cameras.loss = loss;
+    config
+}
+
+pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTimeConfig {
+    RealTimeConfig {
+        simulation,
+        pty_link: Some(private.join("board")),
+        udp: UdpConfig {
+            interface: Ipv4Addr::LOCALHOST,
+            // Any free ones: two demos do not disturb each other.
+            command_port: 0,
+            data_port: 0,
+        },
+        ..RealTimeConfig::default()
+    }
+}
+
+pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &Path) -> Config {
+    let mut motion_capture = MotionCaptureSection::new(Ipv4Addr::LOCALHOST, "car", UpAxisKind::Y);
+    motion_capture.command_port = simulator.command_address().port();
+    motion_capture.data_port = simulator.data_address().port();
+    let vehicle = VehicleParameters::paper();
+    Config {
+        serial: SerialSection::new(simulator.pty_path()),
+        motion_capture,
+        law: LawSection {
+            kind: LawKind::FrontPoint,
+            point_distance_m: POINT_DISTANCE,
+            front_axle_distance_m: vehicle.front_axle_distance_m,
+        },
+        outer_loop: OuterLoopSection::Proportional {
+            gain_per_s: [1.0, 1.0],
+            feed_forward: args.feed_forward,
+        },
+        reference: ReferenceSection::Circle {
+            radius_m: RADIUS,
+            angular_velocity_rad_s: ANGULAR_VELOCITY,
+            centre_m: [0.0, 0.0],
+        },
+        vehicle,
+        limits: LimitsSection::default(),
+        estimator: EstimatorSection::default(),
+        supervisor: SupervisorSection::default(),
+        board: BoardSection::simulated(),
+        control: ControlSection::default(),
+        record: RecordSection {
+            enabled: true,
+            directory: args.out.clone(),
+        },
+        socket: SocketSection {
+            enabled: true,
+            path: private.join("control.sock"),
+        },
+    }
+}
+
+/// Where P should be `time` seconds after the first driving tick.
+pub(super) fn reference(time: f64) -> [f64; 2] {
+    let (sin, cos) = (ANGULAR_VELOCITY * time).sin_cos();
+    [RADIUS * cos, RADIUS * sin]
+}
+
+/// The true P.
+pub(super) fn point(truth: &Truth) -> [f64; 2] {
+    truth.point_p(
+        VehicleParameters::paper().front_axle_distance_m,
+        POINT_DISTANCE,
+    )
+}
+
+/// Distance of the true P from its reference, in m.
+pub(super) fn tracking_error(truth: &Truth, time: f64) -> f64 {
+    let ([x, y], [x_ref, y_ref]) = (point(truth), reference(time));
+    (x - x_ref).hypot(y - y_ref)
+}

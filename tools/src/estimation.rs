@@ -1,0 +1,141 @@
+//! How far the estimate is from the truth, on the simulated car.
+
+use singletrack_control::{Estimate, MarkerLoss, Mode, wrap};
+use singletrack_sim::{LossPattern, Truth};
+
+use crate::{
+    simulate::{CarError, Scenario, virtual_drive_config},
+    virtual_drive::VirtualDrive,
+};
+
+/// Root-mean-square errors of the estimate.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EstimateErrors {
+    /// Distance from the true G, in m.
+    pub position_m: f64,
+    /// Yaw, in rad.
+    pub yaw_rad: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate_rad_s: f64,
+    /// Sideslip, in rad.
+    pub sideslip_rad: f64,
+    /// Speed of G, in m/s.
+    pub speed_m_s: f64,
+}
+
+/// What a drive showed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EstimationStudy {
+    /// Errors over the time that counted.
+    pub errors: EstimateErrors,
+    /// Largest distance of the estimated from the true G, in m.
+    pub worst_position_m: f64,
+    /// Root mean square of the distance from P to its reference, in m.
+    pub tracking_m: f64,
+    /// Ticks that counted.
+    pub ticks: u32,
+}
+
+/// Seconds of a drive that do not count: the car is on its way to the circle.
+const SETTLING: f64 = 10.0;
+
+/// Drives a scenario on the car with markers lost as `loss` says, and compares
+/// estimate and truth at every tick after the first 10 s.
+///
+/// # Errors
+///
+/// A scenario that the car can't drive, or a car that does not start.
+pub fn study(
+    scenario: &Scenario,
+    loss: Option<LossPattern>,
+    marker_loss: MarkerLoss,
+) -> Result<EstimationStudy, CarError> {
+    let mut config = virtual_drive_config(scenario)?;
+    config.pilot.estimator.marker_loss = marker_loss;
+    if let Some(loss) = loss {
+        // The longest loss is what is studied, not when the car gives up.
+        let longest = loss.duration_us() as f64 * 1e-6;
+        config.pilot.supervisor.hold = config.pilot.supervisor.hold.max(longest + 0.1);
+    }
+    let mut drive = VirtualDrive::new(config)?;
+    let first = drive.start()?;
+    let epoch_us = first.now.0 / 1000;
+    let cameras = drive.world_mut().cameras_mut();
+    cameras.set_loss(loss);
+    cameras.set_loss_epoch(Some(epoch_us));
+
+    let mut sum = Sum::default();
+    loop {
+        let tick = drive.step(&mut |_| {});
+        let time = tick.now.seconds_since(first.now);
+        if time > scenario.run.duration_s {
+            return Ok(sum.study());
+        }
+        let output = &tick.tick.output;
+        if time < SETTLING || output.mode != Mode::Driving {
+            continue;
+        }
+        if let (Some(estimate), Some(reference)) = (&output.estimate, &output.reference) {
+            let point = tick.truth.point_p(
+                scenario.vehicle.front_axle_distance_m,
+                scenario.law.point_distance_m,
+            );
+            let off = reference.position.map_or(0.0, |position| {
+                (position.x - point[0]).hypot(position.y - point[1])
+            });
+            sum.add(estimate, &tick.truth, off);
+        }
+    }
+}
+
+/// Sums of squares.
+#[derive(Default)]
+struct Sum {
+    squares: [f64; 6],
+    worst_position: f64,
+    ticks: u32,
+}
+
+impl Sum {
+    fn add(&mut self, estimate: &Estimate, truth: &Truth, tracking: f64) {
+        let position = (estimate.position.x - truth.x).hypot(estimate.position.y - truth.y);
+        let errors = [
+            position,
+            wrap(estimate.yaw - truth.yaw),
+            estimate.yaw_rate - truth.yaw_rate,
+            estimate.sideslip - truth.sideslip,
+            estimate.speed - truth.speed,
+            tracking,
+        ];
+        for (square, error) in self.squares.iter_mut().zip(errors) {
+            *square += error * error;
+        }
+        self.worst_position = self.worst_position.max(position);
+        self.ticks += 1;
+    }
+
+    fn study(&self) -> EstimationStudy {
+        let [
+            position_m,
+            yaw_rad,
+            yaw_rate_rad_s,
+            sideslip_rad,
+            speed_m_s,
+            tracking_m,
+        ] = self
+            .squares
+            .map(|square| (square / f64::from(self.ticks.max(1))).sqrt());
+        EstimationStudy {
+            errors: EstimateErrors {
+                position_m,
+                yaw_rad,
+                yaw_rate_rad_s,
+                sideslip_rad,
+                speed_m_s,
+            },
+            worst_position_m: self.worst_position,
+            tracking_m,
+            ticks: self.ticks,
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The whole pilot on the simulated car, board and cameras.
+
+use std::num::NonZeroU32;
+
+use singletrack_control::{
+    EstimatorConfig, Limits, Mode, PilotConfig, Position, Reference, SupervisorConfig, direction,
+};
+use singletrack_link::SessionConfig;
+use singletrack_mocap::{Config as MocapConfig, Transport, UpAxis};
+use singletrack_sim::{
+    LossWindow, SimulationConfig, StartPose, Truth, default_board_configuration,
+};
+
+use singletrackd::config::LawKind;
+
+use super::{
+    row::{ROWS_PER_SECOND, Row},
+    scenario::{Scenario, ScenarioError},
+};
+use crate::virtual_drive::{VirtualDrive, VirtualDriveConfig, VirtualDriveError, VirtualTick};
+
+/// Why a car could not be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum CarError {
+    /// The scenario can't be driven.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The drive did not start.
+    #[error(transparent)]
+    Drive(#[from] VirtualDriveError),
+}
+
+/// Deceleration of a stop, in m/s².
+const STOP_DECELERATION: f64 = 1.5;
+
+/// The parts of a virtual drive of a scenario.
+///
+/// # Errors
+///
+/// What a scenario may ask of the ideal plant but not of the car.
+pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, CarError> {
+    if scenario.law.kind != LawKind::FrontPoint {
+        return Err(ScenarioError::value(
+            "law.kind",
+            "velocity-point",
+            "the pilot drives the car by the front-point law; use plant kind \"ideal\" for this one",
+        )
+        .into());
+    }
+    if scenario.control.period_ms == 0 {
+        return Err(ScenarioError::value(
+            "control.period_ms",
+            0,
+            "the pilot of plant kind \"car\" runs in ticks; set it to 10",
+        )
+        .into());
+    }
+    let vehicle = scenario.vehicle;
+    let law = scenario.front_point_law().map_err(ScenarioError::from)?;
+    let period = f64::from(scenario.control.period_ms) / 1000.0;
+
+    let yaw = scenario.start.yaw_deg.to_radians();
+    let [x, y] = scenario.start.point_p_m;
+    let centre = Position::new(x, y)
+        - (vehicle.front_axle_distance_m + scenario.law.point_distance_m) * direction(yaw);
+    let mut simulation = SimulationConfig {
+        seed: scenario.run.seed,
+        ..SimulationConfig::default()
+    };
+    simulation.car.vehicle = vehicle;
+    simulation.car.start = StartPose {
+        x_m: centre.x,
+        y_m: centre.y,
+        yaw_rad: yaw,
+    };
+    let server = std::net::Ipv4Addr::LOCALHOST.into();
+    let motion_capture = MocapConfig::new(
+        server,
+        Transport::Unicast { bitstream: None },
+        &simulation.cameras.car.name,
+        UpAxis::Y,
+    )
+    .map_err(VirtualDriveError::from)?;
+    Ok(VirtualDriveConfig {
+        pilot: PilotConfig {
+            law,
+            tracking: scenario.tracking_loop(),
+            reference: scenario.reference().map_err(ScenarioError::from)?,
+            limits: Limits::paper(),
+            estimator: EstimatorConfig::for_vehicle(&vehicle),
+            supervisor: SupervisorConfig::paper(),
+            stop_deceleration: STOP_DECELERATION,
+            period,
+        },
+        link: SessionConfig {
+            configuration: default_board_configuration(),
+            software_version: [0, 1, 0],
+            nonce_seed: scenario.run.seed,
+            baud: NonZeroU32::new(simulation.wire.baud).unwrap_or(NonZeroU32::MIN),
+        },
+        motion_capture,
+        period_us: u64::from(scenario.control.period_ms) * 1000,
+        simulation,
+    })
+}
+
+/// Drives a scenario on the simulated car; time zero is its first driving tick.
+///
+/// # Errors
+///
+/// A scenario that the car can't drive, or a car that does not start.
+pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
+    let config = virtual_drive_config(scenario)?;
+    let period_us = config.period_us;
+    let latency_us = config.simulation.cameras.latency_us;
+    let reference = config.pilot.reference.clone();
+    let mut drive = VirtualDrive::new(config)?;
+    let mut last = drive.start()?;
+    let start_us = drive.next_tick_us() - period_us;
+    for loss in &scenario.marker_loss {
+        // A tick is lost when no frame arrives in the period before it.
+        let first_us = start_us + (loss.first_tick - 1) * period_us - latency_us;
+        drive.world_mut().cameras_mut().add_loss_window(LossWindow {
+            start_us: first_us,
+            end_us: first_us + loss.ticks * period_us,
+        });
+    }
+
+    let rows = (scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
+    let start = {
+        let [x, y] = scenario.start.point_p_m;
+        Position::new(x, y)
+    };
+    (0..=rows)
+        .map(|index| {
+            let row_us = start_us + index * 1_000_000 / ROWS_PER_SECOND;
+            while drive.next_tick_us() <= row_us {
+                last = drive.step(&mut |_| {});
+            }
+            let truth = if row_us + period_us == drive.next_tick_us() {
+                last.truth
+            } else {
+                drive.advance_to(row_us, &mut |_| {});
+                drive.world().truth()
+            };
+            let time = index as f64 / ROWS_PER_SECOND as f64;
+            Ok(row(scenario, &reference, start, time, &truth, &last))
+        })
+        .collect()
+}
+
+fn row(
+    scenario: &Scenario,
+    reference: &Reference,
+    start: Position,
+    time: f64,
+    truth: &Truth,
+    last: &VirtualTick,
+) -> Row {
+    let output = &last.tick.output;
+    let [x_p, y_p] = truth.point_p(
+        scenario.vehicle.front_axle_distance_m,
+        scenario.law.point_distance_m,
+    );
+    let nominal = match reference {
+        Reference::VelocitySteps(steps) => steps.integrate(start, time),
+        other => other.at(time).position.unwrap_or(start),
+    };
+    let wanted = output.point_velocity.unwrap_or_default();
+    let rate = match output.mode {
+        Mode::Driving => output.actuation.steering_rate,
+        _ => 0.0,
+    };
+    Row {
+        t: time,
+        yaw: truth.yaw,
+        yaw_rate: truth.yaw_rate,
+        sideslip: truth.sideslip,
+        steering: truth.steering,
+        x_g: truth.x,
+        y_g: truth.y,
+        speed: output.actuation.speed,
+        steering_rate: rate,
+        x_p,
+        y_p,
+        x_ref: nominal.x,
+        y_ref: nominal.y,
+        v_px: wanted.x,
+        v_py: wanted.y,
+    }
+}
