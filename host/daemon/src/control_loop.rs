@@ -10,6 +10,7 @@ use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickRecord};
 
 use crate::{
+    alignment::Alignment,
     controller::{Controller, Sent},
     report::{LineCounters, Report, link_phase},
     serial_port::{Line, drive_number},
@@ -91,6 +92,8 @@ pub struct ControlLoop<L> {
     commands_since_heard: u32,
     arm_when_ready: bool,
     ending: Ending,
+    alignment: Option<Alignment>,
+    slide_ns: i64,
     counters: LineCounters,
 }
 
@@ -106,8 +109,26 @@ impl<L: Line> ControlLoop<L> {
             commands_since_heard: 0,
             arm_when_ready,
             ending: Ending::Running,
+            alignment: None,
+            slide_ns: 0,
             counters: LineCounters::default(),
         }
+    }
+
+    /// The same, sliding its ticks to where frames have just arrived.
+    #[must_use]
+    pub fn aligned_to_cameras(self, period_ns: u64) -> Self {
+        Self {
+            alignment: Some(Alignment::new(period_ns.max(1))),
+            ..self
+        }
+    }
+
+    /// How much later the next tick should begin than a period after the last
+    /// one; negative for earlier.
+    #[must_use]
+    pub const fn slide_ns(&self) -> i64 {
+        self.slide_ns
     }
 
     /// What was counted so far.
@@ -129,6 +150,9 @@ impl<L: Line> ControlLoop<L> {
     pub fn tick(&mut self, slot: Slot, clock: &impl Fn() -> u64) {
         self.take_serial(slot.start_ns);
         while let Ok(observation) = self.rings.observations.pop() {
+            if let Some(alignment) = &mut self.alignment {
+                alignment.arrived(observation.receive_time_ns);
+            }
             self.controller.observed(&observation);
         }
         self.take_requests(slot.start_ns);
@@ -192,6 +216,11 @@ impl<L: Line> ControlLoop<L> {
         };
         dropped += u64::from(rings.ticks.push(record).is_err());
         self.counters.reports_dropped += dropped;
+        let is_driving = self.is_driving();
+        self.slide_ns = self
+            .alignment
+            .as_mut()
+            .map_or(0, |alignment| alignment.slide_ns(slot.start_ns, is_driving));
         self.index += 1;
         if self.index.is_multiple_of(COUNTERS_TICKS) {
             // They are told again soon.

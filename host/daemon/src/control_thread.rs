@@ -29,6 +29,7 @@ pub(crate) fn run<L: Line>(
         sleep_until(grid.next_ns);
         control.tick(grid.enter(monotonic_ns()), &monotonic_ns);
         collector.unpark();
+        grid.slide(control.slide_ns());
     }
     control.counters()
 }
@@ -49,6 +50,11 @@ impl Grid {
             period_ns,
             overrun: 0,
         }
+    }
+
+    /// Moves all points to come.
+    const fn slide(&mut self, by_ns: i64) {
+        self.next_ns = self.next_ns.saturating_add_signed(by_ns);
     }
 
     /// A tick has ended: the points that it ran over are skipped.

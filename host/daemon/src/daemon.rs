@@ -230,7 +230,8 @@ impl Daemon {
         let collector_thread = collector.thread().clone();
         daemon.collector = Some(collector);
 
-        let control = ControlLoop::new(
+        let period_ns = u64::from(config.control.period_ms) * 1_000_000;
+        let mut control = ControlLoop::new(
             controller,
             Rings {
                 serial,
@@ -242,6 +243,9 @@ impl Daemon {
             },
             options.arm,
         );
+        if config.control.align_to_cameras {
+            control = control.aligned_to_cameras(period_ns);
+        }
         daemon.start_control(&config, control, collector_thread)?;
         let reader = SerialReader {
             config: config.serial,

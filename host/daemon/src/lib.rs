@@ -16,6 +16,7 @@ pub mod controller;
 pub mod serial_port;
 pub mod serial_reader;
 
+mod alignment;
 mod clock;
 mod collector;
 mod control_thread;

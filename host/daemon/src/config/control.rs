@@ -12,6 +12,8 @@ use super::{ConfigError, check};
 pub struct ControlSection {
     /// Period of the controller.
     pub period_ms: u32,
+    /// Whether ticks slide, slowly, to where frames have just arrived.
+    pub align_to_cameras: bool,
     /// Deceleration of a stop.
     pub stop_deceleration_m_s2: f64,
     /// `SCHED_FIFO` priority of the control thread, if the system grants it;
@@ -23,6 +25,7 @@ impl Default for ControlSection {
     fn default() -> Self {
         Self {
             period_ms: 10,
+            align_to_cameras: true,
             stop_deceleration_m_s2: 2.4,
             realtime_priority: 40,
         }
