@@ -171,3 +171,31 @@ pub(crate) fn drive_number(frame: &[u8]) -> Option<Sequence> {
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::Disarm;
+
+    use super::*;
+
+    #[test]
+    fn drive_commands_are_known_by_their_number_and_nothing_else_is_one() {
+        for number in [0, 1, 0x13, 255] {
+            let drive = Drive {
+                sequence: Sequence(number),
+                speed_mm_s: 0,
+                steering_100urad: -3_000,
+                telemetry_time_us: 0,
+                pose_age_ms: 12,
+            };
+            let frame = ToBoard::from(drive).encode();
+            assert_eq!(frame.as_bytes().len(), DRIVE_LENGTH);
+            assert_eq!(drive_number(frame.as_bytes()), Some(Sequence(number)));
+        }
+        let disarm = ToBoard::from(Disarm {
+            request: Sequence(7),
+        });
+        assert_eq!(drive_number(disarm.encode().as_bytes()), None);
+        assert_eq!(drive_number(&[]), None);
+    }
+}

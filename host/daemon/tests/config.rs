@@ -292,7 +292,7 @@ fn every_mistake_is_told_by_key_value_and_fix() {
         (
             "outer_loop",
             "gain_per_s = [1.0]",
-            &["outer_loop", "length 1", "2"],
+            &["gain_per_s", "length 1", "2"],
         ),
         (
             "reference",
@@ -443,6 +443,42 @@ fn every_mistake_is_told_by_key_value_and_fix() {
                 "[{section}] {line}: no {part:?} in {message:?}"
             );
         }
+    }
+}
+
+#[test]
+fn keys_of_another_kind_are_refused_and_missing_ones_named() {
+    for (from, to, part) in [
+        (
+            "radius_m = 1.0",
+            "",
+            "reference.radius_m is missing: kind = \"circle\" needs it",
+        ),
+        (
+            "radius_m = 1.0",
+            "radius_m = 1.0\nfile = \"path.csv\"",
+            "reference.file is no key of kind = \"circle\"",
+        ),
+        (
+            "radius_m = 1.0",
+            "radius_m = \"wide\"",
+            "radius_m = \"wide\"",
+        ),
+        (
+            "kind = \"proportional\"",
+            "kind = \"open-loop\"",
+            "outer_loop.gain_per_s is no key of kind = \"open-loop\"",
+        ),
+        (
+            "gain_per_s = [1.0, 1.0]",
+            "",
+            "outer_loop.gain_per_s is missing",
+        ),
+    ] {
+        let text = EXAMPLE.replacen(&format!("\n{from}\n"), &format!("\n{to}\n"), 1);
+        assert_ne!(text, EXAMPLE, "{from}");
+        let message = Config::from_toml(&text).unwrap_err().to_string();
+        assert!(message.contains(part), "{to}: {message}");
     }
 }
 

@@ -12,8 +12,8 @@ use std::{net::Ipv4Addr, path::Path, time::Duration};
 
 use common::{Terminal, wait_for};
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Decoder, Hello, ImuState, Message, Request, StopCause, Telemetry,
-    ToBoard, ToHost, VERSION,
+    Acknowledgement, BoardMode, Decoder, Hello, ImuState, Request, StopCause, Telemetry, ToBoard,
+    ToHost, VERSION,
 };
 use singletrack_record::LinkPhase;
 use singletrackd::{
@@ -227,9 +227,4 @@ fn a_line_that_takes_no_more_drops_whole_frames_without_waiting() {
             .split(|&byte| byte == 0)
             .all(|stretch| stretch.len() <= 15)
     );
-}
-
-#[test]
-fn drive_length_is_what_the_queue_is_measured_in() {
-    assert!(singletrack_protocol::frame_length(singletrack_protocol::Drive::PAYLOAD_LENGTH) < 20);
 }

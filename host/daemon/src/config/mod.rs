@@ -8,6 +8,7 @@ mod check;
 mod control;
 mod error;
 mod estimator;
+mod kind;
 mod law;
 mod limits;
 mod motion_capture;

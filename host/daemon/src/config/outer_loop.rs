@@ -1,24 +1,70 @@
 //! `[outer_loop]`: from where P should be to how fast it should move.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
 use singletrack_control::{OpenLoop, ProportionalLoop, Reference, TrackingLoop, Velocity};
 
-use super::ConfigError;
+use super::{ConfigError, kind::Keys};
 
 /// The position loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum OuterLoopSection {
     /// Proportional, per axis.
     Proportional {
         /// Gains along x and y, per second.
         gain_per_s: [f64; 2],
         /// Whether the reference's velocity is added.
-        #[serde(default)]
         feed_forward: bool,
     },
     /// None: the reference's velocity goes to the law.
     OpenLoop {},
+}
+
+/// The keys of all kinds.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Section {
+    kind: Kind,
+    gain_per_s: Option<[f64; 2]>,
+    feed_forward: Option<bool>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Kind {
+    Proportional,
+    OpenLoop,
+}
+
+impl<'de> Deserialize<'de> for OuterLoopSection {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Section::deserialize(deserializer)?
+            .try_into()
+            .map_err(de::Error::custom)
+    }
+}
+
+impl TryFrom<Section> for OuterLoopSection {
+    type Error = String;
+
+    fn try_from(section: Section) -> Result<Self, String> {
+        let keys = |kind| Keys {
+            section: "outer_loop",
+            kind,
+        };
+        match section.kind {
+            Kind::Proportional => Ok(Self::Proportional {
+                gain_per_s: keys("proportional").need("gain_per_s", section.gain_per_s)?,
+                feed_forward: section.feed_forward.unwrap_or(false),
+            }),
+            Kind::OpenLoop => {
+                let keys = keys("open-loop");
+                keys.refuse("gain_per_s", section.gain_per_s.as_ref())?;
+                keys.refuse("feed_forward", section.feed_forward.as_ref())?;
+                Ok(Self::OpenLoop {})
+            }
+        }
+    }
 }
 
 impl OuterLoopSection {

@@ -2,17 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
 use singletrack_control::{
     Circle, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps, Waypoint,
     Waypoints,
 };
 
-use super::ConfigError;
+use super::{ConfigError, kind::Keys};
 
 /// The reference of P.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum ReferenceSection {
     /// See [`Circle`].
     Circle {
@@ -21,7 +21,6 @@ pub enum ReferenceSection {
         /// Angular velocity, in rad/s.
         angular_velocity_rad_s: f64,
         /// Centre, in m.
-        #[serde(default)]
         centre_m: [f64; 2],
     },
     /// See [`VelocitySteps`].
@@ -38,7 +37,6 @@ pub enum ReferenceSection {
         /// 2π over the time for one figure, in rad/s.
         angular_velocity_rad_s: f64,
         /// Centre, in m.
-        #[serde(default)]
         centre_m: [f64; 2],
     },
     /// See [`Waypoints`].
@@ -59,6 +57,90 @@ pub struct StepSection {
     pub v_x_m_s: f64,
     /// Velocity of P along y, in m/s.
     pub v_y_m_s: f64,
+}
+
+/// The keys of all kinds.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Section {
+    kind: Kind,
+    radius_m: Option<f64>,
+    half_length_m: Option<f64>,
+    half_width_m: Option<f64>,
+    angular_velocity_rad_s: Option<f64>,
+    centre_m: Option<[f64; 2]>,
+    steps: Option<Vec<StepSection>>,
+    file: Option<PathBuf>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Kind {
+    Circle,
+    VelocitySteps,
+    FigureOfEight,
+    Waypoints,
+}
+
+impl<'de> Deserialize<'de> for ReferenceSection {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Section::deserialize(deserializer)?
+            .try_into()
+            .map_err(de::Error::custom)
+    }
+}
+
+impl TryFrom<Section> for ReferenceSection {
+    type Error = String;
+
+    /// Takes the keys that the kind has; what remains it has not.
+    fn try_from(mut section: Section) -> Result<Self, String> {
+        let keys = Keys {
+            section: "reference",
+            kind: match section.kind {
+                Kind::Circle => "circle",
+                Kind::VelocitySteps => "velocity-steps",
+                Kind::FigureOfEight => "figure-of-eight",
+                Kind::Waypoints => "waypoints",
+            },
+        };
+        let reference = match section.kind {
+            Kind::Circle => Self::Circle {
+                radius_m: keys.need("radius_m", section.radius_m.take())?,
+                angular_velocity_rad_s: keys.need(
+                    "angular_velocity_rad_s",
+                    section.angular_velocity_rad_s.take(),
+                )?,
+                centre_m: section.centre_m.take().unwrap_or_default(),
+            },
+            Kind::VelocitySteps => Self::VelocitySteps {
+                steps: keys.need("steps", section.steps.take())?,
+            },
+            Kind::FigureOfEight => Self::FigureOfEight {
+                half_length_m: keys.need("half_length_m", section.half_length_m.take())?,
+                half_width_m: keys.need("half_width_m", section.half_width_m.take())?,
+                angular_velocity_rad_s: keys.need(
+                    "angular_velocity_rad_s",
+                    section.angular_velocity_rad_s.take(),
+                )?,
+                centre_m: section.centre_m.take().unwrap_or_default(),
+            },
+            Kind::Waypoints => Self::Waypoints {
+                file: keys.need("file", section.file.take())?,
+            },
+        };
+        keys.refuse("radius_m", section.radius_m.as_ref())?;
+        keys.refuse("half_length_m", section.half_length_m.as_ref())?;
+        keys.refuse("half_width_m", section.half_width_m.as_ref())?;
+        keys.refuse(
+            "angular_velocity_rad_s",
+            section.angular_velocity_rad_s.as_ref(),
+        )?;
+        keys.refuse("centre_m", section.centre_m.as_ref())?;
+        keys.refuse("steps", section.steps.as_ref())?;
+        keys.refuse("file", section.file.as_ref())?;
+        Ok(reference)
+    }
 }
 
 impl ReferenceSection {
