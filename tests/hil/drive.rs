@@ -7,6 +7,7 @@ use singletrack_hil::{
     Outcome,
     bench::Bench,
     ensure,
+    rig::Need,
     settings::{POINT_DISTANCE_M, RADIUS_M},
     wait,
 };
@@ -18,7 +19,8 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new(
         "moves_nothing_before_it_is_configured_and_armed",
         moves_nothing_before,
-    ),
+    )
+    .needing(&[Need::FreshBoard]),
 ];
 
 /// Of the drive, the time in which the car comes to the circle.

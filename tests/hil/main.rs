@@ -112,10 +112,14 @@ fn main() -> ExitCode {
 
 /// Runs a scenario, again if it has shown nothing.
 fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
+    let needs = scenario.needs.iter();
+    if let Some(lack) = needs.clone().find_map(|&need| equipment.lacks(need)) {
+        return Ok(Completion::ignored_with(lack));
+    }
     let mut attempt = 1;
     loop {
         let mut bench = Bench::new(scenario.name, equipment, attempt)?;
-        if let Some(lack) = scenario.needs.iter().find_map(|&need| bench.lacks(need)) {
+        if let Some(lack) = needs.clone().find_map(|&need| bench.lacks(need)) {
             return Ok(Completion::ignored_with(lack));
         }
         let Err(failure) = (scenario.run)(&mut bench) else {

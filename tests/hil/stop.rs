@@ -8,13 +8,14 @@ use singletrack_protocol::{ResetCause, StopCause};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
-    Scenario::new("a_stop_is_neutral_at_once_and_latched", stop_command),
     Scenario::new(
         "a_latched_stop_ends_with_a_reset_of_the_board",
         stop_and_reset,
     )
     .needing(&[Need::Reset]),
     Scenario::new("an_open_stop_switch_stops_the_car", stop_switch).needing(&[Need::StopSwitch]),
+    // The last one: it leaves a physical board that only its button resets.
+    Scenario::new("a_stop_is_neutral_at_once_and_latched", stop_command),
 ];
 
 /// From the request on the socket: the socket's thread, a tick of 10 ms, 2 ms

@@ -13,7 +13,7 @@ use crate::{
     client::{Client, Status},
     daemon::Daemon,
     ensure,
-    rig::{Need, PhysicalRig, Rig, SimulatedRig},
+    rig::{Need, PhysicalRig, Rig, SimulatedRig, physical_lacks},
     settings, trace, wait,
 };
 
@@ -26,6 +26,14 @@ pub struct Equipment {
     pub port: Option<PathBuf>,
     /// Where the measurements go.
     pub measurements: Measurements,
+}
+
+impl Equipment {
+    /// Why a test need not be begun: what it needs can't be had.
+    #[must_use]
+    pub fn lacks(&self, need: Need) -> Option<&'static str> {
+        self.port.as_ref().and_then(|_| physical_lacks(need))
+    }
 }
 
 /// One test's rig, daemon and files.
@@ -80,7 +88,7 @@ impl Bench {
         })
     }
 
-    /// Why the bench can't do what a test needs.
+    /// Why this bench can't do what a test needs, now that it is there.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         self.rig.lacks(need)

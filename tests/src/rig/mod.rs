@@ -10,6 +10,7 @@ use singletrack_protocol::{ResetCause, StopCause};
 use singletrack_sim::{LossKind, Truth};
 
 pub use physical::PhysicalRig;
+pub(crate) use physical::lacks as physical_lacks;
 pub use simulated::SimulatedRig;
 
 use crate::{Failure, Outcome, Trace};
@@ -139,6 +140,8 @@ pub enum Need {
     MotorSensor,
     /// A stop switch that can be opened.
     StopSwitch,
+    /// A board that has just been started.
+    FreshBoard,
 }
 
 /// What is wrong with the line, both ways.

@@ -13,7 +13,7 @@ use std::{
 };
 
 use serialport::{SerialPort, TTYPort};
-use singletrack_protocol::{StopCause, Telemetry};
+use singletrack_protocol::{BoardMode, StopCause, Telemetry};
 use singletrack_sim::{LossKind, Pty, RealTimeConfig, RealTimeSimulator, Truth};
 
 use super::{
@@ -21,13 +21,17 @@ use super::{
     proxy::{Damage, Frames, replace_motion},
     simulated,
 };
-use crate::{Failure, Outcome, Pulses, Trace, settings};
+use crate::{Failure, Outcome, Pulses, Trace, settings, wait};
 
 /// The firmware's rate.
 const BAUD: u32 = 115_200;
 /// How long the harness waits for bytes from the UNO before it looks at those
 /// of the daemon.
 const READ_TIMEOUT: Duration = Duration::from_millis(1);
+
+/// The bootloader of a UNO that opening the port has reset, and two seconds of
+/// neutral for the ESC.
+const START: Duration = Duration::from_secs(10);
 
 /// A physical UNO, with the harness between it and the daemon.
 ///
@@ -40,6 +44,8 @@ pub struct PhysicalRig {
     shared: Arc<Mutex<Shared>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    /// Whether the board started when the port was opened.
+    fresh: bool,
 }
 
 /// What the line's thread and the test both see.
@@ -102,14 +108,44 @@ impl PhysicalRig {
         let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new()
             .name("line".to_owned())
-            .spawn(move || line.run(&stopped))
+            .spawn(move || {
+                simulated::be_punctual();
+                line.run(&stopped);
+            })
             .map_err(Failure::system("cannot start the line's thread"))?;
-        Ok(Self {
+        let mut rig = Self {
+            fresh: false,
             link,
             car,
             shared,
             stop,
             thread: Some(thread),
+        };
+        rig.wait_until_at_rest()?;
+        // The board's clock starts with the board.
+        rig.fresh = rig
+            .newest()?
+            .is_some_and(|telemetry| u128::from(telemetry.board_time_us) < START.as_micros());
+        Ok(rig)
+    }
+
+    /// Waits for the UNO to start, for the wheels to stand, and for the
+    /// simulated ESC to have seen neutral for long enough.
+    fn wait_until_at_rest(&self) -> Outcome {
+        let mut last = "it says nothing".to_owned();
+        wait::until("a UNO at rest", START, || {
+            let Some(telemetry) = self.newest()? else {
+                return Ok(None);
+            };
+            last = format!("mode {:?}", telemetry.mode);
+            let stopped = telemetry.mode == BoardMode::EmergencyStopped;
+            let armed = self.car.with_world(|world| world.car().esc_is_armed())?;
+            Ok((!stopped && armed && telemetry.motor_speed_mm_s == 0).then_some(()))
+        })
+        .map_err(|failure| {
+            Failure::new(format!(
+                "{failure} ({last}); is the firmware on it? An emergency stop ends with the reset button"
+            ))
         })
     }
 
@@ -221,11 +257,22 @@ impl Rig for PhysicalRig {
     }
 
     fn lacks(&self, need: Need) -> Option<&'static str> {
-        Some(match need {
-            Need::Reset => "a physical UNO has no reset line that the harness could pull",
-            Need::MotorSensor => "the motor of a physical car can't be silenced from here",
-            Need::StopSwitch => "the stop switch of a physical car can't be opened from here",
-        })
+        match need {
+            Need::FreshBoard => (!self.fresh)
+                .then_some("opening the port did not reset the board: it is not as after a start"),
+            _ => lacks(need),
+        }
+    }
+}
+
+/// What no physical car has, and why.
+#[must_use]
+pub(crate) fn lacks(need: Need) -> Option<&'static str> {
+    match need {
+        Need::Reset => Some("a physical UNO has no reset line that the harness could pull"),
+        Need::MotorSensor => Some("the motor of a physical car can't be silenced from here"),
+        Need::StopSwitch => Some("the stop switch of a physical car can't be opened from here"),
+        Need::FreshBoard => None,
     }
 }
 

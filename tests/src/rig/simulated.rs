@@ -34,18 +34,22 @@ impl SimulatedRig {
     }
 }
 
-/// Starts the simulator with its thread first in line: it stands for hardware,
-/// which has no processor to share.
+/// Starts the simulator with a punctual thread.
 pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
     thread::spawn(move || {
-        // Threads inherit it. Without the permission to, the simulator is late
-        // more often, and says so.
-        let _ = rustix::process::setpriority_process(None, -20);
+        be_punctual();
         RealTimeSimulator::start(config)
     })
     .join()
     .map_err(|_| Failure::new("the simulator's start panicked"))?
     .map_err(Failure::from)
+}
+
+/// Puts this thread, and those that it starts, first in line: they stand for
+/// hardware, which has no processor to share.
+pub(super) fn be_punctual() {
+    // Without the permission to, the rig is late more often, and says so.
+    let _ = rustix::process::setpriority_process(None, -20);
 }
 
 impl Rig for SimulatedRig {
