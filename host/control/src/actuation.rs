@@ -35,7 +35,7 @@ impl Limits {
             max_acceleration: 2.0,
             max_steering: 0.45,
             max_steering_rate: 5.0,
-            creep_speed: 0.25,
+            creep_speed: 0.3,
             standstill_speed: 0.02,
         }
     }
@@ -44,9 +44,12 @@ impl Limits {
 /// P's wanted velocity this far off the car's heading starts a turn: 90 degrees,
 /// where the law would reverse.
 const TURN_FROM: f64 = core::f64::consts::FRAC_PI_2;
-/// And this far off ends it: 70 degrees. In between nothing changes, so that
+/// And this far off ends it: 75 degrees. In between nothing changes, so that
 /// noise cannot make the car dither.
-const TURN_UNTIL: f64 = 1.22;
+const TURN_UNTIL: f64 = 1.31;
+/// A turn that has gone this far chases a velocity that turns as fast as the car
+/// does; from the other side they meet.
+const TURN_AT_MOST: f64 = 1.5 * core::f64::consts::PI;
 
 /// Speed and steering for the car.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -65,7 +68,15 @@ pub struct LimitedLaw {
     law: FrontPointLaw,
     limits: Limits,
     actuation: Actuation,
-    turning: Option<Side>,
+    turning: Option<Turn>,
+}
+
+/// A turn towards a velocity behind the car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Turn {
+    side: Side,
+    /// How far the car has turned, to either side.
+    turned: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,6 +88,13 @@ enum Side {
 impl Side {
     fn of(angle: f64) -> Self {
         if angle < 0.0 { Self::Right } else { Self::Left }
+    }
+
+    const fn other(self) -> Self {
+        match self {
+            Self::Left => Self::Right,
+            Self::Right => Self::Left,
+        }
     }
 }
 
@@ -148,7 +166,7 @@ impl LimitedLaw {
         let (speed, rate) = if wanted_speed < limits.standstill_speed {
             self.turning = None;
             (0.0, self.standing_rate(motion, measured_speed, &wanted)?)
-        } else if let Some(side) = self.turn_round(motion, &wanted) {
+        } else if let Some(side) = self.turn_round(motion, &wanted, period) {
             let rate = match side {
                 Side::Left => limits.max_steering_rate,
                 Side::Right => -limits.max_steering_rate,
@@ -196,21 +214,37 @@ impl LimitedLaw {
     }
 
     /// To which side the car turns round, if it does.
-    fn turn_round(&mut self, motion: &Motion, wanted: &Velocity) -> Option<Side> {
+    fn turn_round(&mut self, motion: &Motion, wanted: &Velocity, period: f64) -> Option<Side> {
         if self.limits.max_reverse_speed > 0.0 {
             return None;
         }
-        let wheels = motion.yaw + self.actuation.steering;
-        let off_wheels = angle_between(&direction(wheels), wanted);
         let off_heading = angle_between(&direction(motion.yaw), wanted);
-        let behind = off_wheels.abs() > TURN_FROM || off_heading.abs() > TURN_FROM;
         self.turning = match self.turning {
-            // Straight behind, either side will do, but it must be the same one.
-            None if behind => Some(Side::of(off_heading)),
-            Some(side) if off_heading.abs() > TURN_UNTIL => Some(side),
-            _ => None,
+            None => {
+                let wheels = motion.yaw + self.actuation.steering;
+                let off_wheels = angle_between(&direction(wheels), wanted);
+                let behind = off_wheels.abs() > TURN_FROM || off_heading.abs() > TURN_FROM;
+                behind.then_some(Turn {
+                    side: Side::of(off_heading),
+                    turned: 0.0,
+                })
+            }
+            Some(turn) if off_heading.abs() > TURN_UNTIL => {
+                // Straight behind, either side will do, but it must stay the
+                // same one, unless it leads nowhere.
+                let turned = turn.turned + motion.yaw_rate * period;
+                Some(if turned.abs() > TURN_AT_MOST {
+                    Turn {
+                        side: turn.side.other(),
+                        turned: 0.0,
+                    }
+                } else {
+                    Turn { turned, ..turn }
+                })
+            }
+            Some(_) => None,
         };
-        self.turning
+        self.turning.map(|turn| turn.side)
     }
 
     fn apply(&mut self, speed: f64, rate: f64, period: f64) -> Actuation {
