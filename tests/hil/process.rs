@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use singletrack_hil::{Outcome, bench::Bench, daemon::Daemon, ensure, settings, wait};
+use singletrack_hil::{
+    Failure, Outcome, bench::Bench, client::Client, daemon::Daemon, ensure, settings, wait,
+};
 
 use crate::Scenario;
 
@@ -13,7 +15,8 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         terminated_driving,
     ),
     Scenario::new("a_termination_at_rest_is_prompt", terminated_at_rest),
-    Scenario::new("a_second_daemon_is_refused", second_daemon),
+    Scenario::new("a_second_daemon_on_the_same_socket_is_refused", same_socket),
+    Scenario::new("a_second_daemon_on_the_same_port_gets_no_board", same_port),
 ];
 
 /// How long the car had driven when the daemon was killed, in ms: while it
@@ -106,7 +109,7 @@ fn nothing_is_left(bench: &Bench) -> Outcome {
     Ok(())
 }
 
-fn second_daemon(bench: &mut Bench) -> Outcome {
+fn same_socket(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     let log = bench.folder().join("second.log");
     let mut second = Daemon::start(bench.program(), &bench.config_file(), &log)?;
@@ -122,4 +125,36 @@ fn second_daemon(bench: &mut Bench) -> Outcome {
     );
     // The first is not disturbed.
     bench.keep_driving(Duration::from_secs(1))
+}
+
+fn same_port(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    let mut config = bench.config().clone();
+    config.socket.path = bench.folder().join("second.sock");
+    config.record.enabled = false;
+    let file = bench.folder().join("second.toml");
+    settings::write(&config, &file)?;
+    let mut second = Daemon::start(bench.program(), &file, &bench.folder().join("second.log"))?;
+    let said = wait::until("a word about the port", Duration::from_secs(3), || {
+        if let Some(status) = second.status()? {
+            return Err(Failure::new(format!(
+                "it ended: {status}: {}",
+                second.log()
+            )));
+        }
+        let log = second.log();
+        Ok(log.contains("in use by another program").then_some(log))
+    })?;
+    let port = bench.rig().port().to_string_lossy().into_owned();
+    ensure!(said.contains(&port), "it does not name the port: {said}");
+    // The first is not disturbed, and the second has no board to arm.
+    bench.keep_driving(Duration::from_secs(1))?;
+    let mut client = Client::connect(&config.socket.path)?;
+    let answer = client.arm()?;
+    ensure!(answer.is_refused(), "it armed: {}", answer.text());
+    let mode = client.status()?.mode().to_owned();
+    ensure!(mode == "disconnected", "the second is {mode}");
+    let (status, _) = second.terminate(DRIVING_LIMIT)?;
+    ensure!(status.success(), "it ended with {status}");
+    bench.keep_driving(Duration::from_millis(300))
 }

@@ -143,12 +143,8 @@ impl Bench {
     ///
     /// It does not start.
     pub fn start_daemon(&mut self) -> Outcome {
-        let text = self
-            .config
-            .to_toml()
-            .map_err(|error| Failure::new(format!("the configuration: {error}")))?;
         let file = self.config_file();
-        std::fs::write(&file, text).map_err(Failure::system("cannot write the configuration"))?;
+        settings::write(&self.config, &file)?;
         self.started += 1;
         let log = self.folder().join(format!("daemon-{}.log", self.started));
         self.daemon = Some(Daemon::start(&self.equipment.program, &file, &log)?);

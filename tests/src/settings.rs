@@ -5,6 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::{Failure, Outcome};
 use singletrack_control::VehicleParameters;
 use singletrack_sim::{SimulationConfig, StartPose};
 use singletrackd::config::{
@@ -12,6 +13,8 @@ use singletrackd::config::{
     LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
     SerialSection, SocketSection, SupervisorSection, UpAxisKind,
 };
+
+use crate::{Failure, Outcome};
 
 /// The paper's circle with feed-forward, for the simulated car.
 ///
@@ -86,6 +89,18 @@ pub fn simulation(seed: u64) -> SimulationConfig {
     };
     config.car.start = start();
     config
+}
+
+/// Writes a configuration file.
+///
+/// # Errors
+///
+/// What the system says.
+pub fn write(config: &Config, file: &Path) -> Outcome {
+    let text = config
+        .to_toml()
+        .map_err(|error| Failure::new(format!("the configuration: {error}")))?;
+    std::fs::write(file, text).map_err(Failure::system("cannot write the configuration"))
 }
 
 /// The daemon's control socket.
