@@ -1,5 +1,7 @@
 //! The whole pilot on the simulated car, board, line and cameras, in virtual time.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use std::{path::Path, sync::OnceLock};
 
 use singletrack::{

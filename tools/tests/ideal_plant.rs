@@ -1,6 +1,8 @@
 //! The ideal plant against trajectories that two independent integrators agree
 //! on to 1e-12, and against closed forms.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use std::path::Path;
 
 use singletrack::simulate::{Row, Scenario, simulate};

@@ -1,5 +1,7 @@
 //! `singletrack simulate` as a person or a script sees it.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use std::{
     path::{Path, PathBuf},
     process::{Command, Output},

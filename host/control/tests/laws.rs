@@ -1,5 +1,7 @@
 //! The laws against the kinematics that they invert.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use proptest::prelude::*;
 use singletrack_control::{
     FrontPointLaw, LawError, Motion, SingleTrack, SingleTrackState, Singularity, VehicleParameters,

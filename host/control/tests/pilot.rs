@@ -1,6 +1,8 @@
 //! The pilot on a car that does exactly what it is told: modes, reasons, and
 //! what becomes of every way to go blind.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use singletrack_control::{
     BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, FrontPointLaw, InertialSample,
     Limits, LinkState, Mode, Output, Pilot, PilotConfig, PoseMissing, PoseSample, Position,

@@ -1,6 +1,8 @@
 //! References: their velocity is the derivative of their position, and they
 //! switch when they should.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use singletrack_control::{
     Circle, FigureOfEight, Position, Reference, ReferenceError, Velocity, VelocityStep,
     VelocitySteps, Waypoint, Waypoints,

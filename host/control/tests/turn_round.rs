@@ -1,5 +1,7 @@
 //! However the car stands to its reference, it gets there, going forward.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
 use singletrack_control::{
     Circle, FrontPointLaw, LimitedLaw, Limits, Motion, OuterLoop, Position, ProportionalLoop,
     Reference, RelaxedSingleTrack, SingleTrackState, VehicleParameters, Velocity,

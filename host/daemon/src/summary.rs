@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use singletrack_control::Mode;
+use singletrack_control::{Event, Mode};
 use singletrack_mocap::Counters as MocapCounters;
 use singletrack_record::TickRecord;
 
@@ -87,6 +87,8 @@ pub struct MocapFigures {
     pub lost: u64,
     /// Driving ticks with no new valid pose since the tick before.
     pub held_ticks: u64,
+    /// Frames without a valid pose that driving ticks saw.
+    pub missing_while_driving: u64,
     /// Frames with a valid pose.
     pub valid: u64,
     /// Frames with the body untracked.
@@ -146,6 +148,10 @@ impl Tally {
         if tick.output.mode == Mode::Driving {
             figures.driving_ticks += 1;
             figures.mocap.held_ticks += u64::from(tick.output.held);
+            let missing = tick.events.iter();
+            figures.mocap.missing_while_driving += missing
+                .filter(|event| matches!(event, Event::PoseMissing(_)))
+                .count() as u64;
         }
         if !tick.output.held
             && let Some(latency) = tick.capture_to_command_ns()
@@ -177,6 +183,7 @@ impl Tally {
             frames: counters.frames,
             lost: counters.lost,
             held_ticks: self.figures.mocap.held_ticks,
+            missing_while_driving: self.figures.mocap.missing_while_driving,
             valid: counters.valid,
             untracked: counters.untracked,
             absent: counters.absent,

@@ -4,7 +4,7 @@ use std::{f64::consts::TAU, io::IsTerminal, path::Path};
 
 use serde::Serialize;
 use singletrack_sim::LossPattern;
-use singletrackd::{Figures, Percentiles, Summary};
+use singletrackd::{Percentiles, Summary};
 
 use super::{DemoArgs, DemoError, Drive, settings, write as write_file};
 use crate::{
@@ -29,12 +29,11 @@ struct DemoSummary<'a> {
     daemon: &'a Summary,
 }
 
-/// The cameras, with one figure for all frames that brought no pose.
+/// The cameras, over the drive.
 #[derive(Serialize)]
 struct Mocap<'a> {
-    /// Frames that brought no valid pose, whatever the reason.
-    #[serde(rename = "lost")]
-    without_pose: u64,
+    /// Frames that brought no valid pose while the car drove, whatever the reason.
+    lost: u64,
     frames: u64,
     held_ticks: u64,
     detail: &'a singletrackd::MocapFigures,
@@ -67,7 +66,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
         lateness_us: figures.lateness_us,
         frames: &figures.frames,
         mocap: Mocap {
-            without_pose: frames_without_pose(figures),
+            lost: figures.mocap.missing_while_driving,
             frames: figures.mocap.frames,
             held_ticks: figures.mocap.held_ticks,
             detail: &figures.mocap,
@@ -96,11 +95,6 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
         print(&args.out, drive, tracking.as_ref());
     }
     Ok(())
-}
-
-fn frames_without_pose(figures: &Figures) -> u64 {
-    let mocap = &figures.mocap;
-    mocap.lost + mocap.untracked + mocap.absent + mocap.rejected
 }
 
 /// The true P beside its reference, over the drive.
@@ -242,10 +236,8 @@ fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
         figures.capture_to_command_us.p99 / 1000.0
     );
     println!(
-        "  cameras             {} frames, {} without a pose, {} ticks held",
-        figures.mocap.frames,
-        frames_without_pose(figures),
-        figures.mocap.held_ticks
+        "  cameras             {} frames, {} without a pose while driving, {} ticks held",
+        figures.mocap.frames, figures.mocap.missing_while_driving, figures.mocap.held_ticks
     );
     println!(
         "  line                {} frames out, {} in, {} damaged",

@@ -109,7 +109,7 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
 /// # Errors
 ///
 /// A scenario that the car can't drive, or a car that does not start.
-pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
+pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
     let config = virtual_drive_config(scenario)?;
     let period_us = config.period_us;
     let latency_us = config.simulation.cameras.latency_us;

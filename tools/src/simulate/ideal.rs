@@ -50,7 +50,7 @@ type Vector = SVector<f64, 6>;
 /// # Errors
 ///
 /// A scenario that can't be run, or a singularity on the way, with its time.
-pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
+pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
     let simulation = Simulation::new(scenario)?;
     if scenario.control.period_ms == 0 {
         simulation.continuous()

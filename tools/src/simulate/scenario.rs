@@ -153,10 +153,14 @@ pub enum ScenarioError {
 }
 
 impl ScenarioError {
-    pub(super) fn value(key: &'static str, value: impl ToString, fix: &'static str) -> Self {
+    pub(super) fn value(
+        key: &'static str,
+        value: impl std::fmt::Display,
+        fix: &'static str,
+    ) -> Self {
         Self::Value {
             key,
-            value: value.to_string(),
+            value: format!("{value}"),
             fix,
         }
     }
