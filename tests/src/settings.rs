@@ -5,7 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{Failure, Outcome};
 use singletrack_control::VehicleParameters;
 use singletrack_sim::{SimulationConfig, StartPose};
 use singletrackd::config::{
