@@ -37,7 +37,7 @@ pub const fn default_board_configuration() -> Configuration {
             max_reverse_mm_s: 0,
         },
         failsafe: FailsafeAction::Coast,
-        max_pose_age_ms: 900,
+        max_pose_age_ms: 950,
         stop_input: false,
     }
 }

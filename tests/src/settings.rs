@@ -6,7 +6,7 @@ use std::{
 };
 
 use singletrack_control::VehicleParameters;
-use singletrack_sim::{SimulationConfig, StartPose};
+use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 use singletrackd::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, LawKind, LawSection,
     LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
@@ -47,7 +47,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         supervisor: SupervisorSection::default(),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
-            ..BoardSection::simulated()
+            ..BoardSection::from(&default_board_configuration())
         },
         control: ControlSection::default(),
         record: RecordSection {

@@ -5,5 +5,6 @@ pub mod dump;
 pub mod estimation;
 pub mod figure;
 pub mod simulate;
+pub mod simulated;
 pub mod tracking;
 pub mod virtual_drive;

@@ -103,22 +103,14 @@ fn the_defaults_are_the_papers() {
     assert!(matches!(pilot.reference, Reference::Circle(_)));
     assert!(matches!(pilot.tracking, TrackingLoop::Proportional(_)));
     assert_eq!(pilot.period, 0.01);
-    assert_eq!(config.board, BoardSection::simulated());
     assert_eq!(config.link(1).baud.get(), 115_200);
 }
 
 #[test]
 fn the_examples_calibration_is_the_simulated_cars() {
-    let configuration = BoardSection::simulated().configuration();
     let simulated = singletrack_sim::default_board_configuration();
-    assert_eq!(
-        singletrack_protocol::Configuration {
-            // Room for this host's hold and stop.
-            max_pose_age_ms: configuration.max_pose_age_ms,
-            ..simulated
-        },
-        configuration
-    );
+    assert_eq!(example().board, BoardSection::from(&simulated));
+    assert_eq!(BoardSection::from(&simulated).configuration(), simulated);
 }
 
 #[test]

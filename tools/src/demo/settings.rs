@@ -6,13 +6,10 @@ use singletrack_control::VehicleParameters;
 use singletrack_sim::{
     LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
-use singletrackd::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, LawKind, LawSection, LimitsSection,
-    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
-    SocketSection, SupervisorSection, UpAxisKind,
-};
+use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 use super::DemoArgs;
+use crate::simulated::{self, daemon_config};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;
@@ -54,13 +51,9 @@ pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTim
 }
 
 pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &Path) -> Config {
-    let mut motion_capture = MotionCaptureSection::new(Ipv4Addr::LOCALHOST, "car", UpAxisKind::Y);
-    motion_capture.command_port = simulator.command_address().port();
-    motion_capture.data_port = simulator.data_address().port();
     let vehicle = VehicleParameters::paper();
-    Config {
-        serial: SerialSection::new(simulator.pty_path()),
-        motion_capture,
+    let mut config = daemon_config(simulated::Drive {
+        vehicle,
         law: LawSection {
             kind: LawKind::FrontPoint,
             point_distance_m: POINT_DISTANCE,
@@ -75,21 +68,13 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
             angular_velocity_rad_s: ANGULAR_VELOCITY,
             centre_m: [0.0, 0.0],
         },
-        vehicle,
-        limits: LimitsSection::default(),
-        estimator: EstimatorSection::default(),
-        supervisor: SupervisorSection::default(),
-        board: BoardSection::simulated(),
-        control: ControlSection::default(),
-        record: RecordSection {
-            enabled: true,
-            directory: args.out.clone(),
-        },
-        socket: SocketSection {
-            enabled: true,
-            path: private.join("control.sock"),
-        },
-    }
+    });
+    config.serial.port = simulator.pty_path().to_owned();
+    config.motion_capture.command_port = simulator.command_address().port();
+    config.motion_capture.data_port = simulator.data_address().port();
+    config.record.directory.clone_from(&args.out);
+    config.socket.path = private.join("control.sock");
+    config
 }
 
 /// Where P should be `time` seconds after the first driving tick.

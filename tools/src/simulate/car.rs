@@ -1,23 +1,17 @@
 //! The whole pilot on the simulated car, board and cameras.
 
-use std::num::NonZeroU32;
-
-use singletrack_control::{
-    EstimatorConfig, Limits, Mode, PilotConfig, Position, Reference, SupervisorConfig, direction,
-};
-use singletrack_link::SessionConfig;
-use singletrack_mocap::{Config as MocapConfig, Transport, UpAxis};
-use singletrack_sim::{
-    LossWindow, SimulationConfig, StartPose, Truth, default_board_configuration,
-};
-
+use singletrack_control::{Mode, Position, Reference, direction};
+use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
 use singletrackd::config::LawKind;
 
 use super::{
     row::{ROWS_PER_SECOND, Row},
     scenario::{Scenario, ScenarioError},
 };
-use crate::virtual_drive::{VirtualDrive, VirtualDriveConfig, VirtualDriveError, VirtualTick};
+use crate::{
+    simulated::{self, daemon_config},
+    virtual_drive::{VirtualDrive, VirtualDriveConfig, VirtualDriveError, VirtualTick},
+};
 
 /// Why a car could not be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -29,9 +23,6 @@ pub enum CarError {
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
 }
-
-/// Deceleration of a stop, in m/s².
-const STOP_DECELERATION: f64 = 1.5;
 
 /// The parts of a virtual drive of a scenario.
 ///
@@ -56,9 +47,6 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
         .into());
     }
     let vehicle = scenario.vehicle;
-    let law = scenario.front_point_law().map_err(ScenarioError::from)?;
-    let period = f64::from(scenario.control.period_ms) / 1000.0;
-
     let yaw = scenario.start.yaw_deg.to_radians();
     let [x, y] = scenario.start.point_p_m;
     let centre = Position::new(x, y)
@@ -73,32 +61,21 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
         y_m: centre.y,
         yaw_rad: yaw,
     };
-    let server = std::net::Ipv4Addr::LOCALHOST.into();
-    let motion_capture = MocapConfig::new(
-        server,
-        Transport::Unicast { bitstream: None },
-        &simulation.cameras.car.name,
-        UpAxis::Y,
-    )
-    .map_err(VirtualDriveError::from)?;
+
+    let mut config = daemon_config(simulated::Drive {
+        vehicle,
+        law: scenario.law,
+        outer_loop: scenario.outer_loop,
+        reference: scenario.reference.clone(),
+    });
+    config.control.period_ms = scenario.control.period_ms;
     Ok(VirtualDriveConfig {
-        pilot: PilotConfig {
-            law,
-            tracking: scenario.tracking_loop(),
-            reference: scenario.reference().map_err(ScenarioError::from)?,
-            limits: Limits::paper(),
-            estimator: EstimatorConfig::for_vehicle(&vehicle),
-            supervisor: SupervisorConfig::paper(),
-            stop_deceleration: STOP_DECELERATION,
-            period,
-        },
-        link: SessionConfig {
-            configuration: default_board_configuration(),
-            software_version: [0, 1, 0],
-            nonce_seed: scenario.run.seed,
-            baud: NonZeroU32::new(simulation.wire.baud).unwrap_or(NonZeroU32::MIN),
-        },
-        motion_capture,
+        pilot: config.pilot().map_err(ScenarioError::from)?,
+        link: config.link(scenario.run.seed),
+        motion_capture: config
+            .motion_capture
+            .session()
+            .map_err(ScenarioError::from)?,
         period_us: u64::from(scenario.control.period_ms) * 1000,
         simulation,
     })

@@ -115,40 +115,6 @@ pub struct SpeedSection {
 }
 
 impl BoardSection {
-    /// For the servo, ESC and motor that the simulator has unless told otherwise.
-    #[must_use]
-    pub fn simulated() -> Self {
-        Self {
-            failsafe: default_failsafe(),
-            max_pose_age_ms: default_max_pose_age(),
-            stop_input: false,
-            servo: ServoSection {
-                centre_us: 1_500,
-                gain_us_per_rad: -800,
-                min_us: 1_080,
-                max_us: 1_920,
-                slew_us_per_20ms: default_servo_slew(),
-            },
-            esc: EscSection {
-                neutral_us: 1_500,
-                deadband_us: 30,
-                min_us: 1_200,
-                max_us: 1_700,
-                slew_us_per_20ms: default_esc_slew(),
-                brake_us: 1_350,
-            },
-            speed: SpeedSection {
-                pulse_distance_um: 3_000,
-                feed_forward_us_per_m_s: 80,
-                proportional_us_per_m_s: 80,
-                integral_us_per_m: 250,
-                integral_limit_us: 60,
-                max_forward_mm_s: 1_500,
-                max_reverse_mm_s: 0,
-            },
-        }
-    }
-
     /// As it is sent.
     #[must_use]
     pub const fn configuration(&self) -> Configuration {
@@ -186,6 +152,51 @@ impl BoardSection {
             },
             max_pose_age_ms: self.max_pose_age_ms,
             stop_input: self.stop_input,
+        }
+    }
+}
+
+impl From<&Configuration> for BoardSection {
+    fn from(configuration: &Configuration) -> Self {
+        let Configuration {
+            servo,
+            esc,
+            speed,
+            failsafe,
+            max_pose_age_ms,
+            stop_input,
+        } = configuration;
+        Self {
+            failsafe: match failsafe {
+                FailsafeAction::Coast => FailsafeKind::Coast,
+                FailsafeAction::Brake => FailsafeKind::Brake,
+            },
+            max_pose_age_ms: *max_pose_age_ms,
+            stop_input: *stop_input,
+            servo: ServoSection {
+                centre_us: servo.centre_us,
+                gain_us_per_rad: servo.gain_us_per_rad,
+                min_us: servo.min_us,
+                max_us: servo.max_us,
+                slew_us_per_20ms: servo.slew_us_per_20ms,
+            },
+            esc: EscSection {
+                neutral_us: esc.neutral_us,
+                deadband_us: esc.deadband_us,
+                min_us: esc.min_us,
+                max_us: esc.max_us,
+                slew_us_per_20ms: esc.slew_us_per_20ms,
+                brake_us: esc.brake_us,
+            },
+            speed: SpeedSection {
+                pulse_distance_um: speed.pulse_distance_um,
+                feed_forward_us_per_m_s: speed.feed_forward_us_per_m_s,
+                proportional_us_per_m_s: speed.proportional_us_per_m_s,
+                integral_us_per_m: speed.integral_us_per_m,
+                integral_limit_us: speed.integral_limit_us,
+                max_forward_mm_s: speed.max_forward_mm_s,
+                max_reverse_mm_s: speed.max_reverse_mm_s,
+            },
         }
     }
 }

@@ -1,0 +1,50 @@
+//! The daemon's configuration for the simulated car.
+
+use std::net::Ipv4Addr;
+
+use singletrack_control::VehicleParameters;
+use singletrack_sim::default_board_configuration;
+use singletrackd::config::{
+    BoardSection, Config, ControlSection, EstimatorSection, LawSection, LimitsSection,
+    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
+    SocketSection, SupervisorSection, UpAxisKind,
+};
+
+/// The simulator's name for the car's rigid body.
+const RIGID_BODY: &str = "car";
+
+/// What a drive of the simulated car is about; everything else is as the daemon
+/// has it by default.
+#[derive(Clone, Debug)]
+pub struct Drive {
+    /// The car.
+    pub vehicle: VehicleParameters,
+    /// The linearising law.
+    pub law: LawSection,
+    /// The position loop around it.
+    pub outer_loop: OuterLoopSection,
+    /// Where P should be.
+    pub reference: ReferenceSection,
+}
+
+/// The daemon's configuration for the simulated car, with the calibration of its
+/// board. Port, addresses and paths are those of a car that is simulated in
+/// virtual time: nowhere.
+#[must_use]
+pub fn daemon_config(drive: Drive) -> Config {
+    Config {
+        serial: SerialSection::new("simulated"),
+        motion_capture: MotionCaptureSection::new(Ipv4Addr::LOCALHOST, RIGID_BODY, UpAxisKind::Y),
+        law: drive.law,
+        outer_loop: drive.outer_loop,
+        reference: drive.reference,
+        vehicle: drive.vehicle,
+        limits: LimitsSection::default(),
+        estimator: EstimatorSection::default(),
+        supervisor: SupervisorSection::default(),
+        board: BoardSection::from(&default_board_configuration()),
+        control: ControlSection::default(),
+        record: RecordSection::default(),
+        socket: SocketSection::default(),
+    }
+}
