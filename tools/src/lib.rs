@@ -1,5 +1,6 @@
 //! The command line of Singletrack, as a library for its tests.
 
+pub mod control;
 pub mod demo;
 pub mod dump;
 pub mod estimation;

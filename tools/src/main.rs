@@ -7,7 +7,10 @@ use std::{
 };
 
 use clap::{Parser, Subcommand, ValueEnum};
-use singletrack::{demo, dump, simulate};
+use singletrack::{
+    control::{self, ControlCommand},
+    demo, dump, simulate,
+};
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
 #[derive(Parser)]
@@ -31,6 +34,14 @@ enum Command {
         #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
         format: SimulateFormat,
     },
+    /// Ask the daemon how it is doing.
+    Status(control::ControlArgs),
+    /// Have the daemon drive along its reference.
+    Arm(control::ControlArgs),
+    /// Have the car slow down, stop and be disarmed.
+    Disarm(control::ControlArgs),
+    /// Emergency stop: neutral at once, until the board is reset.
+    Stop(control::ControlArgs),
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -53,6 +64,10 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
     match &cli.command {
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
+        Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
+        Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
+        Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
+        Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,

@@ -1,0 +1,100 @@
+//! `singletrack status|arm|disarm|stop`: a word with the running daemon.
+
+use std::{
+    io::{self, BufRead, BufReader, Write},
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use serde_json::Value;
+use singletrackd::{SOCKET_VERSION, config::SocketSection};
+
+/// Where the daemon listens.
+#[derive(Clone, Debug, Args)]
+pub struct ControlArgs {
+    /// The daemon's control socket
+    #[arg(long, value_name = "PATH", default_value_os_t = SocketSection::default().path)]
+    socket: PathBuf,
+}
+
+/// What may be asked of the daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ControlCommand {
+    /// How it is doing.
+    Status,
+    /// Start driving along the reference.
+    Arm,
+    /// Slow down, stop and disarm.
+    Disarm,
+    /// Neutral at once, until the board is reset.
+    Stop,
+}
+
+impl ControlCommand {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Status => "status",
+            Self::Arm => "arm",
+            Self::Disarm => "disarm",
+            Self::Stop => "stop",
+        }
+    }
+}
+
+/// Why the daemon did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum ControlError {
+    /// Nobody listens.
+    #[error(
+        "can't reach the daemon at {}: {source}; is singletrackd running, with this socket.path?",
+        path.display()
+    )]
+    Connect {
+        /// The socket.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The conversation broke off.
+    #[error("the daemon broke off: {0}")]
+    BrokeOff(#[from] io::Error),
+    /// The answer can't be read.
+    #[error("the daemon's answer makes no sense: {0}; are its version and this one the same?")]
+    Answer(#[from] serde_json::Error),
+    /// The daemon refuses.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// Asks the daemon and prints what it answers, as JSON.
+///
+/// # Errors
+///
+/// When it can't be asked, or refuses; the reason is the daemon's.
+pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlError> {
+    let answer = ask(command, &args.socket)?;
+    if answer.get("ok").and_then(Value::as_bool) != Some(true) {
+        let error = answer.get("error").and_then(Value::as_str);
+        return Err(ControlError::Refused(
+            error.map_or_else(|| answer.to_string(), str::to_owned),
+        ));
+    }
+    let told = answer.get("status").unwrap_or(&answer);
+    println!("{}", serde_json::to_string_pretty(told)?);
+    Ok(())
+}
+
+fn ask(command: ControlCommand, path: &Path) -> Result<Value, ControlError> {
+    let mut stream = UnixStream::connect(path).map_err(|source| ControlError::Connect {
+        path: path.to_owned(),
+        source,
+    })?;
+    let request = serde_json::json!({ "version": SOCKET_VERSION, "command": command.name() });
+    stream.write_all(format!("{request}\n").as_bytes())?;
+    let mut line = String::new();
+    if BufReader::new(stream).read_line(&mut line)? == 0 {
+        return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+    }
+    Ok(serde_json::from_str(&line)?)
+}

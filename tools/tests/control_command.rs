@@ -1,0 +1,79 @@
+//! `singletrack status|arm|disarm|stop` against a socket that answers as told.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{
+    io::{BufRead, BufReader, Write},
+    os::unix::net::UnixListener,
+    process::{Command, Output},
+    thread,
+};
+
+/// Runs a command against a daemon that gives one answer; returns the command's
+/// output and what the daemon was asked.
+fn ask(command: &str, answer: &'static str) -> (Output, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control.sock");
+    let listener = UnixListener::bind(&path).unwrap();
+    let daemon = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut line = String::new();
+        BufReader::new(stream.try_clone().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        writeln!(stream, "{answer}").unwrap();
+        line
+    });
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg(command)
+        .arg("--socket")
+        .arg(&path)
+        .output()
+        .unwrap();
+    (output, daemon.join().unwrap())
+}
+
+#[test]
+fn each_command_is_one_line_of_the_sockets_protocol() {
+    for command in ["status", "arm", "disarm", "stop"] {
+        let (output, asked) = ask(command, r#"{"version":1,"ok":true}"#);
+        assert!(output.status.success());
+        let asked: serde_json::Value = serde_json::from_str(&asked).unwrap();
+        assert_eq!(asked, serde_json::json!({"version": 1, "command": command}));
+    }
+}
+
+#[test]
+fn the_status_is_printed() {
+    let (output, _) = ask(
+        "status",
+        r#"{"version":1,"ok":true,"status":{"mode":"idle","reason":"no-pose"}}"#,
+    );
+    let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(printed["reason"], "no-pose");
+}
+
+#[test]
+fn a_refusal_is_an_error_in_the_daemons_words() {
+    let (output, _) = ask(
+        "arm",
+        r#"{"version":1,"ok":false,"error":"not ready: no-pose"}"#,
+    );
+    assert!(!output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("not ready: no-pose")
+    );
+}
+
+#[test]
+fn a_daemon_that_is_not_there_is_named() {
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["arm", "--socket", "/nowhere/control.sock"])
+        .output()
+        .unwrap();
+    assert!(!output.status.success());
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("/nowhere/control.sock") && error.contains("singletrackd"));
+}
