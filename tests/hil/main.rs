@@ -58,7 +58,10 @@ impl Scenario {
 }
 
 /// So often a test is run that has shown nothing.
-const ATTEMPTS: u64 = 3;
+const ATTEMPTS: u64 = 4;
+
+/// Between two attempts.
+const PAUSE: Duration = Duration::from_secs(3);
 
 /// When the rig itself was late by more, a failure shows nothing: a command
 /// lives for 95 ms, of which the simulator must not use up half.
@@ -129,8 +132,10 @@ fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed>
         let void = matches!(failure, Failure::Void(_)) || lateness > TOLERATED_LATENESS;
         if !void || attempt == ATTEMPTS {
             let log = bench.last_log();
+            let folder = bench.keep().display();
             return Err(format!(
-                "{failure}\n(the rig was late by {lateness:.0?} at most)\nthe daemon's last words:\n{log}"
+                "{failure}\n(the rig was late by {lateness:.0?} at most; logs and records are kept in {folder})\n\
+                 the daemon's last words:\n{log}"
             )
             .into());
         }
@@ -139,6 +144,8 @@ fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed>
             scenario.name
         );
         equipment.measurements.forget(scenario.name);
+        // What keeps the machine busy may be over soon.
+        std::thread::sleep(PAUSE);
         attempt += 1;
     }
 }

@@ -106,6 +106,17 @@ impl Bench {
         self.folder.path()
     }
 
+    /// Ends the daemon as it would end by itself, keeps configuration, logs and
+    /// records for whoever looks into a failure, and says where.
+    pub fn keep(&mut self) -> &Path {
+        if let Some(daemon) = &mut self.daemon {
+            // Killed otherwise, it would not finish its record.
+            let _ = daemon.terminate(Duration::from_secs(3));
+        }
+        self.folder.disable_cleanup(true);
+        self.folder.path()
+    }
+
     /// What the next daemon is given.
     pub fn config_mut(&mut self) -> &mut Config {
         &mut self.config

@@ -15,8 +15,8 @@
 //! Board and car are simulated in this process, behind a pseudo-terminal; the
 //! cameras behind UDP on the loopback interface. The tests run one after the
 //! other: each needs the machine's real time for itself. A test that fails
-//! while the simulator itself was late is repeated, because it has shown
-//! nothing.
+//! while the rig itself (simulator or pseudo-terminal) was late is repeated,
+//! because it has shown nothing: let nothing else compile meanwhile.
 //!
 //! # Against a physical UNO
 //!

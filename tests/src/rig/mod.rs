@@ -1,5 +1,6 @@
 //! What the daemon is connected to.
 
+mod canary;
 mod physical;
 mod proxy;
 mod simulated;
@@ -87,8 +88,8 @@ pub trait Rig: Send {
     /// [`Failure::Void`] when the rig has missed it.
     fn last_command_us(&self) -> Outcome<u32>;
 
-    /// How late the rig itself has been: what takes longer than it should
-    /// because the machine is busy.
+    /// How late the rig itself has been, the pseudo-terminal included: what
+    /// takes longer than it should because the machine is busy.
     ///
     /// # Errors
     ///

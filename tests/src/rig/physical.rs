@@ -18,6 +18,7 @@ use singletrack_sim::{LossKind, Pty, RealTimeConfig, RealTimeSimulator, Truth};
 
 use super::{
     LineFaults, Need, Rig,
+    canary::Canary,
     proxy::{Damage, Frames, replace_motion},
     simulated,
 };
@@ -44,6 +45,7 @@ pub struct PhysicalRig {
     shared: Arc<Mutex<Shared>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    canary: Canary,
     /// Whether the board started when the port was opened.
     fresh: bool,
 }
@@ -114,6 +116,7 @@ impl PhysicalRig {
             })
             .map_err(Failure::system("cannot start the line's thread"))?;
         let mut rig = Self {
+            canary: Canary::start()?,
             fresh: false,
             link,
             car,
@@ -253,7 +256,7 @@ impl Rig for PhysicalRig {
     }
 
     fn lateness(&self) -> Outcome<Duration> {
-        Ok(self.shared()?.max_lateness)
+        Ok(self.shared()?.max_lateness.max(self.canary.lateness()))
     }
 
     fn lacks(&self, need: Need) -> Option<&'static str> {

@@ -11,12 +11,15 @@ use singletrack_board::Board;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ResetCause, StopCause};
 use singletrack_sim::{LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth};
 
-use super::{LineFaults, Need, Rig};
+use super::{LineFaults, Need, Rig, canary::Canary};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// Board, car and cameras in the simulator.
 #[derive(Debug)]
-pub struct SimulatedRig(RealTimeSimulator);
+pub struct SimulatedRig {
+    simulator: RealTimeSimulator,
+    canary: Canary,
+}
 
 impl SimulatedRig {
     /// Powers everything on, with the board's port at `link`.
@@ -30,7 +33,10 @@ impl SimulatedRig {
             pty_link: Some(link),
             ..RealTimeConfig::default()
         };
-        start(config).map(Self)
+        Ok(Self {
+            simulator: start(config)?,
+            canary: Canary::start()?,
+        })
     }
 }
 
@@ -54,24 +60,24 @@ pub(super) fn be_punctual() {
 
 impl Rig for SimulatedRig {
     fn port(&self) -> &Path {
-        self.0.pty_path()
+        self.simulator.pty_path()
     }
 
     fn cameras(&self) -> SocketAddrV4 {
-        self.0.command_address()
+        self.simulator.command_address()
     }
 
     fn unplug(&self) -> Outcome {
-        Ok(self.0.unplug()?)
+        Ok(self.simulator.unplug()?)
     }
 
     fn plug(&self) -> Outcome {
-        self.0.plug()?;
+        self.simulator.plug()?;
         Ok(())
     }
 
     fn set_line(&self, line: LineFaults) -> Outcome {
-        Ok(self.0.with_world(move |world| {
+        Ok(self.simulator.with_world(move |world| {
             let faults = world.wire_mut().faults_mut();
             faults.corrupt = line.corrupt;
             faults.stuck = line.stuck;
@@ -80,16 +86,16 @@ impl Rig for SimulatedRig {
 
     fn set_markers(&self, loss: Option<LossKind>) -> Outcome {
         Ok(self
-            .0
+            .simulator
             .with_world(move |world| world.cameras_mut().faults_mut().loss = loss)?)
     }
 
     fn truth(&self) -> Outcome<Truth> {
-        Ok(self.0.truth()?.truth)
+        Ok(self.simulator.truth()?.truth)
     }
 
     fn trace(&self) -> Outcome<Trace> {
-        Ok(Trace(self.0.with_world(|world| {
+        Ok(Trace(self.simulator.with_world(|world| {
             world
                 .board()
                 .pulses()
@@ -105,13 +111,13 @@ impl Rig for SimulatedRig {
 
     fn board_time_us(&self) -> Outcome<Option<u32>> {
         Ok(self
-            .0
+            .simulator
             .with_world(|world| world.board().board_time_us(world.now_us()))?)
     }
 
     fn stop_cause(&self) -> Outcome<Option<StopCause>> {
         Ok(self
-            .0
+            .simulator
             .with_world(|world| world.board().code().map(Board::stop_cause))?)
     }
 
@@ -119,7 +125,7 @@ impl Rig for SimulatedRig {
     /// back is the telemetry that the host had seen when it sent it.
     fn last_command_us(&self) -> Outcome<u32> {
         let deadline = || {
-            self.0.with_world(|world| {
+            self.simulator.with_world(|world| {
                 let code = world.board().code();
                 code.and_then(|code| code.outputs().drive_deadline_us)
             })
@@ -138,7 +144,8 @@ impl Rig for SimulatedRig {
     }
 
     fn lateness(&self) -> Outcome<Duration> {
-        Ok(Duration::from_micros(self.0.counters()?.max_lateness_us))
+        let simulator = Duration::from_micros(self.simulator.counters()?.max_lateness_us);
+        Ok(simulator.max(self.canary.lateness()))
     }
 
     fn lacks(&self, _need: Need) -> Option<&'static str> {
@@ -146,11 +153,13 @@ impl Rig for SimulatedRig {
     }
 
     fn reset(&self, cause: ResetCause) -> Outcome {
-        Ok(self.0.with_world(move |world| world.reset_board(cause))?)
+        Ok(self
+            .simulator
+            .with_world(move |world| world.reset_board(cause))?)
     }
 
     fn cut_motor_sensor(&self) -> Outcome {
-        Ok(self.0.with_world(|world| {
+        Ok(self.simulator.with_world(|world| {
             world
                 .car_mut()
                 .set_motor_sensor_fault(MotorSensorFault::Gone);
@@ -159,7 +168,7 @@ impl Rig for SimulatedRig {
 
     fn open_stop_switch(&self) -> Outcome {
         Ok(self
-            .0
+            .simulator
             .with_world(|world| world.board_mut().set_stop_input_open(true))?)
     }
 }

@@ -1,0 +1,87 @@
+//! How late the system delivers what is written to a pseudo-terminal.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::Read,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use singletrack_sim::Pty;
+
+use super::simulated::be_punctual;
+use crate::{Failure, Outcome};
+
+/// Time between two bytes.
+const PERIOD: Duration = Duration::from_millis(10);
+
+/// A pseudo-terminal of its own, through which a byte goes every 10 ms.
+///
+/// Bytes get from one end of a pseudo-terminal to the other by the kernel's
+/// worker threads, which share the processors with everybody else: on a machine
+/// that compiles, telemetry was seen to wait there for 200 ms while simulator
+/// and daemon were in time. What this one suffers, the board's line suffers too.
+#[derive(Debug)]
+pub(super) struct Canary {
+    late_us: Arc<AtomicU64>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Canary {
+    pub(super) fn start() -> Outcome<Self> {
+        let pty = Pty::open(None).map_err(|error| Failure::new(error.to_string()))?;
+        let far_end = OpenOptions::new()
+            .read(true)
+            .open(pty.path())
+            .map_err(Failure::system("cannot open a pseudo-terminal"))?;
+        let late_us = Arc::new(AtomicU64::new(0));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (worst_us, stopped) = (Arc::clone(&late_us), Arc::clone(&stop));
+        let thread = thread::Builder::new()
+            .name("canary".to_owned())
+            .spawn(move || {
+                be_punctual();
+                sing(&pty, far_end, &worst_us, &stopped);
+            })
+            .map_err(Failure::system("cannot start a thread"))?;
+        Ok(Self {
+            late_us,
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// The longest that a byte has taken.
+    pub(super) fn lateness(&self) -> Duration {
+        Duration::from_micros(self.late_us.load(Ordering::Relaxed))
+    }
+}
+
+impl Drop for Canary {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // It has nothing to say any more.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn sing(pty: &Pty, mut far_end: File, worst_us: &AtomicU64, stop: &AtomicBool) {
+    let mut byte = [0];
+    while !stop.load(Ordering::Relaxed) {
+        thread::sleep(PERIOD);
+        let written = Instant::now();
+        if !pty.write(&[1]).is_ok_and(|count| count == 1) || far_end.read_exact(&mut byte).is_err()
+        {
+            return;
+        }
+        let took_us = u64::try_from(written.elapsed().as_micros()).unwrap_or(u64::MAX);
+        worst_us.fetch_max(took_us, Ordering::Relaxed);
+    }
+}
