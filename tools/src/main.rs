@@ -73,8 +73,11 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
             format: SimulateFormat::Csv,
         } => {
             let scenario = simulate::Scenario::read(scenario)?;
-            let rows = simulate::simulate(&scenario)?;
-            match simulate::write_csv(&rows, &mut BufWriter::new(io::stdout().lock())) {
+            let simulation = simulate::simulate(&scenario)?;
+            for note in &simulation.notes {
+                eprintln!("singletrack: note: {note}");
+            }
+            match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
                 // Whoever read the rows has seen enough.
                 Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
                 result => result?,

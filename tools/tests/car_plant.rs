@@ -39,7 +39,7 @@ fn tracking(rows: &[Row]) -> Tracking {
 
 #[test]
 fn the_circle_is_driven_on_the_amplitude_and_with_the_lag_of_unit_gain() {
-    let tracking = tracking(&simulate(&circle()).unwrap());
+    let tracking = tracking(&simulate(&circle()).unwrap().rows);
     assert!(
         (tracking.amplitude_m - 0.894_427).abs() < 0.02,
         "{tracking:?}"
@@ -49,7 +49,7 @@ fn the_circle_is_driven_on_the_amplitude_and_with_the_lag_of_unit_gain() {
 
 #[test]
 fn feed_forward_brings_p_within_a_centimetre() {
-    let tracking = tracking(&simulate(&with_feed_forward()).unwrap());
+    let tracking = tracking(&simulate(&with_feed_forward()).unwrap().rows);
     assert!(tracking.rms_error_m <= 0.010, "{tracking:?}");
 }
 
@@ -62,7 +62,7 @@ fn losses_of_200_ms_every_2_s_leave_the_car_on_its_circle() {
             ticks: 20,
         })
         .collect();
-    let tracking = tracking(&simulate(&scenario).unwrap());
+    let tracking = tracking(&simulate(&scenario).unwrap().rows);
     assert!(
         (tracking.amplitude_m - 0.894_427).abs() < 0.03,
         "{tracking:?}"
@@ -78,6 +78,7 @@ fn the_same_seed_gives_the_same_bits_and_another_does_not() {
         scenario.run.seed = seed;
         simulate(&scenario)
             .unwrap()
+            .rows
             .iter()
             .flat_map(|row| row.values().map(f64::to_bits))
             .collect::<Vec<_>>()

@@ -21,7 +21,7 @@ fn scenario(name: &str) -> Scenario {
 
 /// Compares positions and angles with a reference file at its times.
 fn assert_reproduces(scenario: &Scenario, reference: &str) {
-    let rows = simulate(scenario).unwrap();
+    let rows = simulate(scenario).unwrap().rows;
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/reference")
         .join(reference);
@@ -92,7 +92,7 @@ fn amplitude_and_lag(row: &Row) -> (f64, f64) {
 
 #[test]
 fn unit_gain_settles_on_the_amplitude_and_lag_of_a_first_order_low_pass() {
-    let rows = simulate(&scenario("circle.toml")).unwrap();
+    let rows = simulate(&scenario("circle.toml")).unwrap().rows;
     let (amplitude, lag) = amplitude_and_lag(rows.last().unwrap());
     assert!((amplitude - 1.0 / 1.25_f64.sqrt()).abs() < 1e-9);
     assert!((lag - 0.5_f64.atan()).abs() < 1e-9);
@@ -107,7 +107,7 @@ fn feed_forward_removes_the_error() {
         panic!("the circle is tracked proportionally");
     };
     *feed_forward = true;
-    let last = *simulate(&scenario).unwrap().last().unwrap();
+    let last = *simulate(&scenario).unwrap().rows.last().unwrap();
     assert!((last.x_p - last.x_ref).hypot(last.y_p - last.y_ref) < 1e-9);
 }
 
@@ -115,7 +115,7 @@ fn feed_forward_removes_the_error() {
 fn a_wrong_centre_of_mass_moves_p_by_twice_its_error_times_the_sine_of_half_the_turn() {
     let mut scenario = scenario("steps.toml");
     scenario.law.front_axle_distance_m = 0.26;
-    for row in simulate(&scenario).unwrap() {
+    for row in simulate(&scenario).unwrap().rows {
         let error = (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref);
         let expected = 2.0 * (0.1232 * (row.yaw / 2.0).sin()).abs();
         assert!((error - expected).abs() < 1e-9, "t = {}", row.t);
@@ -126,8 +126,34 @@ fn a_wrong_centre_of_mass_moves_p_by_twice_its_error_times_the_sine_of_half_the_
 fn the_velocity_point_law_linearises_its_own_point_exactly() {
     let mut scenario = scenario("steps.toml");
     scenario.law.kind = singletrackd::config::LawKind::VelocityPoint;
-    for row in simulate(&scenario).unwrap() {
+    for row in simulate(&scenario).unwrap().rows {
         let error = (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref);
         assert!(error < 1e-8, "t = {}: {error}", row.t);
+    }
+}
+
+#[test]
+fn beyond_the_last_velocity_step_the_ideal_integrator_goes_on_with_p() {
+    let mut scenario = scenario("steps.toml");
+    scenario.run.duration_s = 24.0;
+    let last = *simulate(&scenario).unwrap().rows.last().unwrap();
+    assert!((last.t - 24.0).abs() < 1e-9);
+    assert!((last.x_ref + 4.5).abs() < 1e-9 && (last.y_ref - 0.6).abs() < 1e-9);
+    assert!((last.x_p - last.x_ref).hypot(last.y_p - last.y_ref) < 1e-9);
+}
+
+#[test]
+fn the_position_loop_follows_velocity_steps_by_their_integral() {
+    let mut scenario = scenario("steps.toml");
+    scenario.law.front_axle_distance_m = 0.2;
+    scenario.outer_loop = singletrackd::config::OuterLoopSection::Proportional {
+        gain_per_s: [1.0, 1.0],
+        feed_forward: true,
+    };
+    // The estimated P has no error to begin with; the true one is off by what
+    // the estimate is.
+    for row in simulate(&scenario).unwrap().rows {
+        let off = (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref);
+        assert!(off < 0.2, "t = {}: {off}", row.t);
     }
 }

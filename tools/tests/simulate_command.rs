@@ -100,7 +100,11 @@ fn what_makes_no_sense_is_refused_with_the_key_and_the_value() {
             "period_ms = 0",
             ["period_ms", "delay_ticks"],
         ),
-        ("first_tick = 130", "first_tick = 0", ["first_tick", "0"]),
+        (
+            "first_tick = 130",
+            "first_tick = 9000000000",
+            ["first_tick", "9000000000"],
+        ),
         (
             "gain_per_s = [1.0, 1.0]",
             "gain_per_s = [1.0, -1.0]",
@@ -138,5 +142,67 @@ fn a_file_that_is_not_there_is_named() {
         String::from_utf8(output.stderr)
             .unwrap()
             .contains("no-such-scenario.toml")
+    );
+}
+
+/// Runs a scenario that was changed; returns what was said.
+fn run_changed(name: &str, changes: &[(&str, &str)]) -> Output {
+    let mut text = std::fs::read_to_string(scenario(name)).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from:?} is not in the scenario");
+        text = text.replacen(from, to, 1);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scenario.toml");
+    std::fs::write(&path, text).unwrap();
+    simulate(&path)
+}
+
+#[test]
+fn a_car_that_stops_early_says_when_and_why_beside_its_rows() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[(
+            "duration_s = 40.0",
+            "duration_s = 4.0\n[[marker_loss]]\nfirst_tick = 100\nticks = 200",
+        )],
+    );
+    assert!(output.status.success());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("pose-too-old"), "{said}");
+    assert_eq!(output.stdout.split(|byte| *byte == b'\n').count(), 83);
+}
+
+#[test]
+fn what_the_car_does_not_take_from_a_scenario_is_said() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[
+            ("period_ms = 10", "period_ms = 10\ndelay_ticks = 1"),
+            ("duration_s = 40.0", "duration_s = 0.5"),
+        ],
+    );
+    assert!(output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("delay_ticks")
+    );
+}
+
+#[test]
+fn a_loss_of_frames_that_are_under_way_is_refused_on_the_car() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[(
+            "duration_s = 40.0",
+            "duration_s = 0.5\n[[marker_loss]]\nfirst_tick = 1\nticks = 1",
+        )],
+    );
+    assert!(!output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("first_tick")
     );
 }

@@ -19,7 +19,8 @@ pub enum Mode {
     Driving,
     /// Slowing down to a stop, wheels held.
     Stopping,
-    /// Something can't be; stopped until a disarm request clears it.
+    /// An emergency stop, or a state that can't be. A disarm request clears it;
+    /// after an emergency stop so does a board that was reset.
     Fault,
 }
 
@@ -52,6 +53,8 @@ pub enum Reason {
     LinkDown,
     /// The board is starting up.
     BoardBooting,
+    /// The board is still armed from before.
+    BoardArmed,
     /// The board stopped the car by itself.
     BoardFailsafe,
     /// An emergency stop is latched until the board is reset.
@@ -87,6 +90,7 @@ impl Reason {
         match self {
             Self::LinkDown => "link-down",
             Self::BoardBooting => "board-booting",
+            Self::BoardArmed => "board-armed",
             Self::BoardFailsafe => "board-failsafe",
             Self::EmergencyStop => "emergency-stop",
             Self::BoardRefused => "board-refused",
@@ -194,6 +198,8 @@ pub struct Supervisor {
     link: LinkState,
     board: Option<BoardState>,
     untrustworthy: bool,
+    /// The board has been seen to latch the emergency stop.
+    latched: bool,
     arm_requested: bool,
     stop_requested: bool,
     emergency_requested: bool,
@@ -212,6 +218,7 @@ impl Supervisor {
             link: LinkState::Down,
             board: None,
             untrustworthy: false,
+            latched: false,
             arm_requested: false,
             stop_requested: false,
             emergency_requested: false,
@@ -271,7 +278,11 @@ impl Supervisor {
     pub const fn handle_request(&mut self, request: Request) {
         match request {
             Request::Arm => self.arm_requested = true,
-            Request::Disarm => self.stop_requested = true,
+            Request::Disarm => {
+                self.stop_requested = true;
+                // Whoever says stop last is obeyed.
+                self.arm_requested = false;
+            }
             Request::EmergencyStop => self.emergency_requested = true,
         }
     }
@@ -284,28 +295,39 @@ impl Supervisor {
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
 
+        if emergency {
+            // Even without a link: it is repeated until the board confirms it.
+            self.latched = false;
+            self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
+            return Some(BoardRequest::EmergencyStop);
+        }
+        if self.mode == Mode::Fault {
+            return self.faulted(stop, now);
+        }
         if self.link == LinkState::Down {
             self.enter(Mode::Disconnected, Some(Reason::LinkDown), now);
             return None;
         }
-        if emergency {
-            self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
-            return Some(BoardRequest::EmergencyStop);
-        }
         match self.mode {
-            Mode::Disconnected | Mode::Idle | Mode::Ready => self.wait(arm, conditions),
+            Mode::Disconnected | Mode::Idle | Mode::Ready => self.wait(arm, stop, conditions),
             Mode::Arming => self.arming(stop, refused, conditions),
             Mode::Driving => self.driving(stop, conditions),
             Mode::Stopping => self.stopping(conditions),
-            Mode::Fault => {
-                if stop && self.board != Some(BoardState::EmergencyStopped) {
-                    self.enter(Mode::Idle, self.reason, now);
-                    Some(BoardRequest::Disarm)
-                } else {
-                    None
-                }
-            }
+            Mode::Fault => None,
         }
+    }
+
+    /// Stays stopped until somebody clears it.
+    fn faulted(&mut self, stop: bool, now: Time) -> Option<BoardRequest> {
+        let latched = self.board == Some(BoardState::EmergencyStopped);
+        self.latched |= latched;
+        let board_was_reset =
+            self.latched && matches!(self.board, Some(BoardState::Booting | BoardState::Neutral));
+        if (stop && !latched) || board_was_reset {
+            self.enter(Mode::Idle, self.reason, now);
+            return stop.then_some(BoardRequest::Disarm);
+        }
+        None
     }
 
     /// Stops at once: the controller has no answer.
@@ -314,18 +336,24 @@ impl Supervisor {
         BoardRequest::Disarm
     }
 
-    fn wait(&mut self, arm: bool, conditions: &Conditions) -> Option<BoardRequest> {
+    fn wait(&mut self, arm: bool, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
         let now = conditions.now;
+        let armed = matches!(self.board, Some(BoardState::Armed | BoardState::Driving));
         match self.missing(conditions) {
             Some(missing) => {
-                // What ended a drive stays told until something else is wrong.
-                let reason = if self.mode == Mode::Idle && !arm && self.stopped_for_a_reason() {
+                // What ended a drive stays told while the car comes to rest,
+                // until something else is wrong.
+                let settling = matches!(
+                    missing,
+                    Reason::Moving | Reason::EstimateUnsettled | Reason::BoardArmed
+                );
+                let reason = if settling && !arm && self.stopped_for_a_reason() {
                     self.reason
                 } else {
                     Some(missing)
                 };
                 self.enter(Mode::Idle, reason, now);
-                None
+                (stop && armed).then_some(BoardRequest::Disarm)
             }
             None if arm => {
                 self.enter(Mode::Arming, None, now);
@@ -361,12 +389,8 @@ impl Supervisor {
         match self.board {
             None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
             Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(
-                BoardState::Neutral
-                | BoardState::Failsafe
-                | BoardState::Armed
-                | BoardState::Driving,
-            ) => {}
+            Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
+            Some(BoardState::Neutral | BoardState::Failsafe) => {}
         }
         if let Some(reason) = self.blind(conditions, self.config.fresh) {
             return Some(reason);
@@ -413,6 +437,10 @@ impl Supervisor {
         let now = conditions.now;
         if stop {
             return self.give_up(Reason::Requested, now);
+        }
+        if self.board == Some(BoardState::EmergencyStopped) {
+            self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
+            return None;
         }
         if refused {
             return self.give_up(Reason::BoardRefused, now);

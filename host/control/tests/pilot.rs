@@ -357,3 +357,147 @@ fn the_same_events_give_the_same_bits() {
     };
     assert_eq!(run(), run());
 }
+
+#[test]
+fn whoever_says_stop_in_the_same_tick_as_arm_is_obeyed() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.tick += 1;
+    let output = bench.pilot.step(
+        bench.now(),
+        &[
+            Event::Request(Request::Arm),
+            Event::Request(Request::Disarm),
+        ],
+    );
+    assert_ne!(output.request, Some(BoardRequest::Arm));
+    for _ in 0..100 {
+        assert!(bench.step().command.is_none());
+    }
+}
+
+#[test]
+fn an_emergency_stop_asked_for_without_a_link_is_not_forgotten() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.tick += 1;
+    let output = bench.pilot.step(
+        bench.now(),
+        &[
+            Event::Link(LinkState::Down),
+            Event::Request(Request::EmergencyStop),
+        ],
+    );
+    assert_eq!(output.request, Some(BoardRequest::EmergencyStop));
+    bench.tick += 1;
+    bench
+        .pilot
+        .step(bench.now(), &[Event::Link(LinkState::Ready)]);
+    for _ in 0..200 {
+        let output = bench.step_with(Some(Request::Arm));
+        assert_eq!(output.mode, Mode::Fault);
+        assert_eq!(output.reason, Some(Reason::EmergencyStop));
+    }
+    // A person clears it.
+    bench.step_with(Some(Request::Disarm));
+    assert_eq!(bench.run(5).mode, Mode::Ready);
+}
+
+#[test]
+fn a_board_that_was_reset_after_an_emergency_stop_can_be_armed_again() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(Request::EmergencyStop));
+    bench.run(20);
+    assert_eq!(bench.pilot.mode(), Mode::Fault);
+    bench.board = BoardState::Neutral;
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+}
+
+#[test]
+fn a_link_that_flaps_does_not_clear_a_fault() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(Request::EmergencyStop));
+    for link in [LinkState::Down, LinkState::Ready] {
+        bench.tick += 1;
+        let output = bench.pilot.step(bench.now(), &[Event::Link(link)]);
+        assert_eq!(output.mode, Mode::Fault);
+    }
+}
+
+#[test]
+fn poses_that_come_later_than_the_prediction_reaches_still_move_the_estimate() {
+    let latency = 45_000_000;
+    let mut pilot = Pilot::new(config());
+    pilot.step(Time(1), &[Event::Link(LinkState::Ready)]);
+    let mut last = None;
+    for tick in 100..400_u64 {
+        let now = Time(tick * TICK_NS);
+        let capture = Time(now.0 - latency);
+        let position = |time: Time| Position::new(time.0 as f64 * 1e-9 * 0.5, 0.0);
+        let output = pilot.step(
+            now,
+            &[
+                Event::Board(BoardSample {
+                    time: now,
+                    inertial: Some(InertialSample {
+                        time: now,
+                        yaw_rate: 0.0,
+                        forward_acceleration: 0.0,
+                        left_acceleration: 0.0,
+                    }),
+                    motor_speed: 0.5,
+                    state: BoardState::Neutral,
+                }),
+                Event::Pose(PoseSample {
+                    capture,
+                    receive: now,
+                    frame: i32::try_from(tick).unwrap(),
+                    position: position(capture),
+                    yaw: 0.0,
+                }),
+            ],
+        );
+        last = output
+            .estimate
+            .map(|estimate| (estimate.position - position(now)).norm());
+    }
+    assert!(last.unwrap() < 0.02, "{last:?}");
+}
+
+#[test]
+fn an_imu_that_was_away_has_the_estimate_settle_anew() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.imu = false;
+    bench.run(100);
+    bench.imu = true;
+    let output = bench.run(3);
+    assert_eq!(output.reason, Some(Reason::EstimateUnsettled));
+    assert_eq!(bench.run(60).mode, Mode::Ready);
+}
+
+#[test]
+fn what_is_wrong_now_is_told_rather_than_why_the_last_drive_ended() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(Request::Disarm));
+    let (output, _) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::Requested));
+    bench.pose = Pose::Missing;
+    assert_eq!(bench.run(50).reason, Some(Reason::PoseTooOld));
+}
+
+#[test]
+fn a_board_that_is_armed_from_before_is_not_driven_but_disarmed_on_request() {
+    let mut bench = Bench::new();
+    bench.board = BoardState::Armed;
+    let output = bench.run(100);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::BoardArmed))
+    );
+    let output = bench.step_with(Some(Request::Disarm));
+    assert_eq!(output.request, Some(BoardRequest::Disarm));
+}

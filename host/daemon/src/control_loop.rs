@@ -158,9 +158,11 @@ impl<L: Line> ControlLoop<L> {
         self.take_requests(slot.start_ns);
         let now = Time(clock());
         self.end_if_done(now.0);
-        if self.arm_when_ready && self.controller.pilot().mode() == Mode::Ready {
-            self.arm_when_ready = false;
-            self.controller.request(Request::Arm);
+        match self.controller.pilot().mode() {
+            Mode::Ready if self.arm_when_ready => self.controller.request(Request::Arm),
+            // Once: what stops the car after that is not overruled.
+            Mode::Arming | Mode::Driving => self.arm_when_ready = false,
+            _ => {}
         }
 
         let Self {
@@ -265,16 +267,19 @@ impl<L: Line> ControlLoop<L> {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
                 ControlRequest::Pilot(Request::Arm) if self.ending != Ending::Running => {}
-                ControlRequest::Pilot(request) => self.controller.request(request),
+                ControlRequest::Pilot(request) => {
+                    // Who says stop before it was ready means that one too.
+                    self.arm_when_ready &= request == Request::Arm;
+                    self.controller.request(request);
+                }
                 ControlRequest::Finish => {
                     if self.ending == Ending::Running {
                         self.arm_when_ready = false;
                         self.ending = Ending::Finishing {
                             until_ns: now_ns.saturating_add(FINISH_NS),
                         };
-                        if self.is_driving() {
-                            self.controller.request(Request::Disarm);
-                        }
+                        // Also takes back an arm request of this very tick.
+                        self.controller.request(Request::Disarm);
                     }
                 }
                 ControlRequest::Abort => self.abort(now_ns),

@@ -15,6 +15,10 @@ use singletrack_protocol::{BoardMode, Request as BoardRequestKind};
 /// telemetry.
 pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
 
+/// Room among them for what must not be lost: a stall fills the rest with
+/// samples just when somebody says stop.
+const RESERVED: usize = 16;
+
 /// The events of one tick, in order.
 pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 
@@ -211,7 +215,11 @@ struct Queue<'a> {
 
 impl Queue<'_> {
     fn push(&mut self, event: Event) {
-        if self.events.push(event).is_err() {
+        let room = match event {
+            Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
+            Event::Link(_) | Event::Request(_) | Event::ArmRefused => MAX_EVENTS,
+        };
+        if self.events.len() >= room || self.events.push(event).is_err() {
             *self.dropped = self.dropped.saturating_add(1);
         }
     }
@@ -226,10 +234,6 @@ impl Queue<'_> {
             | LinkEvent::BoardRestarted { .. }
             | LinkEvent::Lost { .. } => self.push(Event::Link(LinkState::Down)),
             LinkEvent::Refused {
-                request: BoardRequestKind::Arm,
-                ..
-            }
-            | LinkEvent::Unanswered {
                 request: BoardRequestKind::Arm,
                 ..
             } => self.push(Event::ArmRefused),

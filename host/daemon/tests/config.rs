@@ -9,7 +9,7 @@
 use singletrack_control::{
     EstimatorConfig, Limits, Reference, SupervisorConfig, TrackingLoop, VehicleParameters,
 };
-use singletrackd::config::{BoardSection, Config, ConfigError};
+use singletrackd::config::{BoardSection, Config, ConfigError, OuterLoopSection};
 
 const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
 
@@ -457,11 +457,6 @@ fn keys_of_another_kind_are_refused_and_missing_ones_named() {
             "radius_m = \"wide\"",
         ),
         (
-            "kind = \"proportional\"",
-            "kind = \"open-loop\"",
-            "outer_loop.gain_per_s is no key of kind = \"open-loop\"",
-        ),
-        (
             "gain_per_s = [1.0, 1.0]",
             "",
             "outer_loop.gain_per_s is missing",
@@ -472,6 +467,14 @@ fn keys_of_another_kind_are_refused_and_missing_ones_named() {
         let message = Config::from_toml(&text).unwrap_err().to_string();
         assert!(message.contains(part), "{to}: {message}");
     }
+}
+
+#[test]
+fn a_loop_that_is_opened_for_a_while_may_keep_its_gains() {
+    let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);
+    assert_ne!(text, EXAMPLE);
+    let config = Config::from_toml(&text).unwrap();
+    assert_eq!(config.outer_loop, OuterLoopSection::OpenLoop {});
 }
 
 #[test]

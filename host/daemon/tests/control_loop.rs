@@ -14,9 +14,9 @@ use std::{
 };
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::{Mode, Pilot};
+use singletrack_control::{Event, Mode, Pilot, Request, Time};
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Observation, Outcome, Session as MocapSession};
+use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{Destination, SimulationConfig, World};
@@ -323,6 +323,61 @@ fn standing_it_is_done_at_the_next_tick() {
     outside.requests.push(ControlRequest::Finish).unwrap();
     tick(&mut control, 100);
     assert!(control.is_done());
+}
+
+#[test]
+fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
+    let (mut control, mut outside) = set_up();
+    outside
+        .requests
+        .push(ControlRequest::Pilot(Request::Disarm))
+        .unwrap();
+    let mut modes = Vec::new();
+    for index in 1..600 {
+        outside.run_until_tick(index);
+        tick(&mut control, index);
+        modes.extend(outside.after_tick());
+    }
+    modes.dedup();
+    assert_eq!(modes, [Mode::Disconnected, Mode::Idle, Mode::Ready]);
+
+    // And to end in the tick in which somebody arms leaves nothing armed.
+    outside
+        .requests
+        .push(ControlRequest::Pilot(Request::Arm))
+        .unwrap();
+    outside.requests.push(ControlRequest::Finish).unwrap();
+    for index in 600..640 {
+        outside.run_until_tick(index);
+        tick(&mut control, index);
+        outside.after_tick();
+        assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
+    }
+    assert!(control.is_done());
+}
+
+#[test]
+fn a_flood_of_samples_leaves_room_for_a_stop() {
+    let config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+    let mut controller = Controller::new(
+        LinkSession::new(config.link(7)).unwrap(),
+        Pilot::new(config.pilot().unwrap()),
+    );
+    for frame_number in 0..1_000 {
+        controller.observed(&Observation {
+            frame_number,
+            receive_time_ns: 1,
+            state: PoseState::Absent,
+        });
+    }
+    controller.request(Request::EmergencyStop);
+    let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
+    assert!(tick.dropped_events > 0);
+    assert_eq!(
+        tick.events.last(),
+        Some(&Event::Request(Request::EmergencyStop))
+    );
+    assert_eq!(tick.output.mode, Mode::Fault);
 }
 
 #[test]

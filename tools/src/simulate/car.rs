@@ -1,12 +1,13 @@
 //! The whole pilot on the simulated car, board and cameras.
 
-use singletrack_control::{Mode, Position, Reference, direction};
+use singletrack_control::{Mode, Position, Reason, Reference, direction};
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
 use singletrackd::config::LawKind;
 
 use super::{
+    Simulation,
     row::{ROWS_PER_SECOND, Row},
-    scenario::{Scenario, ScenarioError},
+    scenario::{Scenario, ScenarioError, SteeringHold},
 };
 use crate::{
     simulated::{self, daemon_config},
@@ -46,6 +47,10 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
         )
         .into());
     }
+    scenario
+        .outer_loop
+        .validate_for(&scenario.reference().map_err(ScenarioError::from)?)
+        .map_err(ScenarioError::from)?;
     let vehicle = scenario.vehicle;
     let yaw = scenario.start.yaw_deg.to_radians();
     let [x, y] = scenario.start.point_p_m;
@@ -86,10 +91,21 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
 /// # Errors
 ///
 /// A scenario that the car can't drive, or a car that does not start.
-pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
+pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
     let config = virtual_drive_config(scenario)?;
     let period_us = config.period_us;
     let latency_us = config.simulation.cameras.latency_us;
+    let under_way = latency_us.div_ceil(period_us);
+    for loss in &scenario.marker_loss {
+        if loss.first_tick <= under_way {
+            return Err(ScenarioError::value(
+                "marker_loss.first_tick",
+                loss.first_tick,
+                "on plant kind \"car\" the frames of the first ticks are under way when it starts; make it later",
+            )
+            .into());
+        }
+    }
     let reference = config.pilot.reference.clone();
     let mut drive = VirtualDrive::new(config)?;
     let mut last = drive.start()?;
@@ -108,7 +124,8 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
         let [x, y] = scenario.start.point_p_m;
         Position::new(x, y)
     };
-    (0..=rows)
+    let mut ended = None;
+    let rows = (0..=rows)
         .map(|index| {
             let row_us = start_us + index * 1_000_000 / ROWS_PER_SECOND;
             while drive.next_tick_us() <= row_us {
@@ -121,9 +138,27 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, CarError> {
                 drive.world().truth()
             };
             let time = index as f64 / ROWS_PER_SECOND as f64;
-            Ok(row(scenario, &reference, start, time, &truth, &last))
+            let output = &last.tick.output;
+            if output.mode != Mode::Driving && ended.is_none() {
+                let reason = output.reason.map_or("no reason", Reason::name);
+                ended = Some(format!(
+                    "the car no longer follows its reference from t = {time} s on: {}, {reason}",
+                    output.mode
+                ));
+            }
+            row(scenario, &reference, start, time, &truth, &last)
         })
-        .collect()
+        .collect();
+    let mut notes = Vec::new();
+    if scenario.control.delay_ticks > 0 || scenario.control.steering == SteeringHold::Step {
+        notes.push(
+            "control.delay_ticks and control.steering are the ideal plant's; the car has its own \
+             delays, and a servo"
+                .to_owned(),
+        );
+    }
+    notes.extend(ended);
+    Ok(Simulation { rows, notes })
 }
 
 fn row(

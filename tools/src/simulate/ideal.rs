@@ -173,17 +173,20 @@ impl<'a> Simulation<'a> {
                 integrator.advance(&mut vector, begin, stop, |t, vector| {
                     // The step ends where the reference switches: its own
                     // stages must still see what was before.
-                    let reference = if t > begin {
-                        self.reference.before(t)
-                    } else {
-                        self.reference.at(t)
-                    };
+                    let reference = self.placed(
+                        t,
+                        if t > begin {
+                            self.reference.before(t)
+                        } else {
+                            self.reference.at(t)
+                        },
+                    );
                     let (_, command) = self.decide(t, vector, &reference)?;
                     Ok::<_, IdealError>(self.slope(vector, &command))
                 })?;
                 time = stop;
             }
-            let (velocity, command) = self.decide(end, &vector, &self.reference.at(end))?;
+            let (velocity, command) = self.decide(end, &vector, &self.reference_at(end))?;
             if let SteeringCommand::Angle(steering) = command.steering {
                 vector[5] = steering;
             }
@@ -229,7 +232,7 @@ impl<'a> Simulation<'a> {
                 source,
             };
             let velocity = self.tracking.velocity(
-                &self.reference.at(begin),
+                &self.reference_at(begin),
                 &self.law.point(&measured, steering),
             );
             let command = self
@@ -350,10 +353,7 @@ impl<'a> Simulation<'a> {
             ),
             Law::VelocityPoint(_) => velocity_point(centre, state.yaw, state.sideslip, p),
         };
-        let reference = match &self.reference {
-            Reference::VelocitySteps(steps) => steps.integrate(self.start, time),
-            other => other.at(time).position.unwrap_or(self.start),
-        };
+        let reference = self.reference_at(time).position.unwrap_or(self.start);
         Row {
             t: time,
             yaw: state.yaw,
@@ -370,6 +370,21 @@ impl<'a> Simulation<'a> {
             y_ref: reference.y,
             v_px: velocity.x,
             v_py: velocity.y,
+        }
+    }
+
+    fn reference_at(&self, time: f64) -> ReferencePoint {
+        self.placed(time, self.reference.at(time))
+    }
+
+    /// Velocity steps get the position of an ideal integrator that starts with P.
+    fn placed(&self, time: f64, reference: ReferencePoint) -> ReferencePoint {
+        match &self.reference {
+            Reference::VelocitySteps(steps) => ReferencePoint {
+                position: Some(steps.integrate(self.start, time)),
+                ..reference
+            },
+            _ => reference,
         }
     }
 

@@ -26,14 +26,26 @@ pub enum SimulateError {
     Car(#[from] CarError),
 }
 
+/// What came of a scenario.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    /// The trajectory.
+    pub rows: Vec<Row>,
+    /// What a person should know of it.
+    pub notes: Vec<String>,
+}
+
 /// Runs a scenario on the plant that it names.
 ///
 /// # Errors
 ///
 /// A scenario that can't be run, with the reason.
-pub fn simulate(scenario: &Scenario) -> Result<Vec<Row>, SimulateError> {
+pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
     Ok(match scenario.plant.kind {
-        PlantKind::Ideal => ideal::simulate(scenario)?,
+        PlantKind::Ideal => Simulation {
+            rows: ideal::simulate(scenario)?,
+            notes: Vec::new(),
+        },
         PlantKind::Car => car::simulate(scenario)?,
     })
 }

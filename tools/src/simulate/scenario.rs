@@ -106,11 +106,15 @@ fn default_seed() -> u64 {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MarkerLoss {
-    /// The first tick without a pose; not the very first, which has nothing to hold.
+    /// The first tick without a pose. At the very first there is nothing to
+    /// hold but the pose of the start.
     pub first_tick: u64,
     /// How many ticks.
     pub ticks: u64,
 }
+
+/// More ticks than any simulation has.
+const MOST_TICKS: u64 = 1_000_000_000;
 
 /// A scenario that can't be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -192,7 +196,8 @@ impl Scenario {
     fn validate(&self) -> Result<(), ScenarioError> {
         self.vehicle.validate()?;
         self.law.validate(&self.vehicle)?;
-        self.outer_loop.validate(&self.reference()?)?;
+        self.outer_loop.validate()?;
+        self.reference()?;
         let [x, y] = self.start.point_p_m;
         if !(x.is_finite() && y.is_finite() && self.start.yaw_deg.is_finite()) {
             return Err(ScenarioError::value(
@@ -238,12 +243,17 @@ impl Scenario {
                 ));
             }
         }
-        for loss in &self.marker_loss {
-            if loss.first_tick == 0 {
+        for (key, ticks) in self.marker_loss.iter().flat_map(|loss| {
+            [
+                ("marker_loss.first_tick", loss.first_tick),
+                ("marker_loss.ticks", loss.ticks),
+            ]
+        }) {
+            if ticks > MOST_TICKS {
                 return Err(ScenarioError::value(
-                    "marker_loss.first_tick",
-                    0,
-                    "it must be 1 or later: at tick 0 there is no pose yet to hold",
+                    key,
+                    ticks,
+                    "it must be at most 1000000000",
                 ));
             }
         }

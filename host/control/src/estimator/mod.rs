@@ -109,6 +109,9 @@ const SAMPLES: usize = 64;
 /// How far the filter may lag behind, s: a pose older than this comes too late.
 const LAG: f64 = 0.15;
 
+/// A longer gap between inertial samples ends the track, s.
+const LONGEST_GAP: f64 = 0.2;
+
 /// Below this speed sideslip follows from steering alone, m/s.
 const KINEMATIC_BELOW: f64 = 0.05;
 /// Above this speed sideslip follows from the velocity alone, m/s.
@@ -220,6 +223,8 @@ impl Estimator {
             return PoseVerdict::Implausible;
         }
         track.pose_time = pose.capture;
+        // However late it comes, it replaces what was held.
+        track.held = None;
         track.poses = track.poses.saturating_add(1);
         self.implausible_in_a_row = 0;
         PoseVerdict::Accepted
@@ -242,6 +247,13 @@ impl Estimator {
             && sample.motor_speed.is_finite();
         if inertial.time <= newest || !finite {
             return;
+        }
+        if newest > Time(0) && inertial.time.seconds_since(newest) > LONGEST_GAP {
+            // Nobody knows how the car moved meanwhile; to guess would teach
+            // the filter a wrong bias.
+            self.reset();
+            self.samples.clear();
+            self.current = None;
         }
         let sample = Sample {
             inertial,

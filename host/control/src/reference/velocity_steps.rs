@@ -72,8 +72,10 @@ impl VelocitySteps {
     pub fn integrate(&self, start: crate::Position, time: f64) -> crate::Position {
         let mut position = start;
         let mut begin = 0.0;
-        for (end, velocity) in &self.steps {
-            position += (time.min(*end) - begin).max(0.0) * velocity;
+        let last = self.steps.len().saturating_sub(1);
+        for (index, (end, velocity)) in self.steps.iter().enumerate() {
+            let until = if index == last { time } else { time.min(*end) };
+            position += (until - begin).max(0.0) * velocity;
             begin = *end;
         }
         position

@@ -138,7 +138,8 @@ impl Config {
             ));
         }
         self.law.validate(&self.vehicle)?;
-        self.outer_loop.validate(&self.reference.reference()?)?;
+        self.outer_loop.validate()?;
+        self.outer_loop.validate_for(&self.reference.reference()?)?;
         self.limits.validate()?;
         self.estimator.validate()?;
         self.supervisor.validate()?;

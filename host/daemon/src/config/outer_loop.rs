@@ -57,12 +57,8 @@ impl TryFrom<Section> for OuterLoopSection {
                 gain_per_s: keys("proportional").need("gain_per_s", section.gain_per_s)?,
                 feed_forward: section.feed_forward.unwrap_or(false),
             }),
-            Kind::OpenLoop => {
-                let keys = keys("open-loop");
-                keys.refuse("gain_per_s", section.gain_per_s.as_ref())?;
-                keys.refuse("feed_forward", section.feed_forward.as_ref())?;
-                Ok(Self::OpenLoop {})
-            }
+            // The gains may stay in a file whose loop is opened for a while.
+            Kind::OpenLoop => Ok(Self::OpenLoop {}),
         }
     }
 }
@@ -83,12 +79,12 @@ impl OuterLoopSection {
         }
     }
 
-    /// Refuses gains that are none, and a loop that has nothing to follow.
+    /// Refuses gains that are none.
     ///
     /// # Errors
     ///
-    /// The first value that makes no sense.
-    pub fn validate(&self, reference: &Reference) -> Result<(), ConfigError> {
+    /// The first gain that makes no sense.
+    pub fn validate(&self) -> Result<(), ConfigError> {
         let Self::Proportional { gain_per_s, .. } = *self else {
             return Ok(());
         };
@@ -101,7 +97,16 @@ impl OuterLoopSection {
                 ));
             }
         }
-        if reference.at(0.0).position.is_none() {
+        Ok(())
+    }
+
+    /// Refuses a position loop for a reference that is a velocity alone.
+    ///
+    /// # Errors
+    ///
+    /// That one.
+    pub fn validate_for(&self, reference: &Reference) -> Result<(), ConfigError> {
+        if matches!(self, Self::Proportional { .. }) && reference.at(0.0).position.is_none() {
             return Err(ConfigError::value(
                 "outer_loop.kind",
                 "proportional",

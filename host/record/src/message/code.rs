@@ -198,6 +198,7 @@ codes! {
         ReferenceFinished = 13 "reference-finished",
         Requested = 14 "requested",
         LawSingular = 15 "law-singular",
+        BoardArmed = 16 "board-armed",
     }
     BoardRequest as "BOARD_REQUEST" {
         Arm = 1 "arm",
