@@ -5,6 +5,7 @@
 //! pseudo-terminal and its cameras are UDP packets: nothing of it knows that
 //! the car is simulated.
 
+mod interrupt;
 mod progress;
 mod report;
 mod settings;
@@ -23,6 +24,7 @@ use singletrack_sim::{
 };
 use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
 
+use interrupt::Interrupt;
 use progress::Progress;
 
 /// What the demo is told.
@@ -60,6 +62,12 @@ pub enum DemoError {
         /// What the system says.
         source: io::Error,
     },
+    /// Ctrl-C can't be listened for.
+    #[error("can't listen for signals: {0}")]
+    Signals(io::Error),
+    /// Somebody ended it early.
+    #[error("interrupted")]
+    Interrupted,
     /// No private folder for socket and port.
     #[error("can't make a temporary folder: {0}")]
     Temporary(io::Error),
@@ -156,6 +164,7 @@ struct Drive {
 /// What kept the car from driving to the end; what there is of record and
 /// figures is written all the same.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    let interrupt = Interrupt::listen().map_err(DemoError::Signals)?;
     prepare(&args.out)?;
     let private = tempfile::Builder::new()
         .prefix("singletrack-")
@@ -181,8 +190,15 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         },
     )?;
     let mut progress = Progress::new(args.duration);
-    let start_ns = start(&daemon, &simulator, &progress)?;
-    let ended = drive(&daemon, &simulator, args.duration, start_ns, &mut progress)?;
+    let start_ns = start(&daemon, &simulator, &progress, &interrupt)?;
+    let ended = drive(
+        &daemon,
+        &simulator,
+        args.duration,
+        start_ns,
+        &mut progress,
+        &interrupt,
+    )?;
     stop(&daemon)?;
     let summary = daemon.stop()?;
     let finished = simulator.stop()?;
@@ -199,6 +215,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     report::write(args, &driven)?;
     match ended {
         None => Ok(()),
+        Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),
         Some(ended) => Err(DemoError::Ended {
             mode: ended.mode,
             reason: ended.reason,
@@ -238,10 +255,14 @@ fn start(
     daemon: &Daemon,
     simulator: &RealTimeSimulator,
     progress: &Progress,
+    interrupt: &Interrupt,
 ) -> Result<u64, DemoError> {
     let begin = Instant::now();
     let mut armed = false;
     loop {
+        if interrupt.is_raised() {
+            return Err(DemoError::Interrupted);
+        }
         let snapshot = daemon.snapshot();
         progress.waiting(snapshot.mode(), snapshot.reason());
         match snapshot.mode() {
@@ -291,12 +312,13 @@ fn drive(
     duration: Duration,
     start_ns: u64,
     progress: &mut Progress,
+    interrupt: &Interrupt,
 ) -> Result<Option<Ended>, DemoError> {
     let wanted_s = duration.as_secs_f64();
     let mut last_s = 0.0;
     loop {
         let snapshot = daemon.snapshot();
-        if snapshot.mode() != Mode::Driving || daemon.has_ended() {
+        if snapshot.mode() != Mode::Driving || daemon.has_ended() || interrupt.is_raised() {
             return Ok(Some(Ended {
                 mode: snapshot.mode(),
                 reason: snapshot.reason(),

@@ -1,0 +1,101 @@
+//! `singletrack demo` as a person or a script sees it, in real time.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{
+    path::Path,
+    process::{Command, Output},
+    sync::{Mutex, PoisonError},
+};
+
+/// A demo needs the machine's real time for itself.
+static REAL_TIME: Mutex<()> = Mutex::new(());
+
+fn demo(out: &Path, options: &[&str]) -> Output {
+    let _alone = REAL_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["demo", "--out"])
+        .arg(out)
+        .args(options)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_demo_in_a_pipe_is_silent_and_leaves_what_it_promises() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = demo(folder.path(), &["--duration", "2s"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    assert!(output.stdout.is_empty());
+
+    let mut names: Vec<_> = std::fs::read_dir(folder.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            "demo.mcap",
+            "simulation.toml",
+            "singletrackd.toml",
+            "summary.json",
+            "trajectory.svg"
+        ]
+    );
+    let summary = std::fs::read_to_string(folder.path().join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    for (pointer, at_least) in [
+        ("/ticks", 300.0),
+        ("/deadline_misses", 0.0),
+        ("/lateness_us/p50", 0.0),
+        ("/lateness_us/p99", 0.0),
+        ("/lateness_us/max", 0.0),
+        ("/frames/sent", 150.0),
+        ("/frames/received", 300.0),
+        ("/frames/crc_errors", 0.0),
+        ("/mocap/frames", 300.0),
+        ("/mocap/lost", 0.0),
+        ("/mocap/held_ticks", 0.0),
+        ("/latency_ms/capture_to_command/p50", 8.0),
+        ("/latency_ms/capture_to_command/p99", 8.0),
+    ] {
+        let value = summary.pointer(pointer).and_then(serde_json::Value::as_f64);
+        assert!(
+            value.is_some_and(|value| value >= at_least),
+            "{pointer}: {value:?}"
+        );
+    }
+    assert!(
+        summary["tracking"].is_null(),
+        "two seconds are no full turn"
+    );
+}
+
+#[test]
+fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = demo(folder.path(), &["--duration", "4s", "--loss", "900ms@1s"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success());
+    assert!(said.contains("pose-too-old"), "{said}");
+    assert!(
+        folder.path().join("summary.json").exists(),
+        "and is reported"
+    );
+}
+
+#[test]
+fn options_that_make_no_sense_are_refused_with_the_fix() {
+    let folder = tempfile::tempdir().unwrap();
+    for (options, word) in [
+        (["--loss", "2s"], "200ms@2s"),
+        (["--loss", "3s@2s"], "shorter"),
+        (["--duration", "soon"], "duration"),
+    ] {
+        let output = demo(folder.path(), &options);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.contains(word), "{said}");
+    }
+}
