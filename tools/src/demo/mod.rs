@@ -104,8 +104,8 @@ pub enum DemoError {
     },
     /// The car stopped before its time.
     #[error(
-        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}",
-        because(*reason), folder.display()
+        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}{}",
+        because(*reason), folder.display(), hint(*reason)
     )]
     Ended {
         /// The mode it went to.
@@ -123,6 +123,17 @@ pub enum DemoError {
 
 fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+}
+
+/// What may be behind a stop that has nothing to do with the drive.
+fn hint(reason: Option<Reason>) -> &'static str {
+    match reason {
+        Some(Reason::BoardFailsafe | Reason::ImuSilent | Reason::LinkDown) => {
+            "\n(a command lives for 95 ms; a machine that is busy with other work can hold up \
+             a pseudo-terminal for longer: is this one?)"
+        }
+        _ => "",
+    }
 }
 
 fn parse_duration(text: &str) -> Result<Duration, String> {
