@@ -194,6 +194,8 @@ pub struct Supervisor {
     config: SupervisorConfig,
     mode: Mode,
     reason: Option<Reason>,
+    /// Why the last drive, or the attempt at one, ended.
+    ended: Option<Reason>,
     since: Time,
     link: LinkState,
     board: Option<BoardState>,
@@ -214,6 +216,7 @@ impl Supervisor {
             config,
             mode: Mode::Disconnected,
             reason: Some(Reason::LinkDown),
+            ended: None,
             since: Time(0),
             link: LinkState::Down,
             board: None,
@@ -347,41 +350,20 @@ impl Supervisor {
                     missing,
                     Reason::Moving | Reason::EstimateUnsettled | Reason::BoardArmed
                 );
-                let reason = if settling && !arm && self.stopped_for_a_reason() {
-                    self.reason
-                } else {
-                    Some(missing)
-                };
-                self.enter(Mode::Idle, reason, now);
+                let told = self.ended.filter(|_| settling && !arm);
+                self.enter(Mode::Idle, told.or(Some(missing)), now);
                 (stop && armed).then_some(BoardRequest::Disarm)
             }
             None if arm => {
+                self.ended = None;
                 self.enter(Mode::Arming, None, now);
                 Some(BoardRequest::Arm)
             }
             None => {
-                let reason = self.reason.filter(|_| self.stopped_for_a_reason());
-                self.enter(Mode::Ready, reason, now);
+                self.enter(Mode::Ready, self.ended, now);
                 None
             }
         }
-    }
-
-    /// Whether the reason tells how a drive ended, rather than what is missing.
-    fn stopped_for_a_reason(&self) -> bool {
-        self.mode != Mode::Disconnected
-            && matches!(
-                self.reason,
-                Some(
-                    Reason::BoardFailsafe
-                        | Reason::BoardRefused
-                        | Reason::BoardTimeout
-                        | Reason::ReferenceFinished
-                        | Reason::Requested
-                        | Reason::LawSingular
-                        | Reason::EmergencyStop
-                )
-            )
     }
 
     /// The first thing that is missing for a drive.
@@ -512,6 +494,13 @@ impl Supervisor {
     }
 
     fn enter(&mut self, mode: Mode, reason: Option<Reason>, now: Time) {
+        let was_underway = matches!(
+            self.mode,
+            Mode::Arming | Mode::Driving | Mode::Stopping | Mode::Fault
+        );
+        if was_underway || mode == Mode::Fault {
+            self.ended = reason.or(self.ended);
+        }
         if self.mode != mode {
             self.mode = mode;
             self.since = now;

@@ -233,6 +233,13 @@ fn a_long_marker_loss_ends_in_a_stop_that_says_why() {
     assert_eq!(output.reason, Some(Reason::PoseTooOld));
     // Hold, then ramp: 0.3 s, and 0.5 m/s at 1.5 m/s².
     assert!(seconds < 0.9, "{seconds} s");
+    // And goes on saying so when the markers are back, until the next drive.
+    bench.pose = Pose::Seen;
+    let output = bench.run(100);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Ready, Some(Reason::PoseTooOld))
+    );
 }
 
 #[test]
