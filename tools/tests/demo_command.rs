@@ -38,8 +38,8 @@ fn a_demo_in_a_pipe_is_silent_and_leaves_what_it_promises() {
         names,
         [
             "demo.mcap",
+            "demo.toml",
             "simulation.toml",
-            "singletrackd.toml",
             "summary.json",
             "trajectory.svg"
         ]

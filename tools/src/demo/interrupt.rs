@@ -23,7 +23,7 @@ pub(super) struct Interrupt(Arc<AtomicBool>);
 const EXIT_CODE: i32 = 130;
 
 impl Interrupt {
-    /// Listens for SIGINT and SIGTERM; a second one ends the process at once.
+    /// Listens for SIGINT, SIGTERM and SIGHUP; a second one ends the process at once.
     pub(super) fn listen() -> io::Result<Self> {
         let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
         let signals = {
@@ -31,6 +31,7 @@ impl Interrupt {
             [
                 signal(SignalKind::interrupt())?,
                 signal(SignalKind::terminate())?,
+                signal(SignalKind::hangup())?,
             ]
         };
         let interrupt = Self::default();
@@ -46,11 +47,12 @@ impl Interrupt {
         self.0.load(Ordering::Relaxed)
     }
 
-    async fn wait(self, [mut interrupt, mut terminate]: [Signal; 2]) {
+    async fn wait(self, [mut interrupt, mut terminate, mut hangup]: [Signal; 3]) {
         loop {
             tokio::select! {
                 _ = interrupt.recv() => {}
                 _ = terminate.recv() => {}
+                _ = hangup.recv() => {}
             }
             if self.0.swap(true, Ordering::Relaxed) {
                 std::process::exit(EXIT_CODE);

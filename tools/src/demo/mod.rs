@@ -158,6 +158,8 @@ const POLL: Duration = Duration::from_millis(50);
 /// A drive that has come to its end, for the report.
 #[derive(Debug)]
 struct Drive {
+    /// How it ended before its time, if it did.
+    ended: Option<Ended>,
     /// CLOCK_MONOTONIC of the first driving tick, in ns.
     start_ns: u64,
     /// How long the car drove, in s.
@@ -186,16 +188,13 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
     simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
     let config = settings::daemon(&simulator, args, private.path());
-    write(&args.out.join("singletrackd.toml"), &config.to_toml()?)?;
-    write(
-        &args.out.join("simulation.toml"),
-        &toml::to_string(&simulation)?,
-    )?;
+    write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
+    write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
 
     let daemon = Daemon::start(
         config,
         StartOptions {
-            record: Some(args.out.join("demo.mcap")),
+            record: Some(args.out.join(RECORD)),
             seed: Some(args.seed),
             ..StartOptions::default()
         },
@@ -216,6 +215,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     progress.finish();
 
     let driven = Drive {
+        ended,
         start_ns,
         duration_s: ended
             .as_ref()
@@ -224,7 +224,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         summary,
     };
     report::write(args, &driven)?;
-    match ended {
+    match driven.ended {
         None => Ok(()),
         Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),
         Some(ended) => Err(DemoError::Ended {
@@ -237,15 +237,24 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
 }
 
-/// Makes the folder; removes records that an earlier demo left there.
+/// The files of a demo.
+const RECORD: &str = "demo.mcap";
+const CONFIGURATION: &str = "demo.toml";
+const SIMULATION: &str = "simulation.toml";
+const SUMMARY: &str = "summary.json";
+const FIGURE: &str = "trajectory.svg";
+
+/// Makes the folder; removes what an earlier demo left there.
 fn prepare(folder: &Path) -> Result<(), DemoError> {
     let error = |source| DemoError::Write {
         path: folder.to_owned(),
         source,
     };
     std::fs::create_dir_all(folder).map_err(error)?;
-    for name in ["demo.mcap", "demo.mcap.part"] {
-        match std::fs::remove_file(folder.join(name)) {
+    let unfinished = singletrack_record::part_path(Path::new(RECORD));
+    let files = [RECORD, CONFIGURATION, SIMULATION, SUMMARY, FIGURE].map(Path::new);
+    for file in files.into_iter().chain([unfinished.as_path()]) {
+        match std::fs::remove_file(folder.join(file)) {
             Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(error(source)),
             _ => {}
         }
@@ -309,7 +318,8 @@ fn drive_start_ns(snapshot: &Snapshot) -> Option<u64> {
     Some(tick.start_ns.saturating_sub(driven_ns))
 }
 
-/// A drive that ended by itself.
+/// A drive that ended before its time.
+#[derive(Clone, Copy, Debug)]
 struct Ended {
     mode: Mode,
     reason: Option<Reason>,

@@ -3,10 +3,14 @@
 use std::{f64::consts::TAU, io::IsTerminal, path::Path};
 
 use serde::Serialize;
+use singletrack_control::Reason;
 use singletrack_sim::LossPattern;
 use singletrackd::{Percentiles, Summary};
 
-use super::{DemoArgs, DemoError, Drive, settings, write as write_file};
+use super::{
+    CONFIGURATION, DemoArgs, DemoError, Drive, FIGURE, RECORD, SIMULATION, SUMMARY, settings,
+    write as write_file,
+};
 use crate::{
     figure::{Curve, Mark, MarkKind, floor_plan},
     tracking::{Sample, Tracking, last_turn},
@@ -15,6 +19,11 @@ use crate::{
 /// `summary.json`.
 #[derive(Serialize)]
 struct DemoSummary<'a> {
+    /// Whether the car drove to the end.
+    completed: bool,
+    /// The mode that it went to instead, and why.
+    mode: Option<&'static str>,
+    reason: Option<&'static str>,
     duration_s: f64,
     seed: u64,
     feed_forward: bool,
@@ -56,7 +65,11 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
     let figures = &drive.summary.figures;
+    let ended = drive.ended.as_ref();
     let summary = DemoSummary {
+        completed: ended.is_none(),
+        mode: ended.map(|ended| ended.mode.name()),
+        reason: ended.and_then(|ended| ended.reason).map(Reason::name),
         duration_s: drive.duration_s,
         seed: args.seed,
         feed_forward: args.feed_forward,
@@ -82,14 +95,11 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
         daemon: &drive.summary,
     };
     let json = serde_json::to_string_pretty(&summary).map_err(|error| DemoError::Write {
-        path: args.out.join("summary.json"),
+        path: args.out.join(SUMMARY),
         source: error.into(),
     })?;
-    write_file(&args.out.join("summary.json"), &format!("{json}\n"))?;
-    write_file(
-        &args.out.join("trajectory.svg"),
-        &figure(args, drive, &samples),
-    )?;
+    write_file(&args.out.join(SUMMARY), &format!("{json}\n"))?;
+    write_file(&args.out.join(FIGURE), &figure(args, drive, &samples))?;
     // Nobody reads a report that goes into a pipe.
     if std::io::stdout().is_terminal() {
         print(&args.out, drive, tracking.as_ref());
@@ -246,7 +256,7 @@ fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
         figures.frames.crc_errors + figures.frames.decode_errors
     );
     println!(
-        "In {}: trajectory.svg, summary.json, demo.mcap, singletrackd.toml, simulation.toml",
+        "In {}: {FIGURE}, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
         folder.display()
     );
 }
