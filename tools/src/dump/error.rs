@@ -38,6 +38,14 @@ pub enum DumpError {
         /// Why it failed.
         source: io::Error,
     },
+    /// The daemon will not tell.
+    #[error("the daemon at {} refuses: {error}", path.display())]
+    Refused {
+        /// The socket.
+        path: PathBuf,
+        /// Why, in its words.
+        error: String,
+    },
     /// The daemon does not send entries.
     #[error("the daemon at {} answered something {source}; if it is another release, use its own singletrack", path.display())]
     Answer {

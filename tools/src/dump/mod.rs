@@ -82,9 +82,10 @@ fn print(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), Dump
     let live = args.source.as_os_str() == "live";
     let mut printer = Printer::new(output, format, args.topic, &args.fields)?;
     if live {
-        let mut live = Live::connect(&args.socket)?;
+        let mut live = Live::connect(&args.socket, args.topic)?;
         printer.begin()?;
-        while let Some((line, shown)) = live.next(args.topic)? {
+        printer.flush()?;
+        while let Some((line, shown)) = live.next()? {
             printer.print_line(line, &shown)?;
             printer.flush()?;
         }
