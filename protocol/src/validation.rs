@@ -10,8 +10,9 @@ use crate::{Configuration, MAX_POSE_AGE_CEILING_MS};
 
 /// Pulses that servos and speed controllers for model cars understand, in µs.
 const PULSE_US: RangeInclusive<i32> = 800..=2_200;
-/// Where a speed controller looks for its neutral when it starts, in µs.
-const ESC_NEUTRAL_US: RangeInclusive<i32> = 1_400..=1_600;
+/// The neutral pulse that the board sends from its start until it is configured,
+/// in µs: the middle of what remote controls send.
+const NEUTRAL_AT_START_US: i32 = 1_500;
 const DEADBAND_US: RangeInclusive<i32> = 0..=200;
 /// Up to the whole width of [`PULSE_US`], which is no limit at all.
 const SLEW_US: RangeInclusive<i32> = 1..=1_400;
@@ -117,8 +118,11 @@ impl Configuration {
 
         let esc = &self.esc;
         let (neutral, deadband) = (i32::from(esc.neutral_us), i32::from(esc.deadband_us));
-        check(Field::EscNeutral, neutral, ESC_NEUTRAL_US)?;
         check(Field::EscDeadband, deadband, DEADBAND_US)?;
+        // After a reset in mid-drive the ESC is still armed: what the board
+        // sends then must not drive this car either.
+        let starts_neutral = NEUTRAL_AT_START_US - deadband..=NEUTRAL_AT_START_US + deadband;
+        check(Field::EscNeutral, neutral, starts_neutral)?;
         let min = i32::from(esc.min_us);
         check(Field::EscMin, min, lowest_pulse..=neutral - deadband)?;
         check(

@@ -36,7 +36,8 @@ fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
         (Field::ServoSlew, 1, 1_400, |c, v| {
             c.servo.slew_us_per_20ms = v as u16;
         }),
-        (Field::EscNeutral, 1_400, 1_600, |c, v| {
+        // Around the 1500 that the board starts with, by this deadband.
+        (Field::EscNeutral, 1_475, 1_525, |c, v| {
             c.esc.neutral_us = v as u16;
         }),
         (Field::EscDeadband, 0, 200, |c, v| {

@@ -113,11 +113,15 @@ impl Esc {
         self.gear == Gear::Reverse
     }
 
-    /// Whether the pulse is such that the motor has to turn.
+    /// Whether the pulse is such that the motor has to turn: beyond the deadband,
+    /// or resting at its very edge, where a deadband that was measured too wide
+    /// drives the car.
     pub(crate) const fn is_driving(&self, calibration: &EscCalibration) -> bool {
         match self.gear {
             Gear::Forward | Gear::Reverse => {
-                self.offset_us.unsigned_abs() > calibration.deadband_us
+                let beyond = self.offset_us.unsigned_abs();
+                let rests = self.offset_us != 0 && self.offset_us == self.target_us;
+                beyond > calibration.deadband_us || (rests && beyond == calibration.deadband_us)
             }
             Gear::Braking | Gear::Pausing => false,
         }

@@ -26,7 +26,9 @@ pub(crate) struct Odometer {
     /// The pulse at which the interval now measured began.
     reference: Option<MotorPulses>,
     since_pulse: Stopwatch,
+    /// Driven since the last pulse, short pauses left out.
     driven: Stopwatch,
+    not_driven: Stopwatch,
     speed_mm_s: i16,
 }
 
@@ -37,6 +39,7 @@ impl Odometer {
             reference: None,
             since_pulse: Stopwatch::started_ago(u32::MAX),
             driven: Stopwatch::started(),
+            not_driven: Stopwatch::started(),
             speed_mm_s: 0,
         }
     }
@@ -53,8 +56,14 @@ impl Odometer {
         self.since_pulse.advance(elapsed_us);
         if driven {
             self.driven.advance(elapsed_us);
+            self.not_driven = Stopwatch::started();
         } else {
-            self.driven = Stopwatch::started();
+            self.not_driven.advance(elapsed_us);
+            // A shorter pause does not clear a sensor of suspicion, or driving
+            // in bursts would never find it dead.
+            if self.not_driven.elapsed_us() >= SENSOR_PATIENCE_US {
+                self.driven = Stopwatch::started();
+            }
         }
         let newest = *self.newest.get_or_insert(pulses);
         if newest.count != pulses.count {
@@ -62,6 +71,7 @@ impl Odometer {
             // An edge after `now` was read is an edge now.
             let age = age_us(now_us, pulses.last_edge_us).unwrap_or(0);
             self.since_pulse = Stopwatch::started_ago(age);
+            self.driven = Stopwatch::started();
         }
     }
 

@@ -228,6 +228,32 @@ fn driving_for_150_ms_without_a_pulse_is_a_failed_sensor() {
 }
 
 #[test]
+fn driving_in_bursts_does_not_hide_a_dead_sensor() {
+    let mut rig = Rig::armed_with(configuration());
+    for burst in 0.. {
+        rig.drive_for(140 * MS, 1_000, 0);
+        rig.drive_for(10 * MS, 0, 0);
+        if rig.board.mode() == BoardMode::Failsafe {
+            break;
+        }
+        assert!(burst < 5, "still driving");
+    }
+    assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
+}
+
+#[test]
+fn a_pulse_that_rests_at_the_edge_of_the_deadband_does_not_hide_a_dead_sensor() {
+    let mut configuration = configuration();
+    configuration.speed.feed_forward_us_per_m_s = 0;
+    configuration.speed.proportional_us_per_m_s = 0;
+    configuration.speed.integral_us_per_m = 0;
+    let mut rig = Rig::armed_with(configuration);
+    rig.drive_for(400 * MS, 1_000, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
+}
+
+#[test]
 fn pulses_that_stop_while_driving_are_a_failed_sensor_too() {
     for (silent_us, driving) in [(149_999, true), (150_000, false), (150_001, false)] {
         let mut rig = Rig::driving_with(configuration());
