@@ -36,7 +36,7 @@ use tokio::{
     sync::{Notify, Semaphore, broadcast::error::RecvError},
 };
 
-use crate::{control_loop::ControlRequest, daemon::View};
+use crate::{clock::monotonic_ns, control_loop::ControlRequest, daemon::View};
 
 /// The version of the protocol. Exact match.
 pub const SOCKET_VERSION: u32 = 1;
@@ -65,8 +65,24 @@ pub enum SocketError {
     /// Something else is there.
     #[error("{}: there is something that is no socket; remove it, or choose another socket.path", .0.display())]
     Occupied(PathBuf),
+    /// Its folder can't be made.
+    #[error(
+        "can't make {}, the folder of socket.path: {source}; choose a socket.path in a folder that you \
+         may write to, such as one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
+        path.display()
+    )]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// The system says no.
-    #[error("{}: can't {action}: {source}; choose another socket.path, or set socket.enabled = false", path.display())]
+    #[error(
+        "{}: can't {action}: {source}; choose a socket.path in a folder that you may write to, such as \
+         one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
+        path.display()
+    )]
     Io {
         /// What was attempted.
         action: &'static str,
@@ -95,7 +111,8 @@ impl Drop for SocketFile {
 }
 
 impl BoundSocket {
-    /// Listens at `path`; a socket that a killed daemon left is replaced.
+    /// Listens at `path`, whose folder is made if it is missing; a socket that
+    /// a killed daemon left is replaced.
     pub(crate) fn bind(path: &Path) -> Result<Self, SocketError> {
         let failure = |action| {
             move |source| SocketError::Io {
@@ -104,6 +121,12 @@ impl BoundSocket {
                 source,
             }
         };
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(|source| SocketError::Folder {
+                path: folder.to_owned(),
+                source,
+            })?;
+        }
         match fs::symlink_metadata(path) {
             Ok(metadata) => {
                 use std::os::unix::fs::FileTypeExt;
@@ -223,7 +246,9 @@ async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
         }
         match Command::parse(&line) {
             Ok(Command::Watch { topics }) => return watch(&mut write, view, &topics).await,
-            Ok(command) => send(&mut write, &execute(command, view).await).await?,
+            Ok(Command::Ask(question)) => {
+                send(&mut write, &answer(question, view).await).await?;
+            }
             Err(error) => send(&mut write, &failure(error)).await?,
         }
     }
@@ -237,17 +262,22 @@ fn failure(error: impl fmt::Display) -> Value {
     json!({ "version": SOCKET_VERSION, "ok": false, "error": error.to_string() })
 }
 
-/// What a client may ask.
+/// What a client may send.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Command {
+    /// One line answers it.
+    Ask(Question),
+    /// A stream answers it. No topics: all.
+    Watch { topics: Vec<Topic> },
+}
+
+/// What is answered in one line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Question {
     Status,
     Arm,
     Disarm,
     Stop,
-    /// No topics: all.
-    Watch {
-        topics: Vec<Topic>,
-    },
 }
 
 /// A line as it comes.
@@ -275,10 +305,10 @@ impl Command {
             return Err(format!("{} takes no topics; only watch does", line.command));
         }
         match line.command.as_str() {
-            "status" => Ok(Self::Status),
-            "arm" => Ok(Self::Arm),
-            "disarm" => Ok(Self::Disarm),
-            "stop" => Ok(Self::Stop),
+            "status" => Ok(Self::Ask(Question::Status)),
+            "arm" => Ok(Self::Ask(Question::Arm)),
+            "disarm" => Ok(Self::Ask(Question::Disarm)),
+            "stop" => Ok(Self::Ask(Question::Stop)),
             "watch" => Ok(Self::Watch {
                 topics: line
                     .topics
@@ -294,57 +324,78 @@ impl Command {
     }
 }
 
-async fn execute(command: Command, view: &View) -> Value {
-    let asked = |request| view.requests.push(ControlRequest::Pilot(request));
-    let result = match command {
-        Command::Status => {
+async fn answer(question: Question, view: &View) -> Value {
+    let asked = |request| {
+        let pushed = view.requests.push(ControlRequest::Pilot(request));
+        pushed.map_err(|error| error.to_string())
+    };
+    let done = match question {
+        Question::Status => {
             return json!({
                 "version": SOCKET_VERSION,
                 "ok": true,
                 "status": view.snapshot().to_json(),
             });
         }
-        Command::Arm => arm(view).await,
-        Command::Disarm => asked(Request::Disarm).map_err(|error| error.to_string()),
-        // Watching is no answer but a stream.
-        Command::Stop | Command::Watch { .. } => {
-            asked(Request::EmergencyStop).map_err(|error| error.to_string())
-        }
+        Question::Arm => arm(view).await,
+        Question::Disarm => asked(Request::Disarm),
+        Question::Stop => asked(Request::EmergencyStop),
     };
-    match result {
-        Ok(()) => json!({
-            "version": SOCKET_VERSION,
-            "ok": true,
-            "mode": view.snapshot().mode().name(),
-        }),
+    match done {
+        // No mode: a disarm or a stop shows in it only after the next tick.
+        Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
         Err(error) => failure(error),
     }
 }
 
 /// Asks for a drive and waits for it.
 async fn arm(view: &View) -> Result<(), String> {
-    let describe = |mode: Mode, reason: Option<Reason>| match reason {
-        Some(reason) => format!("can't arm: mode {mode}: {reason}"),
-        None => format!("can't arm: mode {mode}"),
-    };
     let before = view.snapshot();
     if before.mode() != Mode::Ready {
-        return Err(describe(before.mode(), before.reason()));
+        return Err(cannot_arm(before.mode(), before.reason()));
     }
     view.requests
         .push(ControlRequest::Pilot(Request::Arm))
         .map_err(|error| error.to_string())?;
+    let asked_ns = monotonic_ns();
     let looks = ARM_PATIENCE.as_millis() / ARM_LOOK.as_millis();
     for _ in 0..looks {
         tokio::time::sleep(ARM_LOOK).await;
-        let now = view.snapshot();
-        match now.mode() {
-            Mode::Driving => return Ok(()),
-            Mode::Ready | Mode::Arming => {}
-            mode => return Err(describe(mode, now.reason())),
+        if let Some(outcome) = view
+            .snapshot()
+            .tick
+            .and_then(|tick| arm_outcome(asked_ns, tick.start_ns, tick.mode, tick.reason))
+        {
+            return outcome;
         }
     }
-    Err("can't arm: no answer".to_owned())
+    Err("can't arm: the control thread does not answer".to_owned())
+}
+
+/// What a tick says about a request to arm; none while that is open.
+fn arm_outcome(
+    asked_ns: u64,
+    tick_start_ns: u64,
+    mode: Mode,
+    reason: Option<Reason>,
+) -> Option<Result<(), String>> {
+    // A tick that began before may not have seen the request.
+    if tick_start_ns <= asked_ns {
+        return None;
+    }
+    match mode {
+        Mode::Driving => Some(Ok(())),
+        Mode::Arming => None,
+        // The attempt has ended, even if nobody was looking while it was made.
+        mode => Some(Err(cannot_arm(mode, reason))),
+    }
+}
+
+fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
+    match reason {
+        Some(reason) => format!("can't arm: mode {mode}: {reason}"),
+        None => format!("can't arm: mode {mode}"),
+    }
 }
 
 async fn watch(write: &mut OwnedWriteHalf, view: &View, topics: &[Topic]) -> io::Result<()> {
@@ -401,8 +452,14 @@ mod tests {
     #[test]
     fn commands_are_read() {
         for (line, command) in [
-            ("{\"version\":1,\"command\":\"status\"}", Command::Status),
-            ("{\"command\":\"stop\",\"version\":1}\r\n", Command::Stop),
+            (
+                "{\"version\":1,\"command\":\"status\"}",
+                Command::Ask(Question::Status),
+            ),
+            (
+                "{\"command\":\"stop\",\"version\":1}\r\n",
+                Command::Ask(Question::Stop),
+            ),
             (
                 "{\"version\":1,\"command\":\"watch\",\"topics\":[\"tick\",\"log\"]}",
                 Command::Watch {
@@ -412,6 +469,39 @@ mod tests {
         ] {
             assert_eq!(Command::parse(line.as_bytes()), Ok(command));
         }
+    }
+
+    #[test]
+    fn an_arm_is_answered_by_the_first_tick_after_it_that_is_not_arming() {
+        let outcome = |start_ns, mode, reason| arm_outcome(100, start_ns, mode, reason);
+        assert_eq!(outcome(100, Mode::Ready, None), None);
+        assert_eq!(outcome(101, Mode::Arming, None), None);
+        assert_eq!(outcome(101, Mode::Driving, None), Some(Ok(())));
+        for (mode, reason, words) in [
+            (Mode::Ready, Reason::BoardRefused, "ready: board-refused"),
+            (Mode::Idle, Reason::ImuSilent, "idle: imu-silent"),
+            (Mode::Disconnected, Reason::LinkDown, "link-down"),
+        ] {
+            let error = outcome(101, mode, Some(reason)).unwrap().unwrap_err();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_missing_folder_is_made_and_one_that_can_not_be_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = BoundSocket::bind(&folder.path().join("a/b/control.sock")).unwrap();
+        drop(socket);
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let error = BoundSocket::bind(&file.join("sub/control.sock"))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("file/sub, the folder of socket.path")
+                && error.contains("XDG_RUNTIME_DIR"),
+            "{error}"
+        );
     }
 
     #[test]
