@@ -62,12 +62,16 @@ pub enum ControlError {
     /// The answer can't be read.
     #[error("the daemon's answer makes no sense: {0}; are its version and this one the same?")]
     Answer(#[from] serde_json::Error),
+    /// The output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(io::Error),
     /// The daemon refuses.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Asks the daemon and prints what it answers, as JSON.
+/// Asks the daemon and prints what comes of it: its status as JSON, anything
+/// else in words. Whoever reads that may stop at any time.
 ///
 /// # Errors
 ///
@@ -80,9 +84,19 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
             error.map_or_else(|| answer.to_string(), str::to_owned),
         ));
     }
-    let told = answer.get("status").unwrap_or(&answer);
-    println!("{}", serde_json::to_string_pretty(told)?);
-    Ok(())
+    let told = match command {
+        ControlCommand::Status => {
+            serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
+        }
+        ControlCommand::Arm => "driving".to_owned(),
+        ControlCommand::Disarm => "disarming: the car slows down and stops".to_owned(),
+        ControlCommand::Stop => "stopped: neutral until the board is reset".to_owned(),
+    };
+    let mut stdout = io::stdout().lock();
+    match writeln!(stdout, "{told}").and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(ControlError::Output(error)),
+        _ => Ok(()),
+    }
 }
 
 fn ask(command: ControlCommand, path: &Path) -> Result<Value, ControlError> {

@@ -5,13 +5,17 @@
 use std::{
     io::{BufRead, BufReader, Write},
     os::unix::net::UnixListener,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
     thread,
 };
 
 /// Runs a command against a daemon that gives one answer; returns the command's
 /// output and what the daemon was asked.
 fn ask(command: &str, answer: &'static str) -> (Output, String) {
+    ask_into(command, answer, Stdio::piped())
+}
+
+fn ask_into(command: &str, answer: &'static str, stdout: Stdio) -> (Output, String) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control.sock");
     let listener = UnixListener::bind(&path).unwrap();
@@ -28,6 +32,7 @@ fn ask(command: &str, answer: &'static str) -> (Output, String) {
         .arg(command)
         .arg("--socket")
         .arg(&path)
+        .stdout(stdout)
         .output()
         .unwrap();
     (output, daemon.join().unwrap())
@@ -51,6 +56,28 @@ fn the_status_is_printed() {
     );
     let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(printed["reason"], "no-pose");
+}
+
+#[test]
+fn what_was_done_is_said_in_words() {
+    for (command, words) in [
+        ("arm", "driving\n"),
+        ("disarm", "disarming: the car slows down and stops\n"),
+        ("stop", "stopped: neutral until the board is reset\n"),
+    ] {
+        let (output, _) = ask(command, r#"{"version":1,"ok":true}"#);
+        assert_eq!(String::from_utf8(output.stdout).unwrap(), words);
+    }
+}
+
+#[test]
+fn a_reader_that_has_gone_is_success() {
+    let answer = r#"{"version":1,"ok":true,"status":{"mode":"idle"}}"#;
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let (output, _) = ask_into("status", answer, writer.into());
+    assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
+    assert!(output.status.success());
 }
 
 #[test]
