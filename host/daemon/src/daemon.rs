@@ -143,7 +143,8 @@ impl core::fmt::Debug for Recording {
 /// loses nothing; one of the records' of two seconds neither.
 const SERIAL_EVENTS: usize = 512;
 const OBSERVATIONS: usize = 256;
-const REQUESTS: usize = 32;
+/// All of them find room among a tick's events, see `controller::RESERVED`.
+const REQUESTS: usize = 12;
 const TICKS: usize = 256;
 const REPORTS: usize = 512;
 
@@ -386,13 +387,15 @@ impl Daemon {
             None => (None, None),
             Some(Recording { thread, path }) => match thread.finish() {
                 Ok(finished) => (Some(finished.path), None),
-                Err(error) => {
-                    warn!("record: {error}");
-                    (Some(path), Some(error.to_string()))
-                }
+                Err(error) => (Some(path), Some(error.to_string())),
             },
         };
-        let counters = control?;
+        let counters = control.inspect_err(|_| {
+            // There will be no summary to say so.
+            if let Some(error) = &record_error {
+                warn!("the record is incomplete: {error}");
+            }
+        })?;
         let mut latest = self.view.board.latest();
         latest.tally.line(&counters);
         if let Some(counters) = &tally.mocap {
@@ -439,10 +442,16 @@ struct TallyAtEnd {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        if self.collector.is_some()
-            && let Err(error) = self.end(ControlRequest::Abort)
-        {
-            warn!("{error}");
+        if self.collector.is_none() {
+            return;
+        }
+        match self.end(ControlRequest::Abort) {
+            Err(error) => warn!("{error}"),
+            Ok(summary) => {
+                if let Some(error) = summary.record_error {
+                    warn!("the record is incomplete: {error}");
+                }
+            }
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
+use singletrack_control::Request;
 
 use crate::control_loop::ControlRequest;
 
@@ -16,6 +17,10 @@ pub struct Stalled;
 #[derive(Clone, Debug)]
 pub(crate) struct Requests(Arc<Mutex<Producer<ControlRequest>>>);
 
+/// Room that only a stop may use: however often somebody asks for something
+/// else, it gets through.
+const RESERVED: usize = 4;
+
 impl Requests {
     pub(crate) fn new(ring: Producer<ControlRequest>) -> Self {
         Self(Arc::new(Mutex::new(ring)))
@@ -23,11 +28,38 @@ impl Requests {
 
     /// Those who ask wait for each other; the control thread waits for nobody.
     pub(crate) fn push(&self, request: ControlRequest) -> Result<(), Stalled> {
-        self.0
-            .lock()
-            // The ring is whole at every moment.
-            .unwrap_or_else(PoisonError::into_inner)
-            .push(request)
-            .map_err(|_| Stalled)
+        // The ring is whole at every moment.
+        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let stops = match request {
+            ControlRequest::Pilot(Request::Arm | Request::Disarm) => false,
+            ControlRequest::Pilot(Request::EmergencyStop)
+            | ControlRequest::Finish
+            | ControlRequest::Abort => true,
+        };
+        if !stops && ring.slots() <= RESERVED {
+            return Err(Stalled);
+        }
+        ring.push(request).map_err(|_| Stalled)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_gets_through_however_often_something_else_is_asked() {
+        let (ring, mut taken) = rtrb::RingBuffer::new(12);
+        let requests = Requests::new(ring);
+        let disarm = ControlRequest::Pilot(Request::Disarm);
+        assert!((0..100).any(|_| requests.push(disarm).is_err()));
+        let stop = ControlRequest::Pilot(Request::EmergencyStop);
+        assert_eq!(requests.push(stop), Ok(()));
+        assert_eq!(requests.push(ControlRequest::Finish), Ok(()));
+        let mut last = Vec::new();
+        while let Ok(request) = taken.pop() {
+            last.push(request);
+        }
+        assert!(last.ends_with(&[stop, ControlRequest::Finish]));
     }
 }
