@@ -18,8 +18,12 @@ use singletrack_record::{Entry, FeedInput, Level, Log, TickRecord, Topic};
 use tokio::sync::broadcast;
 
 use crate::{
-    clock::monotonic_ns, mocap_receiver::MocapReport, report::Report, snapshot::TickView,
+    clock::monotonic_ns,
+    mocap_receiver::MocapReport,
+    report::Report,
+    snapshot::TickView,
     summary::Tally,
+    words::{loss_name, refusal_name, request_name, restart_name},
 };
 
 /// How long the collector sleeps when nobody wakes it.
@@ -135,6 +139,8 @@ impl Collector {
         }
         self.told = Some((mode, reason));
         let level = match (mode, reason) {
+            // As it was meant to end.
+            (Mode::Stopping, Some(Reason::Requested | Reason::ReferenceFinished)) => Level::Info,
             (Mode::Fault, _) | (Mode::Stopping, Some(_)) => Level::Warning,
             _ => Level::Info,
         };
@@ -204,27 +210,35 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         ),
         LinkEvent::ConfigurationRefused { reason } => (
             Level::Error,
-            format!("board refused its configuration: {reason:?}"),
+            format!("board refused its configuration: {}", refusal_name(*reason)),
         ),
-        LinkEvent::BoardRestarted { evidence } => {
-            (Level::Warning, format!("board restarted: {evidence:?}"))
-        }
-        LinkEvent::Acknowledged { request, .. } => {
-            (Level::Info, format!("board did as asked: {request:?}"))
-        }
+        LinkEvent::BoardRestarted { evidence } => (
+            Level::Warning,
+            format!("board restarted: {}", restart_name(*evidence)),
+        ),
+        LinkEvent::Acknowledged { request, .. } => (
+            Level::Info,
+            format!("board did as asked: {}", request_name(*request)),
+        ),
         LinkEvent::Refused {
             request, reason, ..
         } => (
             Level::Warning,
-            format!("board refused: {request:?}: {reason:?}"),
+            format!(
+                "board refused: {}: {}",
+                request_name(*request),
+                refusal_name(*reason)
+            ),
         ),
-        LinkEvent::Unanswered { request, .. } => {
-            (Level::Warning, format!("board did not answer: {request:?}"))
-        }
-        LinkEvent::StopConfirmed { request } => {
-            (Level::Info, format!("board confirmed: {request:?}"))
-        }
-        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {cause:?}")),
+        LinkEvent::Unanswered { request, .. } => (
+            Level::Warning,
+            format!("board did not answer: {}", request_name(*request)),
+        ),
+        LinkEvent::StopConfirmed { request } => (
+            Level::Info,
+            format!("board confirmed: {}", request_name(*request)),
+        ),
+        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", loss_name(*cause))),
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
             (Level::Debug, "board reported".to_owned())
         }

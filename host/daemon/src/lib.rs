@@ -33,6 +33,7 @@ mod socket;
 mod summary;
 mod system;
 mod wake;
+mod words;
 
 pub use clock::monotonic_ns;
 pub use config::{Config, ConfigError};

@@ -5,7 +5,11 @@ use singletrack_control::{Estimate, Mode, Position, Reason, ReferencePoint};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
-use crate::{realtime::RealTimeStatus, summary::Figures};
+use crate::{
+    realtime::RealTimeStatus,
+    summary::Figures,
+    words::{board_mode_name, link_name, stop_cause_name},
+};
 
 /// How the daemon is doing: the last tick, what the board last said, and the
 /// figures so far.
@@ -120,41 +124,5 @@ impl Snapshot {
             "figures": self.figures,
             "realtime": self.realtime,
         })
-    }
-}
-
-/// The session with the board, as a word.
-pub(crate) const fn link_name(phase: LinkPhase) -> &'static str {
-    match phase {
-        LinkPhase::Disconnected => "disconnected",
-        LinkPhase::Greeting => "greeting",
-        LinkPhase::VersionMismatch => "version-mismatch",
-        LinkPhase::Configuring => "configuring",
-        LinkPhase::ConfigurationRefused => "configuration-refused",
-        LinkPhase::Ready => "ready",
-    }
-}
-
-const fn board_mode_name(mode: BoardMode) -> &'static str {
-    match mode {
-        BoardMode::Boot => "boot",
-        BoardMode::Neutral => "neutral",
-        BoardMode::Armed => "armed",
-        BoardMode::Driving => "driving",
-        BoardMode::Failsafe => "failsafe",
-        BoardMode::EmergencyStopped => "emergency-stopped",
-    }
-}
-
-const fn stop_cause_name(cause: StopCause) -> &'static str {
-    match cause {
-        StopCause::None => "none",
-        StopCause::Disarmed => "disarmed",
-        StopCause::CommandTimeout => "command-timeout",
-        StopCause::PoseTooOld => "pose-too-old",
-        StopCause::MotorSensor => "motor-sensor",
-        StopCause::StopInput => "stop-input",
-        StopCause::EmergencyStop => "emergency-stop",
-        StopCause::HostRestarted => "host-restarted",
     }
 }
