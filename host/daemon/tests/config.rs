@@ -390,7 +390,7 @@ fn every_mistake_is_told_by_key_value_and_fix() {
         (
             "board.esc",
             "neutral_us = 1700",
-            &["board.esc.neutral_us", "1700", "1400 to 1600"],
+            &["board.esc.neutral_us", "1700", "1470 to 1530"],
         ),
         (
             "board.esc",
@@ -533,4 +533,23 @@ fn a_missing_file_is_named() {
     let error = Config::read("/nowhere/daemon.toml".as_ref()).unwrap_err();
     assert!(matches!(error, ConfigError::Read { .. }));
     assert!(error.to_string().contains("/nowhere/daemon.toml"));
+}
+
+#[test]
+fn a_file_that_is_wrong_is_named_whatever_is_wrong_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("daemon.toml");
+    for (text, part) in [
+        ("colour = 1\n".to_owned(), "colour"),
+        (
+            EXAMPLE.replace("max_forward_mm_s = 1500", "max_forward_mm_s = 1"),
+            "limits.max_speed_m_s",
+        ),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let message = Config::read(&file).unwrap_err().to_string();
+        assert!(message.contains("daemon.toml: "), "{message}");
+        assert!(message.contains(part), "{message}");
+        assert_eq!(message, message.trim_end());
+    }
 }

@@ -26,6 +26,14 @@ pub enum ConfigError {
         /// Where and why.
         message: String,
     },
+    /// What is wrong with a file that could be read.
+    #[error("{}: {source}", .path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The error.
+        source: Box<Self>,
+    },
     /// The waypoints can't be read.
     #[error("reference.file: {}: {source}", .path.display())]
     Waypoints {
@@ -74,7 +82,7 @@ impl ConfigError {
     pub(crate) fn parse(path: Option<&Path>, error: &toml::de::Error) -> Self {
         Self::Parse {
             path: path.map(Path::to_owned),
-            message: error.to_string(),
+            message: error.to_string().trim_end().to_owned(),
         }
     }
 }

@@ -94,7 +94,10 @@ impl Config {
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
         }
-        config.validate()?;
+        config.validate().map_err(|error| ConfigError::File {
+            path: path.to_owned(),
+            source: Box::new(error),
+        })?;
         Ok(config)
     }
 
