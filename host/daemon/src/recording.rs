@@ -29,6 +29,9 @@ pub enum RecordingError {
         /// What the system says.
         source: io::Error,
     },
+    /// The record can't tell with which configuration it was made.
+    #[error("can't write the configuration into the record: {0}; every path in it must be UTF-8")]
+    Configuration(#[from] toml::ser::Error),
     /// No file.
     #[error("{0}; choose another record.directory, or set record.enabled = false")]
     Record(#[from] RecordError),
@@ -45,9 +48,13 @@ pub(crate) fn start(
         monotonic_ns: monotonic_ns(),
         wall_ns: wall_ns(),
     };
+    if path.is_none() && !config.record.enabled {
+        return Ok(None);
+    }
+    let configuration = config.to_toml()?;
     let path = match path {
         Some(path) => path,
-        None if config.record.enabled => {
+        None => {
             let directory = &config.record.directory;
             fs::create_dir_all(directory).map_err(|source| RecordingError::Directory {
                 path: directory.clone(),
@@ -55,11 +62,9 @@ pub(crate) fn start(
             })?;
             free_name(directory, &compact_utc(start.wall_ns))
         }
-        None => return Ok(None),
     };
     let meta = Meta {
-        // It has been read from such a text.
-        configuration: config.to_toml().unwrap_or_default(),
+        configuration,
         software: BTreeMap::from([(
             env!("CARGO_PKG_NAME").to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
@@ -84,4 +89,24 @@ fn free_name(directory: &Path, time: &str) -> PathBuf {
         .map(|name| directory.join(name))
         .find(|path| !path.exists() && !part_path(path).exists())
         .unwrap_or_else(|| directory.join("singletrack.mcap"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{ffi::OsStr, os::unix::ffi::OsStrExt};
+
+    use super::*;
+
+    #[test]
+    fn a_configuration_that_can_not_be_written_is_an_error_and_leaves_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+        config.record.directory = folder.path().join("records");
+        config.serial.port = PathBuf::from(OsStr::from_bytes(b"/dev/\xff"));
+        let error = start(&config, None, None).err().unwrap();
+        assert!(matches!(error, RecordingError::Configuration(_)), "{error}");
+        assert!(!config.record.directory.exists());
+        config.record.enabled = false;
+        assert!(start(&config, None, None).unwrap().is_none());
+    }
 }
