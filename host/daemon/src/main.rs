@@ -3,16 +3,19 @@
 mod signals;
 
 use std::{
+    env,
+    ffi::OsString,
     io::{self, IsTerminal},
     path::PathBuf,
     process::ExitCode,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use clap::{Parser, ValueEnum};
 use signals::Signals;
 use singletrackd::{Config, Daemon, StartOptions, Summary};
 use tracing::{error, info, warn};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 
 /// Drives the car: motion capture in, commands to the board out, 100 times a
@@ -49,6 +52,13 @@ enum LogFormat {
 /// The configuration is missing or wrong.
 const BAD_CONFIGURATION: u8 = 2;
 
+/// Lines of the log that may wait for their reader.
+const LOG_LINES: usize = 4_096;
+
+/// How long the control thread may take to stop the car and to end, after the
+/// first signal.
+const STOP_PATIENCE: Duration = Duration::from_secs(4);
+
 /// How often the main thread looks whether the control thread still runs.
 const LOOK_AROUND: Duration = Duration::from_millis(10);
 
@@ -82,7 +92,7 @@ fn main() -> ExitCode {
         println!("{}: good", path.display());
         return ExitCode::SUCCESS;
     }
-    start_log(arguments.log_format);
+    let _log = start_log(arguments.log_format);
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
     let options = StartOptions {
         arm: arguments.arm,
@@ -100,19 +110,30 @@ fn main() -> ExitCode {
 
 /// Until a signal says otherwise.
 fn run(daemon: Daemon, signals: &Signals) -> ExitCode {
-    let mut told = 0;
+    let mut first: Option<Instant> = None;
     while !daemon.has_ended() {
+        // A control thread that is stuck does not keep the process.
+        if first.is_some_and(|first| first.elapsed() > STOP_PATIENCE) {
+            error!("the control thread does not end");
+            break;
+        }
         let Some(signal) = signals.wait(LOOK_AROUND) else {
             continue;
         };
-        let asked = if told == 0 {
-            info!(signal, "stopping");
-            daemon.begin_stop()
-        } else {
-            warn!(signal, "disarming at once");
-            daemon.begin_abort()
+        // First the car, then the log.
+        let asked = match first {
+            None => {
+                let asked = daemon.begin_stop();
+                info!(signal, "stopping");
+                asked
+            }
+            Some(_) => {
+                let asked = daemon.begin_abort();
+                warn!(signal, "disarming at once");
+                asked
+            }
         };
-        told += 1;
+        first.get_or_insert_with(Instant::now);
         if let Err(error) = asked {
             error!("{error}");
             break;
@@ -121,7 +142,13 @@ fn run(daemon: Daemon, signals: &Signals) -> ExitCode {
     match daemon.stop() {
         Ok(summary) => {
             tell(&summary);
-            ExitCode::SUCCESS
+            match &summary.record_error {
+                None => ExitCode::SUCCESS,
+                Some(error) => {
+                    error!("the record is incomplete: {error}");
+                    ExitCode::FAILURE
+                }
+            }
         }
         Err(error) => {
             error!("{error}");
@@ -146,14 +173,68 @@ fn tell(summary: &Summary) {
     );
 }
 
-fn start_log(format: LogFormat) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+/// Starts the log. What it returns writes out what is left when it is dropped.
+///
+/// A thread that logs never waits for who reads the log, and never notices that
+/// nobody does: lines are dropped instead.
+fn start_log(format: LogFormat) -> WorkerGuard {
+    let (writer, guard) = NonBlockingBuilder::default()
+        .lossy(true)
+        .buffered_lines_limit(LOG_LINES)
+        .finish(io::stderr());
+    let (filter, objection) = log_filter(env::var_os(EnvFilter::DEFAULT_ENV));
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
-        .with_writer(io::stderr);
+        .with_writer(writer)
+        // There is nowhere to say that the log can't be written.
+        .log_internal_errors(false);
     match format {
         LogFormat::Text => log.with_target(false).init(),
         LogFormat::Json => log.json().init(),
+    }
+    if let Some(objection) = objection {
+        warn!("{objection}");
+    }
+    guard
+}
+
+/// The filter that `RUST_LOG` asks for; if it makes no sense, the default and
+/// what is wrong.
+fn log_filter(asked: Option<OsString>) -> (EnvFilter, Option<String>) {
+    let default = || EnvFilter::new("info");
+    let Some(asked) = asked.filter(|asked| !asked.is_empty()) else {
+        return (default(), None);
+    };
+    let error = match asked.to_str().map(EnvFilter::try_new) {
+        Some(Ok(filter)) => return (filter, None),
+        Some(Err(error)) => error.to_string(),
+        None => "it is not UTF-8".to_owned(),
+    };
+    let objection = format!(
+        "RUST_LOG is {asked:?}: {error}; the log is as with \"info\". Write a level, or target=level"
+    );
+    (default(), Some(objection))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bad_log_filter_is_reported_and_a_missing_one_is_not() {
+        for (asked, filter, objected) in [
+            (None, "info", false),
+            (Some(""), "info", false),
+            (Some("debug"), "debug", false),
+            (Some("singletrackd=loud"), "info", true),
+        ] {
+            let (used, objection) = log_filter(asked.map(OsString::from));
+            assert_eq!(used.to_string(), filter);
+            assert_eq!(objection.is_some(), objected, "{objection:?}");
+            if let Some(objection) = objection {
+                assert!(objection.contains("singletrackd=loud"), "{objection}");
+            }
+        }
     }
 }
