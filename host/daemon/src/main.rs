@@ -8,13 +8,14 @@ use std::{
     io::{self, IsTerminal},
     path::PathBuf,
     process::ExitCode,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use clap::{Parser, ValueEnum};
 use signals::Signals;
 use singletrackd::{Config, Daemon, StartOptions, Summary};
 use tracing::{error, info, warn};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 
 /// Drives the car: motion capture in, commands to the board out, 100 times a
@@ -51,6 +52,13 @@ enum LogFormat {
 /// The configuration is missing or wrong.
 const BAD_CONFIGURATION: u8 = 2;
 
+/// Lines of the log that may wait for their reader.
+const LOG_LINES: usize = 4_096;
+
+/// How long the control thread may take to stop the car and to end, after the
+/// first signal.
+const STOP_PATIENCE: Duration = Duration::from_secs(4);
+
 /// How often the main thread looks whether the control thread still runs.
 const LOOK_AROUND: Duration = Duration::from_millis(10);
 
@@ -84,7 +92,7 @@ fn main() -> ExitCode {
         println!("{}: good", path.display());
         return ExitCode::SUCCESS;
     }
-    start_log(arguments.log_format);
+    let _log = start_log(arguments.log_format);
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
     let options = StartOptions {
         arm: arguments.arm,
@@ -102,19 +110,30 @@ fn main() -> ExitCode {
 
 /// Until a signal says otherwise.
 fn run(daemon: Daemon, signals: &Signals) -> ExitCode {
-    let mut told = 0;
+    let mut first: Option<Instant> = None;
     while !daemon.has_ended() {
+        // A control thread that is stuck does not keep the process.
+        if first.is_some_and(|first| first.elapsed() > STOP_PATIENCE) {
+            error!("the control thread does not end");
+            break;
+        }
         let Some(signal) = signals.wait(LOOK_AROUND) else {
             continue;
         };
-        let asked = if told == 0 {
-            info!(signal, "stopping");
-            daemon.begin_stop()
-        } else {
-            warn!(signal, "disarming at once");
-            daemon.begin_abort()
+        // First the car, then the log.
+        let asked = match first {
+            None => {
+                let asked = daemon.begin_stop();
+                info!(signal, "stopping");
+                asked
+            }
+            Some(_) => {
+                let asked = daemon.begin_abort();
+                warn!(signal, "disarming at once");
+                asked
+            }
         };
-        told += 1;
+        first.get_or_insert_with(Instant::now);
         if let Err(error) = asked {
             error!("{error}");
             break;
@@ -154,12 +173,22 @@ fn tell(summary: &Summary) {
     );
 }
 
-fn start_log(format: LogFormat) {
+/// Starts the log. What it returns writes out what is left when it is dropped.
+///
+/// A thread that logs never waits for who reads the log, and never notices that
+/// nobody does: lines are dropped instead.
+fn start_log(format: LogFormat) -> WorkerGuard {
+    let (writer, guard) = NonBlockingBuilder::default()
+        .lossy(true)
+        .buffered_lines_limit(LOG_LINES)
+        .finish(io::stderr());
     let (filter, objection) = log_filter(env::var_os(EnvFilter::DEFAULT_ENV));
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
-        .with_writer(io::stderr);
+        .with_writer(writer)
+        // There is nowhere to say that the log can't be written.
+        .log_internal_errors(false);
     match format {
         LogFormat::Text => log.with_target(false).init(),
         LogFormat::Json => log.json().init(),
@@ -167,6 +196,7 @@ fn start_log(format: LogFormat) {
     if let Some(objection) = objection {
         warn!("{objection}");
     }
+    guard
 }
 
 /// The filter that `RUST_LOG` asks for; if it makes no sense, the default and
