@@ -47,6 +47,9 @@ const LONGEST_LINE: u64 = 4_096;
 /// The most clients at a time.
 const CLIENTS: usize = 32;
 
+/// How long a client that finds no place may take to say what it wants.
+const REFUSAL_PATIENCE: Duration = Duration::from_secs(1);
+
 /// How long an arm command waits for the car to drive.
 const ARM_PATIENCE: Duration = Duration::from_secs(2);
 
@@ -205,7 +208,7 @@ async fn accept(listener: UnixListener, view: View) {
                 tokio::spawn(async move {
                     let result = match place {
                         Ok(_place) => serve(stream, &view).await,
-                        Err(_) => refuse(stream).await,
+                        Err(_) => refuse(stream, &view).await,
                     };
                     // A client may go as it likes.
                     if let Err(error) = result {
@@ -222,9 +225,19 @@ async fn accept(listener: UnixListener, view: View) {
     }
 }
 
-async fn refuse(mut stream: UnixStream) -> io::Result<()> {
-    let answer = failure(format!("{CLIENTS} clients are connected; close one"));
-    stream.write_all(format!("{answer}\n").as_bytes()).await
+/// However many are connected, a stop is heard.
+async fn refuse(stream: UnixStream, view: &View) -> io::Result<()> {
+    let (read, mut write) = stream.into_split();
+    let mut line = Vec::new();
+    let mut read = BufReader::new(read).take(LONGEST_LINE);
+    let heard = tokio::time::timeout(REFUSAL_PATIENCE, read.read_until(b'\n', &mut line)).await;
+    let answer = match (heard, Command::parse(&line)) {
+        (Ok(Ok(_)), Ok(Command::Ask(question @ (Question::Stop | Question::Disarm)))) => {
+            answer(question, view).await
+        }
+        _ => failure(format!("{CLIENTS} clients are connected; close one")),
+    };
+    send(&mut write, &answer).await
 }
 
 async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
@@ -245,7 +258,15 @@ async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
             return send(&mut write, &answer).await;
         }
         match Command::parse(&line) {
-            Ok(Command::Watch { topics }) => return watch(&mut write, view, &topics).await,
+            Ok(Command::Watch { topics }) => {
+                let mut rest = [0];
+                // A watcher says nothing more; it may be gone long before there
+                // is something to tell it.
+                return tokio::select! {
+                    watched = watch(&mut write, view, &topics) => watched,
+                    gone = read.read(&mut rest) => gone.map(drop),
+                };
+            }
             Ok(Command::Ask(question)) => {
                 send(&mut write, &answer(question, view).await).await?;
             }

@@ -15,6 +15,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_control::Mode;
 use singletrackd::{Config, Daemon, StartError, StartOptions};
 use tempfile::TempDir;
 
@@ -147,6 +148,37 @@ fn a_watcher_sees_ticks_as_they_happen() {
         first["index"].as_u64().unwrap() + 1
     );
     daemon.stop().unwrap();
+}
+
+#[test]
+fn watchers_that_are_gone_leave_their_places() {
+    let (_daemon, path, _folder) = start();
+    for _ in 0..200 {
+        let mut client = Client::connect(&path);
+        // Drops are rare: there is nothing to be told of.
+        let answer = client.ask(r#"{"version":1,"command":"watch","topics":["drops"]}"#);
+        assert_eq!(answer["ok"], true, "{answer}");
+    }
+}
+
+#[test]
+fn a_stop_is_heard_when_every_place_is_taken() {
+    let (daemon, path, _folder) = start();
+    let watchers: Vec<_> = (0..32)
+        .map(|_| {
+            let mut client = Client::connect(&path);
+            client.ask(r#"{"version":1,"command":"watch","topics":["drops"]}"#);
+            client
+        })
+        .collect();
+    let refused = Client::connect(&path).ask(r#"{"version":1,"command":"status"}"#);
+    assert_eq!(refused["ok"], false, "{refused}");
+    let stopped = Client::connect(&path).ask(r#"{"version":1,"command":"stop"}"#);
+    assert_eq!(stopped["ok"], true, "{stopped}");
+    while daemon.snapshot().mode() != Mode::Fault {
+        std::thread::yield_now();
+    }
+    drop(watchers);
 }
 
 #[test]
