@@ -1,6 +1,7 @@
 //! `cargo verify`: every check of the project, on a machine that has nothing
 //! but a Rust toolchain and a C compiler.
 
+mod packages;
 mod same_bits;
 mod step;
 
@@ -65,6 +66,11 @@ fn steps() -> Vec<Step> {
                 "-D",
                 "warnings",
             ],
+        ),
+        Step::new(
+            "packages",
+            "each package builds alone, with the features that it asks for itself",
+            packages::check_all,
         ),
         Step::cargo(
             "documentation",

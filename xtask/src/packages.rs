@@ -1,0 +1,23 @@
+//! Each package must build alone. In the workspace's build a package has the
+//! features that any other asks for, which hides the ones it forgot.
+
+use crate::step::{Failure, cargo, check};
+
+const PACKAGES: [&str; 10] = [
+    "singletrack-protocol",
+    "singletrack-board",
+    "singletrack-control",
+    "singletrack-mocap",
+    "singletrack-link",
+    "singletrack-record",
+    "singletrackd",
+    "singletrack-sim",
+    "singletrack",
+    "singletrack-hil",
+];
+
+pub(crate) fn check_all() -> Result<(), Failure> {
+    PACKAGES
+        .into_iter()
+        .try_for_each(|package| check(cargo().args(["check", "--quiet", "--package", package])))
+}
