@@ -65,6 +65,14 @@ fn age() -> impl Strategy<Value = u32> {
     ]
 }
 
+proptest! {
+    /// A board that refused them would be tested for nothing but refusing.
+    #[test]
+    fn the_configurations_tried_are_ones_that_a_board_takes(configuration in any_configuration()) {
+        prop_assert_eq!(configuration.validate(), Ok(()));
+    }
+}
+
 fn any_configuration() -> impl Strategy<Value = Configuration> {
     let servo = (
         900..1_400_u16,
@@ -73,7 +81,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         1..400_u16,
     );
     let esc = (
-        1_400..=1_600_u16,
+        -1_000..=1_000_i32,
         0..60_u16,
         900..1_300_u16,
         1_700..2_100_u16,
@@ -103,7 +111,8 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             slew_us_per_20ms: servo.3,
         },
         esc: EscCalibration {
-            neutral_us: esc.0,
+            // A neutral that the start pulse meets, or it would be refused.
+            neutral_us: (1_500 + i32::from(esc.1) * esc.0 / 1_000) as u16,
             deadband_us: esc.1,
             min_us: esc.2,
             max_us: esc.3,
