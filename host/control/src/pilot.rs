@@ -138,7 +138,6 @@ impl Pilot {
             pose_time: self.pose_time,
             poses: self.estimator.poses(),
             implausible: self.estimator.implausible_in_a_row(),
-            untrustworthy: false,
             imu_time: self.imu_time,
             speed: estimate.map_or(0.0, |estimate| estimate.speed),
             motor_speed: self.motor_speed,

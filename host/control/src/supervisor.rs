@@ -174,8 +174,6 @@ pub struct Conditions {
     pub poses: u32,
     /// Poses in a row that were implausible.
     pub implausible: u32,
-    /// The cameras' own verdict that no pose can be trusted.
-    pub untrustworthy: bool,
     /// When the last inertial sample was made.
     pub imu_time: Option<Time>,
     /// Speed of the car, m/s.
@@ -397,10 +395,7 @@ impl Supervisor {
         {
             return Some(Reason::ImuSilent);
         }
-        if conditions.untrustworthy
-            || self.untrustworthy
-            || conditions.implausible >= self.config.max_implausible
-        {
+        if self.untrustworthy || conditions.implausible >= self.config.max_implausible {
             return Some(Reason::PoseImplausible);
         }
         match conditions.pose_time {
