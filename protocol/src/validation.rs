@@ -124,14 +124,16 @@ impl Configuration {
         let starts_neutral = NEUTRAL_AT_START_US - deadband..=NEUTRAL_AT_START_US + deadband;
         check(Field::EscNeutral, neutral, starts_neutral)?;
         let min = i32::from(esc.min_us);
-        check(Field::EscMin, min, lowest_pulse..=neutral - deadband)?;
+        // Within the deadband nothing brakes.
+        let weakest_brake = neutral - deadband - 1;
+        check(Field::EscMin, min, lowest_pulse..=weakest_brake)?;
         check(
             Field::EscMax,
             esc.max_us.into(),
             neutral + deadband..=highest_pulse,
         )?;
         check(Field::EscSlew, esc.slew_us_per_20ms.into(), SLEW_US)?;
-        check(Field::EscBrake, esc.brake_us.into(), min..=neutral)?;
+        check(Field::EscBrake, esc.brake_us.into(), min..=weakest_brake)?;
 
         let speed = &self.speed;
         check(

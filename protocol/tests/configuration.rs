@@ -42,6 +42,8 @@ fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
         }),
         (Field::EscDeadband, 0, 200, |c, v| {
             c.esc.deadband_us = v as u16;
+            // Below the widest deadband, as a brake must be.
+            c.esc.brake_us = 1_250;
         }),
         (Field::EscMin, 800, 1_300, |c, v| {
             c.esc.min_us = v as u16;
@@ -52,7 +54,7 @@ fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
         (Field::EscSlew, 1, 1_400, |c, v| {
             c.esc.slew_us_per_20ms = v as u16;
         }),
-        (Field::EscBrake, 1_150, 1_500, |c, v| {
+        (Field::EscBrake, 1_150, 1_474, |c, v| {
             c.esc.brake_us = v as u16;
         }),
         (Field::PulseDistance, 1, 65_535, |c, v| {

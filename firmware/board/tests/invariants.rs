@@ -86,7 +86,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         900..1_300_u16,
         1_700..2_100_u16,
         1..1_400_u16,
-        1_300..1_400_u16,
+        1_300..1_382_u16,
     );
     let speed = (
         1..20_000_u16,

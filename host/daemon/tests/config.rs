@@ -395,7 +395,7 @@ fn every_mistake_is_told_by_key_value_and_fix() {
         (
             "board.esc",
             "brake_us = 1600",
-            &["board.esc.brake_us", "1600", "1200 to 1500"],
+            &["board.esc.brake_us", "1600", "1200 to 1469"],
         ),
         (
             "board.speed",
