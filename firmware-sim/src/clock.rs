@@ -1,5 +1,7 @@
 //! The clocks of the board and of the cameras, which are not the simulation's.
 
+use singletrack_simavr::CYCLES_PER_US;
+
 /// A clock that runs from its own start at its own rate.
 ///
 /// Integer arithmetic throughout: both directions are exact to the microsecond
@@ -46,6 +48,21 @@ impl SkewedClock {
         let part = (elapsed_us % rate * MILLION).div_ceil(rate);
         whole + part
     }
+
+    /// The cycles of the oscillator behind the clock since simulation time zero.
+    #[must_use]
+    pub(crate) fn cycle_at(&self, simulation_us: u64) -> u64 {
+        let rate = self.rate() * CYCLES_PER_US;
+        simulation_us / MILLION * rate + simulation_us % MILLION * rate / MILLION
+    }
+
+    /// The first simulation time, in µs, at which the oscillator has come to a
+    /// cycle.
+    #[must_use]
+    pub(crate) fn when_cycle(&self, cycle: u64) -> u64 {
+        let rate = self.rate() * CYCLES_PER_US;
+        cycle / rate * MILLION + (cycle % rate * MILLION).div_ceil(rate)
+    }
 }
 
 #[cfg(test)]
@@ -67,6 +84,10 @@ mod tests {
                 let when = clock.when_elapsed(elapsed);
                 assert!(clock.at(when) >= elapsed, "{skew} {elapsed}");
                 assert!(clock.at(when - 1) < elapsed, "{skew} {elapsed}");
+                let cycle = elapsed * CYCLES_PER_US;
+                let when = clock.when_cycle(cycle);
+                assert!(clock.cycle_at(when) >= cycle, "{skew} {elapsed}");
+                assert!(clock.cycle_at(when - 1) < cycle, "{skew} {elapsed}");
             }
         }
     }

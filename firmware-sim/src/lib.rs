@@ -37,11 +37,14 @@ mod pty;
 mod pulse_log;
 mod random;
 mod real_time;
+mod scripted;
 mod udp;
 mod wire;
 mod world;
 
-pub use board::{BoardParameters, SERVO_FRAME_US, SimulatedBoard};
+pub use board::{
+    BoardKind, BoardParameters, Installation, SERVO_FRAME_US, SimulatedBoard, UnoError,
+};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     LossKind, TICKS_PER_SECOND, UpAxis,
@@ -63,6 +66,8 @@ pub use pulse_log::{PulseLog, PulseRecord};
 pub use real_time::{
     Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
 };
+pub use scripted::{ScriptedDrive, ScriptedHost};
+pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
 pub use udp::{UdpConfig, UdpError};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

@@ -4,8 +4,11 @@ use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameterError;
 
 use crate::{
-    board::BoardParameters, cameras::CameraParameters, car::CarParameters,
-    natnet_server::NatNetParameters, wire::WireParameters,
+    board::{BoardParameters, UnoError},
+    cameras::CameraParameters,
+    car::CarParameters,
+    natnet_server::NatNetParameters,
+    wire::WireParameters,
 };
 
 /// Everything that can be set before a simulation starts.
@@ -48,6 +51,9 @@ pub enum ConfigError {
     /// No such vehicle.
     #[error("car.vehicle: {0}")]
     Vehicle(#[from] VehicleParameterError),
+    /// No simulated UNO to be had.
+    #[error(transparent)]
+    Uno(#[from] UnoError),
     /// A value that is out of range.
     #[error("{name} is {value}: it must be {rule}")]
     OutOfRange {

@@ -61,8 +61,14 @@ impl Direction {
         }
     }
 
+    /// Passes a byte at the line's own pace.
     fn send(&mut self, now_us: u64, byte: u8, byte_ps: u64, faults: &WireFaults) {
         self.free_at_ps = self.free_at_ps.max(now_us * PS_PER_US) + byte_ps;
+        self.pass(self.free_at_ps.div_ceil(PS_PER_US), byte, faults);
+    }
+
+    /// Passes a byte whose stop bit ends at a time.
+    fn pass(&mut self, sent_us: u64, byte: u8, faults: &WireFaults) {
         // Always three draws, so that one fault does not change another.
         let dropped = self.random.happens(faults.drop);
         let corrupted = self.random.happens(faults.corrupt);
@@ -71,7 +77,7 @@ impl Direction {
             return;
         }
         let byte = if corrupted { byte ^ (1 << bit) } else { byte };
-        let mut arrival = self.free_at_ps.div_ceil(PS_PER_US) + faults.delay_us;
+        let mut arrival = sent_us + faults.delay_us;
         if let Some((last, _)) = self.under_way.back() {
             // A delay that is taken away lets no byte overtake.
             arrival = arrival.max(*last);
@@ -79,13 +85,13 @@ impl Direction {
         self.under_way.push_back((arrival, byte));
     }
 
-    fn receive(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+    fn receive(&mut self, now_us: u64, mut take: impl FnMut(u64, u8)) {
         while let Some(&(arrival, byte)) = self.under_way.front() {
             if arrival > now_us {
                 break;
             }
             self.under_way.pop_front();
-            bytes.push(byte);
+            take(arrival, byte);
         }
     }
 
@@ -164,7 +170,7 @@ impl SerialWire {
     /// The host takes what has arrived, appending it to `bytes`.
     pub fn host_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         if !self.faults.stuck {
-            self.to_host.receive(now_us, bytes);
+            self.to_host.receive(now_us, |_, byte| bytes.push(byte));
         }
     }
 
@@ -183,6 +189,13 @@ impl SerialWire {
         }
     }
 
+    /// The board has sent a byte by itself, whose stop bit ended at a time.
+    pub(crate) fn board_sent(&mut self, sent_us: u64, byte: u8) {
+        if self.connected {
+            self.to_host.pass(sent_us, byte, &self.faults);
+        }
+    }
+
     /// Bytes that the board has sent and that have not left it yet.
     pub(crate) fn board_backlog(&self, now_us: u64) -> usize {
         let waiting = self.to_host.free_at_ps.saturating_sub(now_us * PS_PER_US);
@@ -191,8 +204,13 @@ impl SerialWire {
 
     /// The board takes what has arrived, appending it to `bytes`.
     pub(crate) fn board_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        self.board_read_timed(now_us, |_, byte| bytes.push(byte));
+    }
+
+    /// The same, each byte with the time of its arrival, in µs.
+    pub(crate) fn board_read_timed(&mut self, now_us: u64, take: impl FnMut(u64, u8)) {
         self.pass_held(now_us);
-        self.to_board.receive(now_us, bytes);
+        self.to_board.receive(now_us, take);
     }
 
     fn pass_held(&mut self, now_us: u64) {

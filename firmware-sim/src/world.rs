@@ -51,7 +51,7 @@ impl World {
     ///
     /// # Errors
     ///
-    /// A setting that cannot be simulated.
+    /// A setting that cannot be simulated, or a UNO that is not there.
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         let seed = config.seed;
@@ -62,7 +62,7 @@ impl World {
             imu: Imu::new(config.car.imu, seed),
             imu_samples: 0,
             imu_pending: VecDeque::new(),
-            board: SimulatedBoard::new(config.board, seed),
+            board: SimulatedBoard::new(config.board, seed)?,
             wire: SerialWire::new(&config.wire, seed),
             cameras: Cameras::new(config.cameras.clone(), seed),
             natnet: NatNetServer::new(config.natnet),

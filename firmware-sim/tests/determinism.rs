@@ -6,10 +6,7 @@
     reason = "a test fails by panicking"
 )]
 
-mod common;
-
-use common::Bench;
-use singletrack_sim::{Car, CarParameters, SimulationConfig, WireFaults, World};
+use singletrack_sim::{Car, CarParameters, ScriptedDrive, SimulationConfig, WireFaults, World};
 
 fn config(seed: u64) -> SimulationConfig {
     let mut config = SimulationConfig {
@@ -26,7 +23,7 @@ fn config(seed: u64) -> SimulationConfig {
 
 /// Everything that a host can see, and the truth, as text with all digits.
 fn run(seed: u64) -> String {
-    let mut bench = Bench::armed(config(seed));
+    let mut bench = ScriptedDrive::armed(config(seed)).unwrap();
     let mut seen = String::new();
     bench.drive(300, 400, 2_000, |bench| {
         seen += &format!("{:?}{:?}\n", bench.world.truth(), bench.host.telemetry);

@@ -6,8 +6,6 @@
     reason = "a test fails by panicking"
 )]
 
-mod common;
-
 use std::{
     fs::{File, OpenOptions},
     io::{Read, Write},
@@ -17,13 +15,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use common::Host;
 use singletrack_mocap::{
     codec::{BitstreamVersion, ClientMessage, Connect, ServerMessage},
     encode,
 };
 use singletrack_sim::{
-    Pty, PtyError, RealTimeConfig, RealTimeSimulator, SimulationConfig, UdpConfig,
+    Pty, PtyError, RealTimeConfig, RealTimeSimulator, ScriptedHost, SimulationConfig, UdpConfig,
 };
 
 /// `O_NONBLOCK` and `O_NOCTTY` on Linux.
@@ -117,7 +114,7 @@ fn telemetry_comes_through_unplugged_and_plugged_in_again() {
     let link = directory.path().join("board");
     let simulator = start(SimulationConfig::default(), &link);
     let mut port = open(&link);
-    let mut host = Host::new();
+    let mut host = ScriptedHost::default();
     let mut buffer = [0; 256];
     wait_for("telemetry", || {
         let count = port.read(&mut buffer).unwrap_or(0);

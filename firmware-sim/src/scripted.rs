@@ -1,41 +1,34 @@
 //! A small host for the simulated board: enough to configure, arm and drive.
 
-#![allow(dead_code, reason = "not every test uses every part")]
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Decoder, Drive, Hello, RefusalReason, Sequence,
     Status, Telemetry, ToBoard, ToHost, VERSION,
 };
-use singletrack_sim::{SimulationConfig, World, default_board_configuration};
+
+use crate::{ConfigError, SimulationConfig, World, default_board_configuration};
 
 /// What a host remembers of the board.
-pub(crate) struct Host {
+#[derive(Debug, Default)]
+pub struct ScriptedHost {
     decoder: Decoder,
-    pub(crate) telemetry: Option<Telemetry>,
-    pub(crate) status: Option<Status>,
-    pub(crate) records: u64,
-    pub(crate) damaged: u64,
-    pub(crate) refusals: Vec<RefusalReason>,
-    pub(crate) hellos: Vec<Hello>,
+    /// The last telemetry record.
+    pub telemetry: Option<Telemetry>,
+    /// The last status record.
+    pub status: Option<Status>,
+    /// Telemetry records so far.
+    pub records: u64,
+    /// Frames that were damaged or made no sense.
+    pub damaged: u64,
+    /// Requests that were refused.
+    pub refusals: Vec<RefusalReason>,
+    /// Greetings, answered and unsolicited.
+    pub hellos: Vec<Hello>,
     sequence: Sequence,
 }
 
-impl Host {
-    pub(crate) fn new() -> Self {
-        Self {
-            decoder: Decoder::new(),
-            telemetry: None,
-            status: None,
-            records: 0,
-            damaged: 0,
-            refusals: Vec::new(),
-            hellos: Vec::new(),
-            sequence: Sequence(0),
-        }
-    }
-
-    pub(crate) fn take(&mut self, bytes: &[u8]) {
+impl ScriptedHost {
+    /// Bytes from the board.
+    pub fn take(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let message = match self.decoder.push(byte) {
                 None => continue,
@@ -59,58 +52,88 @@ impl Host {
         }
     }
 
-    pub(crate) fn next_sequence(&mut self) -> Sequence {
+    /// A number that has not been used.
+    pub fn next_sequence(&mut self) -> Sequence {
         self.sequence = self.sequence.next();
         self.sequence
     }
 
-    pub(crate) fn telemetry_time_us(&self) -> u32 {
+    /// Board time of the newest telemetry, in µs; zero before the first.
+    #[must_use]
+    pub fn telemetry_time_us(&self) -> u32 {
         self.telemetry
             .map_or(0, |telemetry| telemetry.board_time_us)
     }
 
-    pub(crate) fn mode(&self) -> Option<BoardMode> {
+    /// The board's mode, as far as it is known.
+    #[must_use]
+    pub fn mode(&self) -> Option<BoardMode> {
         self.telemetry.map(|telemetry| telemetry.mode)
     }
 
-    pub(crate) fn drive(&mut self, speed_mm_s: i16, steering_100urad: i16) -> Vec<u8> {
-        let sequence = self.next_sequence();
-        bytes(&ToBoard::Drive(Drive {
-            sequence,
+    /// The next command, as a message.
+    pub fn drive(&mut self, speed_mm_s: i16, steering_100urad: i16) -> ToBoard {
+        ToBoard::Drive(Drive {
+            sequence: self.next_sequence(),
             speed_mm_s,
             steering_100urad,
             telemetry_time_us: self.telemetry_time_us(),
             pose_age_ms: 10,
-        }))
+        })
     }
 }
 
-pub(crate) fn bytes(message: &ToBoard) -> Vec<u8> {
-    message.encode().as_bytes().to_vec()
+/// A world and a scripted host, in step, in virtual time.
+#[derive(Debug)]
+pub struct ScriptedDrive {
+    /// The world.
+    pub world: World,
+    /// The host.
+    pub host: ScriptedHost,
+    /// What the host configures the board with.
+    pub configuration: Configuration,
 }
 
-/// A world and its host, in step.
-pub(crate) struct Bench {
-    pub(crate) world: World,
-    pub(crate) host: Host,
-    pub(crate) configuration: Configuration,
-}
-
-impl Bench {
-    pub(crate) fn new(config: SimulationConfig) -> Self {
-        Self {
-            world: World::new(config).unwrap(),
-            host: Host::new(),
+impl ScriptedDrive {
+    /// A world whose board has just been powered on.
+    ///
+    /// # Errors
+    ///
+    /// The world can't be simulated.
+    pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
+        Ok(Self {
+            world: World::new(config)?,
+            host: ScriptedHost::default(),
             configuration: default_board_configuration(),
-        }
+        })
     }
 
-    pub(crate) fn send(&mut self, message: &ToBoard) {
-        self.world.host_write(&bytes(message));
+    /// Powers up, configures and arms; whether that worked the host's mode tells.
+    ///
+    /// # Errors
+    ///
+    /// The world can't be simulated.
+    pub fn armed(config: SimulationConfig) -> Result<Self, ConfigError> {
+        let mut drive = Self::new(config)?;
+        drive.run_ms(200);
+        drive.prepare();
+        Ok(drive)
+    }
+
+    /// Configures, waits until the ESC has seen neutral for long enough, and arms.
+    pub fn prepare(&mut self) {
+        self.configure();
+        self.run_ms(2_800);
+        self.arm();
+    }
+
+    /// Sends a message to the board.
+    pub fn send(&mut self, message: &ToBoard) {
+        self.world.host_write(message.encode().as_bytes());
     }
 
     /// Lets time pass by whole milliseconds, the host listening.
-    pub(crate) fn run_ms(&mut self, ms: u64) {
+    pub fn run_ms(&mut self, ms: u64) {
         let start = self.world.now_us();
         for i in 1..=ms {
             self.world.advance_to(start + i * 1_000);
@@ -118,29 +141,15 @@ impl Bench {
         }
     }
 
-    pub(crate) fn listen(&mut self) {
+    /// The host takes what has arrived.
+    pub fn listen(&mut self) {
         let mut received = Vec::new();
         self.world.host_read(&mut received);
         self.host.take(&received);
     }
 
-    /// Powers up, configures and arms.
-    pub(crate) fn armed(config: SimulationConfig) -> Self {
-        let mut bench = Self::new(config);
-        bench.run_ms(200);
-        bench.configure();
-        bench.run_ms(2_800);
-        bench.arm();
-        assert_eq!(
-            bench.host.mode(),
-            Some(BoardMode::Armed),
-            "{:?}",
-            bench.host.refusals
-        );
-        bench
-    }
-
-    pub(crate) fn configure(&mut self) {
+    /// Greets and configures the board.
+    pub fn configure(&mut self) {
         self.send(&ToBoard::Hello(Hello {
             protocol_version: VERSION,
             software_version: [0, 1, 0],
@@ -156,7 +165,8 @@ impl Bench {
         self.run_ms(20);
     }
 
-    pub(crate) fn arm(&mut self) {
+    /// Asks the board to obey commands from now on.
+    pub fn arm(&mut self) {
         let request = self.host.next_sequence();
         let arm = Arm {
             request,
@@ -167,8 +177,8 @@ impl Bench {
         self.run_ms(40);
     }
 
-    /// Drives for whole ticks of 10 ms; `each` sees the bench after every one.
-    pub(crate) fn drive(
+    /// Drives for whole ticks of 10 ms; `each` sees the drive after every one.
+    pub fn drive(
         &mut self,
         ticks: u64,
         speed_mm_s: i16,
@@ -177,7 +187,7 @@ impl Bench {
     ) {
         for _ in 0..ticks {
             let command = self.host.drive(speed_mm_s, steering_100urad);
-            self.world.host_write(&command);
+            self.send(&command);
             self.run_ms(10);
             each(self);
         }

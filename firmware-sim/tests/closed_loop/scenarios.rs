@@ -1,26 +1,31 @@
-//! The real board code drives the simulated car.
+//! What the board must do with the simulated car, whatever it runs on.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test fails by panicking"
-)]
-
-mod common;
-
-use common::{Bench, bytes};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, StopCause, ToBoard, UNSOLICITED,
 };
 use singletrack_sim::{
-    BoardParameters, MotorSensorFault, SERVO_FRAME_US, SimulationConfig, WireFaults,
+    BoardParameters, Hang, MotorSensorFault, SERVO_FRAME_US, ScriptedDrive, SimulationConfig,
+    WireFaults,
 };
+
+use super::KIND;
 
 fn seeded(seed: u64) -> SimulationConfig {
     SimulationConfig {
         seed,
+        board: BoardParameters {
+            kind: KIND,
+            ..BoardParameters::default()
+        },
         ..SimulationConfig::default()
     }
+}
+
+fn armed(config: SimulationConfig) -> ScriptedDrive {
+    let drive = ScriptedDrive::armed(config).unwrap();
+    let refusals = &drive.host.refusals;
+    assert_eq!(drive.host.mode(), Some(BoardMode::Armed), "{refusals:?}");
+    drive
 }
 
 /// Within this of neutral the motor gets nothing, in µs.
@@ -31,7 +36,7 @@ fn a_step_to_0_4_m_s_settles_within_a_second() {
     for (seed, battery_v, within) in [(1, 7.9, 0.02), (2, 7.0, 0.04), (3, 8.4, 0.04)] {
         let mut config = seeded(seed);
         config.car.battery.start_v = battery_v;
-        let mut bench = Bench::armed(config);
+        let mut bench = armed(config);
         let start = bench.world.now_us();
         let mut fastest = 0.0_f64;
         bench.drive(400, 400, 0, |bench| {
@@ -54,7 +59,7 @@ fn a_step_to_0_4_m_s_settles_within_a_second() {
 
 #[test]
 fn creeping_does_not_look_like_a_dead_sensor() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.drive(500, 80, 0, |_| {});
     assert_eq!(bench.host.mode(), Some(BoardMode::Driving));
     let speed = bench.world.truth().wheel_speed;
@@ -63,7 +68,7 @@ fn creeping_does_not_look_like_a_dead_sensor() {
 
 #[test]
 fn steering_commands_turn_the_wheels_by_that_angle() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     for angle in [3_000, -3_000, 0] {
         bench.drive(60, 300, angle, |_| {});
         let steering = bench.world.truth().steering;
@@ -77,7 +82,7 @@ fn steering_commands_turn_the_wheels_by_that_angle() {
 
 #[test]
 fn telemetry_tells_what_is_so() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     let mut fresh = 0;
     let mut turning = 0.0;
     bench.drive(300, 400, 3_000, |bench| {
@@ -107,11 +112,8 @@ fn telemetry_tells_what_is_so() {
 #[test]
 fn telemetry_comes_at_100_hz_of_a_clock_that_is_off_and_wraps() {
     let mut config = seeded(1);
-    config.board = BoardParameters {
-        clock_offset_us: u32::MAX - 4_000_000,
-        ..BoardParameters::default()
-    };
-    let mut bench = Bench::armed(config);
+    config.board.clock_offset_us = u32::MAX - 4_000_000;
+    let mut bench = armed(config);
     let (start, records) = (bench.world.now_us(), bench.host.records);
     let board_start = bench.host.telemetry_time_us();
     bench.drive(1_000, 300, 0, |_| {});
@@ -126,11 +128,11 @@ fn telemetry_comes_at_100_hz_of_a_clock_that_is_off_and_wraps() {
 #[test]
 fn after_the_last_command_the_neutral_pulse_leaves_within_120_ms() {
     for extra_ms in [0, 3, 7, 11, 19] {
-        let mut bench = Bench::armed(seeded(1));
+        let mut bench = armed(seeded(1));
         bench.drive(100, 400, 1_000, |_| {});
         bench.run_ms(extra_ms);
         let command = bench.host.drive(400, 1_000);
-        bench.world.host_write(&command);
+        bench.send(&command);
         let last_us = bench.world.now_us();
         bench.run_ms(500);
         let neutral = bench
@@ -149,12 +151,12 @@ fn after_the_last_command_the_neutral_pulse_leaves_within_120_ms() {
 
 #[test]
 fn a_queue_released_by_a_stuck_line_drives_nothing() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
     bench.world.wire_mut().faults_mut().stuck = true;
     for _ in 0..976 {
         let command = bench.host.drive(600, 0);
-        bench.world.host_write(&command);
+        bench.send(&command);
         bench.run_ms(10);
     }
     assert_eq!(bench.world.truth().wheel_speed, 0.0);
@@ -179,7 +181,7 @@ fn a_queue_released_by_a_stuck_line_drives_nothing() {
 
 #[test]
 fn a_dead_motor_sensor_stops_the_car() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.drive(100, 400, 0, |_| {});
     bench
         .world
@@ -200,7 +202,7 @@ fn a_dead_motor_sensor_stops_the_car() {
 
 #[test]
 fn the_pins_are_silent_through_the_bootloader_and_the_board_greets_after_it() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
     bench.host.hellos.clear();
     bench.world.reset_board(ResetCause::External);
@@ -226,9 +228,9 @@ fn the_pins_are_silent_through_the_bootloader_and_the_board_greets_after_it() {
 
 #[test]
 fn a_hung_main_loop_is_stopped_by_the_supervisor() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
-    bench.world.board_mut().set_hung(true);
+    bench.world.board_mut().hang(Hang::MainLoop);
     let hung_us = bench.world.now_us();
     bench.drive(100, 400, 0, |_| {});
     let neutral = bench
@@ -243,7 +245,7 @@ fn a_hung_main_loop_is_stopped_by_the_supervisor() {
 
 #[test]
 fn half_a_percent_of_damaged_bytes_is_survived_and_counted() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     *bench.world.wire_mut().faults_mut() = WireFaults {
         corrupt: 0.005,
         ..WireFaults::default()
@@ -256,23 +258,21 @@ fn half_a_percent_of_damaged_bytes_is_survived_and_counted() {
 
 #[test]
 fn arming_is_refused_before_neutral_has_been_held() {
-    let mut bench = Bench::new(seeded(1));
+    let mut bench = ScriptedDrive::new(seeded(1)).unwrap();
     bench.run_ms(200);
     bench.configure();
     bench.arm();
     assert_eq!(bench.host.refusals, [RefusalReason::NotYetNeutral]);
-    bench
-        .world
-        .host_write(&bytes(&ToBoard::Disarm(singletrack_protocol::Disarm {
-            request: singletrack_protocol::Sequence(99),
-        })));
+    bench.send(&ToBoard::Disarm(singletrack_protocol::Disarm {
+        request: singletrack_protocol::Sequence(99),
+    }));
     bench.run_ms(20);
     assert_ne!(bench.host.mode(), Some(BoardMode::Armed));
 }
 
 #[test]
 fn both_pulses_come_every_20_ms_of_board_time() {
-    let mut bench = Bench::armed(seeded(1));
+    let mut bench = armed(seeded(1));
     bench.run_ms(1_000);
     let pulses: Vec<_> = bench.world.board().pulses().iter().copied().collect();
     for pair in pulses.windows(2) {

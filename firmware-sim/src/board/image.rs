@@ -1,0 +1,337 @@
+//! The image for the Arduino UNO on a simulated processor, in step with the car.
+
+use std::path::{Path, PathBuf};
+
+use singletrack_protocol::ResetCause;
+use singletrack_simavr::{
+    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, Pulse, Reply, Report, Request, ResetFlags,
+    Run,
+};
+
+use super::{Surroundings, battery_mv, local_time, process::Process};
+use crate::{
+    car::{Car, ImuReading, MotorPulses},
+    clock::SkewedClock,
+    pulse_log::{PulseLog, PulseRecord},
+};
+
+/// Where the image and the program that runs it are.
+///
+/// `cargo uno` builds both into a folder `uno` of the target folder, where
+/// programs find it that are in the target folder themselves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Installation {
+    /// The program that runs the image.
+    pub program: PathBuf,
+    /// The image.
+    pub image: PathBuf,
+}
+
+/// Why there is no simulated UNO.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum UnoError {
+    /// Nobody has built it.
+    #[error(
+        "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} or above it; \
+         `cargo uno` builds both, or name the folder in {VARIABLE}",
+        executable.display()
+    )]
+    Missing {
+        /// The program that looked.
+        executable: PathBuf,
+    },
+    /// The named folder is not one.
+    #[error("{VARIABLE} names {}, where there is no {file}", folder.display())]
+    Incomplete {
+        /// The folder.
+        folder: PathBuf,
+        /// What it lacks.
+        file: &'static str,
+    },
+    /// The program does not start.
+    #[error("cannot start {}: {reason}", program.display())]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+}
+
+const VARIABLE: &str = "SINGLETRACK_UNO";
+const FOLDER: &str = "uno";
+const PROGRAM: &str = "singletrack-simavr";
+const IMAGE: &str = "singletrack-uno.elf";
+
+impl Installation {
+    /// Looks in the folder that `SINGLETRACK_UNO` names, else for a folder `uno`
+    /// beside this program or above it.
+    ///
+    /// # Errors
+    ///
+    /// Nothing there.
+    pub fn find() -> Result<Self, UnoError> {
+        if let Some(folder) = std::env::var_os(VARIABLE).map(PathBuf::from) {
+            let installation = Self::in_folder(&folder);
+            for (path, file) in [
+                (&installation.program, PROGRAM),
+                (&installation.image, IMAGE),
+            ] {
+                if !path.is_file() {
+                    return Err(UnoError::Incomplete { folder, file });
+                }
+            }
+            return Ok(installation);
+        }
+        let executable = std::env::current_exe().unwrap_or_default();
+        executable
+            .ancestors()
+            .skip(1)
+            .map(|folder| Self::in_folder(&folder.join(FOLDER)))
+            .find(|found| found.program.is_file() && found.image.is_file())
+            .ok_or(UnoError::Missing { executable })
+    }
+
+    fn in_folder(folder: &Path) -> Self {
+        Self {
+            program: folder.join(PROGRAM),
+            image: folder.join(IMAGE),
+        }
+    }
+}
+
+/// The processor runs in steps of this length, in µs; what happens within one is
+/// dated to the cycle, and reaches the car and the line at its end.
+const STEP_US: u64 = 1_000;
+
+/// The longest pulse of a servo, and a little more: after that both are known.
+const FRAME_ENDS: u64 = 2_500 * CYCLES_PER_US;
+
+/// The processor with the image.
+#[derive(Debug)]
+pub(super) struct Image {
+    process: Process,
+    failure: Option<String>,
+    next_run_us: u64,
+    /// When the processor last left its reset, in cycles.
+    started: u64,
+    edges: MotorPulses,
+    motion: Vec<(u64, Motion)>,
+    frame: Option<Frame>,
+    bytes_overrun: u64,
+}
+
+/// A servo frame whose pulses are still to come, or have come.
+#[derive(Clone, Copy, Debug)]
+struct Frame {
+    start: u64,
+    servo_us: u16,
+    esc_us: u16,
+}
+
+impl Image {
+    pub(super) fn start(installation: &Installation) -> Result<Self, UnoError> {
+        Ok(Self {
+            process: Process::start(&installation.program, &installation.image)?,
+            failure: None,
+            next_run_us: 0,
+            started: 0,
+            edges: MotorPulses::default(),
+            motion: Vec::new(),
+            frame: None,
+            bytes_overrun: 0,
+        })
+    }
+
+    pub(super) fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    pub(super) const fn bytes_overrun(&self) -> u64 {
+        self.bytes_overrun
+    }
+
+    pub(super) const fn next_event_us(&self) -> u64 {
+        self.next_run_us
+    }
+
+    pub(super) fn hang(&mut self, hang: Hang) {
+        self.ask(&Request::Hang(hang));
+    }
+
+    pub(super) fn set_bus(&mut self, fault: BusFault) {
+        self.ask(&Request::SetBus(fault));
+    }
+
+    pub(super) fn hold(&mut self) {
+        self.ask(&Request::Hold);
+        self.frame = None;
+    }
+
+    pub(super) fn figures(&mut self) -> Option<Figures> {
+        match self.ask(&Request::Measure) {
+            Some(Reply::Figures(figures)) => Some(figures),
+            _ => None,
+        }
+    }
+
+    pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
+        // While the processor does not run only the last one is of interest.
+        if self.motion.len() > 100 {
+            self.motion.clear();
+        }
+        self.motion.push((
+            cycle,
+            Motion {
+                linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
+                angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
+                attitude_q14: reading.attitude_q14,
+            },
+        ));
+    }
+
+    pub(super) fn restart(&mut self, clock: SkewedClock, now_us: u64, cause: ResetCause) {
+        let until = clock.cycle_at(now_us);
+        let motion = std::mem::take(&mut self.motion);
+        self.ask(&Request::Run(Run {
+            until,
+            motion,
+            ..Run::default()
+        }));
+        self.ask(&Request::Start(match cause {
+            ResetCause::PowerOn => ResetFlags::POWER_ON,
+            ResetCause::External => ResetFlags::EXTERNAL,
+            ResetCause::BrownOut => ResetFlags::BROWN_OUT,
+            ResetCause::Watchdog => ResetFlags::WATCHDOG,
+            ResetCause::Unknown => ResetFlags(0),
+        }));
+        self.started = until;
+        self.next_run_us = now_us;
+        self.frame = None;
+    }
+
+    /// Lets the processor catch up; returns whether the watchdog has bitten.
+    pub(super) fn run(&mut self, around: &mut Surroundings<'_>) -> bool {
+        let now_us = around.now_us;
+        if now_us < self.next_run_us {
+            return false;
+        }
+        self.next_run_us = (now_us / STEP_US + 1) * STEP_US;
+        let clock = around.clock;
+        let mut received = Vec::new();
+        around.wire.board_read_timed(now_us, |arrival_us, byte| {
+            received.push((clock.cycle_at(arrival_us), byte));
+            around
+                .monitor
+                .hear_host(byte, local_time(&clock, around.started_us, arrival_us));
+        });
+        let run = Run {
+            until: clock.cycle_at(now_us),
+            received,
+            motor_edges: self.motor_edges(around.car, &clock),
+            motion: std::mem::take(&mut self.motion),
+            battery_mv: battery_mv(
+                around.car,
+                &around.car.parameters().battery,
+                around.battery_noise,
+            ),
+            stop_input_open: around.stop_input_open,
+        };
+        match self.ask(&Request::Run(run)) {
+            Some(Reply::Ran(report)) => self.take(&report, around),
+            _ => false,
+        }
+    }
+
+    /// The edges since the last time: the car knows their number and the time of
+    /// the last one; it turns at about the same speed for a millisecond.
+    fn motor_edges(&mut self, car: &Car, clock: &SkewedClock) -> Vec<u64> {
+        let edges = car.motor_pulses();
+        let new = u64::from(edges.count.wrapping_sub(self.edges.count));
+        self.edges = edges;
+        let Some(last_us) = edges.last_us else {
+            return Vec::new();
+        };
+        let last = clock.cycle_at(last_us);
+        let between = STEP_US * CYCLES_PER_US / (new + 1);
+        (0..new)
+            .rev()
+            .map(|before| last.saturating_sub(before * between))
+            .collect()
+    }
+
+    /// What the board did reaches car, line and log.
+    fn take(&mut self, report: &Report, around: &mut Surroundings<'_>) -> bool {
+        self.bytes_overrun = report.bytes_overrun;
+        for &(cycle, byte) in &report.transmitted {
+            around.monitor.hear_board(byte);
+            around.wire.board_sent(around.clock.when_cycle(cycle), byte);
+        }
+        for pulse in &report.pulses {
+            self.take_pulse(pulse, &around.clock, around.car, around.pulses);
+        }
+        if let Some(frame) = self.frame
+            && report.cycle > frame.start + FRAME_ENDS
+        {
+            self.finish_frame(&around.clock, around.pulses);
+        }
+        report.watchdog_reset.is_some()
+    }
+
+    fn take_pulse(
+        &mut self,
+        pulse: &Pulse,
+        clock: &SkewedClock,
+        car: &mut Car,
+        log: &mut PulseLog,
+    ) {
+        if self
+            .frame
+            .is_some_and(|frame| pulse.start > frame.start + FRAME_ENDS)
+        {
+            self.finish_frame(clock, log);
+        }
+        let width_us =
+            u16::try_from((pulse.width + CYCLES_PER_US / 2) / CYCLES_PER_US).unwrap_or(u16::MAX);
+        let frame = self.frame.get_or_insert(Frame {
+            start: pulse.start,
+            servo_us: 0,
+            esc_us: 0,
+        });
+        match pulse.pin {
+            Pin::Servo => {
+                frame.servo_us = width_us;
+                car.apply_pulses(width_us, 0);
+            }
+            Pin::Esc => {
+                frame.esc_us = width_us;
+                car.apply_pulses(0, width_us);
+            }
+        }
+    }
+
+    fn finish_frame(&mut self, clock: &SkewedClock, log: &mut PulseLog) {
+        if let Some(frame) = self.frame.take() {
+            log.push(PulseRecord {
+                time_us: clock.when_cycle(frame.start),
+                board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,
+                servo_us: frame.servo_us,
+                esc_us: frame.esc_us,
+            });
+        }
+    }
+
+    /// Asks the process, unless it has failed.
+    fn ask(&mut self, request: &Request) -> Option<Reply> {
+        if self.failure.is_some() {
+            return None;
+        }
+        match self.process.ask(request) {
+            Ok(reply) => Some(reply),
+            Err(reason) => {
+                self.failure = Some(reason);
+                None
+            }
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! The Arduino around the real board code: clock, bytes, pins.
+
+use singletrack_board::{Board, ImuSample, Inputs, MotorPulses};
+use singletrack_protocol::ResetCause;
+
+use super::{BoardParameters, SERVO_FRAME_US, Surroundings, battery_mv, local_time};
+use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
+
+/// The version that the simulated board reports: this crate's.
+const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
+
+/// The board's code and its inputs.
+#[derive(Debug)]
+pub(super) struct Native {
+    parameters: BoardParameters,
+    board: Board,
+    /// Rounds of the main loop and servo frames so far.
+    polls: u64,
+    frames: u64,
+    inputs: Inputs,
+    hung: bool,
+    imu_is_silent: bool,
+    received: Vec<u8>,
+}
+
+impl Native {
+    pub(super) fn new(parameters: BoardParameters) -> Self {
+        Self {
+            parameters,
+            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION),
+            polls: 0,
+            frames: 0,
+            inputs: Inputs::default(),
+            hung: false,
+            imu_is_silent: false,
+            received: Vec::new(),
+        }
+    }
+
+    pub(super) fn restart(&mut self, cause: ResetCause) {
+        self.board = Board::new(cause, SOFTWARE_VERSION);
+        self.polls = 0;
+        self.frames = 0;
+        self.inputs = Inputs::default();
+        self.hung = false;
+    }
+
+    pub(super) const fn code(&self) -> &Board {
+        &self.board
+    }
+
+    pub(super) const fn hang(&mut self) {
+        self.hung = true;
+    }
+
+    pub(super) const fn silence_imu(&mut self, silent: bool) {
+        self.imu_is_silent = silent;
+    }
+
+    pub(super) fn next_event_us(&self, clock: &SkewedClock, started_us: u64) -> u64 {
+        let when = |elapsed| started_us + clock.when_elapsed(elapsed);
+        when(self.polls * self.parameters.poll_period_us).min(when(self.frames * SERVO_FRAME_US))
+    }
+
+    pub(super) fn take_imu(&mut self, board_time_us: u32, reading: &ImuReading) {
+        if !self.imu_is_silent {
+            self.inputs.imu = Some(ImuSample {
+                time_us: board_time_us,
+                linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
+                angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
+                attitude_q14: reading.attitude_q14,
+            });
+        }
+    }
+
+    pub(super) fn run(&mut self, around: Surroundings<'_>) {
+        let Surroundings {
+            now_us,
+            started_us,
+            clock,
+            stop_input_open,
+            battery_noise,
+            car,
+            wire,
+            pulses,
+            monitor,
+        } = around;
+        let board_time_us = local_time(&clock, started_us, now_us);
+        let elapsed = clock.at(now_us - started_us) - clock.at(0);
+        if self.polls * self.parameters.poll_period_us <= elapsed {
+            self.polls = elapsed / self.parameters.poll_period_us + 1;
+            if !self.hung {
+                let edges = car.motor_pulses();
+                self.inputs.motor = MotorPulses {
+                    count: edges.count,
+                    last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
+                };
+                self.inputs.battery_mv = battery_mv(car, &car.parameters().battery, battery_noise);
+                self.inputs.stop_input_open = stop_input_open;
+                self.received.clear();
+                wire.board_read(now_us, &mut self.received);
+                let room = self.parameters.receive_buffer;
+                let lost = self.received.len().saturating_sub(room);
+                self.received.truncate(room);
+                self.inputs.bytes_overrun = self.inputs.bytes_overrun.wrapping_add(lost as u16);
+                for &byte in &self.received {
+                    monitor.hear_host(byte, board_time_us);
+                }
+                let room = self.parameters.transmit_buffer;
+                self.board.poll(
+                    board_time_us,
+                    &self.inputs,
+                    &self.received,
+                    &mut |frame: &[u8]| {
+                        let fits = wire.board_backlog(now_us) + frame.len() <= room;
+                        if fits {
+                            wire.board_write(now_us, frame);
+                            for &byte in frame {
+                                monitor.hear_board(byte);
+                            }
+                        }
+                        fits
+                    },
+                );
+            }
+        }
+        if self.frames * SERVO_FRAME_US <= elapsed {
+            self.frames = elapsed / SERVO_FRAME_US + 1;
+            let (servo_us, esc_us) = self.pulses(board_time_us);
+            car.apply_pulses(servo_us, esc_us);
+            pulses.push(PulseRecord {
+                time_us: now_us,
+                board_time_us,
+                servo_us,
+                esc_us,
+            });
+        }
+    }
+
+    /// What the pins show, with the timer interrupt's last word: once the
+    /// command has run out, neutral, whether the main loop is alive or not.
+    fn pulses(&self, board_time_us: u32) -> (u16, u16) {
+        let outputs = self.board.outputs();
+        let expired = outputs
+            .drive_deadline_us
+            .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
+        let esc_us = if expired {
+            outputs.esc_neutral_us
+        } else {
+            outputs.esc_us
+        };
+        (outputs.servo_us.unwrap_or(0), esc_us)
+    }
+}

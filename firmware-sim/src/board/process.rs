@@ -1,0 +1,64 @@
+//! The process that runs the image.
+
+use std::{
+    io::{BufReader, BufWriter},
+    path::Path,
+    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
+};
+
+use singletrack_simavr::{PipeError, Reply, Request, receive, send};
+
+use super::UnoError;
+
+/// The process, and the pipes to it. Dropped, it ends.
+#[derive(Debug)]
+pub(super) struct Process {
+    child: Child,
+    requests: BufWriter<ChildStdin>,
+    replies: BufReader<ChildStdout>,
+}
+
+impl Process {
+    pub(super) fn start(program: &Path, image: &Path) -> Result<Self, UnoError> {
+        let error = |reason: String| UnoError::Start {
+            program: program.to_owned(),
+            reason,
+        };
+        let mut child = Command::new(program)
+            .arg(image)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|source| error(source.to_string()))?;
+        match (child.stdin.take(), child.stdout.take()) {
+            (Some(requests), Some(replies)) => Ok(Self {
+                child,
+                requests: BufWriter::new(requests),
+                replies: BufReader::new(replies),
+            }),
+            _ => Err(error("no pipes".to_owned())),
+        }
+    }
+
+    /// Asks, and waits for the answer.
+    pub(super) fn ask(&mut self, request: &Request) -> Result<Reply, String> {
+        let reply = send(&mut self.requests, request).and_then(|()| receive(&mut self.replies));
+        match reply {
+            Ok(Some(Reply::Failed(reason))) => Err(reason),
+            Ok(Some(reply)) => Ok(reply),
+            Ok(None) => Err("the process that runs the image has ended".to_owned()),
+            Err(PipeError::Io(error)) => {
+                Err(format!("the process that runs the image has gone: {error}"))
+            }
+            Err(error) => Err(format!("the process that runs the image: {error}")),
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It has nothing that it would have to save.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
