@@ -3,7 +3,7 @@
 
 use crate::step::{Failure, cargo, check};
 
-const PACKAGES: [&str; 10] = [
+const PACKAGES: [&str; 11] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
@@ -11,6 +11,7 @@ const PACKAGES: [&str; 10] = [
     "singletrack-link",
     "singletrack-record",
     "singletrackd",
+    "singletrack-simavr",
     "singletrack-sim",
     "singletrack",
     "singletrack-hil",

@@ -1,42 +1,88 @@
 //! Debug and release builds must simulate the same bits: a replay of what the
 //! car's computer recorded is worth nothing otherwise.
 
+use std::process::Command;
+
 use crate::step::{Failure, cargo, output};
 
 /// One scenario of each plant.
-const SCENARIOS: [&str; 3] = ["circle", "circle-sampled", "circle-car"];
+pub(crate) const SCENARIOS: [&str; 3] = [
+    "tools/scenarios/circle.toml",
+    "tools/scenarios/circle-sampled.toml",
+    "tools/scenarios/circle-car.toml",
+];
 
 pub(crate) fn check() -> Result<(), Failure> {
     for scenario in SCENARIOS {
-        let path = format!("tools/scenarios/{scenario}.toml");
-        let simulate = |profile: &str| {
-            output(cargo().args([
-                "run",
-                "--quiet",
-                "--profile",
-                profile,
-                "--bin",
-                "singletrack",
-                "--",
-                "simulate",
-                &path,
-            ]))
-        };
-        let (debug, release) = (simulate("dev")?, simulate("release")?);
-        if debug != release {
-            let line = debug
-                .split(|byte| *byte == b'\n')
-                .zip(release.split(|byte| *byte == b'\n'))
-                .position(|(debug, release)| debug != release)
-                .map_or_else(
-                    || "its length".to_owned(),
-                    |line| format!("line {}", line + 1),
-                );
-            return Err(Failure::new(format!(
-                "{path}: debug and release differ first in {line}"
-            )));
-        }
-        println!("{path}: {} bytes, the same", debug.len());
+        compare(
+            scenario,
+            ("debug", &mut simulate("dev", scenario)),
+            ("release", &mut simulate("release", scenario)),
+        )?;
     }
     Ok(())
+}
+
+/// Simulates a scenario with a build of this machine.
+pub(crate) fn simulate(profile: &str, scenario: &str) -> Command {
+    let mut command = cargo();
+    command
+        .args(["run", "--quiet", "--profile", profile])
+        .args(["--bin", "singletrack", "--", "simulate", scenario]);
+    command
+}
+
+/// Runs two builds and compares what they print, to the byte.
+pub(crate) fn compare(
+    scenario: &str,
+    (one_name, one): (&str, &mut Command),
+    (other_name, other): (&str, &mut Command),
+) -> Result<(), Failure> {
+    let (one, other) = (output(one)?, output(other)?);
+    match first_difference(&one, &other) {
+        Some(place) => Err(Failure::new(format!(
+            "{scenario}: {one_name} and {other_name} differ first in {place}"
+        ))),
+        None if one.is_empty() => Err(Failure::new(format!("{scenario}: nothing was simulated"))),
+        None => {
+            println!("{scenario}: {} bytes, the same", one.len());
+            Ok(())
+        }
+    }
+}
+
+fn first_difference(one: &[u8], other: &[u8]) -> Option<String> {
+    if one == other {
+        return None;
+    }
+    let line = one
+        .split(|byte| *byte == b'\n')
+        .zip(other.split(|byte| *byte == b'\n'))
+        .position(|(one, other)| one != other);
+    Some(line.map_or_else(
+        || "its length".to_owned(),
+        |line| format!("line {}", line + 1),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::first_difference;
+
+    #[test]
+    fn the_first_line_that_differs_is_named() {
+        assert_eq!(first_difference(b"a\nb\n", b"a\nb\n"), None);
+        assert_eq!(
+            first_difference(b"a\nb\n", b"a\nc\n").as_deref(),
+            Some("line 2")
+        );
+        assert_eq!(
+            first_difference(b"a\nb\n", b"a\nb\nc\n").as_deref(),
+            Some("line 3")
+        );
+        assert_eq!(
+            first_difference(b"a\nb", b"a\nb\nc").as_deref(),
+            Some("its length")
+        );
+    }
 }

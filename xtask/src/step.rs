@@ -122,11 +122,20 @@ pub(crate) fn run_all(steps: &[Step], chosen: &[String]) -> Result<(), Failure> 
     result
 }
 
-/// The cargo that runs this.
+/// The cargo that runs this, in the workspace's root.
 pub(crate) fn cargo() -> Command {
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let mut command = cargo_here();
     command.current_dir(root());
+    // Cargo takes a relative one from where it is called, which was not the root.
+    if let Some(Ok(target)) = std::env::var_os("CARGO_TARGET_DIR").map(std::path::absolute) {
+        command.env("CARGO_TARGET_DIR", target);
+    }
     command
+}
+
+/// The cargo that runs this, where it was called.
+pub(crate) fn cargo_here() -> Command {
+    Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
 /// The workspace's root.

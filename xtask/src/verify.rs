@@ -1,0 +1,221 @@
+//! `cargo verify`: every check of the project.
+
+use std::{path::PathBuf, process::Command};
+
+use crate::{
+    debian, image, odroid, packages, same_bits,
+    step::{Failure, Step, cargo, check, quiet, run_all},
+    uno,
+};
+
+pub(crate) const USAGE: &str = "\
+usage: cargo verify [STEP...]
+
+Runs every check of the project, or the steps named. Says what it runs and how
+long each step took, and stops at the first that fails. Installs the Debian
+packages that are missing.
+";
+
+pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+    let steps = steps();
+    if arguments
+        .iter()
+        .any(|name| name == "--help" || name == "-h")
+    {
+        print!("{USAGE}\nSteps:\n");
+        for step in &steps {
+            println!("  {:22} {}", step.name, step.what);
+        }
+        return Ok(());
+    }
+    run_all(&steps, arguments)
+}
+
+/// The checks, in order: the quick ones first, those in real time last.
+fn steps() -> Vec<Step> {
+    [quick_steps(), program_steps(), real_time_steps()]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// What is wrong with the text of the programs.
+fn quick_steps() -> Vec<Step> {
+    vec![
+        Step::new(
+            "prerequisites",
+            "rustfmt, clippy, a C compiler, and Debian's packages for Arduino and Odroid",
+            prerequisites,
+        ),
+        Step::new("format", "the code is formatted", format),
+        Step::cargo(
+            "lints",
+            "no warning from compiler or clippy",
+            &[
+                "clippy",
+                "--workspace",
+                "--all-targets",
+                "--",
+                "-D",
+                "warnings",
+            ],
+        ),
+        Step::cargo(
+            "lints-simavr",
+            "none with simavr linked",
+            &[
+                "clippy",
+                "--package",
+                "singletrack-simavr",
+                "--all-targets",
+                "--features",
+                "simavr",
+                "--",
+                "-D",
+                "warnings",
+            ],
+        ),
+        Step::new("lints-uno", "none in the Arduino's image", image::lint),
+        Step::new(
+            "packages",
+            "each package builds alone, with the features that it asks for itself",
+            packages::check_all,
+        ),
+        Step::cargo(
+            "documentation",
+            "the documentation builds without a warning",
+            &["doc", "--workspace", "--no-deps"],
+        )
+        .env("RUSTDOCFLAGS", "-D warnings"),
+    ]
+}
+
+/// What is wrong with the programs, in as little time as they take.
+fn program_steps() -> Vec<Step> {
+    vec![
+        Step::new(
+            "uno",
+            "the Arduino's image contains nothing miscompiled and keeps to its budgets",
+            || uno::build_and_check().map(drop),
+        ),
+        Step::cargo(
+            "tests",
+            "unit, property and virtual-time tests",
+            &["test", "--workspace", "--exclude", "singletrack-hil"],
+        ),
+        Step::cargo(
+            "simavr",
+            "the simulated Arduino",
+            &[
+                "test",
+                "--release",
+                "--package",
+                "singletrack-simavr",
+                "--features",
+                "simavr",
+            ],
+        ),
+        Step::new(
+            "same-bits",
+            "debug and release builds simulate the same bits",
+            same_bits::check,
+        ),
+        Step::cargo(
+            "image",
+            "the image does what the board does, and what only the image can show",
+            &[
+                "test",
+                "--release",
+                "--package",
+                "singletrack-hil",
+                "--features",
+                "uno",
+                "--test",
+                "image",
+            ],
+        ),
+        Step::new(
+            "odroid",
+            "daemon and tools build for the Odroid, and simulate the same bits there",
+            odroid::verify,
+        ),
+    ]
+}
+
+/// What only shows in real time. One test at a time: each needs the machine to
+/// itself.
+fn real_time_steps() -> Vec<Step> {
+    vec![
+        Step::cargo(
+            "hil-native",
+            "hardware in the loop: the shipped daemon against the simulated board",
+            &[
+                "test",
+                "--release",
+                "--package",
+                "singletrack-hil",
+                "--test",
+                "hil",
+                "--",
+                "--board",
+                "native",
+                "--test-threads=1",
+            ],
+        ),
+        Step::cargo(
+            "hil-uno",
+            "the same against the Arduino's image",
+            &[
+                "test",
+                "--release",
+                "--package",
+                "singletrack-hil",
+                "--test",
+                "hil",
+                "--",
+                "--board",
+                "uno",
+                "--test-threads=1",
+            ],
+        ),
+    ]
+}
+
+/// Names what is missing and how to get it, or gets it, before anything else
+/// fails over it.
+fn prerequisites() -> Result<(), Failure> {
+    for (component, arguments) in [
+        ("rustfmt", ["fmt", "--version"]),
+        ("clippy", ["clippy", "--version"]),
+    ] {
+        quiet(cargo().args(arguments)).map_err(|_| {
+            Failure::new(format!(
+                "cargo {} does not work: install it with `rustup component add {component}`",
+                arguments[0]
+            ))
+        })?;
+    }
+    let compiler = std::env::var_os("CC").map_or_else(|| PathBuf::from("cc"), PathBuf::from);
+    quiet(Command::new(&compiler).arg("--version")).map_err(|_| {
+        Failure::new(format!(
+            "no C compiler: {} does not run; on Debian, `apt-get install gcc libc6-dev`",
+            compiler.display()
+        ))
+    })?;
+    debian::ensure(&[
+        debian::IMAGE,
+        debian::IMAGE_LINTS,
+        debian::SIMULATOR,
+        debian::ODROID,
+    ])
+}
+
+/// That of the workspace, and of the image, which is no member of it.
+fn format() -> Result<(), Failure> {
+    check(cargo().args(["fmt", "--all", "--check"]))?;
+    check(
+        cargo()
+            .current_dir(image::folder())
+            .args(["fmt", "--check"]),
+    )
+}
