@@ -28,7 +28,10 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         .args(quiet.then_some("--quiet"))
         .args(["--", "demo"])
         .args(arguments);
-    Err(Failure::new(format!("{cargo:?}: {}", cargo.exec())))
+    Err(Failure::new(format!(
+        "cargo does not start: {}",
+        cargo.exec()
+    )))
 }
 
 /// Whether the demo will want the Arduino's image. Whether the arguments are

@@ -24,6 +24,8 @@ pub(crate) enum Progress {
 
 /// Where the image is.
 pub(crate) struct Image {
+    /// The folder of all files.
+    pub(crate) folder: PathBuf,
     /// What is flashed.
     pub(crate) elf: PathBuf,
     /// The same with its sections marked for the simulator.
@@ -48,16 +50,17 @@ pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
     )?;
 
     let built = build.join("avr-none/release");
-    let place = target.join("uno");
+    let folder = target.join("uno");
     let image = Image {
-        elf: place.join("singletrack-uno.elf"),
-        cycles_elf: place.join("singletrack-uno-cycles.elf"),
+        elf: folder.join("singletrack-uno.elf"),
+        cycles_elf: folder.join("singletrack-uno-cycles.elf"),
+        folder,
     };
     target::put(&built.join("singletrack-uno.elf"), &image.elf)?;
     target::put(&built.join("singletrack-uno-cycles.elf"), &image.cycles_elf)?;
     target::put(
         &target.join("release/singletrack-simavr"),
-        &place.join("singletrack-simavr"),
+        &image.folder.join("singletrack-simavr"),
     )?;
     Ok(image)
 }

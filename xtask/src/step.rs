@@ -23,12 +23,6 @@ impl fmt::Display for Failure {
     }
 }
 
-impl From<io::Error> for Failure {
-    fn from(error: io::Error) -> Self {
-        Self(error.to_string())
-    }
-}
-
 /// One check.
 pub(crate) struct Step {
     pub(crate) name: &'static str,
@@ -147,11 +141,14 @@ pub(crate) fn root() -> PathBuf {
 
 /// Runs a command, its output passed on.
 pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
-    let status = command.stdin(Stdio::null()).status()?;
+    let status = command
+        .stdin(Stdio::null())
+        .status()
+        .map_err(|error| not_started(command, &error))?;
     if status.success() {
         Ok(())
     } else {
-        Err(Failure::new(format!("{command:?}: {status}")))
+        Err(Failure::new(format!("{}: {status}", spoken(command))))
     }
 }
 
@@ -165,10 +162,60 @@ pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
     let output = command
         .stdin(Stdio::null())
         .stderr(Stdio::inherit())
-        .output()?;
+        .output()
+        .map_err(|error| not_started(command, &error))?;
     if output.status.success() {
         Ok(output.stdout)
     } else {
-        Err(Failure::new(format!("{command:?}: {}", output.status)))
+        Err(Failure::new(format!(
+            "{}: {}",
+            spoken(command),
+            output.status
+        )))
+    }
+}
+
+fn not_started(command: &Command, error: &io::Error) -> Failure {
+    Failure::new(format!("{} does not start: {error}", spoken(command)))
+}
+
+/// A command as somebody would type it, without its environment.
+fn spoken(command: &Command) -> String {
+    let program = Path::new(command.get_program());
+    let mut text = program
+        .file_name()
+        .unwrap_or(program.as_os_str())
+        .to_string_lossy()
+        .into_owned();
+    for argument in command.get_args() {
+        text.push(' ');
+        text.push_str(&argument.to_string_lossy());
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_that_fails_is_named_as_it_is_typed() {
+        let mut command = Command::new("/bin/sh");
+        command.env("A", "B").args(["-c", "exit 3"]);
+        assert_eq!(
+            check(&mut command).unwrap_err().to_string(),
+            "sh -c exit 3: exit status: 3"
+        );
+    }
+
+    #[test]
+    fn a_program_that_is_not_there_is_named() {
+        let error = output(&mut Command::new("no-such-program"))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.starts_with("no-such-program does not start"),
+            "{error}"
+        );
     }
 }

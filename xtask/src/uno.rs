@@ -74,14 +74,13 @@ pub(crate) fn build_and_check() -> Result<Image, Failure> {
         gates::refuse_forbidden(elf)?;
     }
     let size = gates::size(&image.elf)?;
-    let measured = output(cargo().args([
-        "run",
-        "--release",
-        "--package",
-        "singletrack-sim",
-        "--bin",
-        "uno-figures",
-    ]))?;
+    let measured = output(
+        cargo()
+            // This image, and no other that somebody works on.
+            .env("SINGLETRACK_UNO", &image.folder)
+            .args(["run", "--release", "--package", "singletrack-sim"])
+            .args(["--bin", "uno-figures"]),
+    )?;
     let table = figures::table(size, &String::from_utf8_lossy(&measured))?;
     println!("\n{}\n\n{}", image.elf.display(), figures::render(&table));
     figures::check(&table)?;
