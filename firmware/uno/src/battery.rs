@@ -1,0 +1,52 @@
+//! The battery's voltage (A0), behind a divider by two.
+
+use crate::registers::{ADCH, ADCL, ADCSRA, ADMUX, DIDR0};
+
+/// Polls between two measurements.
+const PERIOD: u8 = 16;
+
+/// AVcc is the reference, ADC0 the input.
+const REFS0: u8 = 1 << 6;
+const ADC0: u8 = 1 << 0;
+const ADEN: u8 = 1 << 7;
+const ADSC: u8 = 1 << 6;
+/// Prescaler 128: 125 kHz, 104 µs for a conversion.
+const ADPS: u8 = 0b111;
+
+/// Measures now and then.
+pub(crate) struct Battery {
+    wait: u8,
+    millivolts: u16,
+}
+
+impl Battery {
+    pub(crate) fn start() -> Self {
+        DIDR0.write(ADC0);
+        ADMUX.write(REFS0);
+        ADCSRA.write(ADEN | ADSC | ADPS);
+        Self {
+            wait: PERIOD,
+            millivolts: 0,
+        }
+    }
+
+    /// To be called at every poll: the newest measurement, in mV.
+    pub(crate) fn poll(&mut self) -> u16 {
+        self.wait -= 1;
+        if self.wait == 0 {
+            self.wait = PERIOD;
+            // Started one period ago, ended long since. Low byte first: it
+            // holds the high one.
+            let low = ADCL.read();
+            let reading = u16::from_le_bytes([low, ADCH.read()]);
+            self.millivolts = millivolts(reading);
+            ADCSRA.write(ADEN | ADSC | ADPS);
+        }
+        self.millivolts
+    }
+}
+
+/// 1024 is 5 V at the pin, 10 V at the battery.
+fn millivolts(reading: u16) -> u16 {
+    (u32::from(reading) * 10_000 / 1_024) as u16
+}

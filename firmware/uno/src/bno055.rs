@@ -1,0 +1,239 @@
+//! The IMU, a BNO055 in its fusion mode without magnetometer (IMUPLUS).
+//!
+//! It makes a sample every 10 ms of its own clock. It is asked twice as often,
+//! and a sample counts as new when any of its bytes has changed: so none is
+//! missed, none is given twice, and a sensor that is stuck is a silent one.
+//!
+//! A sensor that does not answer, or has restarted, is set up anew, and looked
+//! for as long as it takes.
+
+use singletrack_board::ImuSample;
+
+use crate::twi::{self, Progress};
+
+const ADDRESS: u8 = 0x28;
+
+// Registers of page 0
+const CHIP_ID: u8 = 0x00;
+const PAGE_ID: u8 = 0x07;
+const GYRO_DATA: u8 = 0x14;
+const UNIT_SELECTION: u8 = 0x3B;
+const OPERATION_MODE: u8 = 0x3D;
+const POWER_MODE: u8 = 0x3E;
+const AXIS_MAP: u8 = 0x41;
+
+const BNO055: u8 = 0xA0;
+const CONFIGURATION_MODE: u8 = 0x00;
+const IMUPLUS_MODE: u8 = 0x08;
+const MODE_BITS: u8 = 0x0F;
+const NORMAL_POWER: u8 = 0x00;
+/// m/s² (bit 0 clear) and rad/s (bit 1 set).
+const UNITS: u8 = 0b10;
+/// Axes and signs as printed on the chip.
+const AXES: [u8; 2] = [0x24, 0x00];
+
+/// One sample: gyro, Euler angles, quaternion and linear acceleration.
+const SAMPLE_LENGTH: usize = 26;
+const _: () = assert!(SAMPLE_LENGTH <= twi::LONGEST_READ);
+// Where they are in it
+const GYRO: usize = 0;
+const QUATERNION: usize = 12;
+const LINEAR_ACCELERATION: usize = 20;
+
+// All times in polls, which are 1 ms apart.
+
+/// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
+const TRANSFER_TIME_OUT: u8 = 5;
+const SAMPLE_PERIOD: u8 = 5;
+/// Samples asked for between two looks at the mode, 100 ms apart.
+const SAMPLES_PER_CHECK: u8 = 20;
+const RETRY_AFTER: u8 = 100;
+/// The data sheet's times to change the mode (19 ms into the configuration
+/// mode, 7 ms out of it), with a margin.
+const ENTER_CONFIGURATION: u8 = 25;
+const LEAVE_CONFIGURATION: u8 = 20;
+const SETTLE: u8 = 2;
+
+/// So many failures in a row mean that the sensor is lost.
+const PATIENCE: u8 = 3;
+
+/// What is asked next, or was asked last.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    Identify,
+    EnterConfiguration,
+    SelectPage,
+    SetPower,
+    SetUnits,
+    SetAxes,
+    LeaveConfiguration,
+    Sample,
+    CheckMode,
+}
+
+/// The sensor and what is known about it.
+pub(crate) struct Bno055 {
+    stage: Stage,
+    asked: bool,
+    /// Polls until the next thing is asked, counted from the last one.
+    wait: u8,
+    /// Polls since the last thing was asked.
+    waited: u8,
+    asked_at_us: u32,
+    samples_to_check: u8,
+    failures: u8,
+    errors: u16,
+    newest: [u8; SAMPLE_LENGTH],
+}
+
+impl Bno055 {
+    pub(crate) fn start() -> Self {
+        twi::start();
+        Self {
+            stage: Stage::Identify,
+            asked: false,
+            wait: 0,
+            waited: 0,
+            asked_at_us: 0,
+            samples_to_check: SAMPLES_PER_CHECK,
+            failures: 0,
+            errors: 0,
+            newest: [0; SAMPLE_LENGTH],
+        }
+    }
+
+    /// Errors so far, wrapping.
+    pub(crate) const fn errors(&self) -> u16 {
+        self.errors
+    }
+
+    /// To be called every millisecond; gives every sample once.
+    pub(crate) fn poll(&mut self, now_us: u32) -> Option<ImuSample> {
+        self.waited = self.waited.saturating_add(1);
+        let mut sample = None;
+        if self.asked {
+            match twi::progress() {
+                Progress::Busy if self.waited < TRANSFER_TIME_OUT => return None,
+                Progress::Busy => {
+                    twi::free();
+                    self.failed();
+                }
+                Progress::Failed => self.failed(),
+                Progress::Done => sample = self.answered(),
+            }
+            self.asked = false;
+        }
+        if self.waited >= self.wait {
+            self.ask();
+            self.asked = true;
+            self.waited = 0;
+            self.asked_at_us = now_us;
+        }
+        sample
+    }
+
+    fn ask(&mut self) {
+        let write = |bytes: &[u8]| twi::begin(ADDRESS, bytes, 0);
+        let read = |register, length| twi::begin(ADDRESS, &[register], length);
+        match self.stage {
+            Stage::Identify => read(CHIP_ID, 1),
+            Stage::EnterConfiguration => write(&[OPERATION_MODE, CONFIGURATION_MODE]),
+            Stage::SelectPage => write(&[PAGE_ID, 0]),
+            Stage::SetPower => write(&[POWER_MODE, NORMAL_POWER]),
+            Stage::SetUnits => write(&[UNIT_SELECTION, UNITS]),
+            Stage::SetAxes => write(&[AXIS_MAP, AXES[0], AXES[1]]),
+            Stage::LeaveConfiguration => write(&[OPERATION_MODE, IMUPLUS_MODE]),
+            Stage::Sample => read(GYRO_DATA, SAMPLE_LENGTH as u8),
+            Stage::CheckMode => read(OPERATION_MODE, 1),
+        }
+    }
+
+    fn answered(&mut self) -> Option<ImuSample> {
+        self.failures = 0;
+        match self.stage {
+            Stage::Identify if twi::byte(0) == BNO055 => self.next(Stage::EnterConfiguration, 0),
+            // It answers before it is ready.
+            Stage::Identify => self.wait = RETRY_AFTER,
+            Stage::EnterConfiguration => self.next(Stage::SelectPage, ENTER_CONFIGURATION),
+            Stage::SelectPage => self.next(Stage::SetPower, SETTLE),
+            Stage::SetPower => self.next(Stage::SetUnits, SETTLE),
+            Stage::SetUnits => self.next(Stage::SetAxes, SETTLE),
+            Stage::SetAxes => self.next(Stage::LeaveConfiguration, SETTLE),
+            Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
+            Stage::Sample => {
+                self.samples_to_check -= 1;
+                if self.samples_to_check == 0 {
+                    self.samples_to_check = SAMPLES_PER_CHECK;
+                    self.stage = Stage::CheckMode;
+                }
+                return self.sampled();
+            }
+            Stage::CheckMode if twi::byte(0) & MODE_BITS == IMUPLUS_MODE => {
+                self.next(Stage::Sample, SAMPLE_PERIOD);
+            }
+            Stage::CheckMode => {
+                // It has restarted.
+                self.errors = self.errors.wrapping_add(1);
+                self.next(Stage::Identify, 0);
+            }
+        }
+        None
+    }
+
+    fn next(&mut self, stage: Stage, wait: u8) {
+        self.stage = stage;
+        self.wait = wait;
+    }
+
+    fn failed(&mut self) {
+        self.errors = self.errors.wrapping_add(1);
+        self.failures = self.failures.saturating_add(1);
+        let measures = matches!(self.stage, Stage::Sample | Stage::CheckMode);
+        if !measures || self.failures >= PATIENCE {
+            self.next(Stage::Identify, RETRY_AFTER);
+        }
+    }
+
+    /// The sample that was read, if it is a new one.
+    fn sampled(&mut self) -> Option<ImuSample> {
+        let mut changed = false;
+        for (index, known) in self.newest.iter_mut().enumerate() {
+            let byte = twi::byte(index);
+            changed |= *known != byte;
+            *known = byte;
+        }
+        // A quaternion of length zero is no attitude: the sensor has restarted.
+        if !changed || self.values::<4>(QUATERNION) == [0; 4] {
+            return None;
+        }
+        Some(ImuSample {
+            time_us: self.asked_at_us,
+            linear_acceleration_mm_s2: self
+                .values(LINEAR_ACCELERATION)
+                .map(linear_acceleration_mm_s2),
+            angular_velocity_mrad_s: self.values(GYRO).map(angular_velocity_mrad_s),
+            attitude_q14: self.values(QUATERNION),
+        })
+    }
+
+    #[inline(always)]
+    fn values<const N: usize>(&self, at: usize) -> [i16; N] {
+        core::array::from_fn(|index| {
+            let at = at + 2 * index;
+            i16::from_le_bytes([self.newest[at], self.newest[at + 1]])
+        })
+    }
+}
+
+/// From units of 0.01 m/s², saturating.
+fn linear_acceleration_mm_s2(raw: i16) -> i16 {
+    const LARGEST: i16 = i16::MAX / 10;
+    raw.min(LARGEST).max(-LARGEST) * 10
+}
+
+/// From units of 1/900 rad/s, to the nearest, saturating: 10/9 is 1 + 1/9, and
+/// 1/9 is 29127 / 2^18, near enough for every 16-bit number.
+fn angular_velocity_mrad_s(raw: i16) -> i16 {
+    let ninth = (i32::from(raw) * 29_127 + (1 << 17)) >> 18;
+    raw.saturating_add(ninth as i16)
+}

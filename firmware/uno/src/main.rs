@@ -1,0 +1,134 @@
+//! The Arduino UNO's image.
+//!
+//! What the board does is in [`singletrack_board`]; here are the pins, timers
+//! and interrupts of the ATmega328P, and the loop that brings both together.
+//!
+//! | Pin | What |
+//! |---|---|
+//! | D0, D1 | line to the host |
+//! | D2 | pulses of the motor |
+//! | D4 | stop switch to ground, normally closed |
+//! | D9 | servo |
+//! | D10 | ESC |
+//! | A0 | battery, halved |
+//! | A4, A5 | IMU |
+
+#![no_std]
+#![no_main]
+#![feature(abi_avr_interrupt, asm_experimental_arch)]
+
+mod battery;
+mod bno055;
+mod clock;
+mod in_place;
+mod interrupts;
+mod motor;
+mod panic;
+mod pulses;
+mod registers;
+mod reset;
+mod ring;
+mod sections;
+mod stop_input;
+mod supervisor;
+mod twi;
+mod uart;
+mod watchdog;
+
+use singletrack_board::{Board, Inputs};
+
+use crate::battery::Battery;
+use crate::bno055::Bno055;
+use crate::in_place::InPlace;
+use crate::registers::{ACSR, SMCR};
+
+/// Bytes taken in per poll. At most 12 arrive in a millisecond; more are
+/// waiting only after a delay, and then the work is spread over a few polls.
+const RECEIVED_PER_POLL: usize = 32;
+
+/// The number of the section around a poll, see [`sections`].
+const POLL: u8 = 1;
+
+const VERSION: [u8; 3] = [
+    number(env!("CARGO_PKG_VERSION_MAJOR")),
+    number(env!("CARGO_PKG_VERSION_MINOR")),
+    number(env!("CARGO_PKG_VERSION_PATCH")),
+];
+
+/// What the main loop keeps from one round to the next.
+struct MainLoop {
+    board: Board,
+    inputs: Inputs,
+    battery: Battery,
+    imu: Bno055,
+    buffer: [u8; RECEIVED_PER_POLL],
+}
+
+static MAIN_LOOP: InPlace<MainLoop> = InPlace::new();
+
+/// Entered from the C runtime's start-up code.
+#[allow(unsafe_code)]
+// SAFETY: the name is the one that the start-up code calls, and nothing else has it.
+#[unsafe(no_mangle)]
+extern "C" fn main() -> ! {
+    start_peripherals();
+    let main_loop = MainLoop {
+        board: Board::new(reset::cause(), VERSION),
+        inputs: Inputs::default(),
+        battery: Battery::start(),
+        imu: Bno055::start(),
+        buffer: [0; RECEIVED_PER_POLL],
+    };
+    // SAFETY: nobody calls `main` again.
+    let main_loop = unsafe { MAIN_LOOP.init(main_loop) };
+    interrupts::enable();
+    loop {
+        supervisor::wait_for_tick();
+        main_loop.round();
+        watchdog::feed();
+    }
+}
+
+impl MainLoop {
+    fn round(&mut self) {
+        let now_us = clock::now_us();
+        self.inputs = Inputs {
+            motor: motor::pulses(),
+            imu: self.imu.poll(now_us),
+            imu_errors: self.imu.errors(),
+            battery_mv: self.battery.poll(),
+            stop_input_open: stop_input::is_open(),
+            bytes_overrun: uart::bytes_lost(),
+        };
+        let received = uart::receive(&mut self.buffer);
+        let outputs = sections::measured(POLL, || {
+            self.board
+                .poll(now_us, &self.inputs, received, &mut uart::transmit)
+        });
+        supervisor::publish(&outputs);
+    }
+}
+
+fn start_peripherals() {
+    const SLEEP_IN_IDLE: u8 = 1;
+    const COMPARATOR_OFF: u8 = 1 << 7;
+
+    // First, that the ESC hears from the board as early as possible.
+    supervisor::start();
+    uart::start();
+    motor::start();
+    stop_input::start();
+    ACSR.write(COMPARATOR_OFF);
+    SMCR.write(SLEEP_IN_IDLE);
+}
+
+/// A decimal number below 256, when the image is compiled.
+const fn number(digits: &str) -> u8 {
+    let mut value = 0;
+    let mut rest = digits.as_bytes();
+    while let [digit, tail @ ..] = rest {
+        value = value * 10 + (*digit - b'0');
+        rest = tail;
+    }
+    value
+}

@@ -1,0 +1,51 @@
+//! Why the processor started.
+#![allow(unsafe_code)]
+
+use core::arch::global_asm;
+
+use singletrack_protocol::ResetCause;
+
+use crate::registers::GPIOR1;
+
+// Runs before memory is initialised (r1 is zero by then, the rest of the
+// registers is untouched) and leaves the flags in GPIOR1.
+//
+// The bootloader (Optiboot) clears MCUSR and passes what was there in r2.
+//
+// After a watchdog reset the watchdog goes on with 16 ms until WDRF is cleared;
+// it is set to 64 ms: WDE and WDP1, within four cycles of WDCE.
+global_asm!(
+    ".section .init3, \"ax\", @progbits",
+    "wdr",
+    "in r24, 0x34", // MCUSR
+    "out 0x34, r1",
+    "tst r24",
+    "brne 1f",
+    "mov r24, r2",
+    "1: out 0x2A, r24", // GPIOR1
+    "ldi r24, 0x18",    // WDCE, WDE
+    "ldi r25, 0x0A",    // WDE, WDP1
+    "sts 0x60, r24",    // WDTCSR
+    "sts 0x60, r25",
+    ".text",
+);
+
+const PORF: u8 = 1 << 0;
+const EXTRF: u8 = 1 << 1;
+const BORF: u8 = 1 << 2;
+const WDRF: u8 = 1 << 3;
+const NO_FLAGS: u8 = !(PORF | EXTRF | BORF | WDRF);
+
+/// Why the processor started. Where several flags are set, a later reset came
+/// on top of the first: the bootloader leaves by its watchdog after an external one.
+pub(crate) fn cause() -> ResetCause {
+    match GPIOR1.read() {
+        // Not flags: a bootloader that passes nothing.
+        flags if flags & NO_FLAGS != 0 => ResetCause::Unknown,
+        flags if flags & PORF != 0 => ResetCause::PowerOn,
+        flags if flags & BORF != 0 => ResetCause::BrownOut,
+        flags if flags & EXTRF != 0 => ResetCause::External,
+        flags if flags & WDRF != 0 => ResetCause::Watchdog,
+        _ => ResetCause::Unknown,
+    }
+}

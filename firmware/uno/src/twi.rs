@@ -1,0 +1,212 @@
+//! The bus to the IMU (SDA A4, SCL A5): a master at 400 kHz, by interrupt.
+//!
+//! One transfer at a time: some bytes are written, then some are read after a
+//! repeated start. The main loop begins it and looks again later; a transfer
+//! that is not over in time it gives up, and frees the bus by hand.
+#![allow(unsafe_code)]
+
+use core::arch::asm;
+use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
+
+use crate::registers::{DDRC, PORTC, TWBR, TWCR, TWDR, TWSR};
+
+/// Most bytes written, and read, in one transfer.
+pub(crate) const LONGEST_WRITE: usize = 3;
+pub(crate) const LONGEST_READ: usize = 26;
+
+/// 16 MHz / (16 + 2 * 12) = 400 kHz.
+const DIVISOR: u8 = 12;
+
+// TWCR
+const TWINT: u8 = 1 << 7;
+const TWEA: u8 = 1 << 6;
+const TWSTA: u8 = 1 << 5;
+const TWSTO: u8 = 1 << 4;
+const TWEN: u8 = 1 << 2;
+const TWIE: u8 = 1 << 0;
+const GO: u8 = TWINT | TWEN | TWIE;
+
+/// What the bus reports instead of what was to come next.
+const NOT_ACKNOWLEDGED: [u8; 3] = [0x20, 0x30, 0x48];
+const ARBITRATION_LOST: u8 = 0x38;
+const BUS_ERROR: u8 = 0x00;
+
+// Port C
+const SDA: u8 = 1 << 4;
+const SCL: u8 = 1 << 5;
+
+/// What the bus has been told to do: the interrupt comes when it is done.
+mod phase {
+    pub(super) const DONE: u8 = 0;
+    pub(super) const FAILED: u8 = 1;
+    pub(super) const START: u8 = 2;
+    pub(super) const WRITE: u8 = 3;
+    pub(super) const RESTART: u8 = 4;
+    pub(super) const READ_ADDRESS: u8 = 5;
+    pub(super) const READ: u8 = 6;
+}
+
+static PHASE: AtomicU8 = AtomicU8::new(phase::DONE);
+/// Address in the upper seven bits.
+static ADDRESS: AtomicU8 = AtomicU8::new(0);
+static TO_WRITE: [AtomicU8; LONGEST_WRITE] = [const { AtomicU8::new(0) }; LONGEST_WRITE];
+static TO_WRITE_LENGTH: AtomicU8 = AtomicU8::new(0);
+static READ: [AtomicU8; LONGEST_READ] = [const { AtomicU8::new(0) }; LONGEST_READ];
+static TO_READ_LENGTH: AtomicU8 = AtomicU8::new(0);
+/// Bytes written or read so far.
+static POSITION: AtomicU8 = AtomicU8::new(0);
+
+/// How the transfer is getting on.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Progress {
+    Busy,
+    Done,
+    /// Nobody acknowledged, or something else spoke.
+    Failed,
+}
+
+pub(crate) fn start() {
+    // The processor's weak pull-ups, beside the sensor's own: without a sensor
+    // the lines must not float.
+    PORTC.set(SDA | SCL);
+    TWBR.write(DIVISOR);
+    TWSR.write(0);
+    TWCR.write(TWEN);
+}
+
+/// Begins a transfer; there must not be one going on.
+pub(crate) fn begin(address: u8, write: &[u8], read_length: u8) {
+    ADDRESS.store(address << 1, Relaxed);
+    for (slot, &byte) in TO_WRITE.iter().zip(write) {
+        slot.store(byte, Relaxed);
+    }
+    TO_WRITE_LENGTH.store(write.len().min(LONGEST_WRITE) as u8, Relaxed);
+    TO_READ_LENGTH.store(read_length.min(LONGEST_READ as u8), Relaxed);
+    POSITION.store(0, Relaxed);
+    PHASE.store(phase::START, Relaxed);
+    TWCR.write(GO | TWSTA);
+}
+
+pub(crate) fn progress() -> Progress {
+    match PHASE.load(Relaxed) {
+        phase::DONE => Progress::Done,
+        phase::FAILED => Progress::Failed,
+        _ => Progress::Busy,
+    }
+}
+
+/// Byte `index` of what was read.
+pub(crate) fn byte(index: usize) -> u8 {
+    READ.get(index).map_or(0, |byte| byte.load(Relaxed))
+}
+
+/// Gives up the transfer, and frees a bus that is held by a sensor that has
+/// lost count: after nine clock pulses it has sent whatever it wanted to send.
+/// Takes 0.1 ms.
+pub(crate) fn free() {
+    TWCR.write(0);
+    PHASE.store(phase::FAILED, Relaxed);
+    for _ in 0..9 {
+        pull_down(SCL);
+        half_period();
+        release(SCL);
+        half_period();
+    }
+    // Stop: data rises while the clock is high.
+    pull_down(SCL);
+    half_period();
+    pull_down(SDA);
+    half_period();
+    release(SCL);
+    half_period();
+    release(SDA);
+    half_period();
+    TWCR.write(TWEN);
+}
+
+/// Open drain: low, or left to the pull-ups, but never driven high.
+fn pull_down(line: u8) {
+    PORTC.clear(line);
+    DDRC.set(line);
+}
+
+fn release(line: u8) {
+    DDRC.clear(line);
+    PORTC.set(line);
+}
+
+/// 5 µs or a little more: slow enough for any sensor.
+fn half_period() {
+    // SAFETY: counts down a register.
+    unsafe {
+        asm!("1: dec {0}", "brne 1b", inout(reg_upper) 27_u8 => _, options(nomem, nostack));
+    }
+}
+
+/// The bus has done what it was told.
+// SAFETY: the name is that of the vector, and nothing else has it.
+#[unsafe(no_mangle)]
+extern "avr-interrupt" fn __vector_24() {
+    let status = TWSR.read() & 0xF8;
+    if NOT_ACKNOWLEDGED.contains(&status) || status == ARBITRATION_LOST || status == BUS_ERROR {
+        finish(phase::FAILED);
+        return;
+    }
+    let position = POSITION.load(Relaxed);
+    match PHASE.load(Relaxed) {
+        phase::READ => {
+            if let Some(slot) = READ.get(usize::from(position)) {
+                slot.store(TWDR.read(), Relaxed);
+            }
+            let position = position.wrapping_add(1);
+            POSITION.store(position, Relaxed);
+            read_next(position);
+        }
+        phase::START => {
+            TWDR.write(ADDRESS.load(Relaxed));
+            PHASE.store(phase::WRITE, Relaxed);
+            TWCR.write(GO);
+        }
+        phase::WRITE => match TO_WRITE.get(usize::from(position)) {
+            Some(byte) if position < TO_WRITE_LENGTH.load(Relaxed) => {
+                TWDR.write(byte.load(Relaxed));
+                POSITION.store(position + 1, Relaxed);
+                TWCR.write(GO);
+            }
+            _ if TO_READ_LENGTH.load(Relaxed) != 0 => {
+                PHASE.store(phase::RESTART, Relaxed);
+                TWCR.write(GO | TWSTA);
+            }
+            _ => finish(phase::DONE),
+        },
+        phase::RESTART => {
+            const READING: u8 = 1;
+            TWDR.write(ADDRESS.load(Relaxed) | READING);
+            POSITION.store(0, Relaxed);
+            PHASE.store(phase::READ_ADDRESS, Relaxed);
+            TWCR.write(GO);
+        }
+        phase::READ_ADDRESS => {
+            PHASE.store(phase::READ, Relaxed);
+            read_next(0);
+        }
+        _ => TWCR.write(TWINT | TWEN),
+    }
+}
+
+/// Asks for the byte at `position`; the last one is not acknowledged.
+#[inline(always)]
+fn read_next(position: u8) {
+    let left = TO_READ_LENGTH.load(Relaxed).wrapping_sub(position);
+    match left {
+        0 => finish(phase::DONE),
+        1 => TWCR.write(GO),
+        _ => TWCR.write(GO | TWEA),
+    }
+}
+
+#[inline(always)]
+fn finish(phase: u8) {
+    TWCR.write(TWINT | TWEN | TWSTO);
+    PHASE.store(phase, Relaxed);
+}

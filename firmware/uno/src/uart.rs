@@ -1,0 +1,102 @@
+//! The line to the host: 115200 baud, 8 data bits, no parity, one stop bit.
+#![allow(unsafe_code)]
+
+use singletrack_protocol::{MAX_FRAME_LENGTH, RECEIVE_BUFFER_LENGTH};
+
+use crate::interrupts::{Masked, Shared, masked};
+use crate::registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0};
+use crate::ring::Ring;
+
+/// 16 MHz / 8 / (16 + 1) = 117,647 baud: 2.1 % fast, as on every UNO.
+const DIVISOR: u8 = 16;
+
+const TRANSMIT_BUFFER_LENGTH: usize = 128;
+const _: () = assert!(TRANSMIT_BUFFER_LENGTH >= 2 * MAX_FRAME_LENGTH);
+
+// UCSR0A
+const FE0: u8 = 1 << 4;
+const DOR0: u8 = 1 << 3;
+const U2X0: u8 = 1 << 1;
+// UCSR0B
+const RXCIE0: u8 = 1 << 7;
+const UDRIE0: u8 = 1 << 5;
+const RXEN0: u8 = 1 << 4;
+const TXEN0: u8 = 1 << 3;
+const LISTENING: u8 = RXCIE0 | RXEN0 | TXEN0;
+const SENDING: u8 = LISTENING | UDRIE0;
+// UCSR0C
+const UCSZ01_UCSZ00: u8 = 0b11 << 1;
+
+static RECEIVED: Ring<RECEIVE_BUFFER_LENGTH> = Ring::new();
+static TO_SEND: Ring<TRANSMIT_BUFFER_LENGTH> = Ring::new();
+static LOST: Shared<u16> = Shared::new(0);
+
+pub(crate) fn start() {
+    UBRR0H.write(0);
+    UBRR0L.write(DIVISOR);
+    UCSR0A.write(U2X0);
+    UCSR0C.write(UCSZ01_UCSZ00);
+    UCSR0B.write(LISTENING);
+}
+
+/// Fills `buffer` with received bytes and returns those; what does not fit
+/// stays for the next call.
+pub(crate) fn receive(buffer: &mut [u8]) -> &[u8] {
+    let mut length = 0;
+    for slot in buffer.iter_mut() {
+        let Some(byte) = RECEIVED.take() else { break };
+        *slot = byte;
+        length += 1;
+    }
+    buffer.get(..length).unwrap_or_default()
+}
+
+/// Sends a whole frame, or none of it if there is no room.
+pub(crate) fn transmit(frame: &[u8]) -> bool {
+    if frame.len() > usize::from(TO_SEND.room()) {
+        return false;
+    }
+    for &byte in frame {
+        TO_SEND.put(byte);
+    }
+    // Written whole, not modified: the interrupt changes the same bit.
+    UCSR0B.write(SENDING);
+    true
+}
+
+/// Bytes lost since the start, wrapping: the receiver or the buffer was full,
+/// or there was no stop bit.
+pub(crate) fn bytes_lost() -> u16 {
+    masked(|masked| LOST.get(masked))
+}
+
+/// Receive complete.
+// SAFETY: the name is that of the vector, and nothing else has it.
+#[unsafe(no_mangle)]
+extern "avr-interrupt" fn __vector_18() {
+    // The status first: reading the byte makes way for the next one's.
+    let status = UCSR0A.read();
+    let byte = UDR0.read();
+    // DOR0: at least one byte after the one before this was lost.
+    let mut lost = u8::from(status & DOR0 != 0);
+    if status & FE0 != 0 || !RECEIVED.put(byte) {
+        lost += 1;
+    }
+    if lost != 0 {
+        // SAFETY: this is an interrupt handler.
+        let masked = unsafe { Masked::assume() };
+        LOST.set(masked, LOST.get(masked).wrapping_add(lost.into()));
+    }
+}
+
+/// Transmit register empty.
+// SAFETY: the name is that of the vector, and nothing else has it.
+#[unsafe(no_mangle)]
+extern "avr-interrupt" fn __vector_19() {
+    if let Some(byte) = TO_SEND.take() {
+        UDR0.write(byte);
+    }
+    if TO_SEND.is_empty() {
+        UCSR0B.write(LISTENING);
+    }
+}
