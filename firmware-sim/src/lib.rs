@@ -43,7 +43,8 @@ mod wire;
 mod world;
 
 pub use board::{
-    BoardKind, BoardParameters, Installation, SERVO_FRAME_US, SimulatedBoard, UnoError,
+    BoardKind, BoardParameters, ImageSize, Installation, SERVO_FRAME_US, SimulatedBoard,
+    UnknownBoard, UnoError,
 };
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,

@@ -6,8 +6,8 @@ use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
 use clap::Parser;
 use singletrack_mocap::codec::BitstreamVersion;
 use singletrack_sim::{
-    LossKind, LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose,
-    UdpConfig, parse_bitstream, parse_duration_us,
+    BoardKind, LossKind, LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig,
+    StartPose, UdpConfig, parse_bitstream, parse_duration_us,
 };
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -20,6 +20,11 @@ use tokio::signal::unix::{SignalKind, signal};
 #[derive(Debug, Parser)]
 #[command(name = "singletrack-sim", version)]
 struct Arguments {
+    /// What runs on the board: its code, compiled for this machine, or the Arduino's
+    /// image on a simulated processor (`cargo uno` builds it)
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
+    board: BoardKind,
+
     /// Where to link the board's serial port
     #[arg(long, value_name = "PATH", default_value = "/tmp/singletrack-board")]
     port: PathBuf,
@@ -115,6 +120,7 @@ impl Arguments {
             seed: self.seed,
             ..SimulationConfig::default()
         };
+        simulation.board.kind = self.board;
         simulation.car.start = self.start;
         simulation.wire.faults.corrupt = self.corrupt;
         simulation.wire.faults.drop = self.drop;
@@ -170,6 +176,9 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     if !arguments.quiet {
         let truth = finished.world.truth();
         let cameras = finished.world.cameras().counters();
+        if let Some(failure) = finished.world.board().failure() {
+            eprintln!("singletrack-sim: the board failed: {failure}");
+        }
         println!(
             "stopped after {:.1} s at x {:.3} m, y {:.3} m, yaw {:.1} degrees; \
              {} camera frames, {} without the car",

@@ -3,6 +3,7 @@
 
 mod board;
 mod drive;
+mod image;
 mod line;
 mod markers;
 mod process;
@@ -18,6 +19,7 @@ use singletrack_hil::{
     program,
     rig::Need,
 };
+use singletrack_sim::BoardKind;
 
 /// The shipped daemon against a board, in real time.
 #[derive(Debug, Parser)]
@@ -26,6 +28,11 @@ struct Options {
     /// A physical UNO instead of the simulator: servo and motor WILL MOVE, wheels off the ground!
     #[arg(long, value_name = "DEVICE")]
     port: Option<PathBuf>,
+
+    /// What runs on the simulated board: its code, compiled for this machine, or the
+    /// Arduino's image on a simulated processor (`cargo uno` builds it)
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native, conflicts_with = "port")]
+    board: BoardKind,
 
     /// A singletrackd that is already there, instead of building one
     #[arg(long, value_name = "PATH")]
@@ -79,6 +86,7 @@ fn main() -> ExitCode {
         line::SCENARIOS,
         process::SCENARIOS,
         board::SCENARIOS,
+        image::SCENARIOS,
         stop::SCENARIOS,
     ]
     .concat();
@@ -96,6 +104,7 @@ fn main() -> ExitCode {
     let equipment = Equipment {
         program,
         port: options.port,
+        board: options.board,
         measurements: measurements.clone(),
     };
     let trials = scenarios

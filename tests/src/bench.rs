@@ -5,6 +5,7 @@ use std::{
     time::Duration,
 };
 
+use singletrack_sim::BoardKind;
 use singletrackd::config::Config;
 use tempfile::TempDir;
 
@@ -13,7 +14,7 @@ use crate::{
     client::{Client, Status},
     daemon::Daemon,
     ensure,
-    rig::{Need, PhysicalRig, Rig, SimulatedRig, physical_lacks},
+    rig::{Need, PhysicalRig, Rig, SimulatedRig, physical_lacks, simulated_lacks},
     settings, trace, wait,
 };
 
@@ -24,6 +25,8 @@ pub struct Equipment {
     pub program: PathBuf,
     /// The port of a physical UNO; the simulator without one.
     pub port: Option<PathBuf>,
+    /// What runs on the simulated board.
+    pub board: BoardKind,
     /// Where the measurements go.
     pub measurements: Measurements,
 }
@@ -32,7 +35,10 @@ impl Equipment {
     /// Why a test need not be begun: what it needs can't be had.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
-        self.port.as_ref().and_then(|_| physical_lacks(need))
+        match &self.port {
+            Some(_) => physical_lacks(need),
+            None => simulated_lacks(self.board, need),
+        }
     }
 }
 
@@ -74,7 +80,7 @@ impl Bench {
         let link = folder.path().join("board");
         let rig: Box<dyn Rig> = match &equipment.port {
             Some(port) => Box::new(PhysicalRig::start(port, link, seed)?),
-            None => Box::new(SimulatedRig::start(link, seed)?),
+            None => Box::new(SimulatedRig::start(link, seed, equipment.board)?),
         };
         let config = settings::circle(rig.port(), rig.cameras(), folder.path());
         Ok(Self {

@@ -8,7 +8,7 @@ use singletrack_simavr::{
     Run,
 };
 
-use super::{Surroundings, battery_mv, local_time, process::Process};
+use super::{SERVO_FRAME_US, Surroundings, battery_mv, local_time, process::Process};
 use crate::{
     car::{Car, ImuReading, MotorPulses},
     clock::SkewedClock,
@@ -47,6 +47,22 @@ pub enum UnoError {
         folder: PathBuf,
         /// What it lacks.
         file: &'static str,
+    },
+    /// The image is none.
+    #[error("cannot read the image {}: {reason}", image.display())]
+    Unreadable {
+        /// The image.
+        image: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The image crashed, or the program that ran it.
+    #[error("{}: {reason}", image.display())]
+    Crashed {
+        /// The image.
+        image: PathBuf,
+        /// What happened.
+        reason: String,
     },
     /// The program does not start.
     #[error("cannot start {}: {reason}", program.display())]
@@ -92,6 +108,35 @@ impl Installation {
             .ok_or(UnoError::Missing { executable })
     }
 
+    /// Runs another image of the same folder by itself, with nothing around it,
+    /// for a time in µs, and says what that cost.
+    ///
+    /// # Errors
+    ///
+    /// It does not run, or not for so long.
+    pub fn measure(&self, file: &str, time_us: u64) -> Result<Figures, UnoError> {
+        let image = self.image.with_file_name(file);
+        let mut process = Process::start(&self.program, &image)?;
+        let mut ask = |request| {
+            process.ask(&request).map_err(|reason| UnoError::Crashed {
+                image: image.clone(),
+                reason,
+            })
+        };
+        ask(Request::Start(ResetFlags::POWER_ON))?;
+        ask(Request::Run(Run {
+            until: time_us * CYCLES_PER_US,
+            ..Run::default()
+        }))?;
+        match ask(Request::Measure)? {
+            Reply::Figures(figures) => Ok(figures),
+            reply => Err(UnoError::Crashed {
+                image: image.clone(),
+                reason: format!("no figures but {reply:?}"),
+            }),
+        }
+    }
+
     fn in_folder(folder: &Path) -> Self {
         Self {
             program: folder.join(PROGRAM),
@@ -118,6 +163,10 @@ pub(super) struct Image {
     edges: MotorPulses,
     motion: Vec<(u64, Motion)>,
     frame: Option<Frame>,
+    /// The start of the frame before, and the largest deviation so far of one
+    /// frame from the grid of the one before, in cycles.
+    last_frame: Option<u64>,
+    jitter: u64,
     bytes_overrun: u64,
 }
 
@@ -139,6 +188,8 @@ impl Image {
             edges: MotorPulses::default(),
             motion: Vec::new(),
             frame: None,
+            last_frame: None,
+            jitter: 0,
             bytes_overrun: 0,
         })
     }
@@ -166,6 +217,7 @@ impl Image {
     pub(super) fn hold(&mut self) {
         self.ask(&Request::Hold);
         self.frame = None;
+        self.last_frame = None;
     }
 
     pub(super) fn figures(&mut self) -> Option<Figures> {
@@ -173,6 +225,11 @@ impl Image {
             Some(Reply::Figures(figures)) => Some(figures),
             _ => None,
         }
+    }
+
+    /// How far a pulse has come from its place, 20 ms after the one before, in µs.
+    pub(super) fn jitter_us(&self) -> f64 {
+        self.jitter as f64 / CYCLES_PER_US as f64
     }
 
     pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
@@ -312,6 +369,10 @@ impl Image {
 
     fn finish_frame(&mut self, clock: &SkewedClock, log: &mut PulseLog) {
         if let Some(frame) = self.frame.take() {
+            if let Some(last) = self.last_frame.replace(frame.start) {
+                let deviation = (frame.start - last).abs_diff(SERVO_FRAME_US * CYCLES_PER_US);
+                self.jitter = self.jitter.max(deviation);
+            }
             log.push(PulseRecord {
                 time_us: clock.when_cycle(frame.start),
                 board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,

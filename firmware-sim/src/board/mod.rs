@@ -5,6 +5,7 @@ mod image;
 mod monitor;
 mod native;
 mod process;
+mod size;
 
 use serde::{Deserialize, Serialize};
 use singletrack_board::Board;
@@ -12,6 +13,7 @@ use singletrack_protocol::{ResetCause, Telemetry};
 use singletrack_simavr::{BusFault, Figures, Hang};
 
 pub use image::{Installation, UnoError};
+pub use size::ImageSize;
 
 use crate::{
     car::{BatteryParameters, Car, ImuReading},
@@ -37,6 +39,32 @@ pub enum BoardKind {
     /// The image for the Arduino UNO on a simulated processor; see
     /// [`Installation`].
     Uno,
+}
+
+/// A kind of board that there is not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("choose native or uno")]
+pub struct UnknownBoard;
+
+impl core::str::FromStr for BoardKind {
+    type Err = UnknownBoard;
+
+    fn from_str(text: &str) -> Result<Self, UnknownBoard> {
+        match text {
+            "native" => Ok(Self::Native),
+            "uno" => Ok(Self::Uno),
+            _ => Err(UnknownBoard),
+        }
+    }
+}
+
+impl core::fmt::Display for BoardKind {
+    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        formatter.write_str(match self {
+            Self::Native => "native",
+            Self::Uno => "uno",
+        })
+    }
 }
 
 /// The board's clock, start-up and buffers.
@@ -233,6 +261,16 @@ impl SimulatedBoard {
         match &mut self.machine {
             Machine::Native(_) => None,
             Machine::Image(image) => image.figures(),
+        }
+    }
+
+    /// How far one of the image's pulses has at most come from its place, 20 ms
+    /// after the one before, in µs; `None` for a native board.
+    #[must_use]
+    pub fn pulse_jitter_us(&self) -> Option<f64> {
+        match &self.machine {
+            Machine::Native(_) => None,
+            Machine::Image(image) => Some(image.jitter_us()),
         }
     }
 

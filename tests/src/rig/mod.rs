@@ -8,11 +8,12 @@ mod simulated;
 use std::{net::SocketAddrV4, path::Path, time::Duration};
 
 use singletrack_protocol::{ResetCause, StopCause};
-use singletrack_sim::{LossKind, Truth};
+use singletrack_sim::{BusFault, Hang, LossKind, Truth};
 
 pub use physical::PhysicalRig;
 pub(crate) use physical::lacks as physical_lacks;
 pub use simulated::SimulatedRig;
+pub(crate) use simulated::lacks as simulated_lacks;
 
 use crate::{Failure, Outcome, Trace};
 
@@ -126,6 +127,24 @@ pub trait Rig: Send {
         Err(self.without(Need::StopSwitch))
     }
 
+    /// Stops the board's main program.
+    ///
+    /// # Errors
+    ///
+    /// When the rig lacks [`Need::Image`].
+    fn hang(&self, _hang: Hang) -> Outcome {
+        Err(self.without(Need::Image))
+    }
+
+    /// Breaks the board's bus to the IMU, or mends it.
+    ///
+    /// # Errors
+    ///
+    /// When the rig lacks [`Need::Image`].
+    fn break_imu_bus(&self, _fault: BusFault) -> Outcome {
+        Err(self.without(Need::Image))
+    }
+
     /// The failure of a test that did not say what it needs.
     fn without(&self, need: Need) -> Failure {
         Failure::new(self.lacks(need).unwrap_or("the rig can't do this"))
@@ -143,6 +162,8 @@ pub enum Need {
     StopSwitch,
     /// A board that has just been started.
     FreshBoard,
+    /// The real image, on a processor that can be made to fail.
+    Image,
 }
 
 /// What is wrong with the line, both ways.

@@ -275,6 +275,7 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::Reset => Some("a physical UNO has no reset line that the harness could pull"),
         Need::MotorSensor => Some("the motor of a physical car can't be silenced from here"),
         Need::StopSwitch => Some("the stop switch of a physical car can't be opened from here"),
+        Need::Image => Some("the processor of a physical UNO can't be made to fail from here"),
         Need::FreshBoard => None,
     }
 }

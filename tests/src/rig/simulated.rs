@@ -7,9 +7,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use singletrack_board::Board;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ResetCause, StopCause};
-use singletrack_sim::{LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth};
+use singletrack_sim::{
+    BoardKind, BusFault, Hang, LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth,
+};
 
 use super::{LineFaults, Need, Rig, canary::Canary};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
@@ -19,6 +20,7 @@ use crate::{Failure, Outcome, Pulses, Trace, settings};
 pub struct SimulatedRig {
     simulator: RealTimeSimulator,
     canary: Canary,
+    board: BoardKind,
 }
 
 impl SimulatedRig {
@@ -27,17 +29,27 @@ impl SimulatedRig {
     /// # Errors
     ///
     /// What the simulator does not start for.
-    pub fn start(link: PathBuf, seed: u64) -> Outcome<Self> {
+    pub fn start(link: PathBuf, seed: u64, board: BoardKind) -> Outcome<Self> {
+        let mut simulation = settings::simulation(seed);
+        simulation.board.kind = board;
         let config = RealTimeConfig {
-            simulation: settings::simulation(seed),
+            simulation,
             pty_link: Some(link),
             ..RealTimeConfig::default()
         };
         Ok(Self {
             simulator: start(config)?,
             canary: Canary::start()?,
+            board,
         })
     }
+}
+
+/// What a simulated board does not have, and why.
+#[must_use]
+pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
+    (board == BoardKind::Native && need == Need::Image)
+        .then_some("only the image has a watchdog and a bus: --board uno")
 }
 
 /// Starts the simulator with a punctual thread.
@@ -116,31 +128,31 @@ impl Rig for SimulatedRig {
     }
 
     fn stop_cause(&self) -> Outcome<Option<StopCause>> {
-        Ok(self
-            .simulator
-            .with_world(|world| world.board().code().map(Board::stop_cause))?)
+        Ok(self.simulator.with_world(|world| {
+            let telemetry = world.board().telemetry();
+            telemetry.map(|telemetry| telemetry.stop_cause)
+        })?)
     }
 
-    /// The board keeps the moment at which its command runs out; from there
-    /// back is the telemetry that the host had seen when it sent it.
+    /// A command lives from the telemetry on that its sender had seen.
     fn last_command_us(&self) -> Outcome<u32> {
-        let deadline = || {
-            self.simulator.with_world(|world| {
-                let code = world.board().code();
-                code.and_then(|code| code.outputs().drive_deadline_us)
-            })
-        };
-        let mut last = deadline()?.ok_or_else(|| {
-            Failure::Void("the last command had run out before it could be seen".to_owned())
-        })?;
         let start = Instant::now();
-        while let Some(deadline) = deadline()? {
-            last = deadline;
+        loop {
+            let (now, last) = self.simulator.with_world(|world| {
+                let board = world.board();
+                (board.board_time_us(world.now_us()), board.last_command_us())
+            })?;
+            let (Some(now), Some(last)) = (now, last) else {
+                return Err(Failure::new("the board has had no command"));
+            };
+            if now.wrapping_sub(last) > COMMAND_TIME_TO_LIVE_US {
+                return Ok(last);
+            }
             if start.elapsed() > Duration::from_secs(2) {
                 return Err(Failure::new("commands still reach the board after 2 s"));
             }
+            thread::sleep(Duration::from_millis(1));
         }
-        Ok(last.wrapping_sub(COMMAND_TIME_TO_LIVE_US))
     }
 
     fn lateness(&self) -> Outcome<Duration> {
@@ -148,8 +160,20 @@ impl Rig for SimulatedRig {
         Ok(simulator.max(self.canary.lateness()))
     }
 
-    fn lacks(&self, _need: Need) -> Option<&'static str> {
-        None
+    fn lacks(&self, need: Need) -> Option<&'static str> {
+        lacks(self.board, need)
+    }
+
+    fn hang(&self, hang: Hang) -> Outcome {
+        Ok(self
+            .simulator
+            .with_world(move |world| world.board_mut().hang(hang))?)
+    }
+
+    fn break_imu_bus(&self, fault: BusFault) -> Outcome {
+        Ok(self
+            .simulator
+            .with_world(move |world| world.board_mut().set_imu_bus(fault))?)
     }
 
     fn reset(&self, cause: ResetCause) -> Outcome {

@@ -5,6 +5,7 @@
 //! pseudo-terminal and its cameras are UDP packets: nothing of it knows that
 //! the car is simulated.
 
+mod board_figures;
 mod interrupt;
 mod progress;
 mod report;
@@ -20,10 +21,11 @@ use std::{
 use clap::Args;
 use singletrack_control::{Mode, Reason, Request};
 use singletrack_sim::{
-    LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
+    BoardKind, LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
 };
 use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
 
+use board_figures::BoardFigures;
 use interrupt::Interrupt;
 use progress::Progress;
 
@@ -33,6 +35,11 @@ pub struct DemoArgs {
     /// How long to drive, such as 40s; a bare number is in seconds
     #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
     duration: Duration,
+
+    /// What runs on the board: its code, compiled for this machine, or the Arduino's
+    /// image on a simulated processor (`cargo uno` builds it)
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
+    board: BoardKind,
 
     /// Where the configuration, the record, the figure and the summary go
     #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
@@ -74,6 +81,9 @@ pub enum DemoError {
     /// The simulator does not run.
     #[error("the simulator: {0}")]
     Simulator(#[from] RealTimeError),
+    /// The UNO's image, or the processor that it ran on.
+    #[error("the board: {0}")]
+    Board(String),
     /// The daemon would not take its configuration.
     #[error("the configuration: {0}")]
     Config(#[from] ConfigError),
@@ -168,6 +178,8 @@ struct Drive {
     truth: Vec<TimedTruth>,
     /// What the daemon counted.
     summary: Summary,
+    /// What the image took of its processor.
+    board: Option<BoardFigures>,
 }
 
 /// Runs the demo.
@@ -183,7 +195,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         .prefix("singletrack-")
         .tempdir()
         .map_err(DemoError::Temporary)?;
-    let simulation = settings::simulation(args.seed, args.loss);
+    let simulation = settings::simulation(args);
     let simulator =
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
     simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
@@ -211,7 +223,8 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     )?;
     stop(&daemon)?;
     let summary = daemon.stop()?;
-    let finished = simulator.stop()?;
+    let mut finished = simulator.stop()?;
+    let board = BoardFigures::of(finished.world.board_mut())?;
     progress.finish();
 
     let driven = Drive {
@@ -222,6 +235,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             .map_or(args.duration.as_secs_f64(), |ended| ended.after_s),
         truth: finished.trajectory,
         summary,
+        board,
     };
     report::write(args, &driven)?;
     match driven.ended {

@@ -8,8 +8,8 @@ use singletrack_sim::LossPattern;
 use singletrackd::{Percentiles, Summary};
 
 use super::{
-    CONFIGURATION, DemoArgs, DemoError, Drive, FIGURE, RECORD, SIMULATION, SUMMARY, settings,
-    write as write_file,
+    BoardFigures, CONFIGURATION, DemoArgs, DemoError, Drive, FIGURE, RECORD, SIMULATION, SUMMARY,
+    settings, write as write_file,
 };
 use crate::{
     figure::{Curve, Mark, MarkKind, floor_plan},
@@ -35,6 +35,9 @@ struct DemoSummary<'a> {
     mocap: Mocap<'a>,
     tracking: Option<Tracking>,
     latency_ms: Latency,
+    /// With `--board uno` only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    board: Option<BoardFigures>,
     daemon: &'a Summary,
 }
 
@@ -92,6 +95,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
                 max: figures.capture_to_command_us.max / 1000.0,
             },
         },
+        board: drive.board,
         daemon: &drive.summary,
     };
     let json = serde_json::to_string_pretty(&summary).map_err(|error| DemoError::Write {
@@ -255,6 +259,16 @@ fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
         figures.frames.received,
         figures.frames.crc_errors + figures.frames.decode_errors
     );
+    if let Some(board) = &drive.board {
+        println!(
+            "  board               {} B of flash, {} B of SRAM, {:.1} % busy, longest interrupt {} cycles, pulse jitter {:.3} us",
+            board.flash_bytes,
+            board.sram_bytes,
+            board.cpu_percent,
+            board.isr_max_cycles,
+            board.pulse_jitter_us
+        );
+    }
     println!(
         "In {}: {FIGURE}, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
         folder.display()

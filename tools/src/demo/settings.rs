@@ -4,7 +4,7 @@ use std::{net::Ipv4Addr, path::Path};
 
 use singletrack_control::VehicleParameters;
 use singletrack_sim::{
-    LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
+    RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
 use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
@@ -20,9 +20,9 @@ pub(super) const POINT_DISTANCE: f64 = 0.35;
 const START_POINT: [f64; 2] = [1.5, -0.5];
 const START_YAW_DEG: f64 = 135.0;
 
-pub(super) fn simulation(seed: u64, loss: Option<LossPattern>) -> SimulationConfig {
+pub(super) fn simulation(args: &DemoArgs) -> SimulationConfig {
     let mut config = SimulationConfig {
-        seed,
+        seed: args.seed,
         ..SimulationConfig::default()
     };
     let yaw_rad = START_YAW_DEG.to_radians();
@@ -32,7 +32,8 @@ pub(super) fn simulation(seed: u64, loss: Option<LossPattern>) -> SimulationConf
         y_m: START_POINT[1] - ahead * yaw_rad.sin(),
         yaw_rad,
     };
-    config.cameras.loss = loss;
+    config.cameras.loss = args.loss;
+    config.board.kind = args.board;
     config
 }
 

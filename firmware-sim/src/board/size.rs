@@ -1,0 +1,56 @@
+//! What an image takes of the ATmega328P's memories.
+
+use std::path::Path;
+
+use object::{Architecture, Object, ObjectSection, SectionKind};
+
+use super::UnoError;
+
+/// In the image's ELF file data addresses are those of the data memory plus this.
+const DATA_SPACE: u64 = 0x80_0000;
+
+/// What an image takes of the ATmega328P's memories.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageSize {
+    /// Program, constants and initial values, in bytes.
+    pub flash_bytes: u64,
+    /// Statically allocated SRAM, in bytes.
+    pub static_bytes: u64,
+}
+
+impl ImageSize {
+    /// Reads it from the image's file.
+    ///
+    /// # Errors
+    ///
+    /// No such file, or no image.
+    pub fn read(image: &Path) -> Result<Self, UnoError> {
+        let unreadable = |reason: String| UnoError::Unreadable {
+            image: image.to_owned(),
+            reason,
+        };
+        let bytes = std::fs::read(image).map_err(|error| unreadable(error.to_string()))?;
+        let file =
+            object::File::parse(bytes.as_slice()).map_err(|error| unreadable(error.to_string()))?;
+        let mut size = Self {
+            flash_bytes: 0,
+            static_bytes: 0,
+        };
+        for section in file.sections() {
+            let in_data_space = section.address() >= DATA_SPACE;
+            let (flash, data) = match section.kind() {
+                SectionKind::Text | SectionKind::ReadOnlyData => (true, in_data_space),
+                SectionKind::Data => (true, true),
+                SectionKind::UninitializedData => (false, true),
+                _ => (false, false),
+            };
+            size.flash_bytes += if flash { section.size() } else { 0 };
+            size.static_bytes += if data { section.size() } else { 0 };
+        }
+        // A program for something else would give figures, too.
+        if file.architecture() != Architecture::Avr {
+            return Err(unreadable("not for an AVR processor".to_owned()));
+        }
+        Ok(size)
+    }
+}

@@ -1,0 +1,488 @@
+//! The board's code on this machine and the image on its processor get the same
+//! minute of bytes and sensor values, and give the same frames and pulses.
+//!
+//! One tick of tolerance: the image polls once a millisecond, at its own phase,
+//! and asks its IMU every 5 ms.
+
+use std::{
+    collections::VecDeque,
+    process::{Child, Command, Stdio},
+};
+
+use singletrack_board::{Board, ImuSample, Inputs, MotorPulses, Outputs};
+use singletrack_protocol::{
+    Arm, BoardMode, Configure, Decoder, Disarm, Drive, EmergencyStop, Hello, ResetCause, Sequence,
+    Status, StopCause, Telemetry, ToBoard, ToHost, VERSION,
+};
+use singletrack_sim::{CYCLES_PER_US, Installation, default_board_configuration};
+use singletrack_simavr::{Motion, Pin, Reply, Report, Request, ResetFlags, Run, receive, send};
+
+const SECONDS: u64 = 60;
+
+/// A byte at 115200 baud, in ns.
+const BYTE_NS: u64 = 86_806;
+
+/// What both are given in a millisecond.
+#[derive(Default)]
+struct Millisecond {
+    /// Bytes with the time of their arrival, in µs.
+    bytes: Vec<(u64, u8)>,
+    /// Motor edges, in µs.
+    edges: Vec<u64>,
+    motion: Option<Motion>,
+    stop_input_open: bool,
+}
+
+/// The host and the car as a script of the time.
+struct Script {
+    sequence: Sequence,
+    line: VecDeque<u8>,
+    line_free_ns: u64,
+    travel_um: f64,
+}
+
+impl Script {
+    /// When the car drives: between, it stands and is armed anew.
+    fn driving_ms(ms: u64) -> Option<u64> {
+        (ms >= 4_000)
+            .then_some(ms % 8_000)
+            .filter(|at| (1_000..6_000).contains(at))
+    }
+
+    fn send(&mut self, ms: u64, message: &ToBoard, damage: bool) {
+        let frame = message.encode();
+        let mut bytes = frame.as_bytes().to_vec();
+        if damage && let Some(byte) = bytes.get_mut((ms % 11) as usize + 1) {
+            *byte ^= 0x10;
+        }
+        self.line_free_ns = self.line_free_ns.max(ms * 1_000_000);
+        self.line.extend(bytes);
+    }
+
+    fn host(&mut self, ms: u64, telemetry_time_us: u32) {
+        let configuration = default_board_configuration();
+        let span = ms % 8_000;
+        match (ms, span) {
+            (200, _) => self.send(
+                ms,
+                &ToBoard::Hello(Hello {
+                    protocol_version: VERSION,
+                    software_version: [0, 1, 0],
+                    nonce: 9,
+                }),
+                false,
+            ),
+            (250, _) => {
+                let request = self.sequence.next();
+                self.sequence = request;
+                self.send(
+                    ms,
+                    &ToBoard::Configure(Configure {
+                        request,
+                        configuration,
+                    }),
+                    false,
+                );
+            }
+            // In mid-drive, and for good.
+            (58_000, _) => {
+                self.sequence = self.sequence.next();
+                let request = self.sequence;
+                self.send(
+                    ms,
+                    &ToBoard::EmergencyStop(EmergencyStop { request }),
+                    false,
+                );
+            }
+            // The first time in vain: neutral has not lasted.
+            (_, 900) => {
+                self.sequence = self.sequence.next();
+                let arm = Arm {
+                    request: self.sequence,
+                    configuration_hash: configuration.hash(),
+                    telemetry_time_us,
+                };
+                self.send(ms, &ToBoard::Arm(arm), false);
+            }
+            (_, 6_500) => {
+                self.sequence = self.sequence.next();
+                let request = self.sequence;
+                self.send(ms, &ToBoard::Disarm(Disarm { request }), false);
+            }
+            _ => {}
+        }
+        if let Some(at) = Self::driving_ms(ms)
+            && ms % 10 == 3
+        {
+            self.sequence = self.sequence.next();
+            let seconds = at as f64 * 1e-3;
+            let drive = Drive {
+                sequence: self.sequence,
+                speed_mm_s: (400.0 + 150.0 * (1.3 * seconds).sin()) as i16,
+                steering_100urad: (3_000.0 * (2.1 * seconds).sin()) as i16,
+                // Stale now and then.
+                telemetry_time_us: telemetry_time_us.wrapping_sub(if at % 700 < 20 {
+                    200_000
+                } else {
+                    0
+                }),
+                pose_age_ms: 12,
+            };
+            // Every ninth is damaged.
+            self.send(ms, &ToBoard::Drive(drive), (ms / 10).is_multiple_of(9));
+        }
+    }
+
+    fn next(&mut self, ms: u64, telemetry_time_us: u32) -> Millisecond {
+        self.host(ms, telemetry_time_us);
+        let mut now = Millisecond::default();
+        // What arrives within this millisecond.
+        while !self.line.is_empty() && self.line_free_ns + BYTE_NS <= (ms + 1) * 1_000_000 {
+            self.line_free_ns += BYTE_NS;
+            if let Some(byte) = self.line.pop_front() {
+                now.bytes.push((self.line_free_ns / 1_000, byte));
+            }
+        }
+        let speed_um_ms = match Self::driving_ms(ms) {
+            Some(at) if at > 150 => 420.0 + 120.0 * (at as f64 * 1.1e-3).sin(),
+            _ => 0.0,
+        };
+        let before = self.travel_um;
+        self.travel_um += speed_um_ms;
+        if self.travel_um >= 3_000.0 {
+            self.travel_um -= 3_000.0;
+            let part = (3_000.0 - before) / speed_um_ms;
+            now.edges.push(ms * 1_000 + (part * 1_000.0) as u64);
+        }
+        if ms % 10 == 6 {
+            // Values that the sensor's units can express.
+            let wave = |rate: f64, size: f64| (size * (rate * ms as f64 * 1e-3).sin()) as i16;
+            now.motion = Some(Motion {
+                linear_acceleration_mm_s2: [
+                    wave(2.0, 150.0) * 10,
+                    wave(3.0, 120.0) * 10,
+                    (ms / 10 % 7) as i16 * 10,
+                ],
+                angular_velocity_mrad_s: [
+                    wave(1.0, 20.0) * 10,
+                    wave(1.7, 30.0) * 10,
+                    wave(0.7, 90.0) * 10,
+                ],
+                attitude_q14: [16_000, wave(0.3, 900.0), -200, wave(0.2, 3_000.0)],
+            });
+        }
+        now.stop_input_open = ms > 30_000;
+        now
+    }
+}
+
+/// Frames with the time at which they were complete, in µs.
+#[derive(Default)]
+struct Frames {
+    decoder: Decoder,
+    telemetry: Vec<Telemetry>,
+    status: Vec<Status>,
+    /// Everything else, as text.
+    answers: Vec<String>,
+}
+
+impl Frames {
+    fn take(&mut self, byte: u8) {
+        match self.decoder.push(byte) {
+            Some(Ok(packet)) => match ToHost::decode(packet).unwrap() {
+                ToHost::Telemetry(telemetry) => self.telemetry.push(telemetry),
+                ToHost::Status(status) => self.status.push(status),
+                answer => self.answers.push(format!("{answer:?}")),
+            },
+            Some(Err(error)) => panic!("a damaged frame: {error}"),
+            None => {}
+        }
+    }
+}
+
+struct NativeBoard {
+    board: Board,
+    inputs: Inputs,
+    frames: Frames,
+    /// One for each millisecond.
+    outputs: Vec<Outputs>,
+}
+
+impl NativeBoard {
+    fn run(&mut self, ms: u64, now: &Millisecond) {
+        for &edge_us in &now.edges {
+            self.inputs.motor = MotorPulses {
+                count: self.inputs.motor.count.wrapping_add(1),
+                last_edge_us: edge_us as u32,
+            };
+        }
+        if let Some(motion) = now.motion {
+            self.inputs.imu = Some(ImuSample {
+                time_us: (ms * 1_000) as u32,
+                linear_acceleration_mm_s2: motion.linear_acceleration_mm_s2,
+                angular_velocity_mrad_s: motion.angular_velocity_mrad_s,
+                attitude_q14: motion.attitude_q14,
+            });
+        }
+        self.inputs.battery_mv = 7_400;
+        self.inputs.stop_input_open = now.stop_input_open;
+        let bytes: Vec<u8> = now.bytes.iter().map(|&(_, byte)| byte).collect();
+        let frames = &mut self.frames;
+        // At the end of the millisecond, when all of it has come.
+        let outputs = self.board.poll(
+            ((ms + 1) * 1_000) as u32,
+            &self.inputs,
+            &bytes,
+            &mut |frame: &[u8]| {
+                for &byte in frame {
+                    frames.take(byte);
+                }
+                true
+            },
+        );
+        self.outputs.push(outputs);
+    }
+}
+
+struct ImageBoard {
+    child: Child,
+    frames: Frames,
+    pulses: Vec<singletrack_simavr::Pulse>,
+    report: Report,
+}
+
+impl ImageBoard {
+    fn start() -> Self {
+        let installation = Installation::find().unwrap();
+        let child = Command::new(installation.program)
+            .arg(installation.image)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut image = Self {
+            child,
+            frames: Frames::default(),
+            pulses: Vec::new(),
+            report: Report::default(),
+        };
+        image.ask(&Request::Start(ResetFlags::POWER_ON));
+        image
+    }
+
+    fn ask(&mut self, request: &Request) -> Reply {
+        send(self.child.stdin.as_mut().unwrap(), request).unwrap();
+        receive(self.child.stdout.as_mut().unwrap())
+            .unwrap()
+            .unwrap()
+    }
+
+    fn run(&mut self, ms: u64, now: &Millisecond) {
+        let cycle = |us: u64| us * CYCLES_PER_US;
+        let run = Run {
+            until: cycle((ms + 1) * 1_000),
+            received: now
+                .bytes
+                .iter()
+                .map(|&(us, byte)| (cycle(us), byte))
+                .collect(),
+            motor_edges: now.edges.iter().map(|&us| cycle(us)).collect(),
+            motion: now
+                .motion
+                .map(|motion| (cycle(ms * 1_000), motion))
+                .into_iter()
+                .collect(),
+            battery_mv: 7_400,
+            stop_input_open: now.stop_input_open,
+        };
+        let Reply::Ran(report) = self.ask(&Request::Run(run)) else {
+            panic!("no report");
+        };
+        assert_eq!(report.watchdog_reset, None, "{ms} ms");
+        for &(_, byte) in &report.transmitted {
+            self.frames.take(byte);
+        }
+        self.pulses.extend(&report.pulses);
+        self.report = report;
+    }
+}
+
+impl Drop for ImageBoard {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn run() -> (NativeBoard, ImageBoard) {
+    let mut script = Script {
+        sequence: Sequence(0),
+        line: VecDeque::new(),
+        line_free_ns: 0,
+        travel_um: 0.0,
+    };
+    let mut native = NativeBoard {
+        board: Board::new(ResetCause::PowerOn, [0, 1, 0]),
+        inputs: Inputs::default(),
+        frames: Frames::default(),
+        outputs: Vec::new(),
+    };
+    let mut image = ImageBoard::start();
+    for ms in 0..SECONDS * 1_000 {
+        // The host has heard what had left the board 5 ms ago.
+        let heard = native
+            .frames
+            .telemetry
+            .iter()
+            .rev()
+            .find(|telemetry| u64::from(telemetry.board_time_us) + 5_000 <= ms * 1_000)
+            .map_or(0, |telemetry| telemetry.board_time_us);
+        let now = script.next(ms, heard);
+        native.run(ms, &now);
+        image.run(ms, &now);
+    }
+    (native, image)
+}
+
+/// The native records at an index and beside it.
+fn around(records: &[Telemetry], index: usize) -> &[Telemetry] {
+    let end = records.len().min(index + 2);
+    &records[index.saturating_sub(1)..end]
+}
+
+fn near<T: Into<f64> + Copy>(a: T, b: T, tolerance: f64) -> bool {
+    (a.into() - b.into()).abs() <= tolerance
+}
+
+#[test]
+fn a_minute_of_the_same_bytes_and_sensor_values_gives_the_same_frames_and_pulses() {
+    let (native, image) = run();
+
+    // The script has led through everything.
+    let modes = |mode| {
+        native
+            .frames
+            .telemetry
+            .iter()
+            .filter(|t| t.mode == mode)
+            .count()
+    };
+    for mode in [
+        BoardMode::Boot,
+        BoardMode::Neutral,
+        BoardMode::Armed,
+        BoardMode::Failsafe,
+        BoardMode::EmergencyStopped,
+    ] {
+        assert!(modes(mode) > 5, "{mode:?}: {}", modes(mode));
+    }
+    assert!(modes(BoardMode::Driving) > 2_000);
+    let last = native.frames.telemetry.last().unwrap();
+    assert_ne!(last.stop_cause, StopCause::None);
+    assert!(native.frames.status.last().unwrap().frames_damaged > 100);
+    assert!(native.frames.status.last().unwrap().drives_refused > 20);
+
+    // Answers: the same ones, in the same order.
+    assert_eq!(image.frames.answers, native.frames.answers);
+    assert_eq!(image.report.bytes_overrun, 0);
+
+    telemetry_agrees(&native.frames.telemetry, &image.frames.telemetry);
+    status_agrees(&native.frames.status, &image.frames.status);
+    pulses_agree(&native.outputs, &image.pulses);
+}
+
+fn telemetry_agrees(native: &[Telemetry], image: &[Telemetry]) {
+    assert!(native.len().abs_diff(image.len()) <= 1);
+    assert!(image.len() >= 5_990);
+    for (index, found) in image.iter().enumerate().take(native.len()) {
+        let neighbours = around(native, index);
+        let expected = &native[index];
+        let agrees = |what: &str, same: &dyn Fn(&Telemetry) -> bool| {
+            assert!(
+                neighbours.iter().any(same),
+                "{what} of record {index}:\n{found:?}\n{expected:?}"
+            );
+        };
+        assert!(
+            found.board_time_us.abs_diff(expected.board_time_us) <= 1_100,
+            "time of record {index}: {found:?} {expected:?}"
+        );
+        agrees("mode and cause", &|other| {
+            (other.mode, other.stop_cause) == (found.mode, found.stop_cause)
+        });
+        agrees("sequence", &|other| {
+            other.last_sequence == found.last_sequence
+        });
+        agrees("IMU values", &|other| {
+            let close = |a: &[i16], b: &[i16], tolerance| {
+                a.iter().zip(b).all(|(&a, &b)| near(a, b, tolerance))
+            };
+            close(
+                &other.linear_acceleration_mm_s2,
+                &found.linear_acceleration_mm_s2,
+                0.0,
+            ) && close(
+                &other.angular_velocity_mrad_s,
+                &found.angular_velocity_mrad_s,
+                1.2,
+            ) && other.attitude_q14 == found.attitude_q14
+        });
+        agrees("motor speed", &|other| {
+            near(other.motor_speed_mm_s, found.motor_speed_mm_s, 4.0)
+        });
+        agrees("servo pulse", &|other| {
+            near(other.servo_us, found.servo_us, 10.0)
+        });
+        agrees("ESC pulse", &|other| near(other.esc_us, found.esc_us, 6.0));
+    }
+}
+
+fn status_agrees(native: &[Status], image: &[Status]) {
+    assert!(native.len().abs_diff(image.len()) <= 1);
+    for (found, expected) in image.iter().zip(native) {
+        assert!(found.board_time_us.abs_diff(expected.board_time_us) <= 1_100);
+        assert_eq!(found.configuration_hash, expected.configuration_hash);
+        assert_eq!(found.reset_cause, expected.reset_cause);
+        assert_eq!(found.stop_input_open, expected.stop_input_open);
+        assert_eq!(found.bytes_overrun, 0);
+        assert!(found.frames_received.abs_diff(expected.frames_received) <= 1);
+        assert!(found.frames_damaged.abs_diff(expected.frames_damaged) <= 1);
+        assert!(found.drives_refused.abs_diff(expected.drives_refused) <= 1);
+        // The converter has no conversion in its first moments.
+        if found.board_time_us > 1_000_000 {
+            assert!(found.battery_mv.abs_diff(7_400) <= 15, "{found:?}");
+        }
+    }
+}
+
+/// Each pulse shows what the native board wanted just before it began.
+fn pulses_agree(native: &[Outputs], image: &[singletrack_simavr::Pulse]) {
+    let mut counts = [0; 2];
+    for pulse in image {
+        assert_eq!(pulse.width % CYCLES_PER_US, 0, "a whole number of us");
+        let width_us = pulse.width / CYCLES_PER_US;
+        let begin_ms = (pulse.start / CYCLES_PER_US / 1_000) as usize;
+        // The image decides up to 2 ms before, and its commands are up to a poll
+        // later or earlier than the native ones.
+        let span = &native[begin_ms.saturating_sub(4)..(begin_ms + 2).min(native.len())];
+        let wanted = |output: &Outputs| match pulse.pin {
+            Pin::Servo => output.servo_us.map(u64::from),
+            Pin::Esc => Some(u64::from(output.esc_us)),
+        };
+        let tolerance = match pulse.pin {
+            Pin::Servo => 1,
+            Pin::Esc => 6,
+        };
+        let lowest = span.iter().filter_map(wanted).min().unwrap();
+        let highest = span.iter().filter_map(wanted).max().unwrap();
+        assert!(
+            (lowest.saturating_sub(tolerance)..=highest + tolerance).contains(&width_us),
+            "{:?} at {begin_ms} ms: {width_us} us, not {lowest} to {highest}",
+            pulse.pin
+        );
+        counts[usize::from(pulse.pin == Pin::Esc)] += 1;
+    }
+    // One each every 20 ms; the servo's from its configuration on.
+    assert!((2_980..=3_000).contains(&counts[0]), "{counts:?}");
+    assert!((2_995..=3_000).contains(&counts[1]), "{counts:?}");
+}

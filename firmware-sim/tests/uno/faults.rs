@@ -1,0 +1,335 @@
+//! What only the image can show: hangs, the watchdog, the bus, the receiver.
+
+use proptest::prelude::*;
+use singletrack_protocol::{BoardMode, ImuState, ResetCause, StopCause, UNSOLICITED};
+use singletrack_sim::{BusFault, Hang, PulseRecord, ScriptedDrive, WireFaults};
+
+use super::{armed, config, driving, is_within_limits, pulses_since};
+
+const NEUTRAL_US: u16 = 1_500;
+
+/// From a time to the first pulse from which on the motor gets nothing, in ms.
+fn neutral_after_ms(drive: &ScriptedDrive, since_us: u64) -> f64 {
+    let neutral = drive
+        .world
+        .board()
+        .pulses()
+        .neutral_from(since_us, NEUTRAL_US, 0)
+        .unwrap();
+    (neutral.time_us - since_us) as f64 * 1e-3
+}
+
+#[test]
+fn a_hung_main_loop_means_neutral_within_45_ms_and_a_reset_within_110() {
+    // At every phase of the servo frame, and of the control period.
+    for phase_ms in 0..20 {
+        let mut drive = driving(1);
+        drive.run_ms(phase_ms);
+        drive.world.board_mut().hang(Hang::MainLoop);
+        let hung_us = drive.world.now_us();
+        let (mut reset_us, mut ticks) = (None, 0);
+        while reset_us.is_none() {
+            drive.drive(1, 400, 500, |_| {});
+            ticks += 1;
+            assert!(ticks < 20, "no reset");
+            if drive.world.board().resets() == 1 {
+                reset_us = drive
+                    .world
+                    .board()
+                    .pulses()
+                    .iter()
+                    .find(|pulse| pulse.time_us >= hung_us && pulse.esc_us == 0)
+                    .map(|pulse| pulse.time_us);
+            }
+        }
+        let neutral = neutral_after_ms(&drive, hung_us);
+        let reset = (reset_us.unwrap() - hung_us) as f64 * 1e-3;
+        assert!(neutral <= 45.0, "phase {phase_ms} ms: {neutral} ms");
+        // Neutral by the supervisor, not by the reset that silences the pins.
+        assert!(neutral < reset, "phase {phase_ms} ms: {neutral} {reset}");
+        assert!(reset <= 110.0, "phase {phase_ms} ms: reset {reset} ms");
+    }
+}
+
+#[test]
+fn after_a_watchdog_reset_the_board_says_so_and_drives_only_when_armed_again() {
+    let mut drive = driving(1);
+    drive.host.hellos.clear();
+    drive.world.board_mut().hang(Hang::MainLoop);
+    let hung_us = drive.world.now_us();
+    // The host that has not noticed goes on commanding for ten seconds.
+    drive.drive(1_000, 400, 500, |_| {});
+    assert_eq!(drive.host.hellos.first().unwrap().nonce, UNSOLICITED);
+    let status = drive.host.status.unwrap();
+    assert_eq!(status.reset_cause, ResetCause::Watchdog);
+    assert_eq!(status.configuration_hash, 0);
+    assert_eq!(drive.host.mode(), Some(BoardMode::Neutral));
+    assert_eq!(drive.world.truth().wheel_speed, 0.0);
+    let later = pulses_since(&drive, hung_us + 45_000);
+    assert!(later.len() > 400);
+    assert!(
+        later
+            .iter()
+            .all(|pulse| pulse.servo_us == 0 && [0, NEUTRAL_US].contains(&pulse.esc_us)),
+    );
+    drive.prepare();
+    assert_eq!(drive.host.mode(), Some(BoardMode::Armed));
+    drive.drive(100, 400, 0, |_| {});
+    assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
+    assert!(drive.world.truth().wheel_speed > 0.3);
+    assert_eq!(drive.world.board().resets(), 1);
+}
+
+#[test]
+fn with_interrupts_disabled_for_good_the_watchdog_alone_ends_the_drive() {
+    let mut drive = driving(1);
+    drive.world.board_mut().hang(Hang::Everything);
+    let hung_us = drive.world.now_us();
+    drive.drive(30, 400, 500, |_| {});
+    assert_eq!(drive.world.board().resets(), 1);
+    let neutral = neutral_after_ms(&drive, hung_us);
+    assert!(neutral <= 110.0, "{neutral} ms");
+}
+
+#[test]
+fn after_the_last_command_the_neutral_pulse_is_seen_within_120_ms_at_every_phase() {
+    let mut drive = driving(1);
+    for phase_ms in 0..20 {
+        drive.run_ms(phase_ms);
+        let command = drive.host.drive(400, 500);
+        drive.send(&command);
+        let sent_us = drive.world.now_us();
+        drive.run_ms(300);
+        let neutral = neutral_after_ms(&drive, sent_us);
+        assert!((60.0..=120.0).contains(&neutral), "{phase_ms}: {neutral}");
+        assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
+        drive.run_ms(3_000);
+        drive.arm();
+        drive.drive(30, 400, 500, |_| {});
+        assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
+    }
+}
+
+#[test]
+fn the_imu_comes_back_after_every_fault_of_its_bus_and_the_drive_goes_on() {
+    for fault in [BusFault::Absent, BusFault::Jammed, BusFault::Restarted] {
+        let mut drive = driving(1);
+        assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Fresh);
+        let errors = drive.host.status.unwrap().imu_errors;
+        drive.world.board_mut().set_imu_bus(fault);
+        let mut silent = false;
+        drive.drive(30, 400, 500, |drive| {
+            silent |= drive.host.telemetry.unwrap().imu == ImuState::Silent;
+        });
+        assert!(silent || fault == BusFault::Jammed, "{fault:?}");
+        drive.world.board_mut().set_imu_bus(BusFault::None);
+        drive.drive(200, 400, 500, |_| {});
+        assert_eq!(drive.host.mode(), Some(BoardMode::Driving), "{fault:?}");
+        let fresh = (0..10).all(|_| {
+            drive.drive(1, 400, 500, |_| {});
+            drive.host.telemetry.unwrap().imu != ImuState::Silent
+        });
+        assert!(fresh, "{fault:?}");
+        let status = drive.host.status.unwrap();
+        assert!(
+            status.imu_errors > errors || fault == BusFault::Restarted,
+            "{fault:?}"
+        );
+        assert_eq!(drive.world.board().resets(), 0);
+    }
+}
+
+#[test]
+fn a_bus_that_is_short_circuited_for_good_costs_only_the_imu() {
+    let mut drive = armed(config(1));
+    drive.world.board_mut().set_imu_bus(BusFault::ShortCircuit);
+    drive.drive(500, 400, 500, |_| {});
+    assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Silent);
+    assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
+    assert!((drive.world.truth().wheel_speed - 0.4).abs() < 0.04);
+    assert_eq!(drive.world.board().resets(), 0);
+}
+
+#[test]
+fn values_of_the_imu_arrive_with_unit_sign_and_axis() {
+    let mut drive = driving(1);
+    drive.drive(300, 400, 2_000, |_| {});
+    let (truth, telemetry) = (drive.world.truth(), drive.host.telemetry.unwrap());
+    let yaw_rate = f64::from(telemetry.angular_velocity_mrad_s[2]) * 1e-3;
+    let lateral = f64::from(telemetry.linear_acceleration_mm_s2[1]) * 1e-3;
+    assert!(truth.yaw_rate > 0.2, "{truth:?}");
+    assert!((yaw_rate - truth.yaw_rate).abs() < 0.03, "{yaw_rate}");
+    assert!(
+        (lateral - truth.lateral_acceleration).abs() < 0.3,
+        "{lateral}"
+    );
+    let norm: i64 = telemetry
+        .attitude_q14
+        .iter()
+        .map(|&q| i64::from(q) * i64::from(q))
+        .sum();
+    assert!(((norm as f64).sqrt() / 16_384.0 - 1.0).abs() < 0.001);
+}
+
+#[test]
+fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
+    let mut drive = driving(1);
+    // 1 % of all bits: 8 % of the bytes have one flipped, 72 % of the frames.
+    let begin_us = drive.world.now_us();
+    *drive.world.wire_mut().faults_mut() = WireFaults {
+        corrupt: 0.08,
+        ..WireFaults::default()
+    };
+    for _ in 0..20 {
+        drive.drive(300, 400, 500, |_| {});
+        // The host arms again and again, as a person would.
+        for _ in 0..10 {
+            drive.arm();
+        }
+    }
+    assert!(drive.host.damaged > 1_000, "{}", drive.host.damaged);
+    *drive.world.wire_mut().faults_mut() = WireFaults::default();
+    let end_us = drive.world.now_us();
+    assert!(end_us - begin_us >= 60_000_000);
+    let records = drive.host.records;
+    drive.drive(10, 400, 500, |_| {});
+    // The link is whole again within 100 ms: everything arrives.
+    assert!(drive.host.records >= records + 9);
+    let pulses = pulses_since(&drive, begin_us);
+    assert!(pulses.len() > 2_900);
+    assert!(pulses.iter().all(is_within_limits));
+    assert!(
+        pulses
+            .iter()
+            .all(|pulse| pulse.servo_us == 0 || pulse.servo_us.abs_diff(1_460) <= 40),
+        "a steering angle that nobody asked for"
+    );
+    assert_eq!(drive.world.board().resets(), 0);
+    // Both ways: a request is answered.
+    drive.host.refusals.clear();
+    drive.run_ms(200);
+    drive.arm();
+    assert!(
+        matches!(
+            drive.host.mode(),
+            Some(BoardMode::Armed | BoardMode::Driving)
+        ) || !drive.host.refusals.is_empty(),
+        "{:?}",
+        drive.host.mode()
+    );
+}
+
+#[test]
+fn a_flood_of_garbage_at_the_full_baud_rate_overruns_nothing_and_stops_the_car() {
+    let mut drive = driving(1);
+    let flood_us = drive.world.now_us();
+    let mut byte = 1_u8;
+    for _ in 0..100 {
+        // 115 bytes are all that the line carries in 10 ms.
+        let garbage: Vec<u8> = (0..115)
+            .map(|_| {
+                byte = byte.wrapping_mul(181).wrapping_add(59);
+                byte
+            })
+            .collect();
+        drive.world.host_write(&garbage);
+        drive.run_ms(10);
+    }
+    assert_eq!(drive.world.board().bytes_overrun(), 0);
+    assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
+    assert_eq!(
+        drive.host.telemetry.unwrap().stop_cause,
+        StopCause::CommandTimeout
+    );
+    assert!(pulses_since(&drive, flood_us).iter().all(is_within_limits));
+    let status = drive.host.status.unwrap();
+    assert_eq!(status.bytes_overrun, 0, "{status:?}");
+    assert_eq!(drive.world.board().resets(), 0);
+}
+
+#[test]
+fn a_hung_board_counts_what_its_receiver_loses() {
+    let mut drive = driving(1);
+    drive.world.board_mut().hang(Hang::Everything);
+    drive.world.host_write(&[0; 50]);
+    drive.run_ms(20);
+    // Two bytes in the receiver's buffer, one in its shift register.
+    let lost = drive.world.board().bytes_overrun();
+    assert!((40..=48).contains(&lost), "{lost}");
+}
+
+#[test]
+fn the_stop_switch_is_heard_when_configured_and_neutral_comes_at_once() {
+    let mut drive = ScriptedDrive::new(config(1)).unwrap();
+    drive.configuration.stop_input = true;
+    drive.run_ms(200);
+    drive.prepare();
+    drive.drive(100, 400, 0, |_| {});
+    assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
+    drive.world.board_mut().set_stop_input_open(true);
+    let opened_us = drive.world.now_us();
+    drive.drive(20, 400, 0, |_| {});
+    assert_eq!(drive.host.mode(), Some(BoardMode::EmergencyStopped));
+    let neutral = neutral_after_ms(&drive, opened_us);
+    assert!(neutral <= 25.0, "{neutral} ms");
+}
+
+#[test]
+fn every_reset_cause_is_told() {
+    for cause in [
+        ResetCause::External,
+        ResetCause::BrownOut,
+        ResetCause::PowerOn,
+        ResetCause::Watchdog,
+    ] {
+        let mut drive = ScriptedDrive::new(config(1)).unwrap();
+        drive.run_ms(300);
+        assert_eq!(drive.host.status.unwrap().reset_cause, ResetCause::PowerOn);
+        drive.world.reset_board(cause);
+        drive.run_ms(3_500);
+        assert_eq!(drive.host.status.unwrap().reset_cause, cause);
+    }
+}
+
+/// The first pulse after a start is a whole one, at neutral, and every one has
+/// the length that was asked for to the cycle.
+#[test]
+fn both_pulses_have_exactly_the_width_that_telemetry_tells_every_20_ms() {
+    let mut drive = driving(1);
+    drive.drive(200, 400, -700, |_| {});
+    let telemetry = drive.host.telemetry.unwrap();
+    let pulses = pulses_since(&drive, drive.world.now_us() - 1_000_000);
+    let last = pulses.last().unwrap();
+    assert_eq!(last.servo_us, telemetry.servo_us);
+    assert!(last.esc_us.abs_diff(telemetry.esc_us) <= 2);
+    for pair in pulses.windows(2) {
+        let [before, after] = pair else { continue };
+        assert_eq!(after.board_time_us - before.board_time_us, 20_000);
+    }
+    let first = drive.world.board().pulses().iter().next().unwrap();
+    assert_eq!((first.servo_us, first.esc_us), (0, NEUTRAL_US));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn no_bytes_give_a_pulse_that_the_motor_would_feel(
+        writes in prop::collection::vec((0_u64..30, prop::collection::vec(any::<u8>(), 0..200)), 0..40),
+    ) {
+        let mut drive = ScriptedDrive::new(config(1)).unwrap();
+        drive.run_ms(100);
+        for (later_ms, bytes) in writes {
+            drive.world.host_write(&bytes);
+            drive.run_ms(later_ms);
+        }
+        drive.run_ms(100);
+        let felt = |pulse: &PulseRecord| pulse.esc_us != 0 && pulse.esc_us != NEUTRAL_US;
+        prop_assert!(!drive.world.board().pulses().iter().any(felt));
+        prop_assert_eq!(drive.world.board().resets(), 0);
+        // Telemetry still comes.
+        let records = drive.host.records;
+        drive.run_ms(100);
+        prop_assert!(drive.host.records >= records + 9);
+    }
+}

@@ -1,0 +1,66 @@
+//! The image for the Arduino UNO, instruction by instruction, drives the
+//! simulated car. `cargo uno` builds what these tests run.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod equivalence;
+mod faults;
+mod load;
+#[path = "../closed_loop/scenarios.rs"]
+mod scenarios;
+
+use singletrack_protocol::BoardMode;
+use singletrack_sim::{
+    BoardKind, BoardParameters, PulseRecord, ScriptedDrive, SimulationConfig,
+    default_board_configuration,
+};
+
+/// Compiled for the ATmega328P.
+const KIND: BoardKind = BoardKind::Uno;
+
+fn config(seed: u64) -> SimulationConfig {
+    SimulationConfig {
+        seed,
+        board: BoardParameters {
+            kind: KIND,
+            ..BoardParameters::default()
+        },
+        ..SimulationConfig::default()
+    }
+}
+
+fn armed(config: SimulationConfig) -> ScriptedDrive {
+    let drive = ScriptedDrive::armed(config).unwrap();
+    let refusals = &drive.host.refusals;
+    assert_eq!(drive.host.mode(), Some(BoardMode::Armed), "{refusals:?}");
+    drive
+}
+
+/// Drives at 0.4 m/s for half a second.
+fn driving(seed: u64) -> ScriptedDrive {
+    let mut drive = armed(config(seed));
+    drive.drive(50, 400, 500, |_| {});
+    assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
+    drive
+}
+
+/// The pulses since a time, in µs of the simulation.
+fn pulses_since(drive: &ScriptedDrive, time_us: u64) -> Vec<PulseRecord> {
+    let pulses = drive.world.board().pulses().iter();
+    pulses
+        .filter(|pulse| pulse.time_us >= time_us)
+        .copied()
+        .collect()
+}
+
+/// No pulse at all, or one within the configured limits.
+fn is_within_limits(pulse: &PulseRecord) -> bool {
+    let configuration = default_board_configuration();
+    let (servo, esc) = (configuration.servo, configuration.esc);
+    (pulse.servo_us == 0 || (servo.min_us..=servo.max_us).contains(&pulse.servo_us))
+        && (pulse.esc_us == 0 || (esc.min_us..=esc.max_us).contains(&pulse.esc_us))
+}
