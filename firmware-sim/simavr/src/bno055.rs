@@ -1,6 +1,12 @@
 //! The IMU as its bus sees it.
+//!
+//! Registers, times and units after Bosch's data sheet BST-BNO055-DS000, chapters
+//! 3 and 4: what a driver needs to bring it up, to notice its restart and to read
+//! it. Raw sensors, Euler angles, gravity and the second page read as zero.
 
 use serde::{Deserialize, Serialize};
+
+use crate::CYCLES_PER_US;
 
 /// What the IMU measures along its own axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -13,15 +19,418 @@ pub struct Motion {
     pub attitude_q14: [i16; 4],
 }
 
+const MS: u64 = 1_000 * CYCLES_PER_US;
+/// From power-on to its first acknowledgement.
+const SILENT: u64 = 400 * MS;
+/// From power-on to the configuration mode.
+const STARTUP: u64 = 650 * MS;
+const TO_CONFIGURATION: u64 = 19 * MS;
+const FROM_CONFIGURATION: u64 = 7 * MS;
+
+const CHIP_ID: u8 = 0x00;
+const PAGE_ID: u8 = 0x07;
+const GYROSCOPE: u8 = 0x14;
+const QUATERNION: u8 = 0x20;
+const LINEAR_ACCELERATION: u8 = 0x28;
+const TEMPERATURE: u8 = 0x34;
+const CALIB_STAT: u8 = 0x35;
+const ST_RESULT: u8 = 0x36;
+const SYS_STATUS: u8 = 0x39;
+const UNIT_SEL: u8 = 0x3B;
+const OPR_MODE: u8 = 0x3D;
+const PWR_MODE: u8 = 0x3E;
+const SYS_TRIGGER: u8 = 0x3F;
+const TEMP_SOURCE: u8 = 0x40;
+const AXIS_MAP_CONFIG: u8 = 0x41;
+const AXIS_MAP_SIGN: u8 = 0x42;
+
+const RESET: u8 = 0x20;
+const MODE: u8 = 0x0F;
+const CONFIGURATION: u8 = 0x00;
+
+/// Chip, accelerometer, magnetometer, gyroscope, software, boot loader.
+const IDENTITY: [u8; 7] = [0xA0, 0xFB, 0x32, 0x0F, 0x11, 0x03, 0x15];
+
 /// A BNO055: its registers and its state.
-#[derive(Clone, Debug, Default)]
+///
+/// Time is in cycles of the board, see the crate. It was powered at cycle zero.
+#[derive(Clone, Debug)]
 pub struct Bno055 {
     motion: Motion,
+    /// First acknowledgement and configuration mode after a restart.
+    speaks: u64,
+    ready: u64,
+    mode: u8,
+    /// The mode it is changing to, and since when it has.
+    next_mode: Option<(u8, u64)>,
+    page: u8,
+    units: u8,
+    power: u8,
+    temperature_source: u8,
+    axes: [u8; 2],
+    pointer: u8,
+    /// The next byte written is the register's number.
+    addressed: bool,
+}
+
+impl Default for Bno055 {
+    fn default() -> Self {
+        let mut device = Self {
+            motion: Motion::default(),
+            speaks: 0,
+            ready: 0,
+            mode: CONFIGURATION,
+            next_mode: None,
+            page: 0,
+            units: 0x80,
+            power: 0,
+            temperature_source: 0,
+            axes: [0x24, 0],
+            pointer: 0,
+            addressed: false,
+        };
+        device.power_on(0);
+        device
+    }
 }
 
 impl Bno055 {
+    /// Its address on the bus, seven bits.
+    pub const ADDRESS: u8 = 0x28;
+
     /// What it measures from now on.
     pub const fn measure(&mut self, motion: Motion) {
         self.motion = motion;
+    }
+
+    /// The supply comes up, or the register `SYS_TRIGGER` asks for a reset: all
+    /// settings are lost and the start-up takes its time.
+    pub fn power_on(&mut self, now: u64) {
+        self.restart();
+        self.speaks = now + SILENT;
+        self.ready = now + STARTUP;
+    }
+
+    /// The same with the start-up behind it: it is in its configuration mode.
+    pub fn restart(&mut self) {
+        self.mode = CONFIGURATION;
+        self.next_mode = None;
+        self.page = 0;
+        self.units = 0x80;
+        self.power = 0;
+        self.temperature_source = 0;
+        self.axes = [0x24, 0];
+        self.pointer = 0;
+        self.addressed = false;
+        self.speaks = 0;
+        self.ready = 0;
+    }
+
+    /// Whether it acknowledges its address. If so, a transfer begins.
+    pub const fn select(&mut self, now: u64, to_write: bool) -> bool {
+        self.addressed = to_write;
+        now >= self.speaks
+    }
+
+    /// A byte of the master: first the register's number, then what goes there
+    /// and after it.
+    pub fn write(&mut self, now: u64, byte: u8) {
+        if self.addressed {
+            self.addressed = false;
+            self.pointer = byte;
+            return;
+        }
+        let register = self.pointer;
+        self.pointer = self.pointer.wrapping_add(1);
+        self.settle(now);
+        // It hears nothing while it starts or changes its mode.
+        if now < self.ready || self.next_mode.is_some() {
+            return;
+        }
+        if register == PAGE_ID {
+            self.page = byte & 1;
+            return;
+        }
+        if self.page != 0 {
+            return;
+        }
+        match register {
+            OPR_MODE => self.change_mode(now, byte & MODE),
+            SYS_TRIGGER if byte & RESET != 0 => self.power_on(now),
+            // The rest is taken in the configuration mode alone.
+            _ if self.mode != CONFIGURATION => {}
+            UNIT_SEL => self.units = byte & 0x97,
+            PWR_MODE => self.power = byte & 3,
+            TEMP_SOURCE => self.temperature_source = byte & 3,
+            AXIS_MAP_CONFIG => self.axes[0] = byte & 0x3F,
+            AXIS_MAP_SIGN => self.axes[1] = byte & 7,
+            _ => {}
+        }
+    }
+
+    /// A byte for the master, from the register it last named or the one after
+    /// that which was read last.
+    pub fn read(&mut self, now: u64) -> u8 {
+        let register = self.pointer;
+        self.pointer = self.pointer.wrapping_add(1);
+        self.settle(now);
+        if now < self.ready {
+            return 0;
+        }
+        self.register(register)
+    }
+
+    fn register(&self, register: u8) -> u8 {
+        if register == PAGE_ID {
+            return self.page;
+        }
+        if self.page != 0 {
+            return 0;
+        }
+        if let Some(identity) = IDENTITY.get(usize::from(register - CHIP_ID)) {
+            return *identity;
+        }
+        match register {
+            GYROSCOPE..0x1A => low_or_high(&self.angular_velocity(), register - GYROSCOPE),
+            QUATERNION..LINEAR_ACCELERATION => low_or_high(&self.attitude(), register - QUATERNION),
+            LINEAR_ACCELERATION..0x2E => {
+                low_or_high(&self.linear_acceleration(), register - LINEAR_ACCELERATION)
+            }
+            TEMPERATURE => 25,
+            CALIB_STAT if self.fuses() => 0xFC,
+            ST_RESULT => 0x0F,
+            SYS_STATUS => match (self.settled_mode(), self.fuses()) {
+                (_, true) => 5,
+                (Some(CONFIGURATION) | None, _) => 0,
+                _ => 6,
+            },
+            UNIT_SEL => self.units,
+            OPR_MODE => self.mode,
+            PWR_MODE => self.power,
+            TEMP_SOURCE => self.temperature_source,
+            AXIS_MAP_CONFIG => self.axes[0],
+            AXIS_MAP_SIGN => self.axes[1],
+            _ => 0,
+        }
+    }
+
+    fn change_mode(&mut self, now: u64, mode: u8) {
+        if mode == self.mode || mode > 0x0C {
+            return;
+        }
+        let time = if mode == CONFIGURATION {
+            TO_CONFIGURATION
+        } else {
+            FROM_CONFIGURATION
+        };
+        self.next_mode = Some((mode, now + time));
+    }
+
+    fn settle(&mut self, now: u64) {
+        if let Some((mode, since)) = self.next_mode
+            && now >= since
+        {
+            self.mode = mode;
+            self.next_mode = None;
+        }
+    }
+
+    /// `None` while it changes.
+    const fn settled_mode(&self) -> Option<u8> {
+        match self.next_mode {
+            Some(_) => None,
+            None => Some(self.mode),
+        }
+    }
+
+    /// Whether attitude and linear acceleration are being computed.
+    const fn fuses(&self) -> bool {
+        matches!(self.settled_mode(), Some(0x08..=0x0C))
+    }
+
+    fn angular_velocity(&self) -> [i16; 3] {
+        // Modes with the gyroscope, the data sheet's table 3-5.
+        if !matches!(self.settled_mode(), Some(0x03 | 0x05..=0x08 | 0x0B | 0x0C)) {
+            return [0; 3];
+        }
+        let lsb_per_mrad_s = if self.units & 2 == 0 {
+            16.0 * 180.0 / std::f64::consts::PI / 1_000.0
+        } else {
+            900.0 / 1_000.0
+        };
+        scaled(self.motion.angular_velocity_mrad_s, lsb_per_mrad_s)
+    }
+
+    fn linear_acceleration(&self) -> [i16; 3] {
+        if !self.fuses() {
+            return [0; 3];
+        }
+        let lsb_per_mm_s2 = if self.units & 1 == 0 {
+            0.1
+        } else {
+            1.0 / 9.806_65
+        };
+        scaled(self.motion.linear_acceleration_mm_s2, lsb_per_mm_s2)
+    }
+
+    const fn attitude(&self) -> [i16; 4] {
+        if self.fuses() {
+            self.motion.attitude_q14
+        } else {
+            [0; 4]
+        }
+    }
+}
+
+fn scaled(values: [i16; 3], factor: f64) -> [i16; 3] {
+    // Saturates, as a cast from a float does.
+    values.map(|value| (f64::from(value) * factor).round() as i16)
+}
+
+fn low_or_high(values: &[i16], offset: u8) -> u8 {
+    let value = values.get(usize::from(offset / 2)).copied().unwrap_or(0);
+    value.to_le_bytes()[usize::from(offset % 2)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const READY: u64 = STARTUP;
+    const IMU: u8 = 0x08;
+    const MOTION: Motion = Motion {
+        linear_acceleration_mm_s2: [1_000, -2_000, 9_807],
+        angular_velocity_mrad_s: [1_000, -500, 3_142],
+        attitude_q14: [16_384, -1, 2, -16_384],
+    };
+
+    fn write(device: &mut Bno055, now: u64, register: u8, value: u8) {
+        assert!(device.select(now, true));
+        device.write(now, register);
+        device.write(now, value);
+    }
+
+    fn read<const N: usize>(device: &mut Bno055, now: u64, register: u8) -> [u8; N] {
+        assert!(device.select(now, true));
+        device.write(now, register);
+        assert!(device.select(now, false));
+        std::array::from_fn(|_| device.read(now))
+    }
+
+    fn words<const N: usize>(device: &mut Bno055, now: u64, register: u8) -> [i16; N] {
+        assert!(device.select(now, true));
+        device.write(now, register);
+        std::array::from_fn(|_| i16::from_le_bytes([device.read(now), device.read(now)]))
+    }
+
+    fn fusing() -> (Bno055, u64) {
+        let mut device = Bno055::default();
+        device.measure(MOTION);
+        write(&mut device, READY, OPR_MODE, IMU);
+        (device, READY + FROM_CONFIGURATION)
+    }
+
+    #[test]
+    fn it_is_silent_then_blank_then_there() {
+        let mut device = Bno055::default();
+        assert!(!device.select(SILENT - 1, true));
+        assert_eq!(read(&mut device, SILENT, CHIP_ID), [0]);
+        assert_eq!(read(&mut device, READY, CHIP_ID), [0xA0, 0xFB, 0x32, 0x0F]);
+        assert_eq!(read(&mut device, READY, OPR_MODE), [CONFIGURATION]);
+    }
+
+    #[test]
+    fn a_new_mode_takes_its_time_and_gives_zeros_until_then() {
+        let mut device = Bno055::default();
+        device.measure(MOTION);
+        assert_eq!(words(&mut device, READY, QUATERNION), [0; 4]);
+        write(&mut device, READY, OPR_MODE, IMU);
+        let early = READY + FROM_CONFIGURATION - 1;
+        assert_eq!(read(&mut device, early, OPR_MODE), [CONFIGURATION]);
+        assert_eq!(words(&mut device, early, QUATERNION), [0; 4]);
+        assert_eq!(read(&mut device, early, SYS_STATUS), [0]);
+        let now = early + 1;
+        assert_eq!(read(&mut device, now, OPR_MODE), [IMU]);
+        assert_eq!(read(&mut device, now, SYS_STATUS), [5]);
+        assert_eq!(words(&mut device, now, QUATERNION), MOTION.attitude_q14);
+
+        write(&mut device, now, OPR_MODE, CONFIGURATION);
+        let early = now + TO_CONFIGURATION - 1;
+        assert_eq!(read(&mut device, early, OPR_MODE), [IMU]);
+        assert_eq!(words(&mut device, early, QUATERNION), [0; 4]);
+        assert_eq!(read(&mut device, early + 1, OPR_MODE), [CONFIGURATION]);
+    }
+
+    #[test]
+    fn units_are_those_selected_in_the_configuration_mode() {
+        let (mut device, now) = fusing();
+        // 16 per degree a second, 100 per m/s².
+        assert_eq!(words(&mut device, now, GYROSCOPE), [917, -458, 2_880]);
+        assert_eq!(
+            words(&mut device, now, LINEAR_ACCELERATION),
+            [100, -200, 981]
+        );
+        write(&mut device, now, UNIT_SEL, 0x03);
+        assert_eq!(words(&mut device, now, GYROSCOPE), [917, -458, 2_880]);
+
+        write(&mut device, now, OPR_MODE, CONFIGURATION);
+        let now = now + TO_CONFIGURATION;
+        write(&mut device, now, UNIT_SEL, 0x03);
+        write(&mut device, now, OPR_MODE, IMU);
+        let now = now + FROM_CONFIGURATION;
+        // 900 per rad/s, 1 per mg.
+        assert_eq!(words(&mut device, now, GYROSCOPE), [900, -450, 2_828]);
+        assert_eq!(
+            words(&mut device, now, LINEAR_ACCELERATION),
+            [102, -204, 1_000]
+        );
+        assert_eq!(words(&mut device, now, QUATERNION), MOTION.attitude_q14);
+    }
+
+    #[test]
+    fn a_burst_runs_on_through_the_registers_and_ends_in_zeros() {
+        let (mut device, now) = fusing();
+        let burst: [u8; 26] = read(&mut device, now, GYROSCOPE);
+        assert_eq!(burst[..2], 917_i16.to_le_bytes());
+        assert_eq!(burst[12..14], 16_384_i16.to_le_bytes());
+        assert_eq!(burst[24..26], 981_i16.to_le_bytes());
+        assert_eq!(read(&mut device, now, 0x70), [0; 40]);
+        assert_eq!(read(&mut device, now, 0xFF), [0, 0xA0]);
+    }
+
+    #[test]
+    fn the_second_page_hides_the_first() {
+        let (mut device, now) = fusing();
+        write(&mut device, now, PAGE_ID, 1);
+        assert_eq!(read(&mut device, now, PAGE_ID), [1]);
+        assert_eq!(words(&mut device, now, QUATERNION), [0; 4]);
+        write(&mut device, now, PAGE_ID, 0);
+        assert_eq!(words(&mut device, now, QUATERNION), MOTION.attitude_q14);
+    }
+
+    #[test]
+    fn a_reset_by_register_starts_it_all_over() {
+        let (mut device, now) = fusing();
+        write(&mut device, now, SYS_TRIGGER, RESET);
+        assert!(!device.select(now + SILENT - 1, false));
+        assert_eq!(read(&mut device, now + STARTUP, OPR_MODE), [CONFIGURATION]);
+    }
+
+    #[test]
+    fn a_restart_shows_in_the_mode_and_in_zeros() {
+        let (mut device, now) = fusing();
+        device.restart();
+        assert_eq!(read(&mut device, now, OPR_MODE), [CONFIGURATION]);
+        assert_eq!(words(&mut device, now, QUATERNION), [0; 4]);
+        assert_eq!(read(&mut device, now, CHIP_ID), [0xA0]);
+    }
+
+    #[test]
+    fn what_is_written_during_a_change_of_mode_is_lost() {
+        let mut device = Bno055::default();
+        write(&mut device, READY, OPR_MODE, IMU);
+        write(&mut device, READY + 1, OPR_MODE, CONFIGURATION);
+        let now = READY + FROM_CONFIGURATION;
+        assert_eq!(read(&mut device, now, OPR_MODE), [IMU]);
     }
 }

@@ -1,0 +1,75 @@
+//! Runs the UNO's image in simavr for the simulator. See the library of this
+//! package for what is said over the standard input and output.
+
+mod uno;
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter};
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use singletrack_simavr::{PipeError, Request, receive, send};
+use uno::{Board, Image, ImageError};
+
+const USAGE: &str = "\
+Runs the UNO's image in simavr, instruction by instruction.
+
+Usage: singletrack-simavr IMAGE.elf
+
+The simulator starts this by itself (singletrack-sim --board uno). It speaks a
+binary protocol over standard input and output.
+";
+
+#[derive(Debug, thiserror::Error)]
+enum Error {
+    #[error("one argument, the image (--help tells more)")]
+    Arguments,
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    #[error("this simavr doesn't know the ATmega328P")]
+    Processor,
+    #[error(transparent)]
+    Pipe(#[from] PipeError),
+    #[error("the standard output: {0}")]
+    Output(#[source] io::Error),
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("singletrack-simavr: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Error> {
+    let mut arguments = std::env::args_os().skip(1);
+    let path = match (arguments.next(), arguments.next()) {
+        (Some(argument), None) if argument == "--help" || argument == "-h" => {
+            print!("{USAGE}");
+            return Ok(());
+        }
+        (Some(argument), None) => PathBuf::from(argument),
+        _ => return Err(Error::Arguments),
+    };
+    let output = io::stdout()
+        .as_fd()
+        .try_clone_to_owned()
+        .map_err(Error::Output)?;
+    uno::silence_stdout();
+    let image = Image::read(&path)?;
+    let mut board = Board::new(&image).ok_or(Error::Processor)?;
+    let mut input = BufReader::new(io::stdin().lock());
+    let mut output = BufWriter::new(File::from(output));
+    while let Some(request) = receive::<Request>(&mut input)? {
+        match send(&mut output, &board.answer(request)) {
+            // The simulator has ended: so do we.
+            Err(PipeError::Io(error)) if error.kind() == io::ErrorKind::BrokenPipe => break,
+            result => result?,
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,334 @@
+//! The devices that Rust serves, behind the addresses of their registers, and the
+//! pins.
+
+use singletrack_simavr::{Pin, Pulse};
+
+use super::timer1::Timer1;
+use super::twi::Twi;
+use super::uart::Uart;
+use super::watchdog::Watchdog;
+
+const PINB: u16 = 0x23;
+const DDRB: u16 = 0x24;
+const PORTB: u16 = 0x25;
+const PINC: u16 = 0x26;
+const DDRC: u16 = 0x27;
+const PORTC: u16 = 0x28;
+const PIND: u16 = 0x29;
+const DDRD: u16 = 0x2A;
+const PORTD: u16 = 0x2B;
+const TIFR1: u16 = 0x36;
+const GPIOR0: u16 = 0x3E;
+const WDTCSR: u16 = 0x60;
+const TIMSK1: u16 = 0x6F;
+const TCCR1A: u16 = 0x80;
+const OCR1BH: u16 = 0x8B;
+const TWBR: u16 = 0xB8;
+const TWSR: u16 = 0xB9;
+const TWAR: u16 = 0xBA;
+const TWDR: u16 = 0xBB;
+const TWCR: u16 = 0xBC;
+const TWAMR: u16 = 0xBD;
+const UCSR0A: u16 = 0xC0;
+const UCSR0C: u16 = 0xC2;
+const UBRR0L: u16 = 0xC4;
+const UBRR0H: u16 = 0xC5;
+const UDR0: u16 = 0xC6;
+
+/// Registers served here alone.
+pub(crate) const OWNED: &[std::ops::RangeInclusive<u16>] = &[
+    TIFR1..=TIFR1,
+    WDTCSR..=WDTCSR,
+    TIMSK1..=TIMSK1,
+    TCCR1A..=OCR1BH,
+    TWBR..=TWAMR,
+    UCSR0A..=UDR0,
+];
+/// Registers of which only reads are served here.
+pub(crate) const READ: &[u16] = &[PINB, PINC, PIND];
+/// Registers of simavr's whose writes are of interest.
+pub(crate) const WATCHED: &[u16] = &[DDRB, PORTB, DDRC, PORTC, DDRD, PORTD, GPIOR0];
+
+/// A port's direction and output registers.
+#[derive(Debug, Default, Clone, Copy)]
+struct Port {
+    direction: u8,
+    output: u8,
+}
+
+impl Port {
+    /// The pins, given the levels that the world puts on some of them.
+    const fn pins(self, driven: u8, levels: u8) -> u8 {
+        let outside = driven & levels | !driven & self.output;
+        self.direction & self.output | !self.direction & outside
+    }
+}
+
+#[derive(Debug)]
+pub(crate) struct Devices {
+    pub(crate) uart: Uart,
+    pub(crate) twi: Twi,
+    pub(crate) watchdog: Watchdog,
+    pub(crate) timer1: Timer1,
+    ports: [Port; 3],
+    /// Since when the pins D9 and D10 have been high.
+    high_since: [Option<u64>; 2],
+    pub(crate) pulses: Vec<Pulse>,
+    pub(crate) motor_level: bool,
+    pub(crate) stop_input_open: bool,
+    /// What was last written to GPIOR0 and not looked at yet.
+    pub(crate) mark: Option<u8>,
+    /// What simavr thinks serious, in its words.
+    pub(crate) fatal: Option<String>,
+    warnings: Vec<String>,
+    /// Interrupts and the next event may be different from before.
+    pub(crate) changed: bool,
+    pub(crate) bite: Option<u64>,
+    next: u64,
+}
+
+impl Devices {
+    pub(crate) fn new() -> Self {
+        Self {
+            uart: Uart::new(),
+            twi: Twi::new(),
+            watchdog: Watchdog::default(),
+            timer1: Timer1::new(),
+            ports: [Port::default(); 3],
+            high_since: [None; 2],
+            pulses: Vec::new(),
+            motor_level: false,
+            stop_input_open: false,
+            mark: None,
+            fatal: None,
+            warnings: Vec::new(),
+            changed: true,
+            bite: None,
+            next: u64::MAX,
+        }
+    }
+
+    /// Resets what the processor's reset resets; its pins float.
+    pub(crate) fn reset(&mut self, now: u64) {
+        self.ports = [Port::default(); 3];
+        self.timer1 = Timer1::new();
+        self.update_pins(now);
+        self.uart.reset();
+        self.twi.reset();
+        self.watchdog = Watchdog::default();
+        self.mark = None;
+        self.fatal = None;
+        self.bite = None;
+        self.changed = true;
+    }
+
+    /// When a device does something next by itself.
+    pub(crate) const fn next(&self) -> u64 {
+        self.next
+    }
+
+    pub(crate) fn find_next(&mut self) {
+        self.next = self
+            .uart
+            .next()
+            .min(self.twi.next())
+            .min(self.timer1.next())
+            .min(self.watchdog.next());
+    }
+
+    /// Lets everything happen up to now.
+    pub(crate) fn advance(&mut self, now: u64) {
+        self.changed = true;
+        self.uart.advance(now);
+        self.twi.advance(now);
+        loop {
+            let at = self.timer1.next();
+            if at > now {
+                break;
+            }
+            self.timer1.advance();
+            self.update_pins(at);
+        }
+        if let Some(at) = self.watchdog.advance(now) {
+            self.bite = Some(at);
+        }
+        self.find_next();
+    }
+
+    /// The vectors of the devices here and whether each is asked for.
+    pub(crate) fn requests(&self) -> [(u8, bool); 9] {
+        let [capture, match_a, match_b, overflow] = self.timer1.requests();
+        let [received, empty, sent] = self.uart.requests();
+        [
+            (6, self.watchdog.requests()),
+            (10, capture),
+            (11, match_a),
+            (12, match_b),
+            (13, overflow),
+            (18, received),
+            (19, empty),
+            (20, sent),
+            (24, self.twi.requests()),
+        ]
+    }
+
+    /// The processor jumps to a vector.
+    pub(crate) fn served(&mut self, vector: u8) {
+        match vector {
+            6 => self.watchdog.served(),
+            10..=13 => self.timer1.served(vector),
+            20 => self.uart.served_sent(),
+            18 | 19 | 24 => {}
+            _ => return,
+        }
+        self.changed = true;
+    }
+
+    /// Receives what the simulator's logger says.
+    pub(crate) fn log(&mut self, fatal: bool, text: &str) {
+        let text = text.trim();
+        // Said of a compare register that is written before its timer runs.
+        if text.ends_with("mode 0 UNSUPPORTED") {
+            return;
+        }
+        if fatal {
+            self.fatal.get_or_insert_with(|| text.to_owned());
+        } else if self.warnings.len() < 20 && !self.warnings.iter().any(|old| old == text) {
+            eprintln!("simavr: {text}");
+            self.warnings.push(text.to_owned());
+        }
+    }
+
+    fn update_pins(&mut self, now: u64) {
+        for (index, (channel, bit)) in [(0, 1), (1, 2)].into_iter().enumerate() {
+            let port = self.ports[0];
+            // A floating pin is pulled down by the resistor at the ESC.
+            let high = port.direction & 1 << bit != 0
+                && self
+                    .timer1
+                    .output(channel)
+                    .unwrap_or(port.output & 1 << bit != 0);
+            match (high, self.high_since[index]) {
+                (true, None) => self.high_since[index] = Some(now),
+                (false, Some(start)) => {
+                    self.high_since[index] = None;
+                    if now > start {
+                        self.pulses.push(Pulse {
+                            pin: if index == 0 { Pin::Servo } else { Pin::Esc },
+                            start,
+                            width: now - start,
+                        });
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn update_bus_pins(&mut self, now: u64) {
+        let Port { direction, output } = self.ports[1];
+        let pulled_low = direction & !output & 1 << 5 != 0;
+        self.twi.drive_clock(now, !pulled_low);
+    }
+
+    fn pins(&self, port: u16) -> u8 {
+        match port {
+            PINB => {
+                let [port, ..] = self.ports;
+                let mut pins = port.pins(0, 0);
+                for (channel, bit) in [(0, 1), (1, 2)] {
+                    if self.high_since[channel].is_some() {
+                        pins |= 1 << bit;
+                    } else if port.direction & 1 << bit != 0 {
+                        pins &= !(1 << bit);
+                    }
+                }
+                pins
+            }
+            PINC => {
+                let [_, port, _] = self.ports;
+                // Both lines of the bus have pull-ups of their own.
+                let pins = port.pins(0x30, 0x30);
+                if self.twi.data_held_low() {
+                    pins & !0x10
+                } else {
+                    pins
+                }
+            }
+            PIND => {
+                let [.., port] = self.ports;
+                // The line from the host idles high. The stop switch, when open,
+                // leaves its pin to the pull-up, if there is one.
+                let switch = if self.stop_input_open { 0 } else { 0x10 };
+                let motor = if self.motor_level { 0x04 } else { 0 };
+                port.pins(0x05 | switch, 0x01 | motor)
+            }
+            _ => 0,
+        }
+    }
+
+    pub(crate) fn read(&mut self, now: u64, address: u16) -> u8 {
+        match address {
+            PINB | PINC | PIND => self.pins(address),
+            TIFR1 => self.timer1.flags(),
+            TIMSK1 => self.timer1.mask(),
+            TCCR1A..=OCR1BH => self.timer1.read(now, address - TCCR1A),
+            WDTCSR => self.watchdog.read(now),
+            TWBR => self.twi.bit_rate(),
+            TWSR => self.twi.status(),
+            TWAR => self.twi.own_address()[0],
+            TWDR => self.twi.data(),
+            TWCR => self.twi.control(),
+            TWAMR => self.twi.own_address()[1],
+            UCSR0A..=UCSR0C => self.uart.control(usize::from(address - UCSR0A)),
+            UBRR0L => self.uart.divider()[0],
+            UBRR0H => self.uart.divider()[1],
+            UDR0 => {
+                self.changed = true;
+                self.uart.read_data(now)
+            }
+            _ => 0,
+        }
+    }
+
+    pub(crate) fn write(&mut self, now: u64, address: u16, value: u8) {
+        // The write ends with the instruction, a cycle later.
+        let now = now + 1;
+        match address {
+            PORTB => self.ports[0].output = value,
+            DDRB => self.ports[0].direction = value,
+            PORTC => self.ports[1].output = value,
+            DDRC => self.ports[1].direction = value,
+            PORTD => self.ports[2].output = value,
+            DDRD => self.ports[2].direction = value,
+            GPIOR0 => {
+                self.mark = Some(value);
+                return;
+            }
+            TIFR1 => self.timer1.clear_flags(value),
+            TIMSK1 => self.timer1.set_mask(value),
+            TCCR1A..=OCR1BH => self.timer1.write(now, address - TCCR1A, value),
+            WDTCSR => self.watchdog.write(now, value),
+            TWBR => self.twi.set_bit_rate(value),
+            TWSR => self.twi.set_prescaler(value),
+            TWAR => self.twi.set_own_address(false, value),
+            TWDR => self.twi.set_data(value),
+            TWCR => self.twi.set_control(now, value),
+            TWAMR => self.twi.set_own_address(true, value),
+            UCSR0A..=UCSR0C => self.uart.set_control(usize::from(address - UCSR0A), value),
+            UBRR0L => self.uart.set_divider(true, value),
+            UBRR0H => self.uart.set_divider(false, value),
+            UDR0 => self.uart.write_data(now, value),
+            _ => return,
+        }
+        match address {
+            PORTB | DDRB | TCCR1A => self.update_pins(now),
+            PORTC | DDRC => self.update_bus_pins(now),
+            _ => {}
+        }
+        if matches!(address, TCCR1A | 0x81) && self.timer1.counts_down() {
+            self.log(false, "timer 1: modes that count down are not modelled");
+        }
+        self.changed = true;
+    }
+}

@@ -1,0 +1,158 @@
+//! Reads what is needed from an ELF file for the AVR: the bytes of the flash and
+//! where the static data end.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+const FLASH_BYTES: usize = 32 * 1024;
+const EM_AVR: u16 = 83;
+const PT_LOAD: u32 = 1;
+const SHT_SYMTAB: u32 = 2;
+/// Where the linker puts the data space.
+const DATA_SPACE: u32 = 0x0080_0000;
+const SRAM_START: u16 = 0x100;
+
+/// A program for the ATmega328P.
+#[derive(Debug)]
+pub(crate) struct Image {
+    pub(crate) flash: Vec<u8>,
+    /// First address above the static data.
+    pub(crate) static_end: u16,
+}
+
+/// Why a file is no program for the board.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ImageError {
+    #[error("can't read {0}: {1}")]
+    Read(PathBuf, #[source] io::Error),
+    #[error("{0} is not an ELF file of 32 bits, little-endian")]
+    NotElf(PathBuf),
+    #[error("{0} is for machine {1}, not for the AVR ({EM_AVR})")]
+    NotAvr(PathBuf, u16),
+    #[error("{0} is cut off or damaged")]
+    Damaged(PathBuf),
+    #[error("{0} needs {1} bytes of flash, there are {FLASH_BYTES}")]
+    TooLarge(PathBuf, usize),
+    #[error("{0} holds nothing for the flash")]
+    Empty(PathBuf),
+}
+
+struct Bytes<'a>(&'a [u8]);
+
+impl<'a> Bytes<'a> {
+    fn array<const N: usize>(&self, offset: usize) -> Option<[u8; N]> {
+        self.slice(offset, N)?.try_into().ok()
+    }
+
+    fn slice(&self, offset: usize, length: usize) -> Option<&'a [u8]> {
+        self.0.get(offset..offset.checked_add(length)?)
+    }
+
+    fn u16(&self, offset: usize) -> Option<u16> {
+        self.array(offset).map(u16::from_le_bytes)
+    }
+
+    fn u32(&self, offset: usize) -> Option<u32> {
+        self.array(offset).map(u32::from_le_bytes)
+    }
+
+    fn offset(&self, at: usize) -> Option<usize> {
+        self.u32(at).map(|value| value as usize)
+    }
+}
+
+impl Image {
+    pub(crate) fn read(path: &Path) -> Result<Self, ImageError> {
+        let bytes =
+            std::fs::read(path).map_err(|error| ImageError::Read(path.to_owned(), error))?;
+        Self::parse(&bytes, path)
+    }
+
+    fn parse(bytes: &[u8], path: &Path) -> Result<Self, ImageError> {
+        let file = Bytes(bytes);
+        if file.array(0) != Some(*b"\x7fELF\x01\x01") {
+            return Err(ImageError::NotElf(path.to_owned()));
+        }
+        let damaged = || ImageError::Damaged(path.to_owned());
+        let machine = file.u16(18).ok_or_else(damaged)?;
+        if machine != EM_AVR {
+            return Err(ImageError::NotAvr(path.to_owned(), machine));
+        }
+        let mut flash = Vec::new();
+        for (address, contents) in segments(&file).ok_or_else(damaged)? {
+            let end = address + contents.len();
+            if end > FLASH_BYTES {
+                return Err(ImageError::TooLarge(path.to_owned(), end));
+            }
+            if flash.len() < end {
+                flash.resize(end, 0xFF);
+            }
+            if let Some(place) = flash.get_mut(address..end) {
+                place.copy_from_slice(contents);
+            }
+        }
+        if flash.is_empty() {
+            return Err(ImageError::Empty(path.to_owned()));
+        }
+        Ok(Self {
+            flash,
+            static_end: static_end(&file).ok_or_else(damaged)?,
+        })
+    }
+}
+
+/// What is loaded into the flash, and where. EEPROM and fuses have addresses
+/// beyond the data space.
+fn segments<'a>(file: &Bytes<'a>) -> Option<Vec<(usize, &'a [u8])>> {
+    let table = file.offset(28)?;
+    let size = usize::from(file.u16(42)?);
+    let count = usize::from(file.u16(44)?);
+    let mut segments = Vec::new();
+    for index in 0..count {
+        let header = table.checked_add(index * size)?;
+        let length = file.offset(header + 16)?;
+        let address = file.u32(header + 12)?;
+        if file.u32(header)? == PT_LOAD && length > 0 && address < DATA_SPACE {
+            segments.push((
+                address as usize,
+                file.slice(file.offset(header + 4)?, length)?,
+            ));
+        }
+    }
+    Some(segments)
+}
+
+/// The highest of the symbols that linker scripts put above the static data.
+fn static_end(file: &Bytes<'_>) -> Option<u16> {
+    let table = file.offset(32)?;
+    let size = usize::from(file.u16(46)?);
+    let count = usize::from(file.u16(48)?);
+    let section = |index: usize| table.checked_add(index.checked_mul(size)?);
+    let mut end = SRAM_START;
+    for index in 0..count {
+        let header = section(index)?;
+        if file.u32(header + 4)? != SHT_SYMTAB {
+            continue;
+        }
+        let (symbols, length) = (file.offset(header + 16)?, file.offset(header + 20)?);
+        let names = file.offset(section(file.offset(header + 24)?)? + 16)?;
+        for symbol in (symbols..symbols.checked_add(length)?).step_by(16) {
+            let name = names.checked_add(file.offset(symbol)?)?;
+            let is = |wanted: &[u8]| file.slice(name, wanted.len()) == Some(wanted);
+            let value = file.u32(symbol + 4)?;
+            if value >= DATA_SPACE
+                && [
+                    &b"__data_end\0"[..],
+                    b"__bss_end\0",
+                    b"_end\0",
+                    b"__noinit_end\0",
+                ]
+                .into_iter()
+                .any(is)
+            {
+                end = end.max(u16::try_from(value - DATA_SPACE).ok()?);
+            }
+        }
+    }
+    Some(end)
+}

@@ -1,0 +1,191 @@
+//! Counts what the run costs, step by step.
+
+use std::collections::BTreeMap;
+
+use singletrack_simavr::{CYCLES_PER_US, Figures, Interrupt};
+
+/// A critical section of the initialisation harms nobody.
+const SETTLING: u64 = 5_000 * CYCLES_PER_US;
+
+/// What is in SRAM where nobody has written since power-on.
+pub(crate) const PATTERN: u8 = 0xC5;
+/// So many of them in a row were not written by chance.
+const UNTOUCHED: usize = 16;
+
+#[derive(Debug, Default)]
+struct Section {
+    count: u64,
+    fewest: u32,
+    most: u32,
+    all: u64,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Meter {
+    cycles: u64,
+    cycles_asleep: u64,
+    started: u64,
+    /// Cycles of the main program while awake.
+    main: u64,
+    /// Interrupts being served, and when each began.
+    serving: Vec<(u8, u64)>,
+    interrupts: BTreeMap<u8, (u64, u32, u64)>,
+    disabled_since: Option<u64>,
+    longest_critical_section: u64,
+    open: Option<(u8, u64)>,
+    sections: BTreeMap<u8, Section>,
+}
+
+/// What a step did, in terms of the counters.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    pub(crate) from: u64,
+    pub(crate) to: u64,
+    pub(crate) was_asleep: bool,
+    /// Vector entered at the end, with the cycles it took.
+    pub(crate) entered: Option<(u8, u8)>,
+    /// Interrupts being served after it.
+    pub(crate) depth: usize,
+    pub(crate) interrupts_enabled: bool,
+}
+
+impl Meter {
+    pub(crate) fn start(&mut self, now: u64) {
+        self.started = now;
+        self.stop();
+    }
+
+    /// Forgets what is under way: a reset or a hang cuts it off.
+    pub(crate) fn stop(&mut self) {
+        self.serving.clear();
+        self.disabled_since = None;
+        self.open = None;
+    }
+
+    pub(crate) fn pass(&mut self, span: Span) {
+        let cycles = span.to - span.from;
+        let response = span.entered.map_or(0, |(_, cycles)| u64::from(cycles));
+        self.cycles += cycles;
+        if span.was_asleep {
+            self.cycles_asleep += cycles - response.min(cycles);
+        } else if self.serving.is_empty() {
+            self.main += cycles - response.min(cycles);
+        }
+        if let Some((vector, _)) = span.entered {
+            self.serving.push((vector, span.to - response));
+        }
+        while self.serving.len() > span.depth {
+            if let Some((vector, start)) = self.serving.pop() {
+                let cycles = span.to - start;
+                let (count, most, all) = self.interrupts.entry(vector).or_default();
+                *count += 1;
+                *most = (*most).max(narrow(cycles));
+                *all += cycles;
+            }
+        }
+        if span.interrupts_enabled || !self.serving.is_empty() {
+            if let Some(since) = self.disabled_since.take() {
+                self.longest_critical_section = self
+                    .longest_critical_section
+                    .max(span.to - response - since);
+            }
+        } else if span.to >= self.started + SETTLING {
+            self.disabled_since.get_or_insert(span.to);
+        }
+    }
+
+    /// The main program has written to GPIOR0.
+    pub(crate) fn mark(&mut self, value: u8) {
+        if !self.serving.is_empty() {
+            return;
+        }
+        if let Some((number, since)) = self.open.take() {
+            let cycles = self.main - since;
+            let section = self.sections.entry(number).or_insert(Section {
+                fewest: u32::MAX,
+                ..Section::default()
+            });
+            section.count += 1;
+            section.fewest = section.fewest.min(narrow(cycles));
+            section.most = section.most.max(narrow(cycles));
+            section.all += cycles;
+        }
+        if value != 0 {
+            self.open = Some((value, self.main));
+        }
+    }
+
+    /// `sram` begins above the static data.
+    pub(crate) fn figures(&self, sram: &[u8]) -> Figures {
+        Figures {
+            cycles: self.cycles,
+            cycles_asleep: self.cycles_asleep,
+            stack_bytes: stack_bytes(sram),
+            longest_critical_section: narrow(self.longest_critical_section),
+            interrupts: self
+                .interrupts
+                .iter()
+                .map(|(&vector, &(count, most_cycles, all_cycles))| Interrupt {
+                    vector,
+                    count,
+                    most_cycles,
+                    all_cycles,
+                })
+                .collect(),
+            sections: self
+                .sections
+                .iter()
+                .map(|(&number, section)| {
+                    (
+                        number,
+                        section.count,
+                        section.fewest,
+                        section.most,
+                        section.all,
+                    )
+                })
+                .collect(),
+        }
+    }
+}
+
+fn narrow(cycles: u64) -> u32 {
+    u32::try_from(cycles).unwrap_or(u32::MAX)
+}
+
+/// Bytes above the first untouched run above the static data; all, if there is
+/// none.
+fn stack_bytes(sram: &[u8]) -> u16 {
+    let untouched = sram
+        .windows(UNTOUCHED)
+        .position(|window| window.iter().all(|&byte| byte == PATTERN));
+    let stack = untouched.map_or(sram, |start| {
+        let run = sram.get(start..).unwrap_or_default();
+        let length = run.iter().take_while(|&&byte| byte == PATTERN).count();
+        run.get(length..).unwrap_or_default()
+    });
+    u16::try_from(stack.len()).unwrap_or(u16::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_stack_ends_at_the_untouched_bytes() {
+        let mut sram = vec![PATTERN; 100];
+        assert_eq!(stack_bytes(&sram), 0);
+        sram[90..].fill(1);
+        assert_eq!(stack_bytes(&sram), 10);
+        // A buffer on the stack of which little was written.
+        sram[70] = 1;
+        assert_eq!(stack_bytes(&sram), 30);
+        // Something above the static data that the symbols don't tell of.
+        sram[..8].fill(1);
+        assert_eq!(stack_bytes(&sram), 30);
+        for byte in sram.iter_mut().step_by(10) {
+            *byte = 1;
+        }
+        assert_eq!(stack_bytes(&sram), 100);
+    }
+}

@@ -1,0 +1,304 @@
+//! Timer 1, data sheet chapter 15, in its modes that count up: normal, CTC and
+//! fast PWM. Compare registers are double-buffered in fast PWM; both halves of a
+//! 16-bit register pass through the one TEMP.
+
+/// A channel, A or B.
+#[derive(Clone, Copy, Debug, Default)]
+struct Channel {
+    /// What the comparator uses, and what it will use from BOTTOM on.
+    compare: u16,
+    buffer: u16,
+    /// When the next match shows.
+    next_match: Option<u64>,
+    output: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct Timer1 {
+    control: [u8; 3],
+    mask: u8,
+    flags: u8,
+    temp: u8,
+    capture: u16,
+    channels: [Channel; 2],
+    /// The count while the clock is off; else the cycle of count zero, which may lie
+    /// before the process started.
+    count: u16,
+    zero: i64,
+    next_top: Option<u64>,
+}
+
+const TOV: u8 = 0x01;
+const ICF: u8 = 0x20;
+const PRESCALERS: [Option<i64>; 8] = [
+    None,
+    Some(1),
+    Some(8),
+    Some(64),
+    Some(256),
+    Some(1_024),
+    // External clocks, which nobody drives.
+    None,
+    None,
+];
+
+impl Timer1 {
+    pub(crate) fn new() -> Self {
+        Self {
+            control: [0; 3],
+            mask: 0,
+            flags: 0,
+            temp: 0,
+            capture: 0,
+            channels: [Channel::default(); 2],
+            count: 0,
+            zero: 0,
+            next_top: None,
+        }
+    }
+
+    fn mode(&self) -> u8 {
+        self.control[0] & 3 | (self.control[1] >> 1) & 0x0C
+    }
+
+    /// Whether it runs in a mode that counts down as well, which is not modelled.
+    pub(crate) fn counts_down(&self) -> bool {
+        self.prescaler().is_some() && matches!(self.mode(), 1..=3 | 8..=11)
+    }
+
+    fn is_fast_pwm(&self) -> bool {
+        matches!(self.mode(), 5..=7 | 14 | 15)
+    }
+
+    fn prescaler(&self) -> Option<i64> {
+        PRESCALERS[usize::from(self.control[1] & 7)]
+    }
+
+    fn top(&self) -> u16 {
+        match self.mode() {
+            4 | 15 => self.channels[0].compare,
+            5 => 0xFF,
+            6 => 0x1FF,
+            7 => 0x3FF,
+            12 | 14 => self.capture,
+            _ => 0xFFFF,
+        }
+    }
+
+    fn output_mode(&self, channel: usize) -> u8 {
+        let shift = if channel == 0 { 6 } else { 4 };
+        let mode = (self.control[0] >> shift) & 3;
+        // In fast PWM, toggling is for channel A in modes 14 and 15 alone.
+        if mode == 1 && self.is_fast_pwm() && (channel == 1 || self.mode() < 14) {
+            0
+        } else {
+            mode
+        }
+    }
+
+    /// What the timer puts on the pin of a channel, if the pin is its own.
+    pub(crate) fn output(&self, channel: usize) -> Option<bool> {
+        let driven = self.output_mode(channel) != 0;
+        self.channels
+            .get(channel)
+            .filter(|_| driven)
+            .map(|channel| channel.output)
+    }
+
+    fn count(&self, now: u64) -> u16 {
+        match self.prescaler() {
+            Some(prescaler) => ((now as i64 - self.zero) / prescaler) as u16,
+            None => self.count,
+        }
+    }
+
+    /// Works out when what happens next, all after `now`.
+    fn schedule(&mut self, now: u64) {
+        let Some(prescaler) = self.prescaler() else {
+            self.next_top = None;
+            for channel in &mut self.channels {
+                channel.next_match = None;
+            }
+            return;
+        };
+        let zero = self.zero;
+        let end_of = |count: u16| (zero + (i64::from(count) + 1) * prescaler) as u64;
+        let top = self.top();
+        // Past the top it counts on to the end.
+        let top = if end_of(top) > now { top } else { 0xFFFF };
+        let next_top = end_of(top);
+        self.next_top = Some(next_top);
+        for channel in &mut self.channels {
+            let at = end_of(channel.compare);
+            channel.next_match = (at > now && at <= next_top).then_some(at);
+        }
+    }
+
+    pub(crate) fn next(&self) -> u64 {
+        [
+            self.next_top,
+            self.channels[0].next_match,
+            self.channels[1].next_match,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+        .unwrap_or(u64::MAX)
+    }
+
+    /// What happens at the next moment at which anything does.
+    pub(crate) fn advance(&mut self) {
+        let at = self.next();
+        for index in 0..2 {
+            if self.channels[index].next_match != Some(at) {
+                continue;
+            }
+            self.channels[index].next_match = None;
+            self.flags |= 2 << index;
+            let clear = match (self.output_mode(index), self.is_fast_pwm()) {
+                (1, _) => !self.channels[index].output,
+                (2, _) => false,
+                (3, _) => true,
+                _ => self.channels[index].output,
+            };
+            self.channels[index].output = clear;
+        }
+        if self.next_top != Some(at) {
+            return;
+        }
+        self.zero = at as i64;
+        match self.mode() {
+            // In CTC the overflow is at the end of the range, which it doesn't reach.
+            4 | 12 => {}
+            _ => self.flags |= TOV,
+        }
+        if matches!(self.mode(), 12 | 14) {
+            self.flags |= ICF;
+        }
+        if self.is_fast_pwm() {
+            for index in 0..2 {
+                self.channels[index].compare = self.channels[index].buffer;
+                match self.output_mode(index) {
+                    2 => self.channels[index].output = true,
+                    3 => self.channels[index].output = false,
+                    _ => {}
+                }
+            }
+        }
+        self.schedule(at);
+    }
+
+    /// Interrupts 10 (capture), 11, 12 (matches) and 13 (overflow) asked for.
+    pub(crate) fn requests(&self) -> [bool; 4] {
+        let asked = self.flags & self.mask;
+        [
+            asked & ICF != 0,
+            asked & 2 != 0,
+            asked & 4 != 0,
+            asked & TOV != 0,
+        ]
+    }
+
+    /// An interrupt is being served, which clears its flag.
+    pub(crate) fn served(&mut self, vector: u8) {
+        self.flags &= !match vector {
+            10 => ICF,
+            11 => 2,
+            12 => 4,
+            13 => TOV,
+            _ => 0,
+        };
+    }
+
+    pub(crate) fn flags(&self) -> u8 {
+        self.flags
+    }
+
+    /// Ones clear.
+    pub(crate) fn clear_flags(&mut self, ones: u8) {
+        self.flags &= !ones;
+    }
+
+    pub(crate) fn mask(&self) -> u8 {
+        self.mask
+    }
+
+    pub(crate) fn set_mask(&mut self, value: u8) {
+        self.mask = value;
+    }
+
+    /// A register by its distance from TCCR1A.
+    pub(crate) fn read(&mut self, now: u64, register: u16) -> u8 {
+        let count = self.count(now);
+        match register {
+            0..=2 => self.control[usize::from(register)],
+            4 => self.latch(count),
+            6 => self.latch(self.capture),
+            5 | 7 => self.temp,
+            // Without TEMP.
+            8..=11 => {
+                let channel = &self.channels[usize::from((register - 8) / 2)];
+                channel.buffer.to_le_bytes()[usize::from(register % 2)]
+            }
+            _ => 0,
+        }
+    }
+
+    fn latch(&mut self, value: u16) -> u8 {
+        let [low, high] = value.to_le_bytes();
+        self.temp = high;
+        low
+    }
+
+    pub(crate) fn write(&mut self, now: u64, register: u16, value: u8) {
+        let whole = u16::from_le_bytes([value, self.temp]);
+        match register {
+            0 | 1 => {
+                let count = self.count(now);
+                let phase = self
+                    .prescaler()
+                    .map_or(0, |prescaler| (now as i64 - self.zero) % prescaler);
+                let old = self.prescaler();
+                self.control[usize::from(register)] = value;
+                self.count = count;
+                match self.prescaler() {
+                    Some(prescaler) if old != Some(prescaler) => self.set_count(now, count),
+                    Some(prescaler) => {
+                        self.zero = now as i64 - phase - i64::from(count) * prescaler;
+                    }
+                    None => {}
+                }
+                if !self.is_fast_pwm() {
+                    for channel in &mut self.channels {
+                        channel.compare = channel.buffer;
+                    }
+                }
+            }
+            2 => return,
+            5 | 7 | 9 | 11 => {
+                self.temp = value;
+                return;
+            }
+            4 => self.set_count(now, whole),
+            6 => self.capture = whole,
+            8 | 10 => {
+                let buffered = self.is_fast_pwm();
+                let channel = &mut self.channels[usize::from((register - 8) / 2)];
+                channel.buffer = whole;
+                if buffered {
+                    return;
+                }
+                channel.compare = whole;
+            }
+            _ => return,
+        }
+        self.schedule(now);
+    }
+
+    fn set_count(&mut self, now: u64, count: u16) {
+        self.count = count;
+        if let Some(prescaler) = self.prescaler() {
+            self.zero = now as i64 - i64::from(count) * prescaler;
+        }
+    }
+}

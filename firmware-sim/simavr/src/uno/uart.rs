@@ -1,0 +1,200 @@
+//! The UART, data sheet chapter 19: two bytes of buffer behind the receiver's
+//! shift register, one before the transmitter's.
+
+use std::collections::VecDeque;
+
+const RXC: u8 = 0x80;
+const TXC: u8 = 0x40;
+const UDRE: u8 = 0x20;
+const DOR: u8 = 0x08;
+const U2X: u8 = 0x02;
+const MPCM: u8 = 0x01;
+const RXEN: u8 = 0x10;
+const TXEN: u8 = 0x08;
+const UCSZ2: u8 = 0x04;
+
+/// Of UCSR0C: eight data bits, no parity, one stop bit.
+const FORMAT_8N1: u8 = 0x06;
+
+#[derive(Debug)]
+pub(crate) struct Uart {
+    /// UCSR0A without its flags, UCSR0B, UCSR0C, UBRR0.
+    control: [u8; 3],
+    divider: u16,
+    received: VecDeque<u8>,
+    /// A byte that waits in the receiver's shift register, and when that was free
+    /// again last.
+    waiting: Option<u8>,
+    free_since: u64,
+    overrun: bool,
+    sending: Option<(u64, u8)>,
+    next: Option<u8>,
+    sent: bool,
+    pub(crate) transmitted: Vec<(u64, u8)>,
+    pub(crate) bytes_overrun: u64,
+}
+
+impl Uart {
+    pub(crate) fn new() -> Self {
+        Self {
+            control: [0, 0, FORMAT_8N1],
+            divider: 0,
+            received: VecDeque::new(),
+            waiting: None,
+            free_since: 0,
+            overrun: false,
+            sending: None,
+            next: None,
+            sent: false,
+            transmitted: Vec::new(),
+            bytes_overrun: 0,
+        }
+    }
+
+    pub(crate) fn reset(&mut self) {
+        *self = Self {
+            transmitted: std::mem::take(&mut self.transmitted),
+            bytes_overrun: self.bytes_overrun,
+            ..Self::new()
+        };
+    }
+
+    fn cycles_per_bit(&self) -> u64 {
+        let samples = if self.control[0] & U2X != 0 { 8 } else { 16 };
+        samples * (u64::from(self.divider) + 1)
+    }
+
+    /// Start bit, data, parity and stop bits.
+    fn bits_per_byte(&self) -> u64 {
+        let [_, b, c] = self.control;
+        let data = if b & UCSZ2 != 0 {
+            9
+        } else {
+            5 + ((c >> 1) & 3)
+        };
+        u64::from(1 + data + u8::from(c & 0x20 != 0) + 1 + u8::from(c & 0x08 != 0))
+    }
+
+    pub(crate) fn flags(&self) -> u8 {
+        let flag = |set, bit| if set { bit } else { 0 };
+        flag(!self.received.is_empty(), RXC)
+            | flag(self.sent, TXC)
+            | flag(self.next.is_none(), UDRE)
+            | flag(self.overrun, DOR)
+    }
+
+    /// Whether the interrupts 18 (received), 19 (buffer empty) and 20 (sent) are
+    /// asked for.
+    pub(crate) fn requests(&self) -> [bool; 3] {
+        let asked = self.flags() & self.control[1];
+        [asked & RXC != 0, asked & UDRE != 0, asked & TXC != 0]
+    }
+
+    /// The interrupt "sent" is being served, which clears its flag.
+    pub(crate) fn served_sent(&mut self) {
+        self.sent = false;
+    }
+
+    /// When something happens by itself.
+    pub(crate) fn next(&self) -> u64 {
+        self.sending.map_or(u64::MAX, |(end, _)| end)
+    }
+
+    pub(crate) fn advance(&mut self, now: u64) {
+        while let Some((end, byte)) = self.sending
+            && end <= now
+        {
+            self.transmitted.push((end, byte));
+            self.sending = None;
+            match self.next.take() {
+                Some(byte) => self.send(end, byte),
+                None => self.sent = true,
+            }
+        }
+    }
+
+    fn send(&mut self, now: u64, byte: u8) {
+        self.sending = Some((now + self.bits_per_byte() * self.cycles_per_bit(), byte));
+    }
+
+    /// A byte's stop bit reaches the receiver.
+    pub(crate) fn receive(&mut self, now: u64, byte: u8) {
+        if self.control[1] & RXEN == 0 {
+            return;
+        }
+        // The shift register must be free when the start bit begins.
+        let start = now.saturating_sub(self.cycles_per_bit() * 19 / 2);
+        if self.waiting.is_some() || self.free_since > start {
+            self.overrun = true;
+            self.bytes_overrun += 1;
+        } else if self.received.len() < 2 {
+            self.received.push_back(byte);
+        } else {
+            self.waiting = Some(byte);
+        }
+    }
+
+    pub(crate) fn read_data(&mut self, now: u64) -> u8 {
+        let byte = self.received.pop_front().unwrap_or(0);
+        self.overrun = false;
+        if let Some(waiting) = self.waiting.take() {
+            self.received.push_back(waiting);
+            self.free_since = now;
+        }
+        byte
+    }
+
+    pub(crate) fn write_data(&mut self, now: u64, byte: u8) {
+        if self.control[1] & TXEN == 0 {
+            return;
+        }
+        self.sent = false;
+        if self.sending.is_none() {
+            self.send(now, byte);
+        } else if self.next.is_none() {
+            self.next = Some(byte);
+        }
+    }
+
+    pub(crate) fn control(&self, register: usize) -> u8 {
+        let value = self.control.get(register).copied().unwrap_or(0);
+        if register == 0 {
+            value | self.flags()
+        } else {
+            value
+        }
+    }
+
+    pub(crate) fn set_control(&mut self, register: usize, value: u8) {
+        match register {
+            0 => {
+                self.control[0] = value & (U2X | MPCM);
+                if value & TXC != 0 {
+                    self.sent = false;
+                }
+            }
+            1 => {
+                self.control[1] = value & 0xFD;
+                if value & RXEN == 0 {
+                    self.received.clear();
+                    self.waiting = None;
+                    self.overrun = false;
+                }
+            }
+            _ => self.control[2] = value,
+        }
+    }
+
+    pub(crate) fn divider(&self) -> [u8; 2] {
+        self.divider.to_le_bytes()
+    }
+
+    pub(crate) fn set_divider(&mut self, low: bool, value: u8) {
+        let [old_low, old_high] = self.divider.to_le_bytes();
+        self.divider = u16::from_le_bytes(if low {
+            [value, old_high]
+        } else {
+            [old_low, value & 0x0F]
+        });
+    }
+}

@@ -1,0 +1,88 @@
+//! The watchdog, data sheet chapter 10.8: a counter at 128 kHz.
+
+const WDIF: u8 = 0x80;
+const WDIE: u8 = 0x40;
+const WDP3: u8 = 0x20;
+const WDCE: u8 = 0x10;
+const WDE: u8 = 0x08;
+
+/// Of 16 MHz in one of 128 kHz.
+const CYCLES_PER_COUNT: u64 = 125;
+/// A change is allowed for this long.
+const CHANGE: u64 = 4;
+
+#[derive(Debug, Default)]
+pub(crate) struct Watchdog {
+    control: u8,
+    counts_since: u64,
+    /// Until when prescaler and enable may be written.
+    open_until: Option<u64>,
+}
+
+impl Watchdog {
+    pub(crate) fn read(&self, now: u64) -> u8 {
+        let open = self.open_until.is_some_and(|until| now <= until);
+        self.control | if open { WDCE } else { 0 }
+    }
+
+    pub(crate) fn write(&mut self, now: u64, value: u8) {
+        let ran = self.runs();
+        let open = self.open_until.take().is_some_and(|until| now <= until);
+        let flag = self.control & WDIF & !value;
+        if value & WDCE != 0 && value & WDE != 0 {
+            self.open_until = Some(now + CHANGE);
+        }
+        let settings = if open {
+            value & (WDE | WDP3 | 7)
+        } else {
+            (self.control | value & WDE) & (WDE | WDP3 | 7)
+        };
+        self.control = flag | value & WDIE | settings;
+        if !ran {
+            self.counts_since = now;
+        }
+    }
+
+    /// The instruction WDR.
+    pub(crate) fn restart(&mut self, now: u64) {
+        self.counts_since = now;
+    }
+
+    fn runs(&self) -> bool {
+        self.control & (WDE | WDIE) != 0
+    }
+
+    pub(crate) fn next(&self) -> u64 {
+        if !self.runs() {
+            return u64::MAX;
+        }
+        let prescaler = (self.control & 7) | (self.control & WDP3) >> 2;
+        self.counts_since + ((2_048 * CYCLES_PER_COUNT) << prescaler.min(9))
+    }
+
+    /// Whether it bites.
+    pub(crate) fn advance(&mut self, now: u64) -> Option<u64> {
+        let due = self.next();
+        if due > now {
+            return None;
+        }
+        if self.control & WDIE != 0 {
+            self.control |= WDIF;
+            self.counts_since = due;
+            return None;
+        }
+        Some(due)
+    }
+
+    pub(crate) fn requests(&self) -> bool {
+        self.control & WDIF != 0 && self.control & WDIE != 0
+    }
+
+    /// Its interrupt is being served. The next time it bites.
+    pub(crate) fn served(&mut self) {
+        self.control &= !WDIF;
+        if self.control & WDE != 0 {
+            self.control &= !WDIE;
+        }
+    }
+}

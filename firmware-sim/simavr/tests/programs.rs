@@ -1,0 +1,386 @@
+//! The process runs small programs, whose silicon behaviour is known to the cycle.
+
+mod harness;
+
+use harness::{MS, Uno, bytes, spaced};
+use singletrack_simavr::{
+    Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Request, ResetFlags, Run,
+};
+
+/// Ten bits at 115200 baud, as 16 MHz and U2X make it.
+const BYTE: u64 = 10 * 17 * 8;
+const VECTOR_TIMER0_COMPA: u8 = 14;
+
+#[test]
+fn bytes_come_back_one_byte_time_later() {
+    let mut uno = Uno::started("echo.c");
+    let sent = spaced(uno.cycle() + MS, BYTE, b"hello");
+    let report = uno.run(Run {
+        received: sent.clone(),
+        ..uno.until(5 * MS)
+    });
+    assert_eq!(bytes(&report.transmitted), b"hello");
+    for ((sent, _), (back, _)) in sent.iter().zip(&report.transmitted) {
+        let cycles = back - sent - BYTE;
+        assert!(cycles < 60, "{cycles} cycles of interrupt");
+    }
+    assert_eq!(report.bytes_overrun, 0);
+}
+
+#[test]
+fn the_transmitter_sends_back_to_back() {
+    let mut uno = Uno::started("burst.c");
+    let report = uno.pass(5 * MS);
+    assert_eq!(bytes(&report.transmitted), [0, 1, 2, 3]);
+    for pair in report.transmitted.windows(2) {
+        assert_eq!(pair[1].0 - pair[0].0, BYTE);
+    }
+}
+
+#[test]
+fn the_fourth_byte_that_nobody_reads_is_lost_and_told() {
+    let mut uno = Uno::started("deaf.c");
+    let start = uno.cycle() + MS;
+    let report = uno.run(Run {
+        received: spaced(start, BYTE, &[1, 2, 3, 4, 5]),
+        ..uno.until(8 * MS)
+    });
+    assert_eq!(report.bytes_overrun, 2);
+    // With the first byte read after the loss.
+    assert_eq!(bytes(&report.transmitted), [8, 1, 0, 2, 0, 3]);
+}
+
+#[test]
+fn three_bytes_wait_for_their_reader() {
+    let mut uno = Uno::started("deaf.c");
+    let start = uno.cycle() + MS;
+    let report = uno.run(Run {
+        received: spaced(start, BYTE, &[1, 2, 3]),
+        ..uno.until(8 * MS)
+    });
+    assert_eq!(report.bytes_overrun, 0);
+    assert_eq!(bytes(&report.transmitted), [0, 1, 0, 2, 0, 3]);
+}
+
+fn pulses_on(pulses: &[Pulse], pin: Pin) -> Vec<(u64, u64)> {
+    pulses
+        .iter()
+        .filter(|pulse| pulse.pin == pin)
+        .map(|pulse| (pulse.start, pulse.width))
+        .collect()
+}
+
+#[test]
+fn pulses_are_exact_to_the_cycle() {
+    let mut uno = Uno::started("pulses.c");
+    let report = uno.pass(200 * MS);
+    let servo = pulses_on(&report.pulses, Pin::Servo);
+    let esc = pulses_on(&report.pulses, Pin::Esc);
+    assert_eq!((servo.len(), esc.len()), (10, 10));
+    // The first takes its width from what was in the registers before the timer ran.
+    for ((servo, servo_width), (esc, esc_width)) in servo.iter().zip(&esc) {
+        assert_eq!(servo, esc);
+        assert_eq!((*servo_width, *esc_width), (1_500 * 16, 2_000 * 16));
+    }
+    for pair in servo.windows(2) {
+        assert_eq!(pair[1].0 - pair[0].0, 20 * MS);
+    }
+}
+
+#[test]
+fn a_width_written_during_a_pulse_counts_from_the_next_one_on() {
+    let mut uno = Uno::started("pulses.c");
+    let mut pulses = uno.pass(21 * MS).pulses;
+    let report = uno.run(Run {
+        // In the middle of the second pulse.
+        received: vec![(uno.cycle() + MS / 4, 0)],
+        ..uno.until(60 * MS)
+    });
+    pulses.extend(report.pulses);
+    let widths: Vec<_> = pulses_on(&pulses, Pin::Esc)
+        .into_iter()
+        .map(|(_, width)| width / 16)
+        .collect();
+    assert_eq!(widths, [2_000, 2_000, 1_000, 1_000]);
+}
+
+#[test]
+fn a_reset_cuts_a_pulse_off() {
+    let mut uno = Uno::started("pulses.c");
+    uno.pass(20 * MS);
+    let report = uno.pass(MS);
+    assert_eq!(report.pulses, []);
+    uno.ask(&Request::Hold);
+    let held = uno.cycle();
+    let report = uno.pass(100 * MS);
+    let [servo, esc] = report.pulses.try_into().unwrap();
+    assert_eq!(servo.start + servo.width, held);
+    assert_eq!(servo.width, esc.width);
+    assert!(esc.width < 2_000 * 16);
+    // After the reset it all begins again.
+    uno.ask(&Request::Start(ResetFlags::EXTERNAL));
+    let report = uno.pass(30 * MS);
+    assert_eq!(pulses_on(&report.pulses, Pin::Esc)[0].1, 2_000 * 16);
+}
+
+#[test]
+fn the_watchdog_bites_after_64_ms_and_holds_the_processor() {
+    let mut uno = Uno::started("watchdog.c");
+    let start = uno.cycle();
+    let mut report = uno.pass(100 * MS);
+    let bite = report.watchdog_reset.unwrap();
+    let late = (bite - start).checked_sub(64 * MS).unwrap();
+    assert!(late < 3 * BYTE, "{late} cycles");
+    let pulse = report.pulses.pop().unwrap();
+    assert_eq!(pulse.start + pulse.width, bite);
+    assert_eq!(bytes(&report.transmitted), [ResetFlags::POWER_ON.0, 0]);
+
+    let report = uno.pass(500 * MS);
+    assert_eq!(report.watchdog_reset, None);
+    assert_eq!(report.transmitted, []);
+
+    uno.ask(&Request::Start(ResetFlags::WATCHDOG));
+    let start = uno.cycle();
+    let report = uno.pass(100 * MS);
+    assert_eq!(bytes(&report.transmitted), [ResetFlags::WATCHDOG.0, 0]);
+    assert_eq!(report.watchdog_reset.unwrap() - start, 64 * MS + late);
+}
+
+#[test]
+fn edges_voltage_and_switch_reach_the_program() {
+    let mut uno = Uno::started("inputs.c");
+    let now = uno.cycle();
+    for (edges, battery_mv, open) in [(0_u8, 7_400, false), (3, 8_400, true), (200, 0, true)] {
+        let now = now.max(uno.cycle());
+        let report = uno.run(Run {
+            motor_edges: (0..u64::from(edges)).map(|n| now + MS + n * 400).collect(),
+            received: vec![(now + 8 * MS, 0)],
+            battery_mv,
+            stop_input_open: open,
+            ..uno.until(12 * MS)
+        });
+        let [counted, low, high, switch] = bytes(&report.transmitted).try_into().unwrap();
+        assert_eq!(
+            counted,
+            [0, 3, 203][usize::from(edges.min(3) / 3 + edges / 200)]
+        );
+        // Half of it, against 5 V, in 1024 steps.
+        let counts = u32::from(battery_mv) / 2 * 1_024 / 5_000;
+        assert_eq!(u32::from(u16::from_le_bytes([low, high])), counts);
+        assert_eq!(switch != 0, open);
+    }
+}
+
+fn talk(uno: &mut Uno, commands: &[u8]) -> Vec<u8> {
+    let report = uno.run(Run {
+        received: spaced(uno.cycle() + MS, MS, commands),
+        ..uno.until((commands.len() as u64 + 4) * MS)
+    });
+    bytes(&report.transmitted)
+}
+
+const WRITE: u8 = Bno055::ADDRESS << 1;
+const READ: u8 = WRITE | 1;
+
+fn with_a_ready_imu() -> Uno {
+    let mut uno = Uno::started("imu.c");
+    uno.pass(700 * MS);
+    uno
+}
+
+#[test]
+fn a_transaction_gives_the_statuses_of_the_data_sheet() {
+    let mut uno = with_a_ready_imu();
+    let answers = talk(
+        &mut uno,
+        &[
+            b's', b'w', WRITE, b'w', 0, b's', b'w', READ, b'r', 1, b'r', 0, b'p',
+        ],
+    );
+    assert_eq!(
+        answers,
+        [0x08, 0x18, 0x28, 0x10, 0x40, 0x50, 0xA0, 0x58, 0xFB]
+    );
+}
+
+#[test]
+fn the_imu_gives_what_the_car_feels() {
+    let mut uno = with_a_ready_imu();
+    let now = uno.cycle();
+    uno.run(Run {
+        motion: vec![
+            (now, Motion::default()),
+            (
+                now + MS,
+                Motion {
+                    angular_velocity_mrad_s: [0, 0, 1_000],
+                    ..Motion::default()
+                },
+            ),
+        ],
+        ..uno.until(2 * MS)
+    });
+    // To the fusion without magnetometer, then the gyroscope's z.
+    assert_eq!(
+        talk(&mut uno, &[b's', b'w', WRITE, b'w', 0x3D, b'w', 0x08, b'p']),
+        [0x08, 0x18, 0x28, 0x28]
+    );
+    uno.pass(10 * MS);
+    let answers = talk(
+        &mut uno,
+        &[
+            b's', b'w', WRITE, b'w', 0x18, b's', b'w', READ, b'r', 1, b'r', 0, b'p',
+        ],
+    );
+    assert_eq!(i16::from_le_bytes([answers[6], answers[8]]), 917);
+}
+
+#[test]
+fn an_absent_imu_acknowledges_nothing() {
+    let mut uno = with_a_ready_imu();
+    assert_eq!(talk(&mut uno, &[b's', b'w', 0x52, b'p']), [0x08, 0x20]);
+    uno.ask(&Request::SetBus(BusFault::Absent));
+    assert_eq!(talk(&mut uno, &[b's', b'w', WRITE, b'p']), [0x08, 0x20]);
+    assert_eq!(talk(&mut uno, &[b's', b'w', READ, b'p']), [0x08, 0x48]);
+    uno.ask(&Request::SetBus(BusFault::None));
+    assert_eq!(talk(&mut uno, &[b's', b'w', WRITE, b'p']), [0x08, 0x18]);
+}
+
+#[test]
+fn nine_pulses_free_a_jammed_bus_but_no_shorted_one() {
+    let mut uno = with_a_ready_imu();
+    uno.ask(&Request::SetBus(BusFault::Jammed));
+    assert_eq!(talk(&mut uno, b"s"), [0xFF]);
+    assert_eq!(talk(&mut uno, b"c"), [0x10]);
+    assert_eq!(talk(&mut uno, b"sp"), [0x08]);
+    uno.ask(&Request::SetBus(BusFault::ShortCircuit));
+    assert_eq!(talk(&mut uno, b"s"), [0xFF]);
+    assert_eq!(talk(&mut uno, b"c"), [0]);
+    assert_eq!(talk(&mut uno, b"s"), [0xFF]);
+    uno.ask(&Request::SetBus(BusFault::None));
+    assert_eq!(talk(&mut uno, b"sp"), [0x08]);
+}
+
+#[test]
+fn an_imu_that_restarted_is_in_its_configuration_mode() {
+    let mut uno = with_a_ready_imu();
+    let read_mode = [
+        b's', b'w', WRITE, b'w', 0x3D, b's', b'w', READ, b'r', 0, b'p',
+    ];
+    talk(&mut uno, &[b's', b'w', WRITE, b'w', 0x3D, b'w', 0x08, b'p']);
+    assert_eq!(talk(&mut uno, &read_mode).last(), Some(&0x08));
+    uno.ask(&Request::SetBus(BusFault::Restarted));
+    assert_eq!(talk(&mut uno, &read_mode).last(), Some(&0x00));
+}
+
+#[test]
+fn a_hung_main_loop_still_serves_interrupts() {
+    let mut uno = Uno::started("hang.c");
+    uno.pass(3 * MS);
+    assert_eq!(bytes(&uno.pass(10 * MS).transmitted), [1; 10]);
+    uno.ask(&Request::Hang(Hang::MainLoop));
+    let report = uno.pass(10 * MS);
+    // The first one still tells of the time before.
+    assert_eq!(bytes(&report.transmitted)[1..], [0; 9]);
+    uno.ask(&Request::Start(ResetFlags::WATCHDOG));
+    uno.pass(3 * MS);
+    assert_eq!(bytes(&uno.pass(10 * MS).transmitted), [1; 10]);
+}
+
+#[test]
+fn nothing_runs_when_everything_hangs_and_only_the_watchdog_helps() {
+    let mut uno = Uno::started("hang.c");
+    uno.pass(3 * MS + MS / 2);
+    uno.ask(&Request::Hang(Hang::Everything));
+    let report = uno.pass(10 * MS);
+    assert!(report.transmitted.len() <= 1, "{:?}", report.transmitted);
+    assert_eq!(uno.pass(MS).transmitted, []);
+
+    let mut uno = Uno::started("watchdog.c");
+    uno.pass(MS);
+    uno.ask(&Request::Hang(Hang::Everything));
+    assert!(uno.pass(100 * MS).watchdog_reset.is_some());
+}
+
+#[test]
+fn time_goes_on_through_resets() {
+    let mut uno = Uno::started("echo.c");
+    let mut last = uno.cycle();
+    for request in [
+        Request::Hold,
+        Request::Start(ResetFlags::EXTERNAL),
+        Request::Start(ResetFlags::WATCHDOG),
+        Request::Hold,
+    ] {
+        uno.ask(&request);
+        let report = uno.pass(MS);
+        assert!((last + MS..last + MS + 4).contains(&report.cycle));
+        last = report.cycle;
+    }
+}
+
+#[test]
+fn figures_are_those_of_the_program() {
+    let mut uno = Uno::started("figures.S");
+    let start = uno.cycle();
+    let now = uno.pass(100 * MS).cycle;
+    let Reply::Figures(figures) = uno.ask(&Request::Measure) else {
+        panic!("no figures");
+    };
+    assert_eq!(figures.cycles, now - start);
+    // What main and interrupt take each millisecond is some 70 cycles.
+    let awake = figures.cycles - figures.cycles_asleep;
+    assert!((5_000..9_000).contains(&awake), "{awake}");
+    // Return address, sixteen pushes, return address of the interrupt.
+    assert_eq!(figures.stack_bytes, 20);
+    assert_eq!(figures.longest_critical_section, 10);
+    let [interrupt] = figures.interrupts.try_into().unwrap();
+    assert_eq!(interrupt.vector, VECTOR_TIMER0_COMPA);
+    assert!((99..=100).contains(&interrupt.count));
+    // It wakes the processor, which takes four more.
+    assert_eq!(interrupt.most_cycles, 36);
+    assert_eq!(interrupt.all_cycles, 36 * interrupt.count);
+    let [(number, count, fewest, most, all)] = figures.sections.try_into().unwrap();
+    assert_eq!((number, fewest, most, all), (3, 7, 7, 7 * count));
+}
+
+#[test]
+fn a_crash_is_told_with_cycle_and_address_until_the_next_start() {
+    for (command, place) in [(b'j', "0x6000"), (b'x', "0x00")] {
+        let mut uno = Uno::started("crash.c");
+        assert_eq!(uno.pass(MS).transmitted, []);
+        let run = Run {
+            received: vec![(uno.cycle() + MS, command)],
+            ..uno.until(2 * MS)
+        };
+        let Reply::Failed(reason) = uno.ask(&Request::Run(run)) else {
+            panic!("no failure");
+        };
+        assert!(reason.contains("crashed in cycle 3"), "{reason}");
+        assert!(reason.contains(place), "{reason}");
+        let run = uno.until(MS);
+        assert!(matches!(uno.ask(&Request::Run(run)), Reply::Failed(_)));
+        uno.ask(&Request::Start(ResetFlags::EXTERNAL));
+        uno.pass(4 * MS);
+    }
+}
+
+#[test]
+fn a_file_that_is_no_image_is_refused_with_its_name() {
+    for (path, reason) in [
+        ("/nonexistent/uno.elf", "can't read /nonexistent/uno.elf"),
+        ("/bin/sh", "/bin/sh is not an ELF file of 32 bits"),
+    ] {
+        let output = harness::command().arg(path).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert_eq!(output.stdout, []);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(error.contains(reason), "{error}");
+    }
+}
+
+#[test]
+fn the_process_ends_with_its_pipe() {
+    let uno = Uno::started("echo.c");
+    assert_eq!(uno.close().code(), Some(0));
+}
