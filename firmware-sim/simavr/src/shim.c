@@ -7,6 +7,7 @@
  * simavr's module of that name, which stays idle: see devices.rs for why.
  */
 #include <stdarg.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -29,6 +30,8 @@ struct uno_callbacks {
 	void (*write)(void *context, uint64_t now, uint16_t address, uint8_t value);
 	void (*restart_watchdog)(void *context, uint64_t now);
 	void (*log)(void *context, int fatal, const char *text);
+	/* Set by a callback that Rust must look after at once. */
+	const volatile bool *changed;
 };
 
 struct uno_status {
@@ -126,18 +129,20 @@ static void settle(struct uno *uno, struct uno_status *status, int was_asleep)
 	const uint8_t depth = avr->interrupts.running_ptr;
 	status->entered = 0;
 	status->response = 0;
-	avr_cycle_timer_process(avr);
-	/* simavr lets two instructions pass after SEI and RETI; it is one. */
-	if (avr->interrupt_state == -1)
+	if (avr->cycle_timers.timer && avr->cycle_timers.timer->when <= avr->cycle)
+		avr_cycle_timer_process(avr);
+	if (avr->interrupt_state) {
+		/* simavr lets two instructions pass after SEI and RETI; it is one. */
+		if (avr->interrupt_state == -1)
+			avr_service_interrupts(avr);
 		avr_service_interrupts(avr);
-	avr_service_interrupts(avr);
+	}
 	if (avr->interrupts.running_ptr > depth) {
 		status->entered = avr->interrupts.running[depth]->vector;
 		status->response = RESPONSE + (was_asleep ? WAKE_UP : 0);
 		/* simavr jumps to the vector in no time. */
 		avr->cycle += status->response;
 	}
-	tell(uno, status);
 }
 
 struct uno *uno_new(const struct uno_callbacks *callbacks, const uint8_t *flash, uint32_t size)
@@ -213,16 +218,28 @@ void uno_reset(struct uno *uno, struct uno_status *status)
 	tell(uno, status);
 }
 
-/* One instruction. */
-void uno_step(struct uno *uno, struct uno_status *status)
+/*
+ * Instructions up to the cycle given, or until something has happened that counts:
+ * an interrupt begins or ends, interrupts are enabled or disabled, the processor
+ * sleeps or leaves the program, a device wants attention.
+ */
+void uno_run(struct uno *uno, uint64_t until, struct uno_status *status)
 {
 	avr_t *avr = uno->avr;
-	avr->run_cycle_count = 0;
-	avr->pc = avr_run_one(avr);
-	/* Without the bit SE, SLEEP does nothing. */
-	if (avr->state == cpu_Sleeping && !(avr->data[SMCR] & 1))
-		avr->state = cpu_Running;
-	settle(uno, status, 0);
+	const uint8_t depth = avr->interrupts.running_ptr;
+	const uint8_t enabled = avr->sreg[S_I];
+	do {
+		/* One at a time. */
+		avr->run_cycle_count = 0;
+		avr->pc = avr_run_one(avr);
+		/* Without the bit SE, SLEEP does nothing. */
+		if (avr->state == cpu_Sleeping && !(avr->data[SMCR] & 1))
+			avr->state = cpu_Running;
+		settle(uno, status, 0);
+	} while (avr->cycle < until && avr->state == cpu_Running && avr->pc < avr->codeend
+		 && avr->interrupts.running_ptr == depth && avr->sreg[S_I] == enabled
+		 && !*uno->callbacks.changed);
+	tell(uno, status);
 }
 
 /* No instruction, up to the cycle given or to simavr's next timer. */
@@ -241,6 +258,7 @@ void uno_skip(struct uno *uno, uint64_t until, struct uno_status *status)
 			avr->cycle = next;
 	}
 	settle(uno, status, was_asleep);
+	tell(uno, status);
 }
 
 /* Passes over time in which the processor stands still. */

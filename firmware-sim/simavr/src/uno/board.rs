@@ -212,7 +212,7 @@ impl Board {
         }
     }
 
-    /// One instruction, or none up to `until` while there is none to run.
+    /// At most up to `until`, or to one instruction later.
     fn proceed(&mut self, until: u64) {
         let before = self.machine.status;
         let hangs = match self.hang {
@@ -224,7 +224,7 @@ impl Board {
         if hangs || before.asleep() {
             self.machine.skip(until);
         } else {
-            self.machine.step();
+            self.machine.run(until);
         }
         let status = self.machine.status;
         self.meter.pass(Span {

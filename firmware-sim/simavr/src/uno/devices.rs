@@ -192,6 +192,7 @@ impl Devices {
             return;
         }
         if fatal {
+            self.changed = true;
             self.fatal.get_or_insert_with(|| text.to_owned());
         } else if self.warnings.len() < 20 && !self.warnings.iter().any(|old| old == text) {
             eprintln!("simavr: {text}");
@@ -303,6 +304,7 @@ impl Devices {
             DDRD => self.ports[2].direction = value,
             GPIOR0 => {
                 self.mark = Some(value);
+                self.changed = true;
                 return;
             }
             TIFR1 => self.timer1.clear_flags(value),

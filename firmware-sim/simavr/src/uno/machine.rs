@@ -12,6 +12,7 @@ struct Callbacks {
     write: extern "C" fn(*mut c_void, u64, u16, u8),
     restart_watchdog: extern "C" fn(*mut c_void, u64),
     log: extern "C" fn(*mut c_void, c_int, *const c_char),
+    changed: *const bool,
 }
 
 /// What the processor does.
@@ -50,7 +51,7 @@ unsafe extern "C" {
     fn uno_own_write(uno: *mut c_void, address: u16);
     fn uno_watch_write(uno: *mut c_void, address: u16);
     fn uno_reset(uno: *mut c_void, status: *mut Status);
-    fn uno_step(uno: *mut c_void, status: *mut Status);
+    fn uno_run(uno: *mut c_void, until: u64, status: *mut Status);
     fn uno_skip(uno: *mut c_void, until: u64, status: *mut Status);
     fn uno_set_cycle(uno: *mut c_void, cycle: u64);
     fn uno_wake(uno: *mut c_void);
@@ -122,6 +123,8 @@ impl Machine {
             write,
             restart_watchdog,
             log,
+            // SAFETY: takes an address, reads nothing.
+            changed: unsafe { &raw const (*devices).changed },
         };
         // SAFETY: both are valid for the call, which copies them; the devices live
         // for ever.
@@ -162,13 +165,13 @@ impl Machine {
         unsafe { uno_reset(self.uno, &raw mut self.status) };
     }
 
-    /// Runs one instruction.
-    pub(crate) fn step(&mut self) {
+    /// Runs instructions up to the cycle given, or less: see the shim.
+    pub(crate) fn run(&mut self, until: u64) {
         // SAFETY: as above.
-        unsafe { uno_step(self.uno, &raw mut self.status) };
+        unsafe { uno_run(self.uno, until, &raw mut self.status) };
     }
 
-    /// Runs none, up to the cycle given, or less.
+    /// Lets time pass without one, up to the cycle given, or less.
     pub(crate) fn skip(&mut self, until: u64) {
         // SAFETY: as above.
         unsafe { uno_skip(self.uno, until, &raw mut self.status) };
