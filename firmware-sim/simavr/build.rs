@@ -3,7 +3,9 @@
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     #[cfg(feature = "simavr")]
-    simavr::link();
+    if let Err(error) = simavr::link() {
+        println!("cargo::error={error}");
+    }
 }
 
 #[cfg(feature = "simavr")]
@@ -11,33 +13,44 @@ mod simavr {
     use std::path::Path;
 
     const HEADERS: &str = "/usr/include/simavr";
+    const ARCHIVE: &str = "libsimavr.a";
 
-    pub(super) fn link() {
+    pub(super) fn link() -> Result<(), String> {
+        let missing =
+            |file: &str| format!("there is no {file}: apt-get install libsimavr-dev libelf-dev");
         println!("cargo::rerun-if-changed=src/shim.c");
-        println!("cargo::rerun-if-changed={HEADERS}/sim_avr.h");
-        if !Path::new(HEADERS).join("sim_avr.h").is_file() {
-            println!(
-                "cargo::error=there is no {HEADERS}/sim_avr.h: \
-                 apt-get install libsimavr-dev libelf-dev"
-            );
-            return;
+        let header = format!("{HEADERS}/sim_avr.h");
+        println!("cargo::rerun-if-changed={header}");
+        if !Path::new(&header).is_file() {
+            return Err(missing(&header));
         }
-        cc::Build::new()
+        let mut build = cc::Build::new();
+        build
             .file("src/shim.c")
-            .include("/usr/include")
             .include(HEADERS)
             .flag_if_supported("-std=gnu11")
             // simavr's own headers.
-            .flag_if_supported("-Wno-unused-parameter")
-            .compile("shim");
-        println!("cargo::rustc-link-lib=static=simavr");
-        for directory in ["x86_64", "aarch64", "i386", "arm"].map(|machine| match machine {
-            "arm" => "/usr/lib/arm-linux-gnueabihf".to_owned(),
-            _ => format!("/usr/lib/{machine}-linux-gnu"),
-        }) {
-            if Path::new(&directory).join("libsimavr.a").is_file() {
-                println!("cargo::rustc-link-search=native={directory}");
+            .flag_if_supported("-Wno-unused-parameter");
+        let compiler = build
+            .try_get_compiler()
+            .map_err(|error| error.to_string())?;
+        build
+            .try_compile("shim")
+            .map_err(|error| error.to_string())?;
+        // The compiler knows where Debian keeps the libraries of this machine.
+        let found = compiler
+            .to_command()
+            .arg(format!("-print-file-name={ARCHIVE}"))
+            .output()
+            .map_err(|error| error.to_string())?;
+        let archive = String::from_utf8_lossy(&found.stdout).trim().to_owned();
+        match Path::new(&archive).parent() {
+            Some(folder) if Path::new(&archive).is_absolute() => {
+                println!("cargo::rustc-link-search=native={}", folder.display());
+                println!("cargo::rustc-link-lib=static=simavr");
+                Ok(())
             }
+            _ => Err(missing(ARCHIVE)),
         }
     }
 }

@@ -4,7 +4,7 @@
 mod uno;
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter};
+use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Write};
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -64,12 +64,27 @@ fn run() -> Result<(), Error> {
     let mut board = Board::new(&image).ok_or(Error::Processor)?;
     let mut input = BufReader::new(io::stdin().lock());
     let mut output = BufWriter::new(File::from(output));
-    while let Some(request) = receive::<Request>(&mut input)? {
-        match send(&mut output, &board.answer(request)) {
-            // The simulator has ended: so do we.
-            Err(PipeError::Io(error)) if error.kind() == io::ErrorKind::BrokenPipe => break,
-            result => result?,
+    match converse(&mut board, &mut input, &mut output) {
+        // The simulator has ended, perhaps in the middle of a message: so do we.
+        Err(PipeError::Io(error))
+            if matches!(
+                error.kind(),
+                ErrorKind::BrokenPipe | ErrorKind::UnexpectedEof
+            ) =>
+        {
+            Ok(())
         }
+        result => Ok(result?),
+    }
+}
+
+fn converse(
+    board: &mut Board,
+    input: &mut impl Read,
+    output: &mut impl Write,
+) -> Result<(), PipeError> {
+    while let Some(request) = receive::<Request>(input)? {
+        send(output, &board.answer(request))?;
     }
     Ok(())
 }

@@ -91,8 +91,8 @@ impl Board {
             if let Some(sram) = self.machine.data().get_mut(SRAM..) {
                 sram.fill(PATTERN);
             }
-            // It has the same supply.
-            self.machine.devices().twi.imu.power_on(held);
+            // The IMU has the same supply.
+            self.machine.devices().twi.power_on(held);
         }
         if let Some(r2) = self.machine.data().get_mut(2) {
             *r2 = flags.0;
@@ -151,8 +151,7 @@ impl Board {
     /// Takes what is due and tells when the next is.
     fn take_inputs(&mut self, inputs: &mut Inputs) -> u64 {
         let now = self.now();
-        while let Some((at, motion)) = inputs.motion.pop_front_if(|(at, _)| *at <= now) {
-            let _ = at;
+        while let Some((_, motion)) = inputs.motion.pop_front_if(|(at, _)| *at <= now) {
             self.machine.devices().twi.imu.measure(motion);
         }
         while let Some((at, byte)) = inputs.received.pop_front_if(|(at, _)| *at <= now) {

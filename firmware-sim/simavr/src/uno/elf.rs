@@ -6,6 +6,9 @@ use std::path::{Path, PathBuf};
 
 const FLASH_BYTES: usize = 32 * 1024;
 const EM_AVR: u16 = 83;
+/// Of the flags: the family of processors, and the ATmega328P's.
+const FAMILY: u32 = 0x7F;
+const AVR5: u32 = 5;
 const PT_LOAD: u32 = 1;
 const SHT_SYMTAB: u32 = 2;
 /// Where the linker puts the data space.
@@ -29,6 +32,8 @@ pub(crate) enum ImageError {
     NotElf(PathBuf),
     #[error("{0} is for machine {1}, not for the AVR ({EM_AVR})")]
     NotAvr(PathBuf, u16),
+    #[error("{0} is for the processors avr{1}, not for avr{AVR5} (-mmcu=atmega328p)")]
+    OtherFamily(PathBuf, u32),
     #[error("{0} is cut off or damaged")]
     Damaged(PathBuf),
     #[error("{0} needs {1} bytes of flash, there are {FLASH_BYTES}")]
@@ -77,6 +82,10 @@ impl Image {
         let machine = file.u16(18).ok_or_else(damaged)?;
         if machine != EM_AVR {
             return Err(ImageError::NotAvr(path.to_owned(), machine));
+        }
+        let family = file.u32(36).ok_or_else(damaged)? & FAMILY;
+        if family != AVR5 {
+            return Err(ImageError::OtherFamily(path.to_owned(), family));
         }
         let mut flash = Vec::new();
         for (address, contents) in segments(&file).ok_or_else(damaged)? {
@@ -155,4 +164,56 @@ fn static_end(file: &Bytes<'_>) -> Option<u16> {
         }
     }
     Some(end)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of one segment of four bytes at `address`, without symbols.
+    fn file(machine: u16, family: u8, address: u32) -> Vec<u8> {
+        let mut bytes = vec![0; 52 + 32];
+        let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
+        put(0, b"\x7fELF\x01\x01");
+        put(18, &machine.to_le_bytes());
+        put(28, &52_u32.to_le_bytes());
+        put(36, &[family]);
+        put(42, &32_u16.to_le_bytes());
+        put(44, &1_u16.to_le_bytes());
+        put(52, &PT_LOAD.to_le_bytes());
+        put(56, &84_u32.to_le_bytes());
+        put(64, &address.to_le_bytes());
+        put(68, &4_u32.to_le_bytes());
+        bytes.extend([1, 2, 3, 4]);
+        bytes
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Image, ImageError> {
+        Image::parse(bytes, Path::new("uno.elf"))
+    }
+
+    #[test]
+    fn segments_go_to_their_load_address() {
+        let image = parse(&file(EM_AVR, 5, 2)).unwrap();
+        assert_eq!(image.flash, [0xFF, 0xFF, 1, 2, 3, 4]);
+        assert_eq!(image.static_end, SRAM_START);
+    }
+
+    #[test]
+    fn what_is_no_image_for_the_board_is_told_apart() {
+        let other = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
+        assert!(other(b"#!/bin/sh").contains("not an ELF file"));
+        assert!(other(&file(62, 5, 0)).contains("for machine 62"));
+        assert!(other(&file(EM_AVR, 6, 0)).contains("for the processors avr6"));
+        assert!(other(&file(EM_AVR, 5, 32_765)).contains("needs 32769 bytes"));
+        assert!(other(&file(EM_AVR, 5, 0x81_0000)).contains("nothing for the flash"));
+    }
+
+    #[test]
+    fn a_file_cut_off_anywhere_is_refused() {
+        let whole = file(EM_AVR, 5, 0);
+        for length in 0..whole.len() {
+            assert!(parse(&whole[..length]).is_err(), "{length}");
+        }
+    }
 }

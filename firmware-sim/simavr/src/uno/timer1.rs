@@ -302,3 +302,102 @@ impl Timer1 {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TCCR1A: u16 = 0;
+    const TCCR1B: u16 = 1;
+    const TCNT1: u16 = 4;
+    const ICR1: u16 = 6;
+    const OCR1A: u16 = 8;
+    const OCR1B: u16 = 10;
+
+    fn write16(timer: &mut Timer1, now: u64, low: u16, value: u16) {
+        let [low_byte, high_byte] = value.to_le_bytes();
+        timer.write(now, low + 1, high_byte);
+        timer.write(now, low, low_byte);
+    }
+
+    /// Fast PWM up to ICR1 = 9 with a compare value of 3, prescaler 8, from cycle 0.
+    fn pwm() -> Timer1 {
+        let mut timer = Timer1::new();
+        write16(&mut timer, 0, ICR1, 9);
+        write16(&mut timer, 0, OCR1A, 3);
+        timer.write(0, TCCR1A, 0x82);
+        timer.write(0, TCCR1B, 0x1A);
+        timer
+    }
+
+    /// When the output of channel A changes, up to cycle `until`.
+    fn changes(timer: &mut Timer1, until: u64) -> Vec<u64> {
+        let mut changes = Vec::new();
+        let mut level = timer.output(0);
+        while timer.next() <= until {
+            let at = timer.next();
+            timer.advance();
+            if timer.output(0) != level {
+                level = timer.output(0);
+                changes.push(at);
+            }
+        }
+        changes
+    }
+
+    #[test]
+    fn a_pulse_lasts_one_count_more_than_the_compare_value() {
+        let mut timer = pwm();
+        assert_eq!(changes(&mut timer, 250), [80, 112, 160, 192, 240]);
+    }
+
+    #[test]
+    fn a_compare_value_at_the_top_is_a_constant_level_and_zero_one_count() {
+        let mut timer = pwm();
+        write16(&mut timer, 1, OCR1A, 9);
+        assert_eq!(changes(&mut timer, 300), [80]);
+        write16(&mut timer, 300, OCR1A, 0);
+        assert_eq!(changes(&mut timer, 420), [328, 400, 408]);
+    }
+
+    #[test]
+    fn half_a_register_written_changes_nothing() {
+        let mut timer = pwm();
+        timer.write(1, OCR1A + 1, 2);
+        assert_eq!(changes(&mut timer, 120), [80, 112]);
+        timer.write(120, OCR1A, 5);
+        // 0x205 lies above the top: never cleared.
+        assert_eq!(changes(&mut timer, 400), [160]);
+    }
+
+    #[test]
+    fn the_count_is_read_as_a_whole() {
+        let mut timer = Timer1::new();
+        timer.write(0, TCCR1B, 1);
+        assert_eq!(timer.read(0x12FF, TCNT1), 0xFF);
+        assert_eq!(timer.read(0x1301, TCNT1 + 1), 0x12);
+        write16(&mut timer, 0x1400, TCNT1, 0xFFFE);
+        assert_eq!(timer.next(), 0x1402);
+        timer.advance();
+        assert_eq!(timer.flags(), TOV);
+        timer.clear_flags(TOV);
+        assert_eq!(timer.flags(), 0);
+    }
+
+    #[test]
+    fn clear_on_match_repeats_every_compare_value_plus_one() {
+        let mut timer = Timer1::new();
+        write16(&mut timer, 0, OCR1A, 249);
+        // Never reached.
+        write16(&mut timer, 0, OCR1B, 250);
+        timer.write(0, TCCR1B, 0x0B);
+        timer.set_mask(2);
+        for period in 1..5 {
+            assert_eq!(timer.next(), period * 16_000);
+            timer.advance();
+            assert!(timer.requests()[1]);
+            timer.served(11);
+            assert_eq!(timer.requests(), [false; 4]);
+        }
+    }
+}

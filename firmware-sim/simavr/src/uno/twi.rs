@@ -82,6 +82,13 @@ impl Twi {
         };
     }
 
+    /// The IMU's supply came up in that cycle: it holds no line any more.
+    pub(crate) fn power_on(&mut self, at: u64) {
+        self.imu.power_on(at);
+        self.pulses_to_free = 0;
+        self.line_changed(at);
+    }
+
     pub(crate) fn set_fault(&mut self, now: u64, fault: BusFault) {
         self.fault = fault;
         self.pulses_to_free = 0;

@@ -198,3 +198,66 @@ impl Uart {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BIT: u64 = 136;
+    const BYTE: u64 = 10 * BIT;
+
+    fn uart() -> Uart {
+        let mut uart = Uart::new();
+        uart.set_divider(true, 16);
+        uart.set_control(0, U2X);
+        uart.set_control(1, RXEN | TXEN);
+        uart
+    }
+
+    #[test]
+    fn a_byte_needs_room_when_its_start_bit_comes() {
+        for (read_at, lost) in [(4 * BYTE - 10 * BIT, 0), (4 * BYTE - 9 * BIT, 1)] {
+            let mut uart = uart();
+            for n in 1..=3_u8 {
+                uart.receive(u64::from(n) * BYTE, n);
+            }
+            assert_eq!(uart.read_data(read_at), 1);
+            uart.receive(4 * BYTE, 4);
+            assert_eq!(uart.bytes_overrun, lost);
+            assert_eq!(uart.flags() & DOR != 0, lost > 0);
+        }
+    }
+
+    #[test]
+    fn a_receiver_that_is_off_hears_and_loses_nothing() {
+        let mut uart = uart();
+        uart.receive(BYTE, 1);
+        uart.set_control(1, TXEN);
+        uart.receive(2 * BYTE, 2);
+        assert_eq!(uart.flags() & (RXC | DOR), 0);
+        assert_eq!(uart.bytes_overrun, 0);
+    }
+
+    #[test]
+    fn a_third_byte_for_the_transmitter_is_lost() {
+        let mut uart = uart();
+        for byte in 1..=3 {
+            uart.write_data(100, byte);
+        }
+        assert_eq!(uart.flags() & UDRE, 0);
+        uart.advance(100 + BYTE);
+        assert_eq!(uart.flags() & (UDRE | TXC), UDRE);
+        uart.advance(100 + 2 * BYTE);
+        assert_eq!(uart.transmitted, [(100 + BYTE, 1), (100 + 2 * BYTE, 2)]);
+        assert_eq!(uart.flags() & (UDRE | TXC), UDRE | TXC);
+    }
+
+    #[test]
+    fn the_format_sets_the_length_of_a_byte() {
+        let mut uart = uart();
+        // Parity and two stop bits: twelve.
+        uart.set_control(2, FORMAT_8N1 | 0x28);
+        uart.write_data(0, 1);
+        assert_eq!(uart.next(), 12 * BIT);
+    }
+}

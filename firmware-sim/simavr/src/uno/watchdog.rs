@@ -86,3 +86,53 @@ impl Watchdog {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 16_000;
+
+    /// Enabled for 64 ms, as the data sheet has it.
+    fn enabled() -> Watchdog {
+        let mut watchdog = Watchdog::default();
+        watchdog.write(10, WDCE | WDE);
+        watchdog.write(12, WDE | 2);
+        watchdog
+    }
+
+    #[test]
+    fn it_counts_from_the_last_restart() {
+        let mut watchdog = enabled();
+        assert_eq!(watchdog.next(), 10 + 64 * MS);
+        watchdog.restart(50 * MS);
+        assert_eq!(watchdog.next(), 114 * MS);
+        assert_eq!(watchdog.advance(114 * MS - 1), None);
+        assert_eq!(watchdog.advance(114 * MS + 2), Some(114 * MS));
+    }
+
+    #[test]
+    fn it_changes_only_within_four_cycles_of_the_key() {
+        let mut watchdog = enabled();
+        watchdog.write(100, WDCE | WDE);
+        watchdog.write(105, 0);
+        assert_eq!(watchdog.next(), 10 + 64 * MS);
+        watchdog.write(200, 0);
+        assert_eq!(watchdog.next(), 10 + 64 * MS);
+        watchdog.write(300, WDCE | WDE);
+        watchdog.write(304, 0);
+        assert_eq!(watchdog.next(), u64::MAX);
+    }
+
+    #[test]
+    fn with_its_interrupt_it_barks_before_it_bites() {
+        let mut watchdog = enabled();
+        watchdog.write(100, WDIE);
+        let due = watchdog.next();
+        assert_eq!(watchdog.advance(due), None);
+        assert!(watchdog.requests());
+        watchdog.served();
+        assert!(!watchdog.requests());
+        assert_eq!(watchdog.advance(due + 64 * MS), Some(due + 64 * MS));
+    }
+}
