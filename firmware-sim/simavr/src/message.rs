@@ -17,7 +17,8 @@ pub enum Request {
     Hold,
     /// Let go of the reset, as the bootloader leaves the processor: the reset
     /// flags in register r2, MCUSR cleared. After a power-on the SRAM holds a
-    /// pattern instead of what was there. [`Reply::Done`].
+    /// pattern instead of what was there, and the IMU has had its supply since the
+    /// processor was held. [`Reply::Done`].
     Start(ResetFlags),
     /// Stops the main program where it is. [`Reply::Done`].
     Hang(Hang),
@@ -95,7 +96,8 @@ pub enum Reply {
     Done,
     /// To [`Request::Measure`].
     Figures(Figures),
-    /// The request can't be carried out, or the processor has crashed.
+    /// The request can't be carried out, or the processor has crashed: when, where
+    /// and why. It stands still until the next [`Request::Start`].
     Failed(String),
 }
 

@@ -345,6 +345,28 @@ fn figures_are_those_of_the_program() {
 }
 
 #[test]
+fn instructions_take_what_the_data_sheet_says() {
+    let mut uno = Uno::started("cycles.S");
+    uno.pass(MS);
+    let Reply::Figures(figures) = uno.ask(&Request::Measure) else {
+        panic!("no figures");
+    };
+    let cycles: Vec<_> = figures
+        .sections
+        .iter()
+        .map(|&(number, count, fewest, ..)| {
+            assert_eq!(count, 1);
+            (number, fewest - 1)
+        })
+        .collect();
+    // CALL and RCALL and ICALL with the RET.
+    let expected = [
+        1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 1, 2, 3, 2, 3, 8, 7, 7, 1, 2, 2, 3, 2, 2, 2, 1, 1,
+    ];
+    assert_eq!(cycles, (1..).zip(expected).collect::<Vec<_>>());
+}
+
+#[test]
 fn a_crash_is_told_with_cycle_and_address_until_the_next_start() {
     for (command, place) in [(b'j', "0x6000"), (b'x', "0x00")] {
         let mut uno = Uno::started("crash.c");
