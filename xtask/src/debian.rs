@@ -146,6 +146,17 @@ fn install(packages: &[&str]) -> Result<(), Failure> {
         "sudo apt-get update && sudo apt-get install --no-install-recommends {}",
         packages.join(" ")
     );
+    let apt_get_version = Command::new("apt-get")
+        .arg("--version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .status();
+    if apt_get_version.is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+        return Err(Failure::new(format!(
+            "there is no apt-get to install them with; needed are {}, as Debian 12 has them",
+            packages.join(" ")
+        )));
+    }
     let Some(rights) = rights() else {
         return Err(Failure::new(format!(
             "installing them takes root: type\n\n    {by_hand}\n"

@@ -93,6 +93,8 @@ fn build_folder(target: &Path) -> PathBuf {
 fn uno_cargo(command: &str, target: &Path) -> Command {
     let mut cargo = debian_cargo(&folder());
     cargo
+        // It warns that AVR's linker does not know -no-pie, and does without.
+        .env("RUSTC_LOG", "error")
         .args([command, "--release", "--locked", "--target-dir"])
         .arg(target);
     cargo

@@ -10,7 +10,7 @@ use std::{
 use crate::{
     debian, figures, gates,
     image::{self, Image, Progress},
-    step::{Failure, cargo, check, output, quiet},
+    step::{Failure, cargo, check, output},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -100,19 +100,18 @@ fn look_at(port: &Path) -> Result<(), Failure> {
         return Err(Failure::new(format!("{name} is no serial port")));
     }
     // Opening it would reset the board.
-    quiet(Command::new("test").args([
-        "-r".as_ref(),
-        port.as_os_str(),
-        "-a".as_ref(),
-        "-w".as_ref(),
-        port.as_os_str(),
-    ]))
-    .map_err(|_| {
-        Failure::new(format!(
+    let port = port.as_os_str();
+    let may_use = Command::new("test")
+        .args(["-r".as_ref(), port, "-a".as_ref(), "-w".as_ref(), port])
+        .status();
+    // Where there is no such program, avrdude will tell.
+    if may_use.is_ok_and(|status| !status.success()) {
+        return Err(Failure::new(format!(
             "you may not use {name}: become a member of the group that owns it, `sudo usermod \
              --append --groups dialout $USER`, and log in again"
-        ))
-    })
+        )));
+    }
+    Ok(())
 }
 
 /// Writes the image into the board's flash and reads it back.
