@@ -154,7 +154,8 @@ impl Script {
             let part = (3_000.0 - before) / speed_um_ms;
             now.edges.push(ms * 1_000 + (part * 1_000.0) as u64);
         }
-        if ms % 10 == 6 {
+        // The sensor takes a second to start and to be set up.
+        if ms % 10 == 6 && ms > 1_500 {
             // Values that the sensor's units can express.
             let wave = |rate: f64, size: f64| (size * (rate * ms as f64 * 1e-3).sin()) as i16;
             now.motion = Some(Motion {
