@@ -35,6 +35,7 @@ impl Configuration {
     /// and [`crate::Status`]: CRC-32 of its bytes as they are sent. Never zero,
     /// which means that there is none.
     #[must_use]
+    #[inline(never)]
     pub fn hash(&self) -> u32 {
         let mut buffer = [0; Self::LENGTH];
         // The buffer has room for every value; the tests show it.

@@ -36,15 +36,6 @@ impl Crc16 {
     }
 }
 
-/// CRC-16/X-25 of `bytes`.
-pub(crate) fn crc16(bytes: &[u8]) -> u16 {
-    let mut crc = Crc16::new();
-    for &byte in bytes {
-        crc.update(byte);
-    }
-    crc.finish()
-}
-
 /// CRC-32 (ISO-HDLC, the one of Ethernet and zip) of `bytes`.
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     let mut crc = u32::MAX;
@@ -63,8 +54,16 @@ pub(crate) fn crc32(bytes: &[u8]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Crc16, crc16, crc32};
+    use super::{Crc16, crc32};
     use proptest::prelude::*;
+
+    fn crc16(bytes: &[u8]) -> u16 {
+        let mut crc = Crc16::new();
+        for &byte in bytes {
+            crc.update(byte);
+        }
+        crc.finish()
+    }
 
     #[test]
     fn the_check_values_are_those_of_the_catalogue() {

@@ -8,9 +8,7 @@
 //! place finds it again at the next zero. A sender puts one zero on the line
 //! after connecting: it ends whatever the receiver had begun to hear.
 
-use cobs::{DecodeResult, DecoderState};
-
-use crate::crc::{Crc16, crc16};
+use crate::crc::Crc16;
 
 /// Length of the longest payload, in bytes: [`crate::Configure`].
 pub const MAX_PAYLOAD_LENGTH: usize = 41;
@@ -37,13 +35,19 @@ pub const fn frame_length(payload_length: usize) -> usize {
 
 /// One frame, ready for the line, with the zero that ends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Frame(heapless::Vec<u8, MAX_FRAME_LENGTH>);
+pub struct Frame {
+    /// Zero beyond `length`.
+    bytes: [u8; MAX_FRAME_LENGTH],
+    length: u8,
+}
 
 impl Frame {
     /// The bytes to send.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
-        &self.0
+        self.bytes
+            .get(..usize::from(self.length))
+            .unwrap_or_default()
     }
 
     /// Puts type byte and payload in an envelope. `write` fills in the payload
@@ -52,24 +56,48 @@ impl Frame {
     /// A payload that `write` cannot produce is sent empty, which every
     /// receiver refuses by its length; the tests show that none is.
     pub(crate) fn build(kind: u8, write: impl FnOnce(&mut [u8]) -> Option<usize>) -> Self {
-        let mut packet: heapless::Vec<u8, MAX_PACKET_LENGTH> = heapless::Vec::new();
-        // `resize` and `extend_from_slice` fail beyond the capacity only.
-        let _ = packet.resize_default(1 + MAX_PAYLOAD_LENGTH);
-        let mut length = 0;
-        if let Some((first, payload)) = packet.split_first_mut() {
-            *first = kind;
-            length = write(payload).unwrap_or(0);
-        }
-        packet.truncate(1 + length);
-        let crc = crc16(&packet).to_le_bytes();
-        let _ = packet.extend_from_slice(&crc);
+        // In place from the beginning: neither time nor stack of the board are for copies.
+        let mut frame = Self {
+            bytes: [0; MAX_FRAME_LENGTH],
+            length: 0,
+        };
+        let [_, first, rest @ ..] = &mut frame.bytes;
+        *first = kind;
+        let payload = rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default();
+        let payload_length = write(payload).unwrap_or(0).min(MAX_PAYLOAD_LENGTH);
+        frame.seal(payload_length);
+        frame
+    }
 
-        let mut frame = heapless::Vec::new();
-        let _ = frame.resize_default(MAX_FRAME_LENGTH);
-        let stuffed = cobs::try_encode(&packet, &mut frame).unwrap_or(0);
-        frame.truncate(stuffed);
-        let _ = frame.push(0);
-        Self(frame)
+    /// Adds check sum and COBS to type byte and payload, which begin at the second byte.
+    #[inline(never)]
+    fn seal(&mut self, payload_length: usize) {
+        let crc_at = 2 + payload_length;
+        let mut crc = Crc16::new();
+        for &byte in self.bytes.get(1..crc_at).unwrap_or_default() {
+            crc.update(byte);
+        }
+        if let Some([low, high, ..]) = self.bytes.get_mut(crc_at..) {
+            [*low, *high] = crc.finish().to_le_bytes();
+        }
+        // The zero that ends the frame stays; each one before it (the first byte
+        // is one) becomes the distance to the next.
+        let end = crc_at + 2;
+        let mut distance = 1;
+        for byte in self
+            .bytes
+            .get_mut(..end)
+            .unwrap_or_default()
+            .iter_mut()
+            .rev()
+        {
+            if *byte == 0 {
+                *byte = distance;
+                distance = 0;
+            }
+            distance += 1;
+        }
+        self.length = end as u8 + 1;
     }
 }
 
@@ -114,21 +142,32 @@ pub enum FrameError {
 /// finds its place again at the next zero whatever came before.
 #[derive(Debug)]
 pub struct Decoder {
-    packet: heapless::Vec<u8, MAX_PACKET_LENGTH>,
-    stuffing: DecoderState,
-    crc: Crc16,
+    packet: [u8; MAX_PACKET_LENGTH],
+    length: u8,
     too_long: bool,
+    crc: Crc16,
+    in_frame: bool,
+    /// COBS: bytes to come until the next that counts others,
+    until_count: u8,
+    /// which stands for a zero unless the one before it was [`FULL_BLOCK`].
+    full_block: bool,
 }
+
+/// The number that says of a block of COBS that no zero follows it.
+const FULL_BLOCK: u8 = 0xFF;
 
 impl Decoder {
     /// A decoder that expects the first byte of a frame.
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            packet: heapless::Vec::new(),
-            stuffing: DecoderState::Idle,
-            crc: Crc16::new(),
+            packet: [0; MAX_PACKET_LENGTH],
+            length: 0,
             too_long: false,
+            crc: Crc16::new(),
+            in_frame: false,
+            until_count: 0,
+            full_block: false,
         }
     }
 
@@ -139,27 +178,48 @@ impl Decoder {
     /// # Errors
     ///
     /// One [`FrameError`] for every stretch between two zeros that is no frame.
+    #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet<'_>, FrameError>> {
-        if matches!(self.stuffing, DecoderState::Idle) {
-            if byte == 0 {
-                return None;
-            }
-            self.packet.clear();
-            self.crc = Crc16::new();
-            self.too_long = false;
+        if byte != 0 {
+            self.unstuff(byte);
+            return None;
         }
-        match self.stuffing.feed(byte) {
-            Ok(DecodeResult::DataContinue(data)) => {
-                self.crc.update(data);
-                self.too_long |= self.packet.push(data).is_err();
-                None
+        if !self.in_frame {
+            return None;
+        }
+        self.in_frame = false;
+        Some(self.finish())
+    }
+
+    /// A byte that is not zero.
+    fn unstuff(&mut self, byte: u8) {
+        if self.in_frame {
+            if self.until_count != 0 {
+                self.until_count -= 1;
+                self.append(byte);
+                return;
             }
-            Ok(DecodeResult::NoData | DecodeResult::DataStart) => None,
-            Ok(DecodeResult::DataComplete) => Some(self.finish()),
-            Err(_) => {
-                self.stuffing = DecoderState::Idle;
-                Some(Err(self.error_or_too_long(FrameError::Truncated)))
+            if !self.full_block {
+                self.append(0);
             }
+        } else {
+            self.in_frame = true;
+            self.length = 0;
+            self.too_long = false;
+            self.crc = Crc16::new();
+        }
+        self.until_count = byte - 1;
+        self.full_block = byte == FULL_BLOCK;
+    }
+
+    fn append(&mut self, byte: u8) {
+        self.crc.update(byte);
+        match self.packet.get_mut(usize::from(self.length)) {
+            Some(slot) => {
+                *slot = byte;
+                self.length += 1;
+            }
+            None => self.too_long = true,
         }
     }
 
@@ -167,24 +227,19 @@ impl Decoder {
         if self.too_long {
             return Err(FrameError::TooLong);
         }
-        let length = self.packet.len();
-        let (Some((&kind, rest)), Some(payload_length)) = (
-            self.packet.split_first(),
-            length.checked_sub(ENVELOPE_LENGTH),
-        ) else {
-            return Err(FrameError::TooShort(length as u8));
-        };
-        match rest.get(..payload_length) {
-            Some(payload) if self.crc.is_residue() => Ok(Packet { kind, payload }),
-            _ => Err(FrameError::CheckSum),
+        if self.until_count != 0 {
+            return Err(FrameError::Truncated);
         }
-    }
-
-    const fn error_or_too_long(&self, error: FrameError) -> FrameError {
-        if self.too_long {
-            FrameError::TooLong
-        } else {
-            error
+        let Some(payload_length) = usize::from(self.length).checked_sub(ENVELOPE_LENGTH) else {
+            return Err(FrameError::TooShort(self.length));
+        };
+        let [kind, rest @ ..] = &self.packet;
+        match rest.get(..payload_length) {
+            Some(payload) if self.crc.is_residue() => Ok(Packet {
+                kind: *kind,
+                payload,
+            }),
+            _ => Err(FrameError::CheckSum),
         }
     }
 }
@@ -197,7 +252,9 @@ impl Default for Decoder {
 
 #[cfg(test)]
 mod tests {
-    use super::{Decoder, Frame, FrameError, MAX_FRAME_LENGTH, Packet};
+    use super::{Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet};
+    use proptest::{collection::vec, prelude::*};
+    use std::vec::Vec;
 
     fn frame(kind: u8, payload: &[u8]) -> Frame {
         Frame::build(kind, |buffer| {
@@ -261,6 +318,95 @@ mod tests {
                 outcome(&mut decoder, good.as_bytes()),
                 Some(Ok(_))
             ));
+        }
+    }
+
+    fn check_sum(bytes: &[u8]) -> [u8; 2] {
+        let crc = crc::Crc::<u16>::new(&crc::CRC_16_IBM_SDLC);
+        crc.checksum(bytes).to_le_bytes()
+    }
+
+    /// The same by independent implementations.
+    fn reference(kind: u8, payload: &[u8]) -> Vec<u8> {
+        let message = [&[kind], payload].concat();
+        let packet = [&message[..], &check_sum(&message)].concat();
+        [cobs::encode_vec(&packet), Vec::from([0])].concat()
+    }
+
+    /// Likewise: what each byte of a stream yields, good packets as their bytes.
+    fn reference_outcomes(stream: &[u8]) -> Vec<Option<Result<Vec<u8>, FrameError>>> {
+        use cobs::{DecodeResult, DecoderState};
+
+        let mut state = DecoderState::Idle;
+        let mut packet = Vec::new();
+        let outcome = |packet: &[u8], complete: bool| {
+            if packet.len() > super::MAX_PACKET_LENGTH {
+                return Err(FrameError::TooLong);
+            }
+            if !complete {
+                return Err(FrameError::Truncated);
+            }
+            match packet.split_last_chunk::<2>() {
+                Some((message @ [_, ..], crc)) if *crc == check_sum(message) => Ok(message.into()),
+                Some(([_, ..], _)) => Err(FrameError::CheckSum),
+                _ => Err(FrameError::TooShort(packet.len() as u8)),
+            }
+        };
+        let mut outcomes = Vec::new();
+        for &byte in stream {
+            outcomes.push(match state.feed(byte) {
+                Ok(DecodeResult::DataStart) => {
+                    packet.clear();
+                    None
+                }
+                Ok(DecodeResult::NoData) => None,
+                Ok(DecodeResult::DataContinue(data)) => {
+                    packet.push(data);
+                    None
+                }
+                Ok(DecodeResult::DataComplete) => Some(outcome(&packet, true)),
+                Err(_) => {
+                    state = DecoderState::Idle;
+                    Some(outcome(&packet, false))
+                }
+            });
+        }
+        outcomes
+    }
+
+    proptest! {
+        #[test]
+        fn frames_are_those_of_an_independent_implementation(
+            kind: u8,
+            payload in vec(prop_oneof![Just(0), any::<u8>()], 0..=MAX_PAYLOAD_LENGTH),
+        ) {
+            let frame = frame(kind, &payload);
+            prop_assert_eq!(frame.as_bytes(), &reference(kind, &payload)[..]);
+        }
+
+        #[test]
+        fn any_stream_yields_what_it_yields_to_an_independent_implementation(
+            stream in vec(
+                prop_oneof![
+                    3 => vec(prop_oneof![Just(0), Just(1), Just(2), Just(255), any::<u8>()], 0..20),
+                    3 => vec(prop_oneof![Just(0), any::<u8>()], 0..=MAX_PAYLOAD_LENGTH)
+                        .prop_map(|payload| reference(9, &payload)),
+                    1 => vec(1_u8.., 240..270),
+                ],
+                0..8,
+            ),
+        ) {
+            let stream = stream.concat();
+            let mut decoder = Decoder::new();
+            let outcomes: Vec<_> = stream
+                .iter()
+                .map(|&byte| {
+                    Some(decoder.push(byte)?.map(|packet| {
+                        [&[packet.kind], packet.payload].concat()
+                    }))
+                })
+                .collect();
+            prop_assert_eq!(outcomes, reference_outcomes(&stream));
         }
     }
 

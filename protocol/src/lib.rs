@@ -23,6 +23,9 @@
 
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 mod budget;
 mod command;
 mod configuration;

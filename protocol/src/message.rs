@@ -53,6 +53,15 @@ pub trait Message: Serialize + DeserializeOwned {
     const TYPE: MessageType;
     /// The length of its payload, in bytes.
     const PAYLOAD_LENGTH: usize;
+
+    /// The frame that carries this message.
+    #[must_use]
+    #[inline(never)]
+    fn encode(&self) -> Frame {
+        Frame::build(Self::TYPE as u8, |buffer| {
+            Some(postcard::to_slice(self, buffer).ok()?.len())
+        })
+    }
 }
 
 macro_rules! messages {
@@ -108,12 +117,7 @@ pub enum DecodeError {
     },
 }
 
-fn encode<M: Message>(message: &M) -> Frame {
-    Frame::build(M::TYPE as u8, |buffer| {
-        Some(postcard::to_slice(message, buffer).ok()?.len())
-    })
-}
-
+#[inline(never)]
 fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
     let message = M::TYPE;
     if payload.len() != M::PAYLOAD_LENGTH {
@@ -142,7 +146,7 @@ macro_rules! direction {
             #[must_use]
             pub fn encode(&self) -> Frame {
                 match self {
-                    $(Self::$message(message) => encode(message),)*
+                    $(Self::$message(message) => message.encode(),)*
                 }
             }
 

@@ -9,20 +9,20 @@ use core::ops::RangeInclusive;
 use crate::{Configuration, MAX_POSE_AGE_CEILING_MS};
 
 /// Pulses that servos and speed controllers for model cars understand, in µs.
-const PULSE_US: RangeInclusive<i32> = 800..=2_200;
+const PULSE_US: RangeInclusive<u16> = 800..=2_200;
 /// The neutral pulse that the board sends from its start until it is configured,
 /// in µs: the middle of what remote controls send.
-const NEUTRAL_AT_START_US: i32 = 1_500;
-const DEADBAND_US: RangeInclusive<i32> = 0..=200;
+const NEUTRAL_AT_START_US: u16 = 1_500;
+const DEADBAND_US: RangeInclusive<u16> = 0..=200;
 /// Up to the whole width of [`PULSE_US`], which is no limit at all.
-const SLEW_US: RangeInclusive<i32> = 1..=1_400;
+const SLEW_US: RangeInclusive<u16> = 1..=1_400;
 /// A servo turns about 1 rad in 600 µs; horn and linkage divide or multiply that by a few.
-const SERVO_GAIN_US_PER_RAD: RangeInclusive<i32> = 50..=5_000;
+const SERVO_GAIN_US_PER_RAD: RangeInclusive<u16> = 50..=5_000;
 /// Keeps the products of the speed loop within 32 bits.
-const LOOP_GAIN: RangeInclusive<i32> = 0..=5_000;
-const INTEGRAL_LIMIT_US: RangeInclusive<i32> = 0..=700;
-const PULSE_DISTANCE_UM: RangeInclusive<i32> = 1..=u16::MAX as i32;
-const MAX_SPEED_MM_S: i32 = 20_000;
+const LOOP_GAIN: RangeInclusive<u16> = 0..=5_000;
+const INTEGRAL_LIMIT_US: RangeInclusive<u16> = 0..=700;
+const PULSE_DISTANCE_UM: RangeInclusive<u16> = 1..=u16::MAX;
+const MAX_SPEED_MM_S: u16 = 20_000;
 
 /// A value of a [`Configuration`] that the board refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -83,17 +83,29 @@ fields! {
 
 fn check(
     field: ConfigurationField,
-    value: i32,
-    allowed: RangeInclusive<i32>,
+    value: u16,
+    allowed: RangeInclusive<u16>,
 ) -> Result<(), ConfigurationError> {
-    if allowed.contains(&value) {
+    check_between(field, value, *allowed.start(), *allowed.end())
+}
+
+/// One function in 16 bits for all values: inlined and in 32 bits it would be
+/// the largest of the whole board.
+#[inline(never)]
+fn check_between(
+    field: ConfigurationField,
+    value: u16,
+    lowest: u16,
+    highest: u16,
+) -> Result<(), ConfigurationError> {
+    if (lowest..=highest).contains(&value) {
         return Ok(());
     }
     Err(ConfigurationError {
         field,
-        value,
-        lowest: *allowed.start(),
-        highest: *allowed.end(),
+        value: value.into(),
+        lowest: lowest.into(),
+        highest: highest.into(),
     })
 }
 
@@ -103,72 +115,69 @@ impl Configuration {
     /// # Errors
     ///
     /// The first value that is outside its limits, with the limits.
+    #[inline(never)]
     pub fn validate(&self) -> Result<(), ConfigurationError> {
         use ConfigurationField as Field;
         let (lowest_pulse, highest_pulse) = (*PULSE_US.start(), *PULSE_US.end());
 
         let servo = &self.servo;
-        let (min, max) = (i32::from(servo.min_us), i32::from(servo.max_us));
+        let (min, max) = (servo.min_us, servo.max_us);
         check(Field::ServoMin, min, PULSE_US)?;
         check(Field::ServoMax, max, min..=highest_pulse)?;
-        check(Field::ServoCentre, servo.centre_us.into(), min..=max)?;
-        let gain = i32::from(servo.gain_us_per_rad).abs();
+        check(Field::ServoCentre, servo.centre_us, min..=max)?;
+        let gain = servo.gain_us_per_rad.unsigned_abs();
         check(Field::ServoGainMagnitude, gain, SERVO_GAIN_US_PER_RAD)?;
-        check(Field::ServoSlew, servo.slew_us_per_20ms.into(), SLEW_US)?;
+        check(Field::ServoSlew, servo.slew_us_per_20ms, SLEW_US)?;
 
         let esc = &self.esc;
-        let (neutral, deadband) = (i32::from(esc.neutral_us), i32::from(esc.deadband_us));
+        let (neutral, deadband) = (esc.neutral_us, esc.deadband_us);
         check(Field::EscDeadband, deadband, DEADBAND_US)?;
         // After a reset in mid-drive the ESC is still armed: what the board
         // sends then must not drive this car either.
         let starts_neutral = NEUTRAL_AT_START_US - deadband..=NEUTRAL_AT_START_US + deadband;
         check(Field::EscNeutral, neutral, starts_neutral)?;
-        let min = i32::from(esc.min_us);
+        let min = esc.min_us;
         // Within the deadband nothing brakes.
         let weakest_brake = neutral - deadband - 1;
         check(Field::EscMin, min, lowest_pulse..=weakest_brake)?;
         check(
             Field::EscMax,
-            esc.max_us.into(),
+            esc.max_us,
             neutral + deadband..=highest_pulse,
         )?;
-        check(Field::EscSlew, esc.slew_us_per_20ms.into(), SLEW_US)?;
-        check(Field::EscBrake, esc.brake_us.into(), min..=weakest_brake)?;
+        check(Field::EscSlew, esc.slew_us_per_20ms, SLEW_US)?;
+        check(Field::EscBrake, esc.brake_us, min..=weakest_brake)?;
 
         let speed = &self.speed;
         check(
             Field::PulseDistance,
-            speed.pulse_distance_um.into(),
+            speed.pulse_distance_um,
             PULSE_DISTANCE_UM,
         )?;
-        check(
-            Field::FeedForward,
-            speed.feed_forward_us_per_m_s.into(),
-            LOOP_GAIN,
-        )?;
+        check(Field::FeedForward, speed.feed_forward_us_per_m_s, LOOP_GAIN)?;
         check(
             Field::Proportional,
-            speed.proportional_us_per_m_s.into(),
+            speed.proportional_us_per_m_s,
             LOOP_GAIN,
         )?;
-        check(Field::Integral, speed.integral_us_per_m.into(), LOOP_GAIN)?;
+        check(Field::Integral, speed.integral_us_per_m, LOOP_GAIN)?;
         check(
             Field::IntegralLimit,
-            speed.integral_limit_us.into(),
+            speed.integral_limit_us,
             INTEGRAL_LIMIT_US,
         )?;
         check(
             Field::MaxForward,
-            speed.max_forward_mm_s.into(),
+            speed.max_forward_mm_s,
             1..=MAX_SPEED_MM_S,
         )?;
         check(
             Field::MaxReverse,
-            speed.max_reverse_mm_s.into(),
+            speed.max_reverse_mm_s,
             0..=MAX_SPEED_MM_S,
         )?;
 
-        let ceiling = i32::from(MAX_POSE_AGE_CEILING_MS);
-        check(Field::MaxPoseAge, self.max_pose_age_ms.into(), 1..=ceiling)
+        let ceiling = MAX_POSE_AGE_CEILING_MS;
+        check(Field::MaxPoseAge, self.max_pose_age_ms, 1..=ceiling)
     }
 }

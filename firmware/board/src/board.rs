@@ -168,6 +168,7 @@ impl Board {
     }
 
     /// Time and inputs, before anything received is looked at.
+    #[inline(never)]
     fn observe(&mut self, now_us: u32, elapsed_us: u32, inputs: &Inputs) {
         let driven = self
             .configuration()
@@ -187,6 +188,7 @@ impl Board {
         self.stop_if(was_driving);
     }
 
+    #[inline(never)]
     fn handle(
         &mut self,
         now_us: u32,
@@ -246,6 +248,7 @@ impl Board {
         }
     }
 
+    #[inline(never)]
     fn configure(&mut self, configure: &Configure, inputs: &Inputs) -> Result<(), RefusalReason> {
         self.safety.may_configure()?;
         if self.link.version_differs() {
@@ -271,6 +274,7 @@ impl Board {
     }
 
     /// Lets the ESC stop the car when the safety machine has just decided so.
+    #[inline(never)]
     fn stop_if(&mut self, was_driving: bool) {
         if was_driving && !self.is_driving() {
             let action = self
@@ -306,7 +310,7 @@ impl Board {
                     sequence,
                     configuration_hash,
                 };
-                self.link.send(yes, transmit);
+                self.link.send(&yes, transmit);
             }
             Err(reason) => {
                 let no = Refusal {
@@ -314,11 +318,12 @@ impl Board {
                     sequence,
                     reason,
                 };
-                self.link.send(no, transmit);
+                self.link.send(&no, transmit);
             }
         }
     }
 
+    #[inline(never)]
     fn actuate(&mut self, elapsed_us: u32, control_due: bool) {
         let Some(Active { configuration, .. }) = &self.active else {
             return;
@@ -342,6 +347,7 @@ impl Board {
         }
     }
 
+    #[inline(never)]
     fn report(
         &mut self,
         now_us: u32,
@@ -350,11 +356,11 @@ impl Board {
         telemetry_due: bool,
         transmit: &mut impl FnMut(&[u8]) -> bool,
     ) {
-        if telemetry_due && self.link.send(self.telemetry(now_us), transmit) {
+        if telemetry_due && self.link.send(&self.telemetry(now_us), transmit) {
             self.imu.sent();
         }
         if self.status.advance(elapsed_us) {
-            self.link.send(self.status(now_us, inputs), transmit);
+            self.link.send(&self.status(now_us, inputs), transmit);
         }
     }
 

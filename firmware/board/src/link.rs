@@ -1,6 +1,6 @@
 //! The board's end of the line: what comes in, and what has to be answered.
 
-use singletrack_protocol::{Decoder, Hello, ToBoard, ToHost, UNSOLICITED, VERSION};
+use singletrack_protocol::{Decoder, Hello, Message, ToBoard, ToHost, UNSOLICITED, VERSION};
 
 /// The receiver, its counters, and the greeting that waits for its turn.
 #[derive(Debug)]
@@ -38,6 +38,7 @@ impl Link {
     }
 
     /// The message that ends with this byte.
+    #[inline(never)]
     pub(crate) fn receive(&mut self, byte: u8) -> Option<ToBoard> {
         let outcome = self.decoder.push(byte)?;
         match outcome.ok().and_then(|packet| ToBoard::decode(packet).ok()) {
@@ -77,6 +78,13 @@ impl Link {
 
     /// Sends the greetings that are due; one that does not fit waits.
     pub(crate) fn greet(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
+        if self.announcement.is_some() || self.greeting.is_some() {
+            self.greet_now(transmit);
+        }
+    }
+
+    #[inline(never)]
+    fn greet_now(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
         for due in [&mut self.announcement, &mut self.greeting] {
             let Some(nonce) = *due else { continue };
             let hello = Hello {
@@ -84,7 +92,7 @@ impl Link {
                 software_version: self.software_version,
                 nonce,
             };
-            if !transmit(ToHost::Hello(hello).encode().as_bytes()) {
+            if !transmit(hello.encode().as_bytes()) {
                 return;
             }
             *due = None;
@@ -93,12 +101,13 @@ impl Link {
 
     /// Sends a message, or drops and counts it when the line is full: answers
     /// are asked for again, records follow one another.
-    pub(crate) fn send(
+    #[inline(never)]
+    pub(crate) fn send<M: Message + Into<ToHost>>(
         &mut self,
-        message: impl Into<ToHost>,
+        message: &M,
         transmit: &mut impl FnMut(&[u8]) -> bool,
     ) -> bool {
-        let sent = transmit(message.into().encode().as_bytes());
+        let sent = transmit(message.encode().as_bytes());
         if !sent {
             self.frames_dropped = self.frames_dropped.wrapping_add(1);
         }

@@ -115,6 +115,7 @@ impl Odometer {
 }
 
 /// `pulses` pulses in `span_us`, in mm/s, saturating.
+#[inline(never)]
 fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 {
     while pulses > MOST_PULSES {
         pulses /= 2;

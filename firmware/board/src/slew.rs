@@ -29,6 +29,7 @@ impl SlewLimiter {
     }
 
     /// The pulse after `elapsed_us` on the way from `current` to `target`.
+    #[inline(never)]
     pub(crate) fn approach(&mut self, current: i16, target: i16, elapsed_us: u32) -> i16 {
         if current == target {
             self.remainder = 0;

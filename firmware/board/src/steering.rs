@@ -66,6 +66,7 @@ impl Steering {
     }
 }
 
+#[inline(never)]
 fn pulse_us(calibration: &ServoCalibration, angle_100urad: i16) -> i16 {
     const UNITS_PER_RAD: i32 = 10_000;
     // Two 16-bit factors: no overflow.

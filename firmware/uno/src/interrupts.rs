@@ -1,9 +1,9 @@
 //! What the main loop and the interrupts share, and how they keep out of each
 //! other's way.
 //!
-//! A value of one byte goes into an atomic: the processor reads or writes it in
-//! one instruction. A longer one goes into a [`Shared`], which asks for the
-//! proof that no interrupt can come between its bytes.
+//! A byte goes into a [`SharedByte`]: the processor reads or writes it in one
+//! instruction. A longer value goes into a [`Shared`], which asks for the proof
+//! that no interrupt can come between its bytes.
 #![allow(unsafe_code)]
 
 use core::arch::asm;
@@ -41,7 +41,7 @@ pub(crate) fn masked<R>(action: impl FnOnce(Masked) -> R) -> R {
 
 /// Lets interrupts come from now on.
 pub(crate) fn enable() {
-    // SAFETY: everything shared is in an atomic or a `Shared`.
+    // SAFETY: everything shared is in a `SharedByte` or a `Shared`.
     unsafe { asm!("sei") };
 }
 
@@ -54,10 +54,38 @@ pub(crate) fn disable() {
 /// Lets interrupts come and sleeps until one has.
 ///
 /// The instruction after `sei` is executed before any interrupt: one that
-/// came since the mask was set still ends the sleep.
+/// came since the mask was set still ends the sleep. (simavr serves it an
+/// instruction later than the processor does: the `nop`, lest it be masked again.)
 pub(crate) fn enable_and_sleep() {
     // SAFETY: as for `enable`.
-    unsafe { asm!("sei", "sleep") };
+    unsafe { asm!("sei", "sleep", "nop") };
+}
+
+/// A byte, shared between main loop and interrupts.
+///
+/// (`AtomicU8` would do, but masks interrupts around every access.)
+pub(crate) struct SharedByte(UnsafeCell<u8>);
+
+// SAFETY: there is one processor, and it reads or writes a byte in one instruction.
+unsafe impl Sync for SharedByte {}
+
+impl SharedByte {
+    pub(crate) const fn new(value: u8) -> Self {
+        Self(UnsafeCell::new(value))
+    }
+
+    #[inline(always)]
+    pub(crate) fn get(&self) -> u8 {
+        // SAFETY: see `Sync`; no reference ever leaves. Volatile: read and
+        // written when the program says so, in that order.
+        unsafe { self.0.get().read_volatile() }
+    }
+
+    #[inline(always)]
+    pub(crate) fn set(&self, value: u8) {
+        // SAFETY: as for `get`.
+        unsafe { self.0.get().write_volatile(value) };
+    }
 }
 
 /// A value of several bytes, shared between main loop and interrupts.

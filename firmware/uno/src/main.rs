@@ -17,6 +17,7 @@
 #![no_main]
 #![feature(abi_avr_interrupt, asm_experimental_arch)]
 
+mod arithmetic;
 mod battery;
 mod bno055;
 mod clock;

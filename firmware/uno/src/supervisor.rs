@@ -5,12 +5,10 @@
 //! and when the main loop has not said anything for [`PATIENCE_TICKS`].
 #![allow(unsafe_code)]
 
-use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
-
 use singletrack_board::Outputs;
 
 use crate::clock;
-use crate::interrupts::{self, Masked, Shared, masked};
+use crate::interrupts::{self, Masked, Shared, SharedByte, masked};
 use crate::pulses::{self, Width};
 
 /// A main loop that has been silent for so many milliseconds hangs. (With a
@@ -40,7 +38,7 @@ static PLAN: Shared<Plan> = Shared::new(Plan {
 });
 
 /// Ticks since the main loop last said what it wants; stops at 255.
-static SILENT_TICKS: AtomicU8 = AtomicU8::new(0);
+static SILENT_TICKS: SharedByte = SharedByte::new(0);
 
 /// Starts the pulses, with the ESC in neutral, and the ticks.
 pub(crate) fn start() {
@@ -58,14 +56,14 @@ pub(crate) fn publish(outputs: &Outputs) {
         expires: outputs.drive_deadline_us.is_some(),
     };
     masked(|masked| PLAN.set(masked, plan));
-    SILENT_TICKS.store(0, Relaxed);
+    SILENT_TICKS.set(0);
 }
 
 /// Sleeps until there has been a tick since the last [`publish`].
 pub(crate) fn wait_for_tick() {
     loop {
         interrupts::disable();
-        if SILENT_TICKS.load(Relaxed) != 0 {
+        if SILENT_TICKS.get() != 0 {
             break;
         }
         interrupts::enable_and_sleep();
@@ -80,8 +78,8 @@ extern "avr-interrupt" fn __vector_14() {
     // SAFETY: this is an interrupt handler.
     let masked = unsafe { Masked::assume() };
     let now_us = clock::tick(masked);
-    let silent_ticks = SILENT_TICKS.load(Relaxed).saturating_add(1);
-    SILENT_TICKS.store(silent_ticks, Relaxed);
+    let silent_ticks = SILENT_TICKS.get().saturating_add(1);
+    SILENT_TICKS.set(silent_ticks);
 
     if pulses::are_over(masked) {
         let plan = PLAN.get(masked);

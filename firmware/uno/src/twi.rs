@@ -6,8 +6,8 @@
 #![allow(unsafe_code)]
 
 use core::arch::asm;
-use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
 
+use crate::interrupts::SharedByte;
 use crate::registers::{DDRC, PORTC, TWBR, TWCR, TWDR, TWSR};
 
 /// Most bytes written, and read, in one transfer.
@@ -46,15 +46,15 @@ mod phase {
     pub(super) const READ: u8 = 6;
 }
 
-static PHASE: AtomicU8 = AtomicU8::new(phase::DONE);
+static PHASE: SharedByte = SharedByte::new(phase::DONE);
 /// Address in the upper seven bits.
-static ADDRESS: AtomicU8 = AtomicU8::new(0);
-static TO_WRITE: [AtomicU8; LONGEST_WRITE] = [const { AtomicU8::new(0) }; LONGEST_WRITE];
-static TO_WRITE_LENGTH: AtomicU8 = AtomicU8::new(0);
-static READ: [AtomicU8; LONGEST_READ] = [const { AtomicU8::new(0) }; LONGEST_READ];
-static TO_READ_LENGTH: AtomicU8 = AtomicU8::new(0);
+static ADDRESS: SharedByte = SharedByte::new(0);
+static TO_WRITE: [SharedByte; LONGEST_WRITE] = [const { SharedByte::new(0) }; LONGEST_WRITE];
+static TO_WRITE_LENGTH: SharedByte = SharedByte::new(0);
+static READ: [SharedByte; LONGEST_READ] = [const { SharedByte::new(0) }; LONGEST_READ];
+static TO_READ_LENGTH: SharedByte = SharedByte::new(0);
 /// Bytes written or read so far.
-static POSITION: AtomicU8 = AtomicU8::new(0);
+static POSITION: SharedByte = SharedByte::new(0);
 
 /// How the transfer is getting on.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -76,19 +76,19 @@ pub(crate) fn start() {
 
 /// Begins a transfer; there must not be one going on.
 pub(crate) fn begin(address: u8, write: &[u8], read_length: u8) {
-    ADDRESS.store(address << 1, Relaxed);
+    ADDRESS.set(address << 1);
     for (slot, &byte) in TO_WRITE.iter().zip(write) {
-        slot.store(byte, Relaxed);
+        slot.set(byte);
     }
-    TO_WRITE_LENGTH.store(write.len().min(LONGEST_WRITE) as u8, Relaxed);
-    TO_READ_LENGTH.store(read_length.min(LONGEST_READ as u8), Relaxed);
-    POSITION.store(0, Relaxed);
-    PHASE.store(phase::START, Relaxed);
+    TO_WRITE_LENGTH.set(write.len().min(LONGEST_WRITE) as u8);
+    TO_READ_LENGTH.set(read_length.min(LONGEST_READ as u8));
+    POSITION.set(0);
+    PHASE.set(phase::START);
     TWCR.write(GO | TWSTA);
 }
 
 pub(crate) fn progress() -> Progress {
-    match PHASE.load(Relaxed) {
+    match PHASE.get() {
         phase::DONE => Progress::Done,
         phase::FAILED => Progress::Failed,
         _ => Progress::Busy,
@@ -97,7 +97,7 @@ pub(crate) fn progress() -> Progress {
 
 /// Byte `index` of what was read.
 pub(crate) fn byte(index: usize) -> u8 {
-    READ.get(index).map_or(0, |byte| byte.load(Relaxed))
+    READ.get(index).map_or(0, |byte| byte.get())
 }
 
 /// Gives up the transfer, and frees a bus that is held by a sensor that has
@@ -105,7 +105,7 @@ pub(crate) fn byte(index: usize) -> u8 {
 /// Takes 0.1 ms.
 pub(crate) fn free() {
     TWCR.write(0);
-    PHASE.store(phase::FAILED, Relaxed);
+    PHASE.set(phase::FAILED);
     for _ in 0..9 {
         pull_down(SCL);
         half_period();
@@ -152,42 +152,42 @@ extern "avr-interrupt" fn __vector_24() {
         finish(phase::FAILED);
         return;
     }
-    let position = POSITION.load(Relaxed);
-    match PHASE.load(Relaxed) {
+    let position = POSITION.get();
+    match PHASE.get() {
         phase::READ => {
             if let Some(slot) = READ.get(usize::from(position)) {
-                slot.store(TWDR.read(), Relaxed);
+                slot.set(TWDR.read());
             }
             let position = position.wrapping_add(1);
-            POSITION.store(position, Relaxed);
+            POSITION.set(position);
             read_next(position);
         }
         phase::START => {
-            TWDR.write(ADDRESS.load(Relaxed));
-            PHASE.store(phase::WRITE, Relaxed);
+            TWDR.write(ADDRESS.get());
+            PHASE.set(phase::WRITE);
             TWCR.write(GO);
         }
         phase::WRITE => match TO_WRITE.get(usize::from(position)) {
-            Some(byte) if position < TO_WRITE_LENGTH.load(Relaxed) => {
-                TWDR.write(byte.load(Relaxed));
-                POSITION.store(position + 1, Relaxed);
+            Some(byte) if position < TO_WRITE_LENGTH.get() => {
+                TWDR.write(byte.get());
+                POSITION.set(position + 1);
                 TWCR.write(GO);
             }
-            _ if TO_READ_LENGTH.load(Relaxed) != 0 => {
-                PHASE.store(phase::RESTART, Relaxed);
+            _ if TO_READ_LENGTH.get() != 0 => {
+                PHASE.set(phase::RESTART);
                 TWCR.write(GO | TWSTA);
             }
             _ => finish(phase::DONE),
         },
         phase::RESTART => {
             const READING: u8 = 1;
-            TWDR.write(ADDRESS.load(Relaxed) | READING);
-            POSITION.store(0, Relaxed);
-            PHASE.store(phase::READ_ADDRESS, Relaxed);
+            TWDR.write(ADDRESS.get() | READING);
+            POSITION.set(0);
+            PHASE.set(phase::READ_ADDRESS);
             TWCR.write(GO);
         }
         phase::READ_ADDRESS => {
-            PHASE.store(phase::READ, Relaxed);
+            PHASE.set(phase::READ);
             read_next(0);
         }
         _ => TWCR.write(TWINT | TWEN),
@@ -197,7 +197,7 @@ extern "avr-interrupt" fn __vector_24() {
 /// Asks for the byte at `position`; the last one is not acknowledged.
 #[inline(always)]
 fn read_next(position: u8) {
-    let left = TO_READ_LENGTH.load(Relaxed).wrapping_sub(position);
+    let left = TO_READ_LENGTH.get().wrapping_sub(position);
     match left {
         0 => finish(phase::DONE),
         1 => TWCR.write(GO),
@@ -208,5 +208,5 @@ fn read_next(position: u8) {
 #[inline(always)]
 fn finish(phase: u8) {
     TWCR.write(TWINT | TWEN | TWSTO);
-    PHASE.store(phase, Relaxed);
+    PHASE.set(phase);
 }

@@ -52,6 +52,7 @@ pub(crate) fn receive(buffer: &mut [u8]) -> &[u8] {
 }
 
 /// Sends a whole frame, or none of it if there is no room.
+#[inline(never)]
 pub(crate) fn transmit(frame: &[u8]) -> bool {
     if frame.len() > usize::from(TO_SEND.room()) {
         return false;

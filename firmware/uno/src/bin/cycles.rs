@@ -14,6 +14,10 @@
 #![no_main]
 #![feature(asm_experimental_arch)]
 
+#[path = "../arithmetic.rs"]
+mod arithmetic;
+#[path = "../in_place.rs"]
+mod in_place;
 #[path = "../sections.rs"]
 mod sections;
 
@@ -21,6 +25,7 @@ use core::arch::asm;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
+use in_place::InPlace;
 use sections::measured;
 use singletrack_board::{Board, Inputs};
 use singletrack_protocol::{
@@ -142,7 +147,12 @@ fn measure_polls() {
     const POLLS_PER_CONTROL: u8 = 10;
     const POLLS_PER_STATUS: u8 = 200;
 
-    let mut board = Board::new(ResetCause::PowerOn, [0; 3]);
+    static BOARD: InPlace<Board> = InPlace::new();
+
+    let board = Board::new(ResetCause::PowerOn, [0; 3]);
+    // SAFETY: nobody calls this function again.
+    #[allow(unsafe_code)]
+    let board = unsafe { BOARD.init(board) };
     let inputs = black_box(Inputs::default());
     let configure = ToBoard::Configure(Configure {
         request: Sequence(1),
