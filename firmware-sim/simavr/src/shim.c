@@ -210,6 +210,11 @@ void uno_reset(struct uno *uno, struct uno_status *status)
 {
 	avr_t *avr = uno->avr;
 	avr_reset(avr);
+	/*
+	 * A low pin while EICRA is zero, as after a reset, would start a poll that
+	 * simavr does not end when the program then asks for edges.
+	 */
+	avr_extint_set_strict_lvl_trig(avr, EXTINT_IRQ_OUT_INT0, 0);
 	avr->interrupt_state = 0;
 	avr->interrupts.running_ptr = 0;
 	avr->run_cycle_count = 0;

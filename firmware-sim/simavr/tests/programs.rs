@@ -171,6 +171,26 @@ fn edges_voltage_and_switch_reach_the_program() {
     }
 }
 
+#[test]
+fn edges_around_a_restart_are_followed_by_no_interrupts_of_their_own() {
+    let mut uno = Uno::started("inputs.c");
+    uno.pass(MS);
+    assert_eq!(uno.ask(&Request::Hold), Reply::Done);
+    let edge_at = |cycle, until| Run {
+        motor_edges: vec![cycle],
+        ..until
+    };
+    uno.run(edge_at(uno.cycle() + MS, uno.until(2 * MS)));
+    let restart = Request::Start(ResetFlags::WATCHDOG);
+    assert_eq!(uno.ask(&restart), Reply::Done);
+    uno.run(edge_at(uno.cycle() + 1, uno.until(5 * MS)));
+    let report = uno.run(Run {
+        received: vec![(uno.cycle() + 10, 0)],
+        ..uno.until(4 * MS)
+    });
+    assert!(bytes(&report.transmitted)[0] <= 1);
+}
+
 fn talk(uno: &mut Uno, commands: &[u8]) -> Vec<u8> {
     let report = uno.run(Run {
         received: spaced(uno.cycle() + MS, MS, commands),
