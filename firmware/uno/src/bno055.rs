@@ -132,6 +132,7 @@ impl Bno055 {
         sample
     }
 
+    #[inline(never)]
     fn ask(&mut self) {
         let write = |bytes: &[u8]| twi::begin(ADDRESS, bytes, 0);
         let read = |register, length| twi::begin(ADDRESS, &[register], length);
@@ -148,6 +149,7 @@ impl Bno055 {
         }
     }
 
+    #[inline(never)]
     fn answered(&mut self) -> Option<ImuSample> {
         self.failures = 0;
         match self.stage {
@@ -195,6 +197,7 @@ impl Bno055 {
     }
 
     /// The sample that was read, if it is a new one.
+    #[inline(never)]
     fn sampled(&mut self) -> Option<ImuSample> {
         let mut changed = false;
         for (index, known) in self.newest.iter_mut().enumerate() {

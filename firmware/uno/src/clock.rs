@@ -3,11 +3,11 @@
 //! Timer 0 counts 4 µs, 250 of them to a tick of 1 ms; the interrupt at the
 //! end of a tick belongs to the [`crate::supervisor`].
 
-use crate::interrupts::{Masked, Shared, masked};
+use crate::interrupts::{Masked, Shared, SharedByte, masked};
 use crate::registers::{OCR0A, TCCR0A, TCCR0B, TCNT0, TIFR0, TIMSK0};
 
 /// Time between two ticks, in µs.
-const TICK_US: u32 = 1_000;
+pub(crate) const TICK_US: u32 = 1_000;
 /// Prescaler 64 at 16 MHz.
 const COUNT_US: u8 = 4;
 const COUNTS_PER_TICK: u8 = 250;
@@ -29,33 +29,26 @@ pub(crate) fn start() {
     TCCR0B.write(CS01_CS00);
 }
 
-/// One tick later. Returns its time.
+/// One tick later.
 #[inline(always)]
-pub(crate) fn tick(masked: Masked) -> u32 {
-    let at_us = TICK_AT_US.get(masked).wrapping_add(TICK_US);
-    TICK_AT_US.set(masked, at_us);
-    at_us
+pub(crate) fn tick(masked: Masked) {
+    TICK_AT_US.set(masked, TICK_AT_US.get(masked).wrapping_add(TICK_US));
 }
 
 /// What the clock is made of, as an interrupt can catch it in few cycles.
 #[derive(Clone, Copy)]
 pub(crate) struct Instant {
-    tick_at_us: u32,
+    /// The lower half of the time of the last tick.
+    tick_at_us: u16,
     counts: u8,
     flags: u8,
 }
 
 impl Instant {
-    pub(crate) const ZERO: Self = Self {
-        tick_at_us: 0,
-        counts: 0,
-        flags: 0,
-    };
-
     #[inline(always)]
     pub(crate) fn now(masked: Masked) -> Self {
         Self {
-            tick_at_us: TICK_AT_US.get(masked),
+            tick_at_us: TICK_AT_US.get(masked) as u16,
             counts: TCNT0.read(),
             // After the counter: a tick that ends in between is then known
             // from the counter's being near its end.
@@ -63,16 +56,61 @@ impl Instant {
         }
     }
 
-    /// In µs.
-    pub(crate) fn us(self) -> u32 {
+    /// Since the last tick that had been served, in µs.
+    fn since_tick_us(self) -> u16 {
         let ended = self.flags & OCF0A != 0 && self.counts < COUNTS_PER_TICK / 2;
-        let since_tick_us =
-            u16::from(self.counts) * u16::from(COUNT_US) + if ended { TICK_US as u16 } else { 0 };
-        self.tick_at_us.wrapping_add(since_tick_us.into())
+        let tick_us = if ended { TICK_US as u16 } else { 0 };
+        u16::from(self.counts) * u16::from(COUNT_US) + tick_us
+    }
+
+    /// The board's time, in µs, for an instant in the 65 ms up to `now_us`, or
+    /// in the millisecond after it.
+    pub(crate) fn near(self, now_us: u32) -> u32 {
+        const FUTURE_US: u16 = TICK_US as u16;
+        let us = self.tick_at_us.wrapping_add(self.since_tick_us());
+        let age_us = (now_us as u16).wrapping_add(FUTURE_US).wrapping_sub(us);
+        now_us
+            .wrapping_add(FUTURE_US.into())
+            .wrapping_sub(age_us.into())
+    }
+}
+
+/// An instant that an interrupt shares with the main loop. (Not one structure:
+/// the compiler would put it together with 32-bit shifts.)
+pub(crate) struct SharedInstant {
+    tick_at_us: Shared<u16>,
+    counts: SharedByte,
+    flags: SharedByte,
+}
+
+impl SharedInstant {
+    pub(crate) const fn new() -> Self {
+        Self {
+            tick_at_us: Shared::new(0),
+            counts: SharedByte::new(0),
+            flags: SharedByte::new(0),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn get(&self, masked: Masked) -> Instant {
+        Instant {
+            tick_at_us: self.tick_at_us.get(masked),
+            counts: self.counts.get(),
+            flags: self.flags.get(),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn set(&self, masked: Masked, instant: Instant) {
+        self.tick_at_us.set(masked, instant.tick_at_us);
+        self.counts.set(instant.counts);
+        self.flags.set(instant.flags);
     }
 }
 
 /// The board's time, in µs.
 pub(crate) fn now_us() -> u32 {
-    masked(Instant::now).us()
+    let (tick_at_us, now) = masked(|masked| (TICK_AT_US.get(masked), Instant::now(masked)));
+    tick_at_us.wrapping_add(now.since_tick_us().into())
 }

@@ -41,7 +41,9 @@ use singletrack_board::{Board, Inputs};
 use crate::battery::Battery;
 use crate::bno055::Bno055;
 use crate::in_place::InPlace;
+use crate::motor::Motor;
 use crate::registers::{ACSR, SMCR};
+use crate::uart::Receiver;
 
 /// Bytes taken in per poll. At most 12 arrive in a millisecond; more are
 /// waiting only after a delay, and then the work is spread over a few polls.
@@ -60,8 +62,10 @@ const VERSION: [u8; 3] = [
 struct MainLoop {
     board: Board,
     inputs: Inputs,
+    motor: Motor,
     battery: Battery,
     imu: Bno055,
+    receiver: Receiver,
     buffer: [u8; RECEIVED_PER_POLL],
 }
 
@@ -76,8 +80,10 @@ extern "C" fn main() -> ! {
     let main_loop = MainLoop {
         board: Board::new(reset::cause(), VERSION),
         inputs: Inputs::default(),
+        motor: Motor::start(),
         battery: Battery::start(),
         imu: Bno055::start(),
+        receiver: Receiver::new(),
         buffer: [0; RECEIVED_PER_POLL],
     };
     // SAFETY: nobody calls `main` again.
@@ -93,20 +99,21 @@ extern "C" fn main() -> ! {
 impl MainLoop {
     fn round(&mut self) {
         let now_us = clock::now_us();
-        self.inputs = Inputs {
-            motor: motor::pulses(),
-            imu: self.imu.poll(now_us),
-            imu_errors: self.imu.errors(),
-            battery_mv: self.battery.poll(),
-            stop_input_open: stop_input::is_open(),
-            bytes_overrun: uart::bytes_lost(),
-        };
-        let received = uart::receive(&mut self.buffer);
+        let received = self.receiver.receive(&mut self.buffer);
+        self.inputs.motor = self.motor.poll(now_us);
+        self.inputs.imu = None;
+        if let Some(sample) = self.imu.poll(now_us) {
+            self.inputs.imu = Some(sample);
+        }
+        self.inputs.imu_errors = self.imu.errors();
+        self.inputs.battery_mv = self.battery.poll();
+        self.inputs.stop_input_open = stop_input::is_open();
+        self.inputs.bytes_overrun = self.receiver.bytes_lost();
         let outputs = sections::measured(POLL, || {
             self.board
                 .poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
-        supervisor::publish(&outputs);
+        supervisor::publish(now_us, &outputs);
     }
 }
 
@@ -117,7 +124,6 @@ fn start_peripherals() {
     // First, that the ESC hears from the board as early as possible.
     supervisor::start();
     uart::start();
-    motor::start();
     stop_input::start();
     ACSR.write(COMPARATOR_OFF);
     SMCR.write(SLEEP_IN_IDLE);

@@ -3,7 +3,7 @@
 
 use singletrack_board::MotorPulses;
 
-use crate::clock::Instant;
+use crate::clock::{Instant, SharedInstant};
 use crate::interrupts::{Masked, Shared, masked};
 use crate::registers::{EICRA, EIFR, EIMSK, PORTD};
 
@@ -12,33 +12,39 @@ const INT0: u8 = 1 << 2;
 const INT0_RISES: u8 = 0b11;
 const INT0_ENABLED: u8 = 1 << 0;
 
-/// As the interrupt catches it; what it means is worked out by the main loop.
-#[derive(Clone, Copy)]
-struct Capture {
-    count: u16,
-    newest: Instant,
+// As the interrupt catches it; what it means is worked out by the main loop.
+static COUNT: Shared<u16> = Shared::new(0);
+static NEWEST: SharedInstant = SharedInstant::new();
+
+/// The motor's sensor.
+pub(crate) struct Motor {
+    pulses: MotorPulses,
 }
 
-static CAPTURE: Shared<Capture> = Shared::new(Capture {
-    count: 0,
-    newest: Instant::ZERO,
-});
+impl Motor {
+    pub(crate) fn start() -> Self {
+        // Hall sensors have an open collector.
+        PORTD.set(INT0);
+        EICRA.write(INT0_RISES);
+        // The pull-up may just have made an edge.
+        EIFR.write(INT0_ENABLED);
+        EIMSK.write(INT0_ENABLED);
+        Self {
+            pulses: MotorPulses::default(),
+        }
+    }
 
-pub(crate) fn start() {
-    // Hall sensors have an open collector.
-    PORTD.set(INT0);
-    EICRA.write(INT0_RISES);
-    // The pull-up may just have made an edge.
-    EIFR.write(INT0_ENABLED);
-    EIMSK.write(INT0_ENABLED);
-}
-
-/// The pulses so far.
-pub(crate) fn pulses() -> MotorPulses {
-    let Capture { count, newest } = masked(|masked| CAPTURE.get(masked));
-    MotorPulses {
-        count,
-        last_edge_us: newest.us(),
+    /// To be called at every poll, less than 65 ms after the one before: the
+    /// pulses so far.
+    pub(crate) fn poll(&mut self, now_us: u32) -> MotorPulses {
+        let (count, newest) = masked(|masked| (COUNT.get(masked), NEWEST.get(masked)));
+        if count != self.pulses.count {
+            self.pulses = MotorPulses {
+                count,
+                last_edge_us: newest.near(now_us),
+            };
+        }
+        self.pulses
     }
 }
 
@@ -48,7 +54,6 @@ pub(crate) fn pulses() -> MotorPulses {
 extern "avr-interrupt" fn __vector_1() {
     // SAFETY: this is an interrupt handler.
     let masked = unsafe { Masked::assume() };
-    let newest = Instant::now(masked);
-    let count = CAPTURE.get(masked).count.wrapping_add(1);
-    CAPTURE.set(masked, Capture { count, newest });
+    NEWEST.set(masked, Instant::now(masked));
+    COUNT.set(masked, COUNT.get(masked).wrapping_add(1));
 }

@@ -15,13 +15,15 @@ const PERIOD: u16 = 40_000;
 const SHORTEST_US: u16 = 800;
 const LONGEST_US: u16 = 2_200;
 
-/// The part of a period in which compare values are written: past both pulses,
-/// and early enough to be done before the next ones.
+/// The part of a period in which compare values are written, as the high byte
+/// of the counter: past both pulses, and early enough to be done before the
+/// next ones.
 ///
 /// The timer takes new values over at the end of a period only; but servo
 /// pulses are also switched on and off here, and that must not cut one.
-const WRITABLE: core::ops::Range<u16> = 4_500..39_800;
-const _: () = assert!(WRITABLE.start > Width::from_us(LONGEST_US).0 && WRITABLE.end < PERIOD);
+const WRITABLE: core::ops::Range<u8> = 18..155;
+const _: () = assert!(WRITABLE.start as u16 * 256 > Width::from_us(LONGEST_US).0);
+const _: () = assert!((WRITABLE.end as u16 + 1) * 256 <= PERIOD);
 
 // Port B, bits 1 and 2
 const OC1A: u8 = 1 << 1;
@@ -74,16 +76,22 @@ pub(crate) fn start(masked: Masked, esc: Width) {
 /// Whether both pulses are over, and the next ones not near.
 #[inline(always)]
 pub(crate) fn are_over(masked: Masked) -> bool {
-    WRITABLE.contains(&TCNT1.read(masked))
+    WRITABLE.contains(&TCNT1.read_high(masked))
 }
 
-/// The pulses from the next period on; to be called while they
-/// [`are_over`]. Without a width the servo gets none.
+/// The ESC's pulses from the next period on; to be called while they
+/// [`are_over`].
 #[inline(always)]
-pub(crate) fn show(masked: Masked, servo: Option<Width>, esc: Width) {
-    OCR1B.write(masked, esc.compare_value());
-    if let Some(servo) = servo {
-        OCR1A.write(masked, servo.compare_value());
+pub(crate) fn show_esc(masked: Masked, width: Width) {
+    OCR1B.write(masked, width.compare_value());
+}
+
+/// The servo's pulses from the next period on, or none; to be called while
+/// they [`are_over`].
+#[inline(always)]
+pub(crate) fn show_servo(masked: Masked, width: Option<Width>) {
+    if let Some(width) = width {
+        OCR1A.write(masked, width.compare_value());
         TCCR1A.write(SERVO_AND_ESC);
     } else {
         TCCR1A.write(ESC_ONLY);

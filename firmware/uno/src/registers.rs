@@ -48,10 +48,10 @@ pub(crate) struct WideRegister(usize);
 
 impl WideRegister {
     #[inline(always)]
-    pub(crate) fn read(&self, _: Masked) -> u16 {
+    pub(crate) fn read_high(&self, _: Masked) -> u8 {
         // Reading the low byte latches the high one.
-        let low = Register(self.0).read();
-        u16::from_le_bytes([low, Register(self.0 + 1).read()])
+        Register(self.0).read();
+        Register(self.0 + 1).read()
     }
 
     #[inline(always)]

@@ -27,13 +27,6 @@ impl<const N: usize> Ring<N> {
         &self.bytes[usize::from(counter) % N]
     }
 
-    /// How many bytes can be put now.
-    #[inline(always)]
-    pub(crate) fn room(&self) -> u8 {
-        let used = self.put.get().wrapping_sub(self.taken.get());
-        (N as u8).wrapping_sub(used)
-    }
-
     /// Puts one byte; `false` if there is no room.
     #[inline(always)]
     pub(crate) fn put(&self, byte: u8) -> bool {
@@ -44,6 +37,22 @@ impl<const N: usize> Ring<N> {
         self.slot(put).set(byte);
         // The byte before the counter that tells of it: both are volatile.
         self.put.set(put.wrapping_add(1));
+        true
+    }
+
+    /// Puts all of `bytes`, or none; `false` if there is no room.
+    #[inline(always)]
+    pub(crate) fn put_all(&self, bytes: &[u8]) -> bool {
+        let mut put = self.put.get();
+        let used = put.wrapping_sub(self.taken.get());
+        if bytes.len() + usize::from(used) > N {
+            return false;
+        }
+        for &byte in bytes {
+            self.slot(put).set(byte);
+            put = put.wrapping_add(1);
+        }
+        self.put.set(put);
         true
     }
 

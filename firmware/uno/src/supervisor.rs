@@ -11,31 +11,20 @@ use crate::clock;
 use crate::interrupts::{self, Masked, Shared, SharedByte, masked};
 use crate::pulses::{self, Width};
 
-/// A main loop that has been silent for so many milliseconds hangs. (With a
-/// servo period of 20 ms on top, the neutral pulse is out within 45 ms.)
-const PATIENCE_TICKS: u8 = 20;
+/// A main loop that has been silent for more ticks hangs. (With a servo period
+/// of 20 ms on top, the neutral pulse is out within 45 ms.)
+const PATIENCE_TICKS: u8 = 19;
 
 /// What every ESC takes for neutral: shown until the board says something.
 const NEUTRAL_AT_START: Width = Width::from_us(1_500);
 
-/// What the main loop wants.
-#[derive(Clone, Copy)]
-struct Plan {
-    servo: Option<Width>,
-    esc: Width,
-    neutral: Width,
-    /// Last moment at which `esc` may be shown, if `expires`.
-    deadline_us: u32,
-    expires: bool,
-}
-
-static PLAN: Shared<Plan> = Shared::new(Plan {
-    servo: None,
-    esc: NEUTRAL_AT_START,
-    neutral: NEUTRAL_AT_START,
-    deadline_us: 0,
-    expires: false,
-});
+// What the main loop wants. (Not one structure: the compiler would pick it to
+// pieces with 64-bit shifts.)
+static SERVO: Shared<Option<Width>> = Shared::new(None);
+static ESC: Shared<Width> = Shared::new(NEUTRAL_AT_START);
+static NEUTRAL: Shared<Width> = Shared::new(NEUTRAL_AT_START);
+/// Ticks for which `ESC` may be shown without hearing from the main loop.
+static PATIENCE: SharedByte = SharedByte::new(0);
 
 /// Ticks since the main loop last said what it wants; stops at 255.
 static SILENT_TICKS: SharedByte = SharedByte::new(0);
@@ -46,17 +35,38 @@ pub(crate) fn start() {
     clock::start();
 }
 
-/// Takes over what the main loop wants.
-pub(crate) fn publish(outputs: &Outputs) {
-    let plan = Plan {
-        servo: outputs.servo_us.map(Width::from_us),
-        esc: Width::from_us(outputs.esc_us),
-        neutral: Width::from_us(outputs.esc_neutral_us),
-        deadline_us: outputs.drive_deadline_us.unwrap_or(0),
-        expires: outputs.drive_deadline_us.is_some(),
+/// Takes over what the main loop wants, as it was worked out at `now_us`.
+pub(crate) fn publish(now_us: u32, outputs: &Outputs) {
+    let servo = outputs.servo_us.map(Width::from_us);
+    let esc = Width::from_us(outputs.esc_us);
+    let neutral = Width::from_us(outputs.esc_neutral_us);
+    let patience = patience(now_us, outputs.drive_deadline_us);
+    masked(|masked| {
+        SERVO.set(masked, servo);
+        ESC.set(masked, esc);
+        NEUTRAL.set(masked, neutral);
+        PATIENCE.set(patience);
+        SILENT_TICKS.set(0);
+    });
+}
+
+/// How many ticks may follow without another plan: until the command's
+/// deadline has passed or the main loop must be taken to hang.
+fn patience(now_us: u32, deadline_us: Option<u32>) -> u8 {
+    let Some(deadline_us) = deadline_us else {
+        return PATIENCE_TICKS;
     };
-    masked(|masked| PLAN.set(masked, plan));
-    SILENT_TICKS.set(0);
+    let left_us = deadline_us.wrapping_sub(now_us);
+    if left_us >= u32::from(PATIENCE_TICKS) * clock::TICK_US {
+        // A deadline that has passed is a long way off on a clock that wraps.
+        return if left_us > u32::MAX / 2 {
+            0
+        } else {
+            PATIENCE_TICKS
+        };
+    }
+    // 16 bits: a division of 32 takes three times as long.
+    (left_us as u16 / clock::TICK_US as u16) as u8
 }
 
 /// Sleeps until there has been a tick since the last [`publish`].
@@ -77,18 +87,18 @@ pub(crate) fn wait_for_tick() {
 extern "avr-interrupt" fn __vector_14() {
     // SAFETY: this is an interrupt handler.
     let masked = unsafe { Masked::assume() };
-    let now_us = clock::tick(masked);
-    let silent_ticks = SILENT_TICKS.get().saturating_add(1);
-    SILENT_TICKS.set(silent_ticks);
-
+    clock::tick(masked);
+    let mut silent_ticks = SILENT_TICKS.get();
+    if silent_ticks != u8::MAX {
+        silent_ticks += 1;
+        SILENT_TICKS.set(silent_ticks);
+    }
     if pulses::are_over(masked) {
-        let plan = PLAN.get(masked);
-        let expired = plan.expires && (plan.deadline_us.wrapping_sub(now_us) as i32) < 0;
-        let esc = if expired || silent_ticks >= PATIENCE_TICKS {
-            plan.neutral
+        if silent_ticks > PATIENCE.get() {
+            pulses::show_esc(masked, NEUTRAL.get(masked));
         } else {
-            plan.esc
-        };
-        pulses::show(masked, plan.servo, esc);
+            pulses::show_esc(masked, ESC.get(masked));
+        }
+        pulses::show_servo(masked, SERVO.get(masked));
     }
 }

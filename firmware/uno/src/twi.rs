@@ -26,10 +26,17 @@ const TWEN: u8 = 1 << 2;
 const TWIE: u8 = 1 << 0;
 const GO: u8 = TWINT | TWEN | TWIE;
 
-/// What the bus reports instead of what was to come next.
-const NOT_ACKNOWLEDGED: [u8; 3] = [0x20, 0x30, 0x48];
-const ARBITRATION_LOST: u8 = 0x38;
-const BUS_ERROR: u8 = 0x00;
+/// What the bus reports (TWSR) when it has done what it was told.
+mod status {
+    pub(super) const MASK: u8 = 0xF8;
+    pub(super) const STARTED: u8 = 0x08;
+    pub(super) const RESTARTED: u8 = 0x10;
+    pub(super) const WRITE_ADDRESS_ACKNOWLEDGED: u8 = 0x18;
+    pub(super) const BYTE_ACKNOWLEDGED: u8 = 0x28;
+    pub(super) const READ_ADDRESS_ACKNOWLEDGED: u8 = 0x40;
+    pub(super) const BYTE_READ: u8 = 0x50;
+    pub(super) const LAST_BYTE_READ: u8 = 0x58;
+}
 
 // Port C
 const SDA: u8 = 1 << 4;
@@ -52,7 +59,8 @@ static ADDRESS: SharedByte = SharedByte::new(0);
 static TO_WRITE: [SharedByte; LONGEST_WRITE] = [const { SharedByte::new(0) }; LONGEST_WRITE];
 static TO_WRITE_LENGTH: SharedByte = SharedByte::new(0);
 static READ: [SharedByte; LONGEST_READ] = [const { SharedByte::new(0) }; LONGEST_READ];
-static TO_READ_LENGTH: SharedByte = SharedByte::new(0);
+/// Bytes still to be read.
+static LEFT: SharedByte = SharedByte::new(0);
 /// Bytes written or read so far.
 static POSITION: SharedByte = SharedByte::new(0);
 
@@ -81,7 +89,7 @@ pub(crate) fn begin(address: u8, write: &[u8], read_length: u8) {
         slot.set(byte);
     }
     TO_WRITE_LENGTH.set(write.len().min(LONGEST_WRITE) as u8);
-    TO_READ_LENGTH.set(read_length.min(LONGEST_READ as u8));
+    LEFT.set(read_length.min(LONGEST_READ as u8));
     POSITION.set(0);
     PHASE.set(phase::START);
     TWCR.write(GO | TWSTA);
@@ -143,65 +151,69 @@ fn half_period() {
     }
 }
 
-/// The bus has done what it was told.
+/// The bus has done what it was told, or could not.
 // SAFETY: the name is that of the vector, and nothing else has it.
 #[unsafe(no_mangle)]
 extern "avr-interrupt" fn __vector_24() {
-    let status = TWSR.read() & 0xF8;
-    if NOT_ACKNOWLEDGED.contains(&status) || status == ARBITRATION_LOST || status == BUS_ERROR {
-        finish(phase::FAILED);
-        return;
-    }
-    let position = POSITION.get();
+    let status = TWSR.read() & status::MASK;
     match PHASE.get() {
-        phase::READ => {
-            if let Some(slot) = READ.get(usize::from(position)) {
-                slot.set(TWDR.read());
-            }
-            let position = position.wrapping_add(1);
-            POSITION.set(position);
-            read_next(position);
+        // First, as nearly all of them are of this kind.
+        phase::READ if status == status::BYTE_READ => {
+            store();
+            let left = LEFT.get() - 1;
+            LEFT.set(left);
+            TWCR.write(if left > 1 { GO | TWEA } else { GO });
         }
-        phase::START => {
+        phase::READ if status == status::LAST_BYTE_READ => {
+            store();
+            finish(phase::DONE);
+        }
+        phase::START if status == status::STARTED => {
             TWDR.write(ADDRESS.get());
             PHASE.set(phase::WRITE);
             TWCR.write(GO);
         }
-        phase::WRITE => match TO_WRITE.get(usize::from(position)) {
-            Some(byte) if position < TO_WRITE_LENGTH.get() => {
-                TWDR.write(byte.get());
-                POSITION.set(position + 1);
+        phase::WRITE
+            if status == status::WRITE_ADDRESS_ACKNOWLEDGED
+                || status == status::BYTE_ACKNOWLEDGED =>
+        {
+            let position = POSITION.get();
+            if position != TO_WRITE_LENGTH.get() {
+                POSITION.set(position.wrapping_add(1));
+                if let Some(byte) = TO_WRITE.get(usize::from(position)) {
+                    TWDR.write(byte.get());
+                }
                 TWCR.write(GO);
-            }
-            _ if TO_READ_LENGTH.get() != 0 => {
+            } else if LEFT.get() != 0 {
                 PHASE.set(phase::RESTART);
                 TWCR.write(GO | TWSTA);
+            } else {
+                finish(phase::DONE);
             }
-            _ => finish(phase::DONE),
-        },
-        phase::RESTART => {
+        }
+        phase::RESTART if status == status::RESTARTED => {
             const READING: u8 = 1;
             TWDR.write(ADDRESS.get() | READING);
             POSITION.set(0);
             PHASE.set(phase::READ_ADDRESS);
             TWCR.write(GO);
         }
-        phase::READ_ADDRESS => {
+        phase::READ_ADDRESS if status == status::READ_ADDRESS_ACKNOWLEDGED => {
             PHASE.set(phase::READ);
-            read_next(0);
+            // The last byte is not acknowledged.
+            TWCR.write(if LEFT.get() > 1 { GO | TWEA } else { GO });
         }
-        _ => TWCR.write(TWINT | TWEN),
+        _ => finish(phase::FAILED),
     }
 }
 
-/// Asks for the byte at `position`; the last one is not acknowledged.
+/// Keeps the byte that was read.
 #[inline(always)]
-fn read_next(position: u8) {
-    let left = TO_READ_LENGTH.get().wrapping_sub(position);
-    match left {
-        0 => finish(phase::DONE),
-        1 => TWCR.write(GO),
-        _ => TWCR.write(GO | TWEA),
+fn store() {
+    let position = POSITION.get();
+    POSITION.set(position.wrapping_add(1));
+    if let Some(slot) = READ.get(usize::from(position)) {
+        slot.set(TWDR.read());
     }
 }
 

@@ -3,7 +3,7 @@
 
 use singletrack_protocol::{MAX_FRAME_LENGTH, RECEIVE_BUFFER_LENGTH};
 
-use crate::interrupts::{Masked, Shared, masked};
+use crate::interrupts::SharedByte;
 use crate::registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0};
 use crate::ring::Ring;
 
@@ -29,7 +29,8 @@ const UCSZ01_UCSZ00: u8 = 0b11 << 1;
 
 static RECEIVED: Ring<RECEIVE_BUFFER_LENGTH> = Ring::new();
 static TO_SEND: Ring<TRANSMIT_BUFFER_LENGTH> = Ring::new();
-static LOST: Shared<u16> = Shared::new(0);
+/// Wraps; the main loop looks at it often enough.
+static LOST: SharedByte = SharedByte::new(0);
 
 pub(crate) fn start() {
     UBRR0H.write(0);
@@ -39,36 +40,46 @@ pub(crate) fn start() {
     UCSR0B.write(LISTENING);
 }
 
-/// Fills `buffer` with received bytes and returns those; what does not fit
-/// stays for the next call.
-pub(crate) fn receive(buffer: &mut [u8]) -> &[u8] {
-    let mut length = 0;
-    for slot in buffer.iter_mut() {
-        let Some(byte) = RECEIVED.take() else { break };
-        *slot = byte;
-        length += 1;
+/// The receiver, as the main loop sees it.
+pub(crate) struct Receiver {
+    lost: u16,
+}
+
+impl Receiver {
+    pub(crate) const fn new() -> Self {
+        Self { lost: 0 }
     }
-    buffer.get(..length).unwrap_or_default()
+
+    /// Fills `buffer` with received bytes and returns those; what does not fit
+    /// stays for the next call.
+    pub(crate) fn receive<'a>(&mut self, buffer: &'a mut [u8]) -> &'a [u8] {
+        let new = LOST.get().wrapping_sub(self.lost as u8);
+        self.lost = self.lost.wrapping_add(new.into());
+        let mut length = 0;
+        for slot in buffer.iter_mut() {
+            let Some(byte) = RECEIVED.take() else { break };
+            *slot = byte;
+            length += 1;
+        }
+        buffer.get(..length).unwrap_or_default()
+    }
+
+    /// Bytes lost since the start, wrapping: the receiver or the buffer was
+    /// full, or there was no stop bit.
+    pub(crate) const fn bytes_lost(&self) -> u16 {
+        self.lost
+    }
 }
 
 /// Sends a whole frame, or none of it if there is no room.
 #[inline(never)]
 pub(crate) fn transmit(frame: &[u8]) -> bool {
-    if frame.len() > usize::from(TO_SEND.room()) {
+    if !TO_SEND.put_all(frame) {
         return false;
-    }
-    for &byte in frame {
-        TO_SEND.put(byte);
     }
     // Written whole, not modified: the interrupt changes the same bit.
     UCSR0B.write(SENDING);
     true
-}
-
-/// Bytes lost since the start, wrapping: the receiver or the buffer was full,
-/// or there was no stop bit.
-pub(crate) fn bytes_lost() -> u16 {
-    masked(|masked| LOST.get(masked))
 }
 
 /// Receive complete.
@@ -84,9 +95,7 @@ extern "avr-interrupt" fn __vector_18() {
         lost += 1;
     }
     if lost != 0 {
-        // SAFETY: this is an interrupt handler.
-        let masked = unsafe { Masked::assume() };
-        LOST.set(masked, LOST.get(masked).wrapping_add(lost.into()));
+        LOST.set(LOST.get().wrapping_add(lost));
     }
 }
 
