@@ -19,11 +19,13 @@ impl Crc16 {
 
     pub(crate) const fn update(&mut self, byte: u8) {
         // Reflected polynomial 0x8408. Its two nibble steps collapse into
-        // shifts because the polynomial is sparse: x^16 + x^12 + x^5 + 1.
-        let mut mixed = byte ^ self.0.to_le_bytes()[0];
+        // shifts because the polynomial is sparse: x^16 + x^12 + x^5 + 1. In
+        // bytes, because a 16-bit shift takes the board twice as long.
+        let [low, high] = self.0.to_le_bytes();
+        let mut mixed = byte ^ low;
         mixed ^= mixed << 4;
-        let wide = mixed as u16;
-        self.0 = (self.0 >> 8) ^ (wide << 8) ^ (wide << 3) ^ (wide >> 4);
+        let low = high ^ (mixed >> 4) ^ (mixed << 3);
+        self.0 = u16::from_le_bytes([low, mixed ^ (mixed >> 5)]);
     }
 
     pub(crate) const fn finish(self) -> u16 {

@@ -8,6 +8,7 @@
 //! place finds it again at the next zero. A sender puts one zero on the line
 //! after connecting: it ends whatever the receiver had begun to hear.
 
+use crate::codec::{Field, Writer};
 use crate::crc::Crc16;
 
 /// Length of the longest payload, in bytes: [`crate::Configure`].
@@ -50,21 +51,22 @@ impl Frame {
             .unwrap_or_default()
     }
 
-    /// Puts type byte and payload in an envelope. `write` fills in the payload
-    /// and returns its length.
+    /// Puts type byte and payload in an envelope.
     ///
-    /// A payload that `write` cannot produce is sent empty, which every
-    /// receiver refuses by its length; the tests show that none is.
-    pub(crate) fn build(kind: u8, write: impl FnOnce(&mut [u8]) -> Option<usize>) -> Self {
-        // In place from the beginning: neither time nor stack of the board are for copies.
+    /// A payload that is too long is cut, and every receiver refuses it by its
+    /// length; the tests show that none is.
+    pub(crate) fn build(kind: u8, payload: &impl Field) -> Self {
+        // In place from the beginning: neither time nor stack of the board are
+        // for copies.
         let mut frame = Self {
             bytes: [0; MAX_FRAME_LENGTH],
             length: 0,
         };
         let [_, first, rest @ ..] = &mut frame.bytes;
         *first = kind;
-        let payload = rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default();
-        let payload_length = write(payload).unwrap_or(0).min(MAX_PAYLOAD_LENGTH);
+        let mut writer = Writer::new(rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default());
+        payload.write(&mut writer);
+        let payload_length = MAX_PAYLOAD_LENGTH - writer.room();
         frame.seal(payload_length);
         frame
     }
@@ -253,14 +255,24 @@ impl Default for Decoder {
 #[cfg(test)]
 mod tests {
     use super::{Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet};
+    use crate::codec::{Field, Reader, Writer};
     use proptest::{collection::vec, prelude::*};
     use std::vec::Vec;
 
+    struct Raw<'a>(&'a [u8]);
+
+    impl Field for Raw<'_> {
+        fn write(&self, writer: &mut Writer<'_>) {
+            self.0.iter().for_each(|byte| byte.write(writer));
+        }
+
+        fn read(_: &mut Reader<'_>) -> Self {
+            Raw(&[])
+        }
+    }
+
     fn frame(kind: u8, payload: &[u8]) -> Frame {
-        Frame::build(kind, |buffer| {
-            buffer[..payload.len()].copy_from_slice(payload);
-            Some(payload.len())
-        })
+        Frame::build(kind, &Raw(payload))
     }
 
     /// The outcome of the last byte; no earlier byte may have one.

@@ -27,6 +27,7 @@
 extern crate std;
 
 mod budget;
+mod codec;
 mod command;
 mod configuration;
 mod crc;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use crate::codec::{Field, Reader};
 use crate::frame::{Frame, MAX_PAYLOAD_LENGTH, Packet};
 use crate::{
     Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
@@ -48,7 +49,7 @@ pub enum MessageType {
 }
 
 /// A message with its type byte and the one length its payload can have.
-pub trait Message: Serialize + DeserializeOwned {
+pub trait Message: Field + Serialize + DeserializeOwned {
     /// The byte that begins its packets.
     const TYPE: MessageType;
     /// The length of its payload, in bytes.
@@ -58,9 +59,7 @@ pub trait Message: Serialize + DeserializeOwned {
     #[must_use]
     #[inline(never)]
     fn encode(&self) -> Frame {
-        Frame::build(Self::TYPE as u8, |buffer| {
-            Some(postcard::to_slice(self, buffer).ok()?.len())
-        })
+        Frame::build(Self::TYPE as u8, self)
     }
 }
 
@@ -127,9 +126,12 @@ fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
             actual: payload.len(),
         });
     }
-    match postcard::take_from_bytes(payload) {
-        Ok((value, [])) => Ok(value),
-        _ => Err(DecodeError::Value { message }),
+    let mut reader = Reader::new(payload);
+    let value = M::read(&mut reader);
+    if reader.finish() {
+        Ok(value)
+    } else {
+        Err(DecodeError::Value { message })
     }
 }
 

@@ -106,15 +106,10 @@ impl Board {
     /// What the pins have to show now.
     #[must_use]
     pub fn outputs(&self) -> Outputs {
-        let esc_neutral_us = self.neutral_us();
         Outputs {
             servo_us: self.steering.pulse_us(),
-            esc_us: self
-                .configuration()
-                .map_or(esc_neutral_us, |configuration| {
-                    self.esc.pulse_us(&configuration.esc)
-                }),
-            esc_neutral_us,
+            esc_us: self.esc_us(),
+            esc_neutral_us: self.neutral_us(),
             drive_deadline_us: self.safety.drive_deadline_us(),
         }
     }
@@ -160,6 +155,13 @@ impl Board {
         self.active.as_ref().map_or(0, |active| active.hash)
     }
 
+    fn esc_us(&self) -> u16 {
+        self.configuration()
+            .map_or(NEUTRAL_AT_BOOT_US, |configuration| {
+                self.esc.pulse_us(&configuration.esc)
+            })
+    }
+
     fn neutral_us(&self) -> u16 {
         self.configuration()
             .map_or(NEUTRAL_AT_BOOT_US, |configuration| {
@@ -168,7 +170,6 @@ impl Board {
     }
 
     /// Time and inputs, before anything received is looked at.
-    #[inline(never)]
     fn observe(&mut self, now_us: u32, elapsed_us: u32, inputs: &Inputs) {
         let driven = self
             .configuration()
@@ -274,16 +275,20 @@ impl Board {
     }
 
     /// Lets the ESC stop the car when the safety machine has just decided so.
-    #[inline(never)]
     fn stop_if(&mut self, was_driving: bool) {
         if was_driving && !self.is_driving() {
-            let action = self
-                .configuration()
-                .map_or(FailsafeAction::Coast, |configuration| {
-                    configuration.failsafe
-                });
-            self.esc.stop(action);
+            self.stop();
         }
+    }
+
+    #[inline(never)]
+    fn stop(&mut self) {
+        let action = self
+            .configuration()
+            .map_or(FailsafeAction::Coast, |configuration| {
+                configuration.failsafe
+            });
+        self.esc.stop(action);
     }
 
     const fn is_driving(&self) -> bool {
@@ -323,7 +328,6 @@ impl Board {
         }
     }
 
-    #[inline(never)]
     fn actuate(&mut self, elapsed_us: u32, control_due: bool) {
         let Some(Active { configuration, .. }) = &self.active else {
             return;
@@ -347,7 +351,6 @@ impl Board {
         }
     }
 
-    #[inline(never)]
     fn report(
         &mut self,
         now_us: u32,
@@ -356,16 +359,32 @@ impl Board {
         telemetry_due: bool,
         transmit: &mut impl FnMut(&[u8]) -> bool,
     ) {
-        if telemetry_due && self.link.send(&self.telemetry(now_us), transmit) {
-            self.imu.sent();
+        if telemetry_due {
+            self.send_telemetry(now_us, transmit);
         }
         if self.status.advance(elapsed_us) {
-            self.link.send(&self.status(now_us, inputs), transmit);
+            self.send_status(now_us, inputs, transmit);
         }
     }
 
+    #[inline(never)]
+    fn send_telemetry(&mut self, now_us: u32, transmit: &mut impl FnMut(&[u8]) -> bool) {
+        if self.link.send(&self.telemetry(now_us), transmit) {
+            self.imu.sent();
+        }
+    }
+
+    #[inline(never)]
+    fn send_status(
+        &mut self,
+        now_us: u32,
+        inputs: &Inputs,
+        transmit: &mut impl FnMut(&[u8]) -> bool,
+    ) {
+        self.link.send(&self.status(now_us, inputs), transmit);
+    }
+
     fn telemetry(&self, now_us: u32) -> Telemetry {
-        let outputs = self.outputs();
         let sample = self.imu.sample();
         Telemetry {
             board_time_us: now_us,
@@ -378,8 +397,8 @@ impl Board {
             angular_velocity_mrad_s: sample.angular_velocity_mrad_s,
             attitude_q14: sample.attitude_q14,
             motor_speed_mm_s: self.motor_speed_mm_s(),
-            servo_us: outputs.servo_us.unwrap_or(0),
-            esc_us: outputs.esc_us,
+            servo_us: self.steering.pulse_us().unwrap_or(0),
+            esc_us: self.esc_us(),
         }
     }
 

@@ -4,10 +4,13 @@
 //! turn apart. What may last longer is therefore measured by adding up the time
 //! between polls, and stops at the end of the scale instead of wrapping.
 
+/// Half a turn of the clock: no time between two polls is as long.
+const HALF_TURN_US: u32 = 1 << 31;
+
 /// Time from `then` to `now`, in µs; `None` when `then` lies in the future.
 pub(crate) fn age_us(now_us: u32, then_us: u32) -> Option<u32> {
     let age = now_us.wrapping_sub(then_us);
-    (age <= u32::MAX / 2).then_some(age)
+    (age < HALF_TURN_US).then_some(age)
 }
 
 /// Measures how long ago something was, however long.
@@ -25,8 +28,14 @@ impl Stopwatch {
         Self(us)
     }
 
+    #[inline(never)]
     pub(crate) const fn advance(&mut self, elapsed_us: u32) {
-        self.0 = self.0.saturating_add(elapsed_us);
+        // Stops in the upper half of the scale: no step leads from the lower
+        // half beyond the end, and to look at one bit is cheaper than to
+        // saturate.
+        if self.0 < HALF_TURN_US {
+            self.0 = self.0.wrapping_add(elapsed_us);
+        }
     }
 
     pub(crate) const fn elapsed_us(self) -> u32 {
@@ -38,7 +47,7 @@ impl Stopwatch {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ticker {
     period_us: u32,
-    waited_us: u32,
+    left_us: u32,
 }
 
 impl Ticker {
@@ -46,21 +55,24 @@ impl Ticker {
     pub(crate) const fn new(period_us: u32) -> Self {
         Self {
             period_us,
-            waited_us: period_us,
+            left_us: 0,
         }
     }
 
     /// Whether the period has ended. Periods that were missed altogether are
     /// not made up for.
+    #[inline(never)]
     pub(crate) const fn advance(&mut self, elapsed_us: u32) -> bool {
-        self.waited_us = self.waited_us.saturating_add(elapsed_us);
-        if self.waited_us < self.period_us {
+        if elapsed_us < self.left_us {
+            self.left_us -= elapsed_us;
             return false;
         }
-        self.waited_us -= self.period_us;
-        if self.waited_us >= self.period_us {
-            self.waited_us = 0;
-        }
+        let late_us = elapsed_us - self.left_us;
+        self.left_us = if late_us < self.period_us {
+            self.period_us - late_us
+        } else {
+            self.period_us
+        };
         true
     }
 }

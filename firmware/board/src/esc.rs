@@ -167,6 +167,7 @@ impl Esc {
     }
 
     /// One control period of the speed loop.
+    #[inline(never)]
     pub(crate) fn control(
         &mut self,
         configuration: &Configuration,

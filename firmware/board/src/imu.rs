@@ -10,7 +10,9 @@ pub(crate) const SILENCE_US: u32 = 50_000;
 
 #[derive(Debug)]
 pub(crate) struct Imu {
-    sample: Option<ImuSample>,
+    /// Zeros before the first.
+    sample: ImuSample,
+    has_sample: bool,
     since_sample: Stopwatch,
     /// No record that was sent has carried it.
     unsent: bool,
@@ -19,7 +21,13 @@ pub(crate) struct Imu {
 impl Imu {
     pub(crate) const fn new() -> Self {
         Self {
-            sample: None,
+            sample: ImuSample {
+                time_us: 0,
+                linear_acceleration_mm_s2: [0; 3],
+                angular_velocity_mrad_s: [0; 3],
+                attitude_q14: [0; 4],
+            },
+            has_sample: false,
             since_sample: Stopwatch::started_ago(u32::MAX),
             unsent: false,
         }
@@ -27,12 +35,10 @@ impl Imu {
 
     pub(crate) fn observe(&mut self, now_us: u32, elapsed_us: u32, newest: Option<&ImuSample>) {
         self.since_sample.advance(elapsed_us);
-        let Some(&newest) = newest else { return };
-        if self
-            .sample
-            .is_none_or(|known| known.time_us != newest.time_us)
-        {
-            self.sample = Some(newest);
+        let Some(newest) = newest else { return };
+        if !self.has_sample || self.sample.time_us != newest.time_us {
+            self.sample = *newest;
+            self.has_sample = true;
             self.unsent = true;
             let age = age_us(now_us, newest.time_us).unwrap_or(0);
             self.since_sample = Stopwatch::started_ago(age);
@@ -40,8 +46,8 @@ impl Imu {
     }
 
     /// The newest sample; zeros before the first.
-    pub(crate) fn sample(&self) -> ImuSample {
-        self.sample.unwrap_or_default()
+    pub(crate) const fn sample(&self) -> &ImuSample {
+        &self.sample
     }
 
     pub(crate) const fn state(&self) -> ImuState {

@@ -101,7 +101,6 @@ impl Link {
 
     /// Sends a message, or drops and counts it when the line is full: answers
     /// are asked for again, records follow one another.
-    #[inline(never)]
     pub(crate) fn send<M: Message + Into<ToHost>>(
         &mut self,
         message: &M,

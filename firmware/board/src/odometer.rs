@@ -89,6 +89,7 @@ impl Odometer {
     ///
     /// The pulses since the last call over the time between the first and the
     /// last of them; without any, no more than one pulse in the time since.
+    #[inline(never)]
     pub(crate) fn measure(&mut self, pulse_distance_um: u16) {
         let Some(newest) = self.newest else { return };
         let waited_us = self.since_pulse.elapsed_us();

@@ -1,8 +1,9 @@
 //! The IMU, a BNO055 in its fusion mode without magnetometer (IMUPLUS).
 //!
 //! It makes a sample every 10 ms of its own clock. It is asked twice as often,
-//! and a sample counts as new when any of its bytes has changed: so none is
-//! missed, none is given twice, and a sensor that is stuck is a silent one.
+//! in step with telemetry, and a sample counts as new when any of its bytes has
+//! changed: so none is missed or given twice, and a sensor that is stuck is a
+//! silent one.
 //!
 //! A sensor that does not answer, or has restarted, is set up anew, and looked
 //! for as long as it takes.
@@ -45,6 +46,8 @@ const LINEAR_ACCELERATION: usize = 20;
 /// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
 const TRANSFER_TIME_OUT: u8 = 5;
 const SAMPLE_PERIOD: u8 = 5;
+/// A look at the mode comes in between two samples.
+const CHECK_AFTER: u8 = 2;
 /// Samples asked for between two looks at the mode, 100 ms apart.
 const SAMPLES_PER_CHECK: u8 = 20;
 const RETRY_AFTER: u8 = 100;
@@ -153,7 +156,9 @@ impl Bno055 {
     fn answered(&mut self) -> Option<ImuSample> {
         self.failures = 0;
         match self.stage {
-            Stage::Identify if twi::byte(0) == BNO055 => self.next(Stage::EnterConfiguration, 0),
+            Stage::Identify if twi::first_byte() == BNO055 => {
+                self.next(Stage::EnterConfiguration, 0)
+            }
             // It answers before it is ready.
             Stage::Identify => self.wait = RETRY_AFTER,
             Stage::EnterConfiguration => self.next(Stage::SelectPage, ENTER_CONFIGURATION),
@@ -163,15 +168,16 @@ impl Bno055 {
             Stage::SetAxes => self.next(Stage::LeaveConfiguration, SETTLE),
             Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
             Stage::Sample => {
+                self.wait = SAMPLE_PERIOD;
                 self.samples_to_check -= 1;
                 if self.samples_to_check == 0 {
                     self.samples_to_check = SAMPLES_PER_CHECK;
-                    self.stage = Stage::CheckMode;
+                    self.next(Stage::CheckMode, CHECK_AFTER);
                 }
                 return self.sampled();
             }
-            Stage::CheckMode if twi::byte(0) & MODE_BITS == IMUPLUS_MODE => {
-                self.next(Stage::Sample, SAMPLE_PERIOD);
+            Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
+                self.next(Stage::Sample, SAMPLE_PERIOD - CHECK_AFTER);
             }
             Stage::CheckMode => {
                 // It has restarted.
@@ -199,12 +205,7 @@ impl Bno055 {
     /// The sample that was read, if it is a new one.
     #[inline(never)]
     fn sampled(&mut self) -> Option<ImuSample> {
-        let mut changed = false;
-        for (index, known) in self.newest.iter_mut().enumerate() {
-            let byte = twi::byte(index);
-            changed |= *known != byte;
-            *known = byte;
-        }
+        let changed = twi::take(&mut self.newest);
         // A quaternion of length zero is no attitude: the sensor has restarted.
         if !changed || self.values::<4>(QUATERNION) == [0; 4] {
             return None;

@@ -103,9 +103,20 @@ pub(crate) fn progress() -> Progress {
     }
 }
 
-/// Byte `index` of what was read.
-pub(crate) fn byte(index: usize) -> u8 {
-    READ.get(index).map_or(0, |byte| byte.get())
+/// Copies what was read; returns whether it differs from what was there.
+pub(crate) fn take(buffer: &mut [u8]) -> bool {
+    let mut changed = false;
+    for (known, byte) in buffer.iter_mut().zip(&READ) {
+        let byte = byte.get();
+        changed |= *known != byte;
+        *known = byte;
+    }
+    changed
+}
+
+/// The first byte that was read.
+pub(crate) fn first_byte() -> u8 {
+    READ[0].get()
 }
 
 /// Gives up the transfer, and frees a bus that is held by a sensor that has

@@ -1,0 +1,315 @@
+//! Payloads into bytes and back.
+//!
+//! The bytes are those that postcard gives for the same types (the tests
+//! compare the two), and nothing else is ever sent. But postcard's code is
+//! generic, inlined, and checks every byte for room in the middle of every
+//! field: on the board it would be a quarter of the flash. Here a field is a
+//! call; what is missing or means nothing is noted, and asked about at the end.
+
+use crate::{
+    Acknowledgement, Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop,
+    EscCalibration, FailsafeAction, Hello, ImuState, Refusal, RefusalReason, Request, ResetCause,
+    Sequence, ServoCalibration, SpeedLoop, Status, StopCause, Telemetry,
+};
+
+/// What a payload is made of.
+pub trait Field: Sized {
+    /// Appends it.
+    fn write(&self, writer: &mut Writer<'_>);
+    /// Takes it from the front.
+    fn read(reader: &mut Reader<'_>) -> Self;
+}
+
+/// Fills a buffer from the front. What does not fit is left out.
+#[derive(Debug)]
+pub struct Writer<'a>(core::slice::IterMut<'a, u8>);
+
+impl<'a> Writer<'a> {
+    pub(crate) fn new(buffer: &'a mut [u8]) -> Self {
+        Self(buffer.iter_mut())
+    }
+
+    /// Bytes of the buffer that are still free.
+    pub(crate) fn room(&self) -> usize {
+        self.0.len()
+    }
+
+    #[inline(always)]
+    fn append(&mut self, byte: u8) {
+        if let Some(slot) = self.0.next() {
+            *slot = byte;
+        }
+    }
+
+    #[inline(never)]
+    fn put_8(&mut self, value: u8) {
+        self.append(value);
+    }
+
+    #[inline(never)]
+    fn put_16(&mut self, value: u16) {
+        let [low, high] = value.to_le_bytes();
+        self.append(low);
+        self.append(high);
+    }
+
+    #[inline(never)]
+    fn put_32(&mut self, value: u32) {
+        self.put_16(value as u16);
+        self.put_16((value >> 16) as u16);
+    }
+}
+
+/// Takes a payload apart.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    bytes: core::slice::Iter<'a, u8>,
+    /// Something was missing or meant nothing.
+    failed: bool,
+}
+
+impl<'a> Reader<'a> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            bytes: bytes.iter(),
+            failed: false,
+        }
+    }
+
+    /// Whether everything had a meaning, and nothing is left.
+    pub(crate) fn finish(self) -> bool {
+        !self.failed && self.bytes.len() == 0
+    }
+
+    #[inline(always)]
+    fn next(&mut self) -> u8 {
+        self.bytes.next().copied().unwrap_or_else(|| {
+            self.failed = true;
+            0
+        })
+    }
+
+    #[inline(never)]
+    fn take_8(&mut self) -> u8 {
+        self.next()
+    }
+
+    #[inline(never)]
+    fn take_16(&mut self) -> u16 {
+        let low = self.next();
+        u16::from_le_bytes([low, self.next()])
+    }
+
+    #[inline(never)]
+    fn take_32(&mut self) -> u32 {
+        let low = self.take_16();
+        u32::from(low) | (u32::from(self.take_16()) << 16)
+    }
+
+    /// A number below `count`; zero instead of another one.
+    #[inline(never)]
+    fn take_below(&mut self, count: u8) -> u8 {
+        let number = self.next();
+        if number < count {
+            return number;
+        }
+        self.failed = true;
+        0
+    }
+}
+
+impl Field for u8 {
+    fn write(&self, writer: &mut Writer<'_>) {
+        writer.put_8(*self);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        reader.take_8()
+    }
+}
+
+impl Field for bool {
+    fn write(&self, writer: &mut Writer<'_>) {
+        writer.put_8(u8::from(*self));
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        reader.take_below(2) != 0
+    }
+}
+
+impl Field for u16 {
+    fn write(&self, writer: &mut Writer<'_>) {
+        writer.put_16(*self);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        reader.take_16()
+    }
+}
+
+impl Field for i16 {
+    fn write(&self, writer: &mut Writer<'_>) {
+        writer.put_16(self.cast_unsigned());
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        reader.take_16().cast_signed()
+    }
+}
+
+impl Field for u32 {
+    fn write(&self, writer: &mut Writer<'_>) {
+        writer.put_32(*self);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        reader.take_32()
+    }
+}
+
+impl<T: Field, const N: usize> Field for [T; N] {
+    fn write(&self, writer: &mut Writer<'_>) {
+        for element in self {
+            element.write(writer);
+        }
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        core::array::from_fn(|_| T::read(reader))
+    }
+}
+
+impl Field for Sequence {
+    fn write(&self, writer: &mut Writer<'_>) {
+        self.0.write(writer);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        Self(u8::read(reader))
+    }
+}
+
+/// Structures: their fields, all of them, in the order in which they are sent.
+macro_rules! structures {
+    ($($name:ident { $($field:ident,)* })*) => {$(
+        impl Field for $name {
+            fn write(&self, writer: &mut Writer<'_>) {
+                let Self { $($field,)* } = self;
+                $($field.write(writer);)*
+            }
+
+            fn read(reader: &mut Reader<'_>) -> Self {
+                Self { $($field: Field::read(reader),)* }
+            }
+        }
+    )*};
+}
+
+/// Enumerations: their variants, all of them, numbered from zero.
+macro_rules! enumerations {
+    ($($name:ident { $first:ident, $($variant:ident,)* })*) => {$(
+        impl Field for $name {
+            fn write(&self, writer: &mut Writer<'_>) {
+                // Does not compile when one is missing.
+                match self {
+                    Self::$first $(| Self::$variant)* => writer.put_8(*self as u8),
+                }
+            }
+
+            fn read(reader: &mut Reader<'_>) -> Self {
+                const COUNT: u8 = [$name::$first, $($name::$variant,)*].len() as u8;
+                match reader.take_below(COUNT) {
+                    $(number if number == Self::$variant as u8 => Self::$variant,)*
+                    _ => Self::$first,
+                }
+            }
+        }
+    )*};
+}
+
+structures! {
+    Hello { protocol_version, software_version, nonce, }
+    Configure { request, configuration, }
+    Configuration { servo, esc, speed, failsafe, max_pose_age_ms, stop_input, }
+    ServoCalibration { centre_us, gain_us_per_rad, min_us, max_us, slew_us_per_20ms, }
+    EscCalibration { neutral_us, deadband_us, min_us, max_us, slew_us_per_20ms, brake_us, }
+    SpeedLoop {
+        pulse_distance_um,
+        feed_forward_us_per_m_s,
+        proportional_us_per_m_s,
+        integral_us_per_m,
+        integral_limit_us,
+        max_forward_mm_s,
+        max_reverse_mm_s,
+    }
+    Arm { request, configuration_hash, telemetry_time_us, }
+    Disarm { request, }
+    EmergencyStop { request, }
+    Drive { sequence, speed_mm_s, steering_100urad, telemetry_time_us, pose_age_ms, }
+    Telemetry {
+        board_time_us,
+        mode,
+        stop_cause,
+        last_sequence,
+        imu,
+        imu_age_100us,
+        linear_acceleration_mm_s2,
+        angular_velocity_mrad_s,
+        attitude_q14,
+        motor_speed_mm_s,
+        servo_us,
+        esc_us,
+    }
+    Status {
+        board_time_us,
+        configuration_hash,
+        reset_cause,
+        stop_input_open,
+        battery_mv,
+        frames_received,
+        frames_damaged,
+        drives_refused,
+        last_refusal,
+        frames_dropped,
+        bytes_overrun,
+        imu_errors,
+    }
+    Acknowledgement { request, sequence, configuration_hash, }
+    Refusal { request, sequence, reason, }
+}
+
+enumerations! {
+    FailsafeAction { Coast, Brake, }
+    BoardMode { Boot, Neutral, Armed, Driving, Failsafe, EmergencyStopped, }
+    StopCause {
+        None,
+        Disarmed,
+        CommandTimeout,
+        PoseTooOld,
+        MotorSensor,
+        StopInput,
+        EmergencyStop,
+        HostRestarted,
+    }
+    RefusalReason {
+        None,
+        NotConfigured,
+        ConfigurationDiffers,
+        InvalidConfiguration,
+        Busy,
+        NotYetNeutral,
+        Moving,
+        StopInputOpen,
+        EmergencyStopLatched,
+        Stale,
+        OutOfSequence,
+        PoseTooOld,
+        NotArmed,
+        ReverseDisabled,
+        VersionDiffers,
+    }
+    Request { Configure, Arm, Disarm, EmergencyStop, }
+    ImuState { Silent, Fresh, Repeated, }
+    ResetCause { PowerOn, External, BrownOut, Watchdog, Unknown, }
+}
