@@ -35,9 +35,8 @@ pub const fn frame_length(payload_length: usize) -> usize {
 }
 
 /// One frame, ready for the line, with the zero that ends it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Frame {
-    /// Zero beyond `length`.
     bytes: [u8; MAX_FRAME_LENGTH],
     length: u8,
 }
@@ -51,24 +50,33 @@ impl Frame {
             .unwrap_or_default()
     }
 
+    /// No frame yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            bytes: [0; MAX_FRAME_LENGTH],
+            length: 0,
+        }
+    }
+
     /// Puts type byte and payload in an envelope.
     ///
     /// A payload that is too long is cut, and every receiver refuses it by its
     /// length; the tests show that none is.
-    pub(crate) fn build(kind: u8, payload: &impl Field) -> Self {
-        // In place from the beginning: neither time nor stack of the board are
-        // for copies.
-        let mut frame = Self {
-            bytes: [0; MAX_FRAME_LENGTH],
-            length: 0,
-        };
-        let [_, first, rest @ ..] = &mut frame.bytes;
-        *first = kind;
-        let mut writer = Writer::new(rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default());
+    pub(crate) fn build(&mut self, kind: u8, payload: &impl Field) {
+        let mut writer = self.open(kind);
         payload.write(&mut writer);
-        let payload_length = MAX_PAYLOAD_LENGTH - writer.room();
-        frame.seal(payload_length);
-        frame
+        let room = writer.room();
+        self.seal(MAX_PAYLOAD_LENGTH - room);
+    }
+
+    /// Begins a packet.
+    #[inline(never)]
+    fn open(&mut self, kind: u8) -> Writer<'_> {
+        let [count, first, rest @ ..] = &mut self.bytes;
+        *count = 0;
+        *first = kind;
+        Writer::new(rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default())
     }
 
     /// Adds check sum and COBS to type byte and payload, which begin at the second byte.
@@ -79,8 +87,9 @@ impl Frame {
         for &byte in self.bytes.get(1..crc_at).unwrap_or_default() {
             crc.update(byte);
         }
-        if let Some([low, high, ..]) = self.bytes.get_mut(crc_at..) {
+        if let Some([low, high, end, ..]) = self.bytes.get_mut(crc_at..) {
             [*low, *high] = crc.finish().to_le_bytes();
+            *end = 0;
         }
         // The zero that ends the frame stays; each one before it (the first byte
         // is one) becomes the distance to the next.
@@ -100,6 +109,20 @@ impl Frame {
             distance += 1;
         }
         self.length = end as u8 + 1;
+    }
+}
+
+impl PartialEq for Frame {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_bytes() == other.as_bytes()
+    }
+}
+
+impl Eq for Frame {}
+
+impl Default for Frame {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -272,7 +295,9 @@ mod tests {
     }
 
     fn frame(kind: u8, payload: &[u8]) -> Frame {
-        Frame::build(kind, &Raw(payload))
+        let mut frame = Frame::new();
+        frame.build(kind, &Raw(payload));
+        frame
     }
 
     /// The outcome of the last byte; no earlier byte may have one.

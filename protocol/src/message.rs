@@ -57,9 +57,16 @@ pub trait Message: Field + Serialize + DeserializeOwned {
 
     /// The frame that carries this message.
     #[must_use]
-    #[inline(never)]
     fn encode(&self) -> Frame {
-        Frame::build(Self::TYPE as u8, self)
+        let mut frame = Frame::new();
+        self.encode_into(&mut frame);
+        frame
+    }
+
+    /// Makes `frame` the one that carries this message: the same as
+    /// [`Message::encode`], without the copy that a return value can cost.
+    fn encode_into(&self, frame: &mut Frame) {
+        frame.build(Self::TYPE as u8, self);
     }
 }
 
@@ -116,7 +123,6 @@ pub enum DecodeError {
     },
 }
 
-#[inline(never)]
 fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
     let message = M::TYPE;
     if payload.len() != M::PAYLOAD_LENGTH {

@@ -65,6 +65,11 @@ impl Board {
         }
     }
 
+    /// Why the board started, for one that was made before that could be known.
+    pub const fn set_reset_cause(&mut self, reset_cause: ResetCause) {
+        self.reset_cause = reset_cause;
+    }
+
     /// Everything the board does.
     ///
     /// Call it at least every millisecond; called less often it does the same
@@ -255,16 +260,16 @@ impl Board {
         if self.link.version_differs() {
             return Err(RefusalReason::VersionDiffers);
         }
-        let configuration = configure.configuration;
+        let configuration = &configure.configuration;
         if configuration.validate().is_err() {
             return Err(RefusalReason::InvalidConfiguration);
         }
         let hash = configuration.hash();
         let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
         self.steering.configure(&configuration.servo);
-        self.esc.configure(&configuration);
+        self.esc.configure(configuration);
         self.active = Some(Active {
-            configuration,
+            configuration: *configuration,
             hash,
         });
         self.safety.configured(neutral_changed);

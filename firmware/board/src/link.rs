@@ -1,6 +1,6 @@
 //! The board's end of the line: what comes in, and what has to be answered.
 
-use singletrack_protocol::{Decoder, Hello, Message, ToBoard, ToHost, UNSOLICITED, VERSION};
+use singletrack_protocol::{Decoder, Frame, Hello, Message, ToBoard, ToHost, UNSOLICITED, VERSION};
 
 /// The receiver, its counters, and the greeting that waits for its turn.
 #[derive(Debug)]
@@ -106,7 +106,9 @@ impl Link {
         message: &M,
         transmit: &mut impl FnMut(&[u8]) -> bool,
     ) -> bool {
-        let sent = transmit(message.encode().as_bytes());
+        let mut frame = Frame::new();
+        message.encode_into(&mut frame);
+        let sent = transmit(frame.as_bytes());
         if !sent {
             self.frames_dropped = self.frames_dropped.wrapping_add(1);
         }

@@ -19,11 +19,14 @@ pub(crate) struct Battery {
     millivolts: u16,
 }
 
+pub(crate) fn start() {
+    DIDR0.write(ADC0);
+    ADMUX.write(REFS0);
+    ADCSRA.write(ADEN | ADSC | ADPS);
+}
+
 impl Battery {
-    pub(crate) fn start() -> Self {
-        DIDR0.write(ADC0);
-        ADMUX.write(REFS0);
-        ADCSRA.write(ADEN | ADSC | ADPS);
+    pub(crate) const fn new() -> Self {
         Self {
             wait: PERIOD,
             millivolts: 0,

@@ -90,8 +90,7 @@ pub(crate) struct Bno055 {
 }
 
 impl Bno055 {
-    pub(crate) fn start() -> Self {
-        twi::start();
+    pub(crate) const fn new() -> Self {
         Self {
             stage: Stage::Identify,
             asked: false,
@@ -206,26 +205,28 @@ impl Bno055 {
     #[inline(never)]
     fn sampled(&mut self) -> Option<ImuSample> {
         let changed = twi::take(&mut self.newest);
+        let attitude_q14 = self.values(QUATERNION, |raw| raw);
         // A quaternion of length zero is no attitude: the sensor has restarted.
-        if !changed || self.values::<4>(QUATERNION) == [0; 4] {
+        if !changed || attitude_q14 == [0; 4] {
             return None;
         }
         Some(ImuSample {
             time_us: self.asked_at_us,
-            linear_acceleration_mm_s2: self
-                .values(LINEAR_ACCELERATION)
-                .map(linear_acceleration_mm_s2),
-            angular_velocity_mrad_s: self.values(GYRO).map(angular_velocity_mrad_s),
-            attitude_q14: self.values(QUATERNION),
+            linear_acceleration_mm_s2: self.values(LINEAR_ACCELERATION, linear_acceleration_mm_s2),
+            angular_velocity_mrad_s: self.values(GYRO, angular_velocity_mrad_s),
+            attitude_q14,
         })
     }
 
-    #[inline(always)]
-    fn values<const N: usize>(&self, at: usize) -> [i16; N] {
-        core::array::from_fn(|index| {
-            let at = at + 2 * index;
-            i16::from_le_bytes([self.newest[at], self.newest[at + 1]])
-        })
+    /// The numbers from byte `at` of the newest sample on.
+    #[inline(never)]
+    fn values<const N: usize>(&self, at: usize, convert: fn(i16) -> i16) -> [i16; N] {
+        let mut values = [0; N];
+        let (pairs, _) = self.newest.get(at..).unwrap_or_default().as_chunks();
+        for (value, pair) in values.iter_mut().zip(pairs) {
+            *value = convert(i16::from_le_bytes(*pair));
+        }
+        values
     }
 }
 

@@ -2,29 +2,30 @@
 //!
 //! The processor reaches 64 bytes from a pointer, and everything at an address
 //! that is known: the same code on the stack's frame is four times as large.
+//! And what is known when the image is compiled needs no code to put it there.
 #![allow(unsafe_code)]
 
 use core::cell::UnsafeCell;
-use core::mem::MaybeUninit;
 
-pub(crate) struct InPlace<T>(UnsafeCell<MaybeUninit<T>>);
+pub(crate) struct InPlace<T>(UnsafeCell<T>);
 
-// SAFETY: only whoever called `init` has access.
+// SAFETY: only whoever called `take` has access, and there is one processor.
 unsafe impl<T> Sync for InPlace<T> {}
 
 impl<T> InPlace<T> {
-    pub(crate) const fn new() -> Self {
-        Self(UnsafeCell::new(MaybeUninit::uninit()))
+    pub(crate) const fn new(value: T) -> Self {
+        Self(UnsafeCell::new(value))
     }
 
-    /// Puts the value in its place.
+    /// The value.
     ///
     /// # Safety
     ///
     /// To be called once.
     #[inline(always)]
-    pub(crate) unsafe fn init(&'static self, value: T) -> &'static mut T {
+    #[expect(clippy::mut_from_ref, reason = "the first and only reference")]
+    pub(crate) unsafe fn take(&'static self) -> &'static mut T {
         // SAFETY: the first and only reference, as the caller promises.
-        unsafe { (*self.0.get()).write(value) }
+        unsafe { &mut *self.0.get() }
     }
 }

@@ -36,7 +36,8 @@ mod twi;
 mod uart;
 mod watchdog;
 
-use singletrack_board::{Board, Inputs};
+use singletrack_board::{Board, Inputs, MotorPulses};
+use singletrack_protocol::ResetCause;
 
 use crate::battery::Battery;
 use crate::bno055::Bno055;
@@ -69,7 +70,25 @@ struct MainLoop {
     buffer: [u8; RECEIVED_PER_POLL],
 }
 
-static MAIN_LOOP: InPlace<MainLoop> = InPlace::new();
+static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
+    board: Board::new(ResetCause::Unknown, VERSION),
+    inputs: Inputs {
+        motor: MotorPulses {
+            count: 0,
+            last_edge_us: 0,
+        },
+        imu: None,
+        battery_mv: 0,
+        stop_input_open: false,
+        bytes_overrun: 0,
+        imu_errors: 0,
+    },
+    motor: Motor::new(),
+    battery: Battery::new(),
+    imu: Bno055::new(),
+    receiver: Receiver::new(),
+    buffer: [0; RECEIVED_PER_POLL],
+});
 
 /// Entered from the C runtime's start-up code.
 #[allow(unsafe_code)]
@@ -77,17 +96,9 @@ static MAIN_LOOP: InPlace<MainLoop> = InPlace::new();
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     start_peripherals();
-    let main_loop = MainLoop {
-        board: Board::new(reset::cause(), VERSION),
-        inputs: Inputs::default(),
-        motor: Motor::start(),
-        battery: Battery::start(),
-        imu: Bno055::start(),
-        receiver: Receiver::new(),
-        buffer: [0; RECEIVED_PER_POLL],
-    };
     // SAFETY: nobody calls `main` again.
-    let main_loop = unsafe { MAIN_LOOP.init(main_loop) };
+    let main_loop = unsafe { MAIN_LOOP.take() };
+    main_loop.board.set_reset_cause(reset::cause());
     interrupts::enable();
     loop {
         supervisor::wait_for_tick();
@@ -124,6 +135,9 @@ fn start_peripherals() {
     // First, that the ESC hears from the board as early as possible.
     supervisor::start();
     uart::start();
+    motor::start();
+    battery::start();
+    twi::start();
     stop_input::start();
     ACSR.write(COMPARATOR_OFF);
     SMCR.write(SLEEP_IN_IDLE);

@@ -21,16 +21,22 @@ pub(crate) struct Motor {
     pulses: MotorPulses,
 }
 
+pub(crate) fn start() {
+    // Hall sensors have an open collector.
+    PORTD.set(INT0);
+    EICRA.write(INT0_RISES);
+    // The pull-up may just have made an edge.
+    EIFR.write(INT0_ENABLED);
+    EIMSK.write(INT0_ENABLED);
+}
+
 impl Motor {
-    pub(crate) fn start() -> Self {
-        // Hall sensors have an open collector.
-        PORTD.set(INT0);
-        EICRA.write(INT0_RISES);
-        // The pull-up may just have made an edge.
-        EIFR.write(INT0_ENABLED);
-        EIMSK.write(INT0_ENABLED);
+    pub(crate) const fn new() -> Self {
         Self {
-            pulses: MotorPulses::default(),
+            pulses: MotorPulses {
+                count: 0,
+                last_edge_us: 0,
+            },
         }
     }
 

@@ -147,12 +147,11 @@ fn measure_polls() {
     const POLLS_PER_CONTROL: u8 = 10;
     const POLLS_PER_STATUS: u8 = 200;
 
-    static BOARD: InPlace<Board> = InPlace::new();
+    static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::PowerOn, [0; 3]));
 
-    let board = Board::new(ResetCause::PowerOn, [0; 3]);
     // SAFETY: nobody calls this function again.
     #[allow(unsafe_code)]
-    let board = unsafe { BOARD.init(board) };
+    let board = unsafe { BOARD.take() };
     let inputs = black_box(Inputs::default());
     let configure = ToBoard::Configure(Configure {
         request: Sequence(1),
