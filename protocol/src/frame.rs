@@ -82,13 +82,14 @@ impl Frame {
     /// Adds check sum and COBS to type byte and payload, which begin at the second byte.
     #[inline(never)]
     fn seal(&mut self, payload_length: usize) {
-        let crc_at = 2 + payload_length;
+        // In range, but the compiler could not know.
+        let crc_at = 2 + payload_length.min(MAX_PAYLOAD_LENGTH);
         let mut crc = Crc16::new();
         for &byte in self.bytes.get(1..crc_at).unwrap_or_default() {
             crc.update(byte);
         }
         if let Some([low, high, end, ..]) = self.bytes.get_mut(crc_at..) {
-            [*low, *high] = crc.finish().to_le_bytes();
+            [*low, *high] = crc.finish();
             *end = 0;
         }
         // The zero that ends the frame stays; each one before it (the first byte
@@ -203,20 +204,26 @@ impl Decoder {
     /// # Errors
     ///
     /// One [`FrameError`] for every stretch between two zeros that is no frame.
-    #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet<'_>, FrameError>> {
-        if byte != 0 {
-            self.unstuff(byte);
-            return None;
-        }
-        if !self.in_frame {
+        if self.push_data(byte) || !self.in_frame {
             return None;
         }
         self.in_frame = false;
         Some(self.finish())
     }
 
+    /// Takes a byte that is not zero: none of those ends a frame. Returns `false`,
+    /// and does nothing, when it is zero.
+    #[inline(always)]
+    pub fn push_data(&mut self, byte: u8) -> bool {
+        if byte != 0 {
+            self.unstuff(byte);
+        }
+        byte != 0
+    }
+
     /// A byte that is not zero.
+    #[inline(never)]
     fn unstuff(&mut self, byte: u8) {
         if self.in_frame {
             if self.until_count != 0 {
@@ -237,6 +244,7 @@ impl Decoder {
         self.full_block = byte == FULL_BLOCK;
     }
 
+    #[inline(always)]
     fn append(&mut self, byte: u8) {
         self.crc.update(byte);
         match self.packet.get_mut(usize::from(self.length)) {

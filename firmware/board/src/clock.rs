@@ -45,35 +45,34 @@ impl Stopwatch {
 
 /// Fires once per period, without drifting when polled late.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ticker {
-    period_us: u32,
+pub(crate) struct Ticker<const PERIOD_US: u32> {
     left_us: u32,
 }
 
-impl Ticker {
-    /// Fires at the first poll, and from then on every `period_us`.
-    pub(crate) const fn new(period_us: u32) -> Self {
-        Self {
-            period_us,
-            left_us: 0,
-        }
+impl<const PERIOD_US: u32> Ticker<PERIOD_US> {
+    /// Fires at the first poll, and from then on every `PERIOD_US`.
+    pub(crate) const fn new() -> Self {
+        Self { left_us: 0 }
     }
 
     /// Whether the period has ended. Periods that were missed altogether are
     /// not made up for.
-    #[inline(never)]
     pub(crate) const fn advance(&mut self, elapsed_us: u32) -> bool {
         if elapsed_us < self.left_us {
             self.left_us -= elapsed_us;
             return false;
         }
-        let late_us = elapsed_us - self.left_us;
-        self.left_us = if late_us < self.period_us {
-            self.period_us - late_us
-        } else {
-            self.period_us
-        };
+        self.begin_period(elapsed_us - self.left_us);
         true
+    }
+
+    #[inline(never)]
+    const fn begin_period(&mut self, late_us: u32) {
+        self.left_us = if late_us < PERIOD_US {
+            PERIOD_US - late_us
+        } else {
+            PERIOD_US
+        };
     }
 }
 
@@ -98,7 +97,7 @@ mod tests {
 
     #[test]
     fn a_ticker_polled_late_keeps_its_phase_and_skips_what_it_missed() {
-        let mut ticker = Ticker::new(10);
+        let mut ticker = Ticker::<10>::new();
         assert!(ticker.advance(0));
         assert!(!ticker.advance(9));
         assert!(ticker.advance(4));

@@ -38,9 +38,18 @@ impl Link {
     }
 
     /// The message that ends with this byte.
-    #[inline(never)]
+    #[inline(always)]
     pub(crate) fn receive(&mut self, byte: u8) -> Option<ToBoard> {
-        let outcome = self.decoder.push(byte)?;
+        // Nearly all bytes are of this kind, and cost a few cycles each.
+        if !self.decoder.push_data(byte) {
+            return self.end_of_frame();
+        }
+        None
+    }
+
+    #[inline(never)]
+    fn end_of_frame(&mut self) -> Option<ToBoard> {
+        let outcome = self.decoder.push(0)?;
         match outcome.ok().and_then(|packet| ToBoard::decode(packet).ok()) {
             Some(message) => {
                 self.frames_received = self.frames_received.wrapping_add(1);
@@ -87,12 +96,7 @@ impl Link {
     fn greet_now(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
         for due in [&mut self.announcement, &mut self.greeting] {
             let Some(nonce) = *due else { continue };
-            let hello = Hello {
-                protocol_version: VERSION,
-                software_version: self.software_version,
-                nonce,
-            };
-            if !transmit(hello.encode().as_bytes()) {
+            if !say_hello(self.software_version, nonce, transmit) {
                 return;
             }
             *due = None;
@@ -114,4 +118,20 @@ impl Link {
         }
         sent
     }
+}
+
+#[inline(never)]
+fn say_hello(
+    software_version: [u8; 3],
+    nonce: u32,
+    transmit: &mut impl FnMut(&[u8]) -> bool,
+) -> bool {
+    let hello = Hello {
+        protocol_version: VERSION,
+        software_version,
+        nonce,
+    };
+    let mut frame = Frame::new();
+    hello.encode_into(&mut frame);
+    transmit(frame.as_bytes())
 }

@@ -1,9 +1,9 @@
 //! The IMU, a BNO055 in its fusion mode without magnetometer (IMUPLUS).
 //!
-//! It makes a sample every 10 ms of its own clock. It is asked twice as often,
-//! in step with telemetry, and a sample counts as new when any of its bytes has
-//! changed: so none is missed or given twice, and a sensor that is stuck is a
-//! silent one.
+//! It makes a sample every 10 ms of its own clock. It is asked every 5 ms, in
+//! step with telemetry, but for the time in which there can be nothing new; and
+//! a sample counts as new when any of its bytes has changed: so none is missed
+//! or given twice, and a sensor that is stuck is a silent one.
 //!
 //! A sensor that does not answer, or has restarted, is set up anew, and looked
 //! for as long as it takes.
@@ -45,11 +45,15 @@ const LINEAR_ACCELERATION: usize = 20;
 
 /// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
 const TRANSFER_TIME_OUT: u8 = 5;
-const SAMPLE_PERIOD: u8 = 5;
-/// A look at the mode comes in between two samples.
+const ASK_AGAIN: u8 = 5;
+/// From a new sample to the question for the next.
+const NEXT_SAMPLE: u8 = 10;
+/// From a sample to the look at the mode that comes in between two of them.
 const CHECK_AFTER: u8 = 2;
-/// Samples asked for between two looks at the mode, 100 ms apart.
-const SAMPLES_PER_CHECK: u8 = 20;
+/// Samples asked for between two looks at the mode, 100 ms apart. After the look
+/// it is asked again after 5 ms in any case: the clock of a sensor that is
+/// faster than the board's would else run away, up to a sample that is missed.
+const SAMPLES_PER_CHECK: u8 = 10;
 const RETRY_AFTER: u8 = 100;
 /// The data sheet's times to change the mode (19 ms into the configuration
 /// mode, 7 ms out of it), with a margin.
@@ -167,16 +171,20 @@ impl Bno055 {
             Stage::SetAxes => self.next(Stage::LeaveConfiguration, SETTLE),
             Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
             Stage::Sample => {
-                self.wait = SAMPLE_PERIOD;
+                let sample = self.sampled();
                 self.samples_to_check -= 1;
                 if self.samples_to_check == 0 {
                     self.samples_to_check = SAMPLES_PER_CHECK;
                     self.next(Stage::CheckMode, CHECK_AFTER);
+                } else if sample.is_some() {
+                    self.wait = NEXT_SAMPLE;
+                } else {
+                    self.wait = ASK_AGAIN;
                 }
-                return self.sampled();
+                return sample;
             }
             Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
-                self.next(Stage::Sample, SAMPLE_PERIOD - CHECK_AFTER);
+                self.next(Stage::Sample, ASK_AGAIN - CHECK_AFTER);
             }
             Stage::CheckMode => {
                 // It has restarted.

@@ -43,8 +43,8 @@ impl Motor {
     /// To be called at every poll, less than 65 ms after the one before: the
     /// pulses so far.
     pub(crate) fn poll(&mut self, now_us: u32) -> MotorPulses {
-        let (count, newest) = masked(|masked| (COUNT.get(masked), NEWEST.get(masked)));
-        if count != self.pulses.count {
+        if masked(|masked| COUNT.get(masked)) != self.pulses.count {
+            let (count, newest) = masked(|masked| (COUNT.get(masked), NEWEST.get(masked)));
             self.pulses = MotorPulses {
                 count,
                 last_edge_us: newest.near(now_us),

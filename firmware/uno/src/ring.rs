@@ -43,16 +43,21 @@ impl<const N: usize> Ring<N> {
     /// Puts all of `bytes`, or none; `false` if there is no room.
     #[inline(always)]
     pub(crate) fn put_all(&self, bytes: &[u8]) -> bool {
-        let mut put = self.put.get();
+        let put = self.put.get();
         let used = put.wrapping_sub(self.taken.get());
         if bytes.len() + usize::from(used) > N {
             return false;
         }
-        for &byte in bytes {
-            self.slot(put).set(byte);
-            put = put.wrapping_add(1);
+        // In two runs, up to the end of the buffer and from its beginning.
+        let (beginning, end) = self.bytes.split_at(usize::from(put) % N);
+        for (slot, &byte) in end.iter().zip(bytes) {
+            slot.set(byte);
         }
-        self.put.set(put);
+        let rest = bytes.get(end.len()..).unwrap_or_default();
+        for (slot, &byte) in beginning.iter().zip(rest) {
+            slot.set(byte);
+        }
+        self.put.set(put.wrapping_add(bytes.len() as u8));
         true
     }
 
@@ -68,8 +73,17 @@ impl<const N: usize> Ring<N> {
         Some(byte)
     }
 
+    /// Takes the oldest byte, if there is one, to `sink`. Returns whether there
+    /// are more.
     #[inline(always)]
-    pub(crate) fn is_empty(&self) -> bool {
-        self.put.get() == self.taken.get()
+    pub(crate) fn take_with(&self, sink: impl FnOnce(u8)) -> bool {
+        let (taken, put) = (self.taken.get(), self.put.get());
+        if taken == put {
+            return false;
+        }
+        sink(self.slot(taken).get());
+        let taken = taken.wrapping_add(1);
+        self.taken.set(taken);
+        taken != put
     }
 }

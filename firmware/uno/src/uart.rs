@@ -89,13 +89,12 @@ extern "avr-interrupt" fn __vector_18() {
     // The status first: reading the byte makes way for the next one's.
     let status = UCSR0A.read();
     let byte = UDR0.read();
-    // DOR0: at least one byte after the one before this was lost.
-    let mut lost = u8::from(status & DOR0 != 0);
-    if status & FE0 != 0 || !RECEIVED.put(byte) {
-        lost += 1;
+    // DOR0: at least one byte between the one before and this was lost.
+    if status & DOR0 != 0 {
+        LOST.set(LOST.get().wrapping_add(1));
     }
-    if lost != 0 {
-        LOST.set(LOST.get().wrapping_add(lost));
+    if status & FE0 != 0 || !RECEIVED.put(byte) {
+        LOST.set(LOST.get().wrapping_add(1));
     }
 }
 
@@ -103,10 +102,7 @@ extern "avr-interrupt" fn __vector_18() {
 // SAFETY: the name is that of the vector, and nothing else has it.
 #[unsafe(no_mangle)]
 extern "avr-interrupt" fn __vector_19() {
-    if let Some(byte) = TO_SEND.take() {
-        UDR0.write(byte);
-    }
-    if TO_SEND.is_empty() {
+    if !TO_SEND.take_with(|byte| UDR0.write(byte)) {
         UCSR0B.write(LISTENING);
     }
 }
