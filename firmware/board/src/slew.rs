@@ -1,20 +1,20 @@
 //! Limits how fast a pulse changes.
 
 /// A stall of the main loop gives no more change than one servo frame.
-const LONGEST_STEP_US: u32 = 20_000;
+const LONGEST_STEP_US: u16 = 20_000;
 
 /// Fractional bits of the change that is allowed in a microsecond.
 ///
-/// As many as fit: with the highest rate (1400 µs in 20 ms) and the longest
-/// step the product needs 31 bits. No division, which on the AVR would cost a
-/// tenth of the time of a poll every millisecond.
-const FRACTION_BITS: u32 = 20;
+/// As many as fit: the highest rate (1400 µs in 20 ms) and the longest step need
+/// 16 bits each. No division, and no multiplication of more than those, which on
+/// the AVR would take their time every millisecond.
+const FRACTION_BITS: u32 = 19;
 
 /// A rate of change, and what is left of it from one poll to the next.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SlewLimiter {
     /// µs of pulse per µs of time.
-    rate: u32,
+    rate: u16,
     /// Less than one µs of pulse.
     remainder: u32,
 }
@@ -23,7 +23,7 @@ impl SlewLimiter {
     /// Rounded down: never faster than stated, by less than 2 % slower.
     pub(crate) const fn new(us_per_20ms: u16) -> Self {
         Self {
-            rate: ((us_per_20ms as u32) << FRACTION_BITS) / 20_000,
+            rate: (((us_per_20ms as u32) << FRACTION_BITS) / 20_000) as u16,
             remainder: 0,
         }
     }
@@ -35,7 +35,9 @@ impl SlewLimiter {
             self.remainder = 0;
             return target;
         }
-        let allowed = self.remainder + self.rate * elapsed_us.min(LONGEST_STEP_US);
+        let elapsed_us =
+            u16::try_from(elapsed_us).map_or(LONGEST_STEP_US, |us| us.min(LONGEST_STEP_US));
+        let allowed = self.remainder + u32::from(self.rate) * u32::from(elapsed_us);
         self.remainder = allowed & ((1 << FRACTION_BITS) - 1);
         // At most 1401, see FRACTION_BITS.
         let allowed = (allowed >> FRACTION_BITS) as i16;

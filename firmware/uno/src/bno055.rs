@@ -36,10 +36,9 @@ const AXES: [u8; 2] = [0x24, 0x00];
 /// One sample: gyro, Euler angles, quaternion and linear acceleration.
 const SAMPLE_LENGTH: usize = 26;
 const _: () = assert!(SAMPLE_LENGTH <= twi::LONGEST_READ);
-// Where they are in it
-const GYRO: usize = 0;
-const QUATERNION: usize = 12;
-const LINEAR_ACCELERATION: usize = 20;
+// Where they are in it, in words; the gyro's come first.
+const QUATERNION: usize = 6;
+const LINEAR_ACCELERATION: usize = 10;
 
 // All times in polls, which are 1 ms apart.
 
@@ -113,19 +112,19 @@ impl Bno055 {
         self.errors
     }
 
-    /// To be called every millisecond; gives every sample once.
-    pub(crate) fn poll(&mut self, now_us: u32) -> Option<ImuSample> {
-        self.waited = self.waited.saturating_add(1);
-        let mut sample = None;
+    /// To be called every millisecond: keeps `sample` at the newest one.
+    pub(crate) fn poll(&mut self, now_us: u32, sample: &mut Option<ImuSample>) {
+        // No wait is as long as this counter.
+        self.waited = self.waited.wrapping_add(1);
         if self.asked {
             match twi::progress() {
-                Progress::Busy if self.waited < TRANSFER_TIME_OUT => return None,
+                Progress::Busy if self.waited < TRANSFER_TIME_OUT => return,
                 Progress::Busy => {
                     twi::free();
                     self.failed();
                 }
                 Progress::Failed => self.failed(),
-                Progress::Done => sample = self.answered(),
+                Progress::Done => self.answered(sample),
             }
             self.asked = false;
         }
@@ -135,7 +134,6 @@ impl Bno055 {
             self.waited = 0;
             self.asked_at_us = now_us;
         }
-        sample
     }
 
     #[inline(never)]
@@ -156,7 +154,7 @@ impl Bno055 {
     }
 
     #[inline(never)]
-    fn answered(&mut self) -> Option<ImuSample> {
+    fn answered(&mut self, sample: &mut Option<ImuSample>) {
         self.failures = 0;
         match self.stage {
             Stage::Identify if twi::first_byte() == BNO055 => {
@@ -171,17 +169,16 @@ impl Bno055 {
             Stage::SetAxes => self.next(Stage::LeaveConfiguration, SETTLE),
             Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
             Stage::Sample => {
-                let sample = self.sampled();
+                let new = self.sampled(sample);
                 self.samples_to_check -= 1;
                 if self.samples_to_check == 0 {
                     self.samples_to_check = SAMPLES_PER_CHECK;
                     self.next(Stage::CheckMode, CHECK_AFTER);
-                } else if sample.is_some() {
+                } else if new {
                     self.wait = NEXT_SAMPLE;
                 } else {
                     self.wait = ASK_AGAIN;
                 }
-                return sample;
             }
             Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
                 self.next(Stage::Sample, ASK_AGAIN - CHECK_AFTER);
@@ -192,7 +189,6 @@ impl Bno055 {
                 self.next(Stage::Identify, 0);
             }
         }
-        None
     }
 
     fn next(&mut self, stage: Stage, wait: u8) {
@@ -209,32 +205,33 @@ impl Bno055 {
         }
     }
 
-    /// The sample that was read, if it is a new one.
+    /// Takes over the sample that was read, if it is a new one.
     #[inline(never)]
-    fn sampled(&mut self) -> Option<ImuSample> {
+    fn sampled(&mut self, sample: &mut Option<ImuSample>) -> bool {
         let changed = twi::take(&mut self.newest);
-        let attitude_q14 = self.values(QUATERNION, |raw| raw);
+        let (words, _) = self.newest.as_chunks();
+        let attitude = words.get(QUATERNION..).unwrap_or_default();
         // A quaternion of length zero is no attitude: the sensor has restarted.
-        if !changed || attitude_q14 == [0; 4] {
-            return None;
+        if !changed || attitude.iter().take(4).all(|&word| word == [0; 2]) {
+            return false;
         }
-        Some(ImuSample {
-            time_us: self.asked_at_us,
-            linear_acceleration_mm_s2: self.values(LINEAR_ACCELERATION, linear_acceleration_mm_s2),
-            angular_velocity_mrad_s: self.values(GYRO, angular_velocity_mrad_s),
-            attitude_q14,
-        })
-    }
-
-    /// The numbers from byte `at` of the newest sample on.
-    #[inline(never)]
-    fn values<const N: usize>(&self, at: usize, convert: fn(i16) -> i16) -> [i16; N] {
-        let mut values = [0; N];
-        let (pairs, _) = self.newest.get(at..).unwrap_or_default().as_chunks();
-        for (value, pair) in values.iter_mut().zip(pairs) {
-            *value = convert(i16::from_le_bytes(*pair));
+        let sample = sample.get_or_insert_default();
+        sample.time_us = self.asked_at_us;
+        for (value, &word) in sample.angular_velocity_mrad_s.iter_mut().zip(words) {
+            *value = angular_velocity_mrad_s(i16::from_le_bytes(word));
         }
-        values
+        for (value, &word) in sample.attitude_q14.iter_mut().zip(attitude) {
+            *value = i16::from_le_bytes(word);
+        }
+        let acceleration = words.get(LINEAR_ACCELERATION..).unwrap_or_default();
+        for (value, &word) in sample
+            .linear_acceleration_mm_s2
+            .iter_mut()
+            .zip(acceleration)
+        {
+            *value = linear_acceleration_mm_s2(i16::from_le_bytes(word));
+        }
+        true
     }
 }
 

@@ -112,10 +112,7 @@ impl MainLoop {
         let now_us = clock::now_us();
         let received = self.receiver.receive(&mut self.buffer);
         self.inputs.motor = self.motor.poll(now_us);
-        self.inputs.imu = None;
-        if let Some(sample) = self.imu.poll(now_us) {
-            self.inputs.imu = Some(sample);
-        }
+        self.imu.poll(now_us, &mut self.inputs.imu);
         self.inputs.imu_errors = self.imu.errors();
         self.inputs.battery_mv = self.battery.poll();
         self.inputs.stop_input_open = stop_input::is_open();
