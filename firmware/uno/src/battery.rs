@@ -15,7 +15,7 @@ const ADPS: u8 = 0b111;
 
 /// Measures now and then.
 pub(crate) struct Battery {
-    wait: u8,
+    waited: u8,
     millivolts: u16,
 }
 
@@ -28,16 +28,16 @@ pub(crate) fn start() {
 impl Battery {
     pub(crate) const fn new() -> Self {
         Self {
-            wait: PERIOD,
+            waited: 0,
             millivolts: 0,
         }
     }
 
     /// To be called at every poll: the newest measurement, in mV.
     pub(crate) fn poll(&mut self) -> u16 {
-        self.wait -= 1;
-        if self.wait == 0 {
-            self.wait = PERIOD;
+        self.waited += 1;
+        if self.waited == PERIOD {
+            self.waited = 0;
             // Started one period ago, ended long since. Low byte first: it
             // holds the high one.
             let low = ADCL.read();

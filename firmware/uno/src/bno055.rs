@@ -86,7 +86,7 @@ pub(crate) struct Bno055 {
     /// Polls since the last thing was asked.
     waited: u8,
     asked_at_us: u32,
-    samples_to_check: u8,
+    samples_since_check: u8,
     failures: u8,
     errors: u16,
     newest: [u8; SAMPLE_LENGTH],
@@ -100,7 +100,7 @@ impl Bno055 {
             wait: 0,
             waited: 0,
             asked_at_us: 0,
-            samples_to_check: SAMPLES_PER_CHECK,
+            samples_since_check: 0,
             failures: 0,
             errors: 0,
             newest: [0; SAMPLE_LENGTH],
@@ -170,9 +170,9 @@ impl Bno055 {
             Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
             Stage::Sample => {
                 let new = self.sampled(sample);
-                self.samples_to_check -= 1;
-                if self.samples_to_check == 0 {
-                    self.samples_to_check = SAMPLES_PER_CHECK;
+                self.samples_since_check += 1;
+                if self.samples_since_check >= SAMPLES_PER_CHECK {
+                    self.samples_since_check = 0;
                     self.next(Stage::CheckMode, CHECK_AFTER);
                 } else if new {
                     self.wait = NEXT_SAMPLE;

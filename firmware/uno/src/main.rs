@@ -59,9 +59,9 @@ const VERSION: [u8; 3] = [
     number(env!("CARGO_PKG_VERSION_PATCH")),
 ];
 
-/// What the main loop keeps from one round to the next.
-struct MainLoop {
-    board: Board,
+/// What the main loop keeps from one round to the next, beside the board.
+/// (Apart, because it begins as zeros: those take no room in the flash.)
+struct Surroundings {
     inputs: Inputs,
     motor: Motor,
     battery: Battery,
@@ -70,8 +70,9 @@ struct MainLoop {
     buffer: [u8; RECEIVED_PER_POLL],
 }
 
-static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
-    board: Board::new(ResetCause::Unknown, VERSION),
+static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION));
+
+static SURROUNDINGS: InPlace<Surroundings> = InPlace::new(Surroundings {
     inputs: Inputs {
         motor: MotorPulses {
             count: 0,
@@ -97,18 +98,18 @@ static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
 extern "C" fn main() -> ! {
     start_peripherals();
     // SAFETY: nobody calls `main` again.
-    let main_loop = unsafe { MAIN_LOOP.take() };
-    main_loop.board.set_reset_cause(reset::cause());
+    let (board, surroundings) = unsafe { (BOARD.take(), SURROUNDINGS.take()) };
+    board.set_reset_cause(reset::cause());
     interrupts::enable();
     loop {
         supervisor::wait_for_tick();
-        main_loop.round();
+        surroundings.round(board);
         watchdog::feed();
     }
 }
 
-impl MainLoop {
-    fn round(&mut self) {
+impl Surroundings {
+    fn round(&mut self, board: &mut Board) {
         let now_us = clock::now_us();
         let received = self.receiver.receive(&mut self.buffer);
         self.inputs.motor = self.motor.poll(now_us);
@@ -118,8 +119,7 @@ impl MainLoop {
         self.inputs.stop_input_open = stop_input::is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
         let outputs = sections::measured(POLL, || {
-            self.board
-                .poll(now_us, &self.inputs, received, &mut uart::transmit)
+            board.poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
         supervisor::publish(now_us, &outputs);
     }
