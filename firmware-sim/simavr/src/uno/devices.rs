@@ -141,6 +141,14 @@ impl Devices {
         self.changed = true;
         self.uart.advance(now);
         self.twi.advance(now);
+        self.advance_timer1(now);
+        if let Some(at) = self.watchdog.advance(now) {
+            self.bite = Some(at);
+        }
+        self.find_next();
+    }
+
+    fn advance_timer1(&mut self, now: u64) {
         loop {
             let at = self.timer1.next();
             if at > now {
@@ -149,10 +157,6 @@ impl Devices {
             self.timer1.advance();
             self.update_pins(at);
         }
-        if let Some(at) = self.watchdog.advance(now) {
-            self.bite = Some(at);
-        }
-        self.find_next();
     }
 
     /// The vectors of the devices here and whether each is asked for.
@@ -295,6 +299,8 @@ impl Devices {
     pub(crate) fn write(&mut self, now: u64, address: u16, value: u8) {
         // The write ends with the instruction, a cycle later.
         let now = now + 1;
+        // What the timer does in that very cycle it does before it is changed.
+        self.advance_timer1(now);
         match address {
             PORTB => self.ports[0].output = value,
             DDRB => self.ports[0].direction = value,
@@ -332,5 +338,49 @@ impl Devices {
             self.log(false, "timer 1: modes that count down are not modelled");
         }
         self.changed = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TCCR1B: u16 = TCCR1A + 1;
+    const ICR1H: u16 = TCCR1A + 7;
+    const OCR1AH: u16 = TCCR1A + 9;
+
+    /// Pulses of four counts of eight cycles each on D9, from cycle 1 on.
+    fn pulsing() -> Devices {
+        let mut devices = Devices::new();
+        for (address, value) in [
+            (DDRB, 2),
+            (TCCR1A, 0x02),
+            (TCCR1B, 0x18),
+            (ICR1H, 0),
+            (ICR1H - 1, 9),
+            (OCR1AH, 0),
+            (OCR1AH - 1, 3),
+            (TCCR1A, 0x82),
+            (TCCR1B, 0x1A),
+        ] {
+            devices.write(0, address, value);
+        }
+        devices
+    }
+
+    #[test]
+    fn a_write_in_the_cycle_of_a_match_does_not_swallow_it() {
+        let (rises, falls) = (1 + 80, 1 + 80 + 32);
+        for at in falls - 2..=falls + 2 {
+            let mut devices = pulsing();
+            devices.advance(rises);
+            // A write ends one cycle after it has begun.
+            devices.write(at - 1, TCCR1A, 0x82);
+            devices.advance(200);
+            let [pulse, ..] = devices.pulses[..] else {
+                panic!("no pulse after a write in cycle {at}");
+            };
+            assert_eq!((pulse.start, pulse.width), (rises, 32), "{at}");
+        }
     }
 }

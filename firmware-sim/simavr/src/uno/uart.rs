@@ -148,7 +148,6 @@ impl Uart {
         if self.control[1] & TXEN == 0 {
             return;
         }
-        self.sent = false;
         if self.sending.is_none() {
             self.send(now, byte);
         } else if self.next.is_none() {
@@ -259,5 +258,19 @@ mod tests {
         uart.set_control(2, FORMAT_8N1 | 0x28);
         uart.write_data(0, 1);
         assert_eq!(uart.next(), 12 * BIT);
+    }
+    #[test]
+    fn sent_stays_set_until_it_is_cleared_or_served() {
+        let mut uart = uart();
+        uart.write_data(0, 1);
+        uart.advance(BYTE);
+        uart.write_data(BYTE, 2);
+        assert_eq!(uart.flags() & TXC, TXC);
+        uart.set_control(0, U2X | TXC);
+        assert_eq!(uart.flags() & TXC, 0);
+        uart.advance(2 * BYTE);
+        assert_eq!(uart.flags() & TXC, TXC);
+        uart.served_sent();
+        assert_eq!(uart.flags() & TXC, 0);
     }
 }

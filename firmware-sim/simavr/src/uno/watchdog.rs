@@ -66,7 +66,9 @@ impl Watchdog {
         if due > now {
             return None;
         }
-        if self.control & WDIE != 0 {
+        // An interrupt that was not served until the next time does not save it.
+        let unserved = self.control & WDIF != 0 && self.control & WDE != 0;
+        if self.control & WDIE != 0 && !unserved {
             self.control |= WDIF;
             self.counts_since = due;
             return None;
@@ -133,6 +135,14 @@ mod tests {
         assert!(watchdog.requests());
         watchdog.served();
         assert!(!watchdog.requests());
+        assert_eq!(watchdog.advance(due + 64 * MS), Some(due + 64 * MS));
+    }
+    #[test]
+    fn a_bark_that_nobody_hears_is_followed_by_a_bite() {
+        let mut watchdog = enabled();
+        watchdog.write(100, WDIE);
+        let due = watchdog.next();
+        assert_eq!(watchdog.advance(due), None);
         assert_eq!(watchdog.advance(due + 64 * MS), Some(due + 64 * MS));
     }
 }
