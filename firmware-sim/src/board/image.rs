@@ -4,15 +4,19 @@ use std::path::{Path, PathBuf};
 
 use singletrack_protocol::ResetCause;
 use singletrack_simavr::{
-    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, Pulse, Reply, Report, Request, ResetFlags,
-    Run,
+    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, Reply, Report, Request, ResetFlags, Run,
 };
 
-use super::{SERVO_FRAME_US, Surroundings, battery_mv, local_time, process::Process};
+use super::{
+    Surroundings, battery_mv,
+    frames::{Frame, Frames, width_us},
+    local_time,
+    process::Process,
+};
 use crate::{
     car::{Car, ImuReading, MotorPulses},
     clock::SkewedClock,
-    pulse_log::{PulseLog, PulseRecord},
+    pulse_log::PulseRecord,
 };
 
 /// Where the image and the program that runs it are.
@@ -149,9 +153,6 @@ impl Installation {
 /// dated to the cycle, and reaches the car and the line at its end.
 const STEP_US: u64 = 1_000;
 
-/// The longest pulse of a servo, and a little more: after that both are known.
-const FRAME_ENDS: u64 = 2_500 * CYCLES_PER_US;
-
 /// The processor with the image.
 #[derive(Debug)]
 pub(super) struct Image {
@@ -162,20 +163,8 @@ pub(super) struct Image {
     started: u64,
     edges: MotorPulses,
     motion: Vec<(u64, Motion)>,
-    frame: Option<Frame>,
-    /// The start of the frame before, and the largest deviation so far of one
-    /// frame from the grid of the one before, in cycles.
-    last_frame: Option<u64>,
-    jitter: u64,
+    frames: Frames,
     bytes_overrun: u64,
-}
-
-/// A servo frame whose pulses are still to come, or have come.
-#[derive(Clone, Copy, Debug)]
-struct Frame {
-    start: u64,
-    servo_us: u16,
-    esc_us: u16,
 }
 
 impl Image {
@@ -187,9 +176,7 @@ impl Image {
             started: 0,
             edges: MotorPulses::default(),
             motion: Vec::new(),
-            frame: None,
-            last_frame: None,
-            jitter: 0,
+            frames: Frames::default(),
             bytes_overrun: 0,
         })
     }
@@ -216,8 +203,7 @@ impl Image {
 
     pub(super) fn hold(&mut self) {
         self.ask(&Request::Hold);
-        self.frame = None;
-        self.last_frame = None;
+        self.frames.forget();
     }
 
     pub(super) fn figures(&mut self) -> Option<Figures> {
@@ -229,7 +215,7 @@ impl Image {
 
     /// How far a pulse has come from its place, 20 ms after the one before, in µs.
     pub(super) fn jitter_us(&self) -> f64 {
-        self.jitter as f64 / CYCLES_PER_US as f64
+        self.frames.jitter() as f64 / CYCLES_PER_US as f64
     }
 
     pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
@@ -264,7 +250,7 @@ impl Image {
         }));
         self.started = until;
         self.next_run_us = now_us;
-        self.frame = None;
+        self.frames.forget();
     }
 
     /// Lets the processor catch up; returns whether the watchdog has bitten.
@@ -325,61 +311,27 @@ impl Image {
             around.wire.board_sent(around.clock.when_cycle(cycle), byte);
         }
         for pulse in &report.pulses {
-            self.take_pulse(pulse, &around.clock, around.car, around.pulses);
+            match pulse.pin {
+                Pin::Servo => around.car.apply_pulses(width_us(pulse), 0),
+                Pin::Esc => around.car.apply_pulses(0, width_us(pulse)),
+            }
+            if let Some(frame) = self.frames.take(pulse) {
+                self.log(&frame, around);
+            }
         }
-        if let Some(frame) = self.frame
-            && report.cycle > frame.start + FRAME_ENDS
-        {
-            self.finish_frame(&around.clock, around.pulses);
+        if let Some(frame) = self.frames.over(report.cycle) {
+            self.log(&frame, around);
         }
         report.watchdog_reset.is_some()
     }
 
-    fn take_pulse(
-        &mut self,
-        pulse: &Pulse,
-        clock: &SkewedClock,
-        car: &mut Car,
-        log: &mut PulseLog,
-    ) {
-        if self
-            .frame
-            .is_some_and(|frame| pulse.start > frame.start + FRAME_ENDS)
-        {
-            self.finish_frame(clock, log);
-        }
-        let width_us =
-            u16::try_from((pulse.width + CYCLES_PER_US / 2) / CYCLES_PER_US).unwrap_or(u16::MAX);
-        let frame = self.frame.get_or_insert(Frame {
-            start: pulse.start,
-            servo_us: 0,
-            esc_us: 0,
+    fn log(&self, frame: &Frame, around: &mut Surroundings<'_>) {
+        around.pulses.push(PulseRecord {
+            time_us: around.clock.when_cycle(frame.start),
+            board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,
+            servo_us: frame.servo_us,
+            esc_us: frame.esc_us,
         });
-        match pulse.pin {
-            Pin::Servo => {
-                frame.servo_us = width_us;
-                car.apply_pulses(width_us, 0);
-            }
-            Pin::Esc => {
-                frame.esc_us = width_us;
-                car.apply_pulses(0, width_us);
-            }
-        }
-    }
-
-    fn finish_frame(&mut self, clock: &SkewedClock, log: &mut PulseLog) {
-        if let Some(frame) = self.frame.take() {
-            if let Some(last) = self.last_frame.replace(frame.start) {
-                let deviation = (frame.start - last).abs_diff(SERVO_FRAME_US * CYCLES_PER_US);
-                self.jitter = self.jitter.max(deviation);
-            }
-            log.push(PulseRecord {
-                time_us: clock.when_cycle(frame.start),
-                board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,
-                servo_us: frame.servo_us,
-                esc_us: frame.esc_us,
-            });
-        }
     }
 
     /// Asks the process, unless it has failed.

@@ -1,6 +1,7 @@
 //! The board: the real board code on a simulated Arduino, or the real image on
 //! a simulated processor.
 
+mod frames;
 mod image;
 mod monitor;
 mod native;
