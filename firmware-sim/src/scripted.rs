@@ -21,6 +21,8 @@ pub struct ScriptedHost {
     pub damaged: u64,
     /// Requests that were refused.
     pub refusals: Vec<RefusalReason>,
+    /// Requests that were answered, refused or not.
+    pub answers: u64,
     /// Greetings, answered and unsolicited.
     pub hellos: Vec<Hello>,
     sequence: Sequence,
@@ -44,9 +46,12 @@ impl ScriptedHost {
                     self.records += 1;
                 }
                 Ok(ToHost::Status(status)) => self.status = Some(status),
-                Ok(ToHost::Refusal(refusal)) => self.refusals.push(refusal.reason),
+                Ok(ToHost::Refusal(refusal)) => {
+                    self.refusals.push(refusal.reason);
+                    self.answers += 1;
+                }
                 Ok(ToHost::Hello(hello)) => self.hellos.push(hello),
-                Ok(ToHost::Acknowledgement(_)) => {}
+                Ok(ToHost::Acknowledgement(_)) => self.answers += 1,
                 Err(_) => self.damaged += 1,
             }
         }

@@ -91,15 +91,18 @@ fn with_interrupts_disabled_for_good_the_watchdog_alone_ends_the_drive() {
 
 #[test]
 fn after_the_last_command_the_neutral_pulse_is_seen_within_120_ms_at_every_phase() {
-    let mut drive = driving(1);
+    // Of the servo frame: the drive before is the same each time.
     for phase_ms in 0..20 {
+        let mut drive = driving(1);
         drive.run_ms(phase_ms);
         let command = drive.host.drive(400, 500);
         drive.send(&command);
         let sent_us = drive.world.now_us();
         drive.run_ms(300);
         let neutral = neutral_after_ms(&drive, sent_us);
-        assert!((60.0..=120.0).contains(&neutral), "{phase_ms}: {neutral}");
+        // It is seen when it ends.
+        let seen = neutral + f64::from(NEUTRAL_US) * 1e-3;
+        assert!((60.0..=120.0).contains(&seen), "{phase_ms}: {seen}");
         assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
         drive.run_ms(3_000);
         drive.arm();
@@ -120,7 +123,10 @@ fn the_imu_comes_back_after_every_fault_of_its_bus_and_the_drive_goes_on() {
             silent |= drive.host.telemetry.unwrap().imu == ImuState::Silent;
         });
         assert!(silent || fault == BusFault::Jammed, "{fault:?}");
-        drive.world.board_mut().set_imu_bus(BusFault::None);
+        // A jammed bus the board has to free by itself.
+        if fault != BusFault::Jammed {
+            drive.world.board_mut().set_imu_bus(BusFault::None);
+        }
         drive.drive(200, 400, 500, |_| {});
         assert_eq!(drive.host.mode(), Some(BoardMode::Driving), "{fault:?}");
         let fresh = (0..10).all(|_| {
@@ -169,10 +175,23 @@ fn values_of_the_imu_arrive_with_unit_sign_and_axis() {
     assert!(((norm as f64).sqrt() / 16_384.0 - 1.0).abs() < 0.001);
 }
 
+/// Pulses that a drive at 0.4 m/s, always at the same angle, has no use for.
+fn wrong_pulses(pulses: &[PulseRecord]) -> Vec<PulseRecord> {
+    // It begins with 1,599 us and needs less from then on; nobody asks it to reverse.
+    let is_right = |pulse: &PulseRecord| {
+        (NEUTRAL_US..=1_610).contains(&pulse.esc_us)
+            && (pulse.servo_us == 0 || pulse.servo_us.abs_diff(1_460) <= 40)
+    };
+    let wrong = pulses.iter().filter(|pulse| !is_right(pulse));
+    wrong.copied().collect()
+}
+
 #[test]
 fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
     let mut drive = driving(1);
-    // 1 % of all bits: 8 % of the bytes have one flipped, 72 % of the frames.
+    // 1 % of all data bits, both ways: 8 % of the bytes have one flipped. Of the
+    // commands a third gets through; of the telemetry so little that most of those
+    // are too old, and the car stands most of the time.
     let begin_us = drive.world.now_us();
     *drive.world.wire_mut().faults_mut() = WireFaults {
         corrupt: 0.08,
@@ -189,32 +208,52 @@ fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
     *drive.world.wire_mut().faults_mut() = WireFaults::default();
     let end_us = drive.world.now_us();
     assert!(end_us - begin_us >= 60_000_000);
-    let records = drive.host.records;
-    drive.drive(10, 400, 500, |_| {});
-    // The link is whole again within 100 ms: everything arrives.
-    assert!(drive.host.records >= records + 9);
+    // The link is whole again within 100 ms, both ways.
+    let (records, answers) = (drive.host.records, drive.host.answers);
+    drive.drive(5, 400, 500, |_| {});
+    drive.arm();
+    assert!(drive.world.now_us() - end_us <= 100_000);
+    assert!(drive.host.records >= records + 8);
+    assert!(drive.host.answers > answers);
     let pulses = pulses_since(&drive, begin_us);
     assert!(pulses.len() > 2_900);
-    assert!(pulses.iter().all(is_within_limits));
-    assert!(
-        pulses
-            .iter()
-            .all(|pulse| pulse.servo_us == 0 || pulse.servo_us.abs_diff(1_460) <= 40),
-        "a steering angle that nobody asked for"
-    );
+    assert_eq!(wrong_pulses(&pulses), []);
     assert_eq!(drive.world.board().resets(), 0);
-    // Both ways: a request is answered.
-    drive.host.refusals.clear();
-    drive.run_ms(200);
-    drive.arm();
-    assert!(
-        matches!(
-            drive.host.mode(),
-            Some(BoardMode::Armed | BoardMode::Driving)
-        ) || !drive.host.refusals.is_empty(),
-        "{:?}",
-        drive.host.mode()
-    );
+}
+
+#[test]
+fn one_percent_of_bit_errors_in_the_commands_of_a_drive_give_no_wrong_pulse() {
+    let mut drive = driving(1);
+    let begin_us = drive.world.now_us();
+    let mut random = 1_u64;
+    let mut driven = 0;
+    for _ in 0..6_000 {
+        let command = drive.host.drive(400, 500).encode();
+        let mut bytes = command.as_bytes().to_vec();
+        for byte in &mut bytes {
+            for bit in 0..8 {
+                // Knuth's generator; its upper half is random enough.
+                random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                if (random >> 32).is_multiple_of(100) {
+                    *byte ^= 1 << bit;
+                }
+            }
+        }
+        drive.world.host_write(&bytes);
+        drive.run_ms(10);
+        driven += u32::from(drive.host.mode() == Some(BoardMode::Driving));
+        if drive.host.mode() == Some(BoardMode::Failsafe) {
+            drive.arm();
+        }
+    }
+    let status = drive.host.status.unwrap();
+    assert!(status.frames_damaged > 3_000, "{status:?}");
+    // Now and then so many are lost in a row that it stops and is armed again.
+    assert!(driven > 3_000, "{driven}");
+    assert_eq!(wrong_pulses(&pulses_since(&drive, begin_us)), []);
+    assert_eq!(drive.world.board().resets(), 0);
 }
 
 #[test]
