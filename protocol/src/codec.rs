@@ -313,3 +313,68 @@ enumerations! {
     ImuState { Silent, Fresh, Repeated, }
     ResetCause { PowerOn, External, BrownOut, Watchdog, Unknown, }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Reader, Writer};
+    use crate::{
+        Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Message, Refusal,
+        Status, Telemetry,
+    };
+    use proptest::{array::uniform32, prelude::*};
+    use std::fmt::Debug;
+
+    /// Reads any bytes as postcard does, and writes what they mean as postcard does.
+    fn agrees_with_postcard<M: Message + PartialEq + Debug>(
+        bytes: &[u8],
+    ) -> Result<(), TestCaseError> {
+        let payload = &bytes[..M::PAYLOAD_LENGTH];
+        let mut reader = Reader::new(payload);
+        let ours = M::read(&mut reader);
+        let ours = reader.finish().then_some(ours);
+        let theirs = match postcard::take_from_bytes::<M>(payload) {
+            Ok((message, [])) => Some(message),
+            _ => None,
+        };
+        prop_assert_eq!(&ours, &theirs);
+
+        if let Some(message) = ours {
+            let mut ours = [0; 64];
+            let mut writer = Writer::new(&mut ours);
+            message.write(&mut writer);
+            let length = 64 - writer.room();
+            let mut theirs = [0; 64];
+            let theirs = postcard::to_slice(&message, &mut theirs);
+            prop_assert_eq!(&ours[..length], theirs.unwrap());
+        }
+        Ok(())
+    }
+
+    proptest! {
+        #[test]
+        fn every_payload_is_read_and_written_as_postcard_does(
+            // Mostly small, or hardly any number would have a meaning.
+            bytes in [(); 2].map(|()| uniform32(prop_oneof![7 => 0_u8..6, 1 => any::<u8>()])),
+        ) {
+            let bytes = bytes.concat();
+            agrees_with_postcard::<Hello>(&bytes)?;
+            agrees_with_postcard::<Configure>(&bytes)?;
+            agrees_with_postcard::<Arm>(&bytes)?;
+            agrees_with_postcard::<Disarm>(&bytes)?;
+            agrees_with_postcard::<Drive>(&bytes)?;
+            agrees_with_postcard::<EmergencyStop>(&bytes)?;
+            agrees_with_postcard::<Telemetry>(&bytes)?;
+            agrees_with_postcard::<Status>(&bytes)?;
+            agrees_with_postcard::<Acknowledgement>(&bytes)?;
+            agrees_with_postcard::<Refusal>(&bytes)?;
+        }
+
+        #[test]
+        fn a_payload_that_is_too_short_or_too_long_is_refused(length in 0_usize..20) {
+            let bytes = [1; 20];
+            let mut reader = Reader::new(&bytes[..length]);
+            let _ = <Drive as super::Field>::read(&mut reader);
+            prop_assert_eq!(reader.finish(), length == Drive::PAYLOAD_LENGTH);
+        }
+    }
+}
