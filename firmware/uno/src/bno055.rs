@@ -44,13 +44,14 @@ const LINEAR_ACCELERATION: usize = 10;
 
 /// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
 const TRANSFER_TIME_OUT: u8 = 5;
+/// From a question that gave nothing new to the next.
 const ASK_AGAIN: u8 = 5;
 /// From a new sample to the question for the next.
 const NEXT_SAMPLE: u8 = 10;
 /// From a sample to the look at the mode that comes in between two of them.
 const CHECK_AFTER: u8 = 2;
-/// Samples asked for between two looks at the mode, 100 ms apart. After the look
-/// it is asked again after 5 ms in any case: the clock of a sensor that is
+/// Samples asked for between two looks at the mode, 100 ms apart. The next is
+/// asked for 5 ms after the one before in any case: a sensor whose clock is
 /// faster than the board's would else run away, up to a sample that is missed.
 const SAMPLES_PER_CHECK: u8 = 10;
 const RETRY_AFTER: u8 = 100;
@@ -124,7 +125,7 @@ impl Bno055 {
                     self.failed();
                 }
                 Progress::Failed => self.failed(),
-                Progress::Done => self.answered(sample),
+                Progress::Done => self.answered(now_us, sample),
             }
             self.asked = false;
         }
@@ -154,11 +155,11 @@ impl Bno055 {
     }
 
     #[inline(never)]
-    fn answered(&mut self, sample: &mut Option<ImuSample>) {
+    fn answered(&mut self, now_us: u32, sample: &mut Option<ImuSample>) {
         self.failures = 0;
         match self.stage {
             Stage::Identify if twi::first_byte() == BNO055 => {
-                self.next(Stage::EnterConfiguration, 0)
+                self.next(Stage::EnterConfiguration, 0);
             }
             // It answers before it is ready.
             Stage::Identify => self.wait = RETRY_AFTER,
@@ -167,7 +168,10 @@ impl Bno055 {
             Stage::SetPower => self.next(Stage::SetUnits, SETTLE),
             Stage::SetUnits => self.next(Stage::SetAxes, SETTLE),
             Stage::SetAxes => self.next(Stage::LeaveConfiguration, SETTLE),
-            Stage::LeaveConfiguration => self.next(Stage::Sample, LEAVE_CONFIGURATION),
+            Stage::LeaveConfiguration => {
+                let wait = LEAVE_CONFIGURATION + self.wait_for_slot(now_us);
+                self.next(Stage::Sample, wait);
+            }
             Stage::Sample => {
                 let new = self.sampled(sample);
                 self.samples_since_check += 1;
@@ -181,7 +185,9 @@ impl Bno055 {
                 }
             }
             Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
-                self.next(Stage::Sample, ASK_AGAIN - CHECK_AFTER);
+                // Into step again, if polls were missed.
+                let wait = self.wait_for_slot(now_us);
+                self.next(Stage::Sample, wait);
             }
             Stage::CheckMode => {
                 // It has restarted.
@@ -189,6 +195,16 @@ impl Bno055 {
                 self.next(Stage::Identify, 0);
             }
         }
+    }
+
+    /// The wait until 2 ms before a record of telemetry, or 5 ms earlier: what is
+    /// read then is as fresh as can be. (Records begin with the first poll, at
+    /// 1 ms.)
+    fn wait_for_slot(&self, now_us: u32) -> u8 {
+        const PERIOD_US: u32 = 1_000 * ASK_AGAIN as u32;
+        const SLOT: u8 = 4;
+        let phase = ((now_us % PERIOD_US) as u16 / 1_000) as u8;
+        self.waited + (SLOT + ASK_AGAIN - phase) % ASK_AGAIN
     }
 
     fn next(&mut self, stage: Stage, wait: u8) {
