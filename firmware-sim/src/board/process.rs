@@ -2,6 +2,7 @@
 
 use std::{
     io::{BufReader, BufWriter},
+    os::unix::process::CommandExt,
     path::Path,
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
 };
@@ -28,6 +29,8 @@ impl Process {
             .arg(image)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
+            // Ctrl-C is for us: it ends when we do, and no sooner.
+            .process_group(0)
             .spawn()
             .map_err(|source| error(source.to_string()))?;
         match (child.stdin.take(), child.stdout.take()) {
@@ -60,5 +63,21 @@ impl Drop for Process {
         // It has nothing that it would have to save.
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ctrl_c_on_the_terminal_does_not_reach_it() {
+        let process = Process::start(Path::new("/bin/cat"), Path::new("-")).unwrap();
+        let pid = process.child.id();
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+        // Behind the name in parentheses: state, parent, process group.
+        let (_, rest) = stat.rsplit_once(") ").unwrap();
+        let group = rest.split(' ').nth(2).unwrap();
+        assert_eq!(group, pid.to_string());
     }
 }
