@@ -68,6 +68,15 @@ impl Step {
         self
     }
 
+    /// Of a step that is cargo alone, what it is called with.
+    #[cfg(test)]
+    pub(crate) const fn arguments(&self) -> &'static [&'static str] {
+        match self.run {
+            Run::Cargo(arguments) => arguments,
+            Run::Function(_) => &[],
+        }
+    }
+
     fn run(&self) -> Result<(), Failure> {
         match self.run {
             Run::Cargo(arguments) => {
