@@ -302,10 +302,11 @@ impl Bench {
     ///
     /// # Errors
     ///
-    /// The car was driven.
+    /// The car was driven, or the ESC had no pulses that could tell.
     pub fn stays_neutral(&self, time: Duration) -> Outcome {
         let place = self.rig.trace()?.len();
         std::thread::sleep(time);
+        trace::has_pulses_for(self.rig.trace()?.since(place), time)?;
         self.was_neutral_since(place)
     }
 
@@ -387,7 +388,7 @@ impl Bench {
             .trace()?
             .neutral_from(self.neutral_us())
             .ok_or_else(|| Failure::new(format!("neutral {what}: it did not last")))?;
-        let elapsed_ms = trace::elapsed_ms(since_us, first.board_time_us);
+        let elapsed_ms = trace::elapsed_ms(since_us, first.board_time_us)?;
         self.at_most(
             &format!("neutral {what} (board time)"),
             elapsed_ms,

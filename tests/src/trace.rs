@@ -1,5 +1,9 @@
 //! What came out of the board's pins, in board time.
 
+use std::time::Duration;
+
+use crate::{Outcome, ensure};
+
 /// The pulses from one moment on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pulses {
@@ -55,8 +59,61 @@ impl Trace {
 }
 
 /// From one board time to a later one, in ms.
-#[must_use]
-pub(crate) fn elapsed_ms(from_us: u32, to_us: u32) -> f64 {
-    // Board time wraps; the later may also be a little earlier.
-    f64::from(to_us.wrapping_sub(from_us) as i32) / 1_000.0
+///
+/// # Errors
+///
+/// The later one is earlier: it is from before, or of a board that has restarted.
+pub(crate) fn elapsed_ms(from_us: u32, to_us: u32) -> Outcome<f64> {
+    // Board time wraps.
+    let ms = f64::from(to_us.wrapping_sub(from_us) as i32) / 1_000.0;
+    let before = ms < -EARLIER_MS;
+    ensure!(
+        !before,
+        "it was {:.0} ms before that, or the board has restarted",
+        -ms
+    );
+    Ok(ms)
+}
+
+/// So much earlier the later one may be: where a drive is at neutral by itself.
+const EARLIER_MS: f64 = 100.0;
+
+/// The ESC had at least half of the pulses that come in a time; the rest is for a
+/// machine that is busy. Without any, nothing can be said about them.
+pub(crate) fn has_pulses_for(pulses: &[Pulses], time: Duration) -> Outcome {
+    let expected = (time.as_millis() / 20) as usize;
+    let seen = pulses.iter().filter(|pulses| pulses.esc_us != 0).count();
+    ensure!(
+        2 * seen >= expected,
+        "the ESC had {seen} pulses in {time:.0?}, not {expected}"
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_before_the_beginning_is_no_short_time() {
+        assert_eq!(elapsed_ms(5_000, 47_000).unwrap(), 42.0);
+        assert_eq!(elapsed_ms(u32::MAX, 999).unwrap(), 1.0);
+        assert!(elapsed_ms(50_000, 30_000).unwrap() < 0.0);
+        // A board that has been running for 70 ms again.
+        assert!(elapsed_ms(6_000_000, 70_000).is_err());
+    }
+
+    #[test]
+    fn silence_is_not_neutral() {
+        let pulses = |esc_us| Pulses {
+            board_time_us: 0,
+            servo_us: 1_500,
+            esc_us,
+        };
+        let half_a_second = Duration::from_millis(500);
+        has_pulses_for(&[pulses(1_500); 13], half_a_second).unwrap();
+        assert!(has_pulses_for(&[pulses(1_500); 12], half_a_second).is_err());
+        assert!(has_pulses_for(&[pulses(0); 25], half_a_second).is_err());
+        assert!(has_pulses_for(&[], half_a_second).is_err());
+    }
 }
