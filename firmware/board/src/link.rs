@@ -94,6 +94,11 @@ impl Link {
 
     #[inline(never)]
     fn greet_now(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
+        // Ends what the board was saying when it was reset, or the host would
+        // take that and the announcement for one damaged frame.
+        if self.announcement.is_some() && !transmit(&[0]) {
+            return;
+        }
         for due in [&mut self.announcement, &mut self.greeting] {
             let Some(nonce) = *due else { continue };
             if !say_hello(self.software_version, nonce, transmit) {

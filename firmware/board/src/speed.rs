@@ -2,9 +2,19 @@
 
 use singletrack_protocol::SpeedLoop;
 
-/// Units of the integral per µs of pulse: an integral gain of 1 µs/m times an
-/// error of 1 mm/s over one control period of 10 ms is one unit.
-const UNITS_PER_US: i32 = 100_000;
+/// A gain of 1 µs per m/s times a speed of 1 mm/s.
+const UNITS_PER_US: i32 = 1_000;
+
+/// The integral counts finer units, by a power of two: on the AVR a shift costs a
+/// tenth of a division.
+const INTEGRAL_SHIFT: u32 = 7;
+const INTEGRAL_UNITS_PER_US: i32 = UNITS_PER_US << INTEGRAL_SHIFT;
+
+/// An integral gain of 1 µs/m times an error of 1 mm/s over one control period of
+/// 10 ms, in units of the integral: 1.28, here 1311 / 1024.
+const fn integral_gain(us_per_m: u16) -> i32 {
+    ((us_per_m as u32 * 1_311) >> 10) as i32
+}
 
 /// Where the pulse can go, in µs beyond the deadband, in the direction driven.
 #[derive(Clone, Copy, Debug)]
@@ -44,16 +54,15 @@ impl SpeedController {
         room: Room,
     ) -> i32 {
         let error = wanted_mm_s - measured_mm_s;
-        let direct = (i32::from(gains.feed_forward_us_per_m_s) * wanted_mm_s
-            + i32::from(gains.proportional_us_per_m_s) * error)
-            / 1_000;
-        let pulse = direct + self.integral / UNITS_PER_US;
+        let direct = i32::from(gains.feed_forward_us_per_m_s) * wanted_mm_s
+            + i32::from(gains.proportional_us_per_m_s) * error;
+        let pulse = (direct + (self.integral >> INTEGRAL_SHIFT)) / UNITS_PER_US;
         // Anti-windup: what the pulse cannot follow is not integrated.
         let too_high = pulse >= room.highest || room.lagging;
         let too_low = pulse <= 0;
         if !(error > 0 && too_high || error < 0 && too_low) {
-            let limit = i32::from(gains.integral_limit_us) * UNITS_PER_US;
-            let change = i32::from(gains.integral_us_per_m) * error;
+            let limit = i32::from(gains.integral_limit_us) * INTEGRAL_UNITS_PER_US;
+            let change = integral_gain(gains.integral_us_per_m) * error;
             self.integral = (self.integral + change).min(limit).max(-limit);
         }
         pulse

@@ -3,9 +3,10 @@
 mod rig;
 
 use rig::{MS, Rig, SOFTWARE_VERSION, configuration};
-use singletrack_board::ImuSample;
+use singletrack_board::{Board, ImuSample, Inputs};
 use singletrack_protocol::{
-    Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNSOLICITED, VERSION,
+    Decoder, Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNSOLICITED,
+    VERSION,
 };
 
 fn hellos(rig: &Rig) -> Vec<Hello> {
@@ -24,6 +25,36 @@ fn times(rig: &Rig, wanted: fn(&ToHost) -> bool) -> Vec<u32> {
         .filter(|(_, message)| wanted(message))
         .map(|(time, _)| *time)
         .collect()
+}
+
+#[test]
+fn a_board_that_was_reset_in_the_middle_of_a_frame_is_heard_at_once() {
+    let mut before = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
+    let mut cut = Vec::new();
+    before.poll(0, &Inputs::default(), &[], &mut |bytes: &[u8]| {
+        cut.extend_from_slice(bytes);
+        true
+    });
+    cut.pop();
+    let mut decoder = Decoder::new();
+    let heard = cut
+        .iter()
+        .filter_map(|&byte| decoder.push(byte).map(|_| ()));
+    assert!(heard.count() >= 1);
+
+    let mut after = Board::new(ResetCause::Watchdog, SOFTWARE_VERSION);
+    let mut hellos = Vec::new();
+    after.poll(0, &Inputs::default(), &[], &mut |bytes: &[u8]| {
+        for &byte in bytes {
+            if let Some(Ok(packet)) = decoder.push(byte)
+                && let Ok(ToHost::Hello(hello)) = ToHost::decode(packet)
+            {
+                hellos.push(hello.nonce);
+            }
+        }
+        true
+    });
+    assert_eq!(hellos, [UNSOLICITED]);
 }
 
 #[test]

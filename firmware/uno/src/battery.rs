@@ -2,8 +2,8 @@
 
 use crate::registers::{ADCH, ADCL, ADCSRA, ADMUX, DIDR0};
 
-/// Polls between two measurements.
-const PERIOD: u8 = 16;
+/// Rounds between two measurements, 100 ms.
+const PERIOD: u8 = 20;
 
 /// AVcc is the reference, ADC0 the input.
 const REFS0: u8 = 1 << 6;
@@ -33,7 +33,7 @@ impl Battery {
         }
     }
 
-    /// To be called at every poll: the newest measurement, in mV.
+    /// To be called in every round: the newest measurement, in mV.
     pub(crate) fn poll(&mut self) -> u16 {
         self.waited += 1;
         if self.waited == PERIOD {

@@ -1,15 +1,18 @@
 //! The IMU, a BNO055 in its fusion mode without magnetometer (IMUPLUS).
 //!
-//! It makes a sample every 10 ms of its own clock. It is asked every 5 ms, in
-//! step with telemetry, but for the time in which there can be nothing new; and
-//! a sample counts as new when any of its bytes has changed: so none is missed
-//! or given twice, and a sensor that is stuck is a silent one.
+//! It makes a sample every 10 ms of its own clock. It is asked as often, in the
+//! round before a record of telemetry, and twice as often when there was nothing
+//! new, and now and then. A sample counts as new when any of its bytes has
+//! changed: so none is missed or given twice, and a sensor that is stuck is a
+//! silent one.
 //!
 //! A sensor that does not answer, or has restarted, is set up anew, and looked
 //! for as long as it takes.
 
 use singletrack_board::ImuSample;
+use singletrack_protocol::TELEMETRY_PERIOD_US;
 
+use crate::ROUND_MS;
 use crate::twi::{self, Progress};
 
 const ADDRESS: u8 = 0x28;
@@ -40,26 +43,26 @@ const _: () = assert!(SAMPLE_LENGTH <= twi::LONGEST_READ);
 const QUATERNION: usize = 6;
 const LINEAR_ACCELERATION: usize = 10;
 
-// All times in polls, which are 1 ms apart.
+/// Times are counted in rounds of the main loop.
+const fn rounds(ms: u8) -> u8 {
+    ms.div_ceil(ROUND_MS)
+}
 
 /// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
-const TRANSFER_TIME_OUT: u8 = 5;
-/// From a question that gave nothing new to the next.
-const ASK_AGAIN: u8 = 5;
-/// From a new sample to the question for the next.
-const NEXT_SAMPLE: u8 = 10;
-/// From a sample to the look at the mode that comes in between two of them.
-const CHECK_AFTER: u8 = 2;
-/// Samples asked for between two looks at the mode, 100 ms apart. The next is
-/// asked for 5 ms after the one before in any case: a sensor whose clock is
-/// faster than the board's would else run away, up to a sample that is missed.
+const TRANSFER_TIME_OUT: u8 = rounds(5);
+const SAMPLE_PERIOD: u8 = rounds(10);
+/// Samples asked for between two looks at the mode, 100 ms apart.
 const SAMPLES_PER_CHECK: u8 = 10;
-const RETRY_AFTER: u8 = 100;
+/// After this one of them the next is asked for in the next round: a sensor whose
+/// clock is faster than the board's would else run away, up to a sample that is
+/// missed.
+const EARLY_ONE: u8 = 5;
+const RETRY_AFTER: u8 = rounds(100);
 /// The data sheet's times to change the mode (19 ms into the configuration
 /// mode, 7 ms out of it), with a margin.
-const ENTER_CONFIGURATION: u8 = 25;
-const LEAVE_CONFIGURATION: u8 = 20;
-const SETTLE: u8 = 2;
+const ENTER_CONFIGURATION: u8 = rounds(25);
+const LEAVE_CONFIGURATION: u8 = rounds(20);
+const SETTLE: u8 = rounds(2);
 
 /// So many failures in a row mean that the sensor is lost.
 const PATIENCE: u8 = 3;
@@ -82,9 +85,9 @@ enum Stage {
 pub(crate) struct Bno055 {
     stage: Stage,
     asked: bool,
-    /// Polls until the next thing is asked, counted from the last one.
+    /// Rounds until the next thing is asked, counted from the last one.
     wait: u8,
-    /// Polls since the last thing was asked.
+    /// Rounds since the last thing was asked.
     waited: u8,
     asked_at_us: u32,
     samples_since_check: u8,
@@ -113,7 +116,7 @@ impl Bno055 {
         self.errors
     }
 
-    /// To be called every millisecond: keeps `sample` at the newest one.
+    /// To be called in every round: keeps `sample` at the newest one.
     pub(crate) fn poll(&mut self, now_us: u32, sample: &mut Option<ImuSample>) {
         // No wait is as long as this counter.
         self.waited = self.waited.wrapping_add(1);
@@ -177,15 +180,15 @@ impl Bno055 {
                 self.samples_since_check += 1;
                 if self.samples_since_check >= SAMPLES_PER_CHECK {
                     self.samples_since_check = 0;
-                    self.next(Stage::CheckMode, CHECK_AFTER);
-                } else if new {
-                    self.wait = NEXT_SAMPLE;
+                    self.next(Stage::CheckMode, 0);
+                } else if new && self.samples_since_check != EARLY_ONE {
+                    self.wait = SAMPLE_PERIOD;
                 } else {
-                    self.wait = ASK_AGAIN;
+                    self.wait = 0;
                 }
             }
             Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
-                // Into step again, if polls were missed.
+                // Into step again, if rounds were missed.
                 let wait = self.wait_for_slot(now_us);
                 self.next(Stage::Sample, wait);
             }
@@ -197,14 +200,11 @@ impl Bno055 {
         }
     }
 
-    /// The wait until 2 ms before a record of telemetry, or 5 ms earlier: what is
-    /// read then is as fresh as can be. (Records begin with the first poll, at
-    /// 1 ms.)
+    /// The wait, counted from the last question, until the round before a record
+    /// of telemetry. Records begin with the first round.
     fn wait_for_slot(&self, now_us: u32) -> u8 {
-        const PERIOD_US: u32 = 1_000 * ASK_AGAIN as u32;
-        const SLOT: u8 = 4;
-        let phase = ((now_us % PERIOD_US) as u16 / 1_000) as u8;
-        self.waited + (SLOT + ASK_AGAIN - phase) % ASK_AGAIN
+        let reports_now = now_us % TELEMETRY_PERIOD_US >= TELEMETRY_PERIOD_US / 2;
+        self.waited + u8::from(reports_now)
     }
 
     fn next(&mut self, stage: Stage, wait: u8) {

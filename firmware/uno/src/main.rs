@@ -44,11 +44,17 @@ use crate::bno055::Bno055;
 use crate::in_place::InPlace;
 use crate::motor::Motor;
 use crate::registers::{ACSR, SMCR};
+use crate::supervisor::Pace;
 use crate::uart::Receiver;
 
-/// Bytes taken in per poll. At most 12 arrive in a millisecond; more are
-/// waiting only after a delay, and then the work is spread over a few polls.
-const RECEIVED_PER_POLL: usize = 32;
+/// Time between two rounds of the main loop, in ms: ticks of the supervisor. Every
+/// other one polls the board, which does everything that needs time in steps of
+/// 10 ms; a frame from the host, or the stop switch, makes it do so at once.
+const ROUND_MS: u8 = 5;
+
+/// Bytes taken in per poll. More are waiting only after a delay, and then the work
+/// is spread over a few polls.
+const RECEIVED_PER_POLL: usize = 64;
 
 /// The number of the section around a poll, see [`sections`].
 const POLL: u8 = 1;
@@ -68,6 +74,8 @@ struct Surroundings {
     imu: Bno055,
     receiver: Receiver,
     buffer: [u8; RECEIVED_PER_POLL],
+    /// Whether the next round in time polls the board.
+    polls_next: bool,
 }
 
 static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION));
@@ -89,6 +97,7 @@ static SURROUNDINGS: InPlace<Surroundings> = InPlace::new(Surroundings {
     imu: Bno055::new(),
     receiver: Receiver::new(),
     buffer: [0; RECEIVED_PER_POLL],
+    polls_next: false,
 });
 
 /// Entered from the C runtime's start-up code.
@@ -101,21 +110,36 @@ extern "C" fn main() -> ! {
     let (board, surroundings) = unsafe { (BOARD.take(), SURROUNDINGS.take()) };
     board.set_reset_cause(reset::cause());
     interrupts::enable();
+    let mut pace = Pace::new();
     loop {
-        supervisor::wait_for_tick();
-        surroundings.round(board);
-        watchdog::feed();
+        if !pace.wait(ROUND_MS, || surroundings.has_news()) || surroundings.round() {
+            surroundings.poll(board);
+            watchdog::feed();
+        }
     }
 }
 
 impl Surroundings {
-    fn round(&mut self, board: &mut Board) {
+    /// Something that does not wait for the next round.
+    fn has_news(&self) -> bool {
+        uart::has_frame()
+            || uart::is_filling()
+            || stop_input::is_open() != self.inputs.stop_input_open
+    }
+
+    /// What has a pace of its own; returns whether it is the board's turn.
+    fn round(&mut self) -> bool {
+        self.imu.poll(clock::now_us(), &mut self.inputs.imu);
+        self.inputs.imu_errors = self.imu.errors();
+        self.inputs.battery_mv = self.battery.poll();
+        self.polls_next = !self.polls_next;
+        self.polls_next
+    }
+
+    fn poll(&mut self, board: &mut Board) {
         let now_us = clock::now_us();
         let received = self.receiver.receive(&mut self.buffer);
         self.inputs.motor = self.motor.poll(now_us);
-        self.imu.poll(now_us, &mut self.inputs.imu);
-        self.inputs.imu_errors = self.imu.errors();
-        self.inputs.battery_mv = self.battery.poll();
         self.inputs.stop_input_open = stop_input::is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
         let outputs = sections::measured(POLL, || {

@@ -3,6 +3,7 @@
 //! Every 20 ms both pins rise together and each falls when its compare value is
 //! reached. No software has a part in an edge.
 
+use crate::clock;
 use crate::interrupts::Masked;
 use crate::registers::{DDRB, ICR1, OCR1A, OCR1B, PORTB, TCCR1A, TCCR1B, TCNT1};
 
@@ -15,15 +16,20 @@ const PERIOD: u16 = 40_000;
 const SHORTEST_US: u16 = 800;
 const LONGEST_US: u16 = 2_200;
 
-/// The part of a period in which compare values are written, as the high byte
-/// of the counter: past both pulses, and early enough to be done before the
-/// next ones.
+/// The part of a period past both pulses, and not near the next ones, as the high
+/// byte of the counter.
+const BETWEEN_PULSES: core::ops::Range<u8> = 18..155;
+const _: () = assert!(BETWEEN_PULSES.start as u16 * 256 > Width::from_us(LONGEST_US).0);
+const _: () = assert!((BETWEEN_PULSES.end as u16 + 1) * 256 <= PERIOD);
+
+/// The end of it, in which the next pulses are decided: a tick or two long. What
+/// was written earlier would be of no effect.
 ///
 /// The timer takes new values over at the end of a period only; but servo
 /// pulses are also switched on and off here, and that must not cut one.
-const WRITABLE: core::ops::Range<u8> = 18..155;
-const _: () = assert!(WRITABLE.start as u16 * 256 > Width::from_us(LONGEST_US).0);
-const _: () = assert!((WRITABLE.end as u16 + 1) * 256 <= PERIOD);
+const DECISION: core::ops::Range<u8> = 143..BETWEEN_PULSES.end;
+const _: () =
+    assert!((DECISION.end - DECISION.start) as u32 * 256 >= COUNTS_PER_US as u32 * clock::TICK_US);
 
 // Port B, bits 1 and 2
 const OC1A: u8 = 1 << 1;
@@ -66,28 +72,31 @@ pub(crate) fn start(masked: Masked, esc: Width) {
     // Not buffered until the mode is set.
     OCR1A.write(masked, esc.compare_value());
     OCR1B.write(masked, esc.compare_value());
+    // The timer takes its period only in a mode that has one: before, and with
+    // the clock still off.
+    TCCR1A.write(ESC_ONLY);
+    TCCR1B.write(WGM13_WGM12);
     ICR1.write(masked, PERIOD - 1);
     // The pin rises when the counter passes from the end to zero.
     TCNT1.write(masked, PERIOD - 2);
-    TCCR1A.write(ESC_ONLY);
     TCCR1B.write(WGM13_WGM12 | CS11);
 }
 
-/// Whether both pulses are over, and the next ones not near.
+/// Whether it is time to say what the next pulses are to be.
 #[inline(always)]
-pub(crate) fn are_over(masked: Masked) -> bool {
-    WRITABLE.contains(&TCNT1.read_high(masked))
+pub(crate) fn are_due(masked: Masked) -> bool {
+    DECISION.contains(&TCNT1.read_high(masked))
 }
 
 /// The ESC's pulses from the next period on; to be called while they
-/// [`are_over`].
+/// [`are_due`].
 #[inline(always)]
 pub(crate) fn show_esc(masked: Masked, width: Width) {
     OCR1B.write(masked, width.compare_value());
 }
 
 /// The servo's pulses from the next period on, or none; to be called while
-/// they [`are_over`].
+/// they [`are_due`].
 #[inline(always)]
 pub(crate) fn show_servo(masked: Masked, width: Option<Width>) {
     if let Some(width) = width {
@@ -100,6 +109,6 @@ pub(crate) fn show_servo(masked: Masked, width: Option<Width>) {
 
 /// No more pulses, after the ones that may be going on. Takes up to 2.5 ms.
 pub(crate) fn stop(masked: Masked) {
-    while !are_over(masked) {}
+    while !BETWEEN_PULSES.contains(&TCNT1.read_high(masked)) {}
     TCCR1A.write(WGM11);
 }

@@ -27,6 +27,12 @@ impl<const N: usize> Ring<N> {
         &self.bytes[usize::from(counter) % N]
     }
 
+    /// Bytes that wait to be taken.
+    #[inline(always)]
+    pub(crate) fn used(&self) -> u8 {
+        self.put.get().wrapping_sub(self.taken.get())
+    }
+
     /// Puts one byte; `false` if there is no room.
     #[inline(always)]
     pub(crate) fn put(&self, byte: u8) -> bool {
@@ -44,7 +50,7 @@ impl<const N: usize> Ring<N> {
     #[inline(always)]
     pub(crate) fn put_all(&self, bytes: &[u8]) -> bool {
         let put = self.put.get();
-        let used = put.wrapping_sub(self.taken.get());
+        let used = self.used();
         if bytes.len() + usize::from(used) > N {
             return false;
         }

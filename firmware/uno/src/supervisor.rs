@@ -29,6 +29,19 @@ static PATIENCE: SharedByte = SharedByte::new(0);
 /// Ticks since the main loop last said what it wants; stops at 255.
 static SILENT_TICKS: SharedByte = SharedByte::new(0);
 
+/// Ticks so far, wrapping: the pace of the main loop.
+static TICKS: SharedByte = SharedByte::new(0);
+
+/// Not zero: the main loop should look what there is to do. Most interrupts end
+/// the processor's sleep for nothing.
+static WAKE: SharedByte = SharedByte::new(0);
+
+/// Ends the main loop's [`Pace::wait`] for a look around.
+#[inline(always)]
+pub(crate) fn wake() {
+    WAKE.set(1);
+}
+
 /// Starts the pulses, with the ESC in neutral, and the ticks.
 pub(crate) fn start() {
     masked(|masked| pulses::start(masked, NEUTRAL_AT_START));
@@ -69,15 +82,45 @@ fn patience(now_us: u32, deadline_us: Option<u32>) -> u8 {
     (left_us as u16 / clock::TICK_US as u16) as u8
 }
 
-/// Sleeps until there has been a tick since the last [`publish`].
-pub(crate) fn wait_for_tick() {
+/// A steady pace for the main loop, however long a round takes.
+pub(crate) struct Pace {
+    last: u8,
+}
+
+impl Pace {
+    pub(crate) const fn new() -> Self {
+        Self { last: 0 }
+    }
+
+    /// Sleeps until a number of ticks have passed since the last time that this
+    /// returned `true`, or until there is something to do `sooner`, about which
+    /// it asks after a tick and after a [`wake`]; then it returns `false`. What
+    /// was missed is not made up for.
+    pub(crate) fn wait(&mut self, ticks: u8, sooner: impl Fn() -> bool) -> bool {
+        loop {
+            sleep_until_woken();
+            let passed = TICKS.get().wrapping_sub(self.last);
+            if passed >= ticks {
+                self.last = self.last.wrapping_add(passed - passed % ticks);
+                return true;
+            }
+            if sooner() {
+                return false;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn sleep_until_woken() {
     loop {
         interrupts::disable();
-        if SILENT_TICKS.get() != 0 {
+        if WAKE.get() != 0 {
             break;
         }
         interrupts::enable_and_sleep();
     }
+    WAKE.set(0);
     interrupts::enable();
 }
 
@@ -88,12 +131,14 @@ extern "avr-interrupt" fn __vector_14() {
     // SAFETY: this is an interrupt handler.
     let masked = unsafe { Masked::assume() };
     clock::tick(masked);
+    TICKS.set(TICKS.get().wrapping_add(1));
+    wake();
     let mut silent_ticks = SILENT_TICKS.get();
     if silent_ticks != u8::MAX {
         silent_ticks += 1;
         SILENT_TICKS.set(silent_ticks);
     }
-    if pulses::are_over(masked) {
+    if pulses::are_due(masked) {
         if silent_ticks > PATIENCE.get() {
             pulses::show_esc(masked, NEUTRAL.get(masked));
         } else {

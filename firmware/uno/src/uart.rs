@@ -6,6 +6,7 @@ use singletrack_protocol::{MAX_FRAME_LENGTH, RECEIVE_BUFFER_LENGTH};
 use crate::interrupts::SharedByte;
 use crate::registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0};
 use crate::ring::Ring;
+use crate::supervisor;
 
 /// 16 MHz / 8 / (16 + 1) = 117,647 baud: 2.1 % fast, as on every UNO.
 const DIVISOR: u8 = 16;
@@ -29,6 +30,8 @@ const UCSZ01_UCSZ00: u8 = 0b11 << 1;
 
 static RECEIVED: Ring<RECEIVE_BUFFER_LENGTH> = Ring::new();
 static TO_SEND: Ring<TRANSMIT_BUFFER_LENGTH> = Ring::new();
+/// Not zero: a frame has ended that the main loop has not taken.
+static FRAME_ENDED: SharedByte = SharedByte::new(0);
 /// Wraps; the main loop looks at it often enough.
 static LOST: SharedByte = SharedByte::new(0);
 
@@ -38,6 +41,16 @@ pub(crate) fn start() {
     UCSR0A.write(U2X0);
     UCSR0C.write(UCSZ01_UCSZ00);
     UCSR0B.write(LISTENING);
+}
+
+/// Whether the end of a frame has come since the last [`Receiver::receive`].
+pub(crate) fn has_frame() -> bool {
+    FRAME_ENDED.get() != 0
+}
+
+/// Whether many bytes are waiting: then nobody keeps to frames.
+pub(crate) fn is_filling() -> bool {
+    RECEIVED.used() >= MAX_FRAME_LENGTH as u8
 }
 
 /// The receiver, as the main loop sees it.
@@ -55,6 +68,8 @@ impl Receiver {
     pub(crate) fn receive<'a>(&mut self, buffer: &'a mut [u8]) -> &'a [u8] {
         let new = LOST.get().wrapping_sub(self.lost as u8);
         self.lost = self.lost.wrapping_add(new.into());
+        // First, so that one that ends from now on is not forgotten.
+        FRAME_ENDED.set(0);
         let mut length = 0;
         for slot in buffer.iter_mut() {
             let Some(byte) = RECEIVED.take() else { break };
@@ -89,6 +104,10 @@ extern "avr-interrupt" fn __vector_18() {
     // The status first: reading the byte makes way for the next one's.
     let status = UCSR0A.read();
     let byte = UDR0.read();
+    if byte == 0 {
+        FRAME_ENDED.set(1);
+        supervisor::wake();
+    }
     // DOR0: at least one byte between the one before and this was lost.
     if status & DOR0 != 0 {
         LOST.set(LOST.get().wrapping_add(1));

@@ -280,7 +280,8 @@ impl Timer1 {
                 return;
             }
             4 => self.set_count(now, whole),
-            6 => self.capture = whole,
+            // Section "Input Capture Unit": writable only in modes that have it as top.
+            6 if matches!(self.mode(), 8 | 10 | 12 | 14) => self.capture = whole,
             8 | 10 => {
                 let buffered = self.is_fast_pwm();
                 let channel = &mut self.channels[usize::from((register - 8) / 2)];
@@ -323,9 +324,10 @@ mod tests {
     /// Fast PWM up to ICR1 = 9 with a compare value of 3, prescaler 8, from cycle 0.
     fn pwm() -> Timer1 {
         let mut timer = Timer1::new();
-        write16(&mut timer, 0, ICR1, 9);
         write16(&mut timer, 0, OCR1A, 3);
         timer.write(0, TCCR1A, 0x82);
+        timer.write(0, TCCR1B, 0x18);
+        write16(&mut timer, 0, ICR1, 9);
         timer.write(0, TCCR1B, 0x1A);
         timer
     }
@@ -399,5 +401,15 @@ mod tests {
             timer.served(11);
             assert_eq!(timer.requests(), [false; 4]);
         }
+    }
+    #[test]
+    fn the_top_is_written_only_after_a_mode_that_has_it_there() {
+        let mut timer = Timer1::new();
+        write16(&mut timer, 0, ICR1, 9);
+        assert_eq!(timer.read(0, ICR1), 0);
+        timer.write(0, TCCR1A, 0x02);
+        timer.write(0, TCCR1B, 0x18);
+        write16(&mut timer, 0, ICR1, 9);
+        assert_eq!(timer.read(0, ICR1), 9);
     }
 }
