@@ -56,6 +56,9 @@ const IDENTITY: [u8; 7] = [0xA0, 0xFB, 0x32, 0x0F, 0x11, 0x03, 0x15];
 /// Time is in cycles of the board, see the crate. It was powered at cycle zero.
 #[derive(Clone, Debug)]
 pub struct Bno055 {
+    newest: Motion,
+    /// What the registers show. The data sheet, 3.7: read in one transfer, low and
+    /// high byte of a value belong together.
     motion: Motion,
     /// First acknowledgement and configuration mode after a restart.
     speaks: u64,
@@ -76,6 +79,7 @@ pub struct Bno055 {
 impl Default for Bno055 {
     fn default() -> Self {
         let mut device = Self {
+            newest: Motion::default(),
             motion: Motion::default(),
             speaks: 0,
             ready: 0,
@@ -100,7 +104,7 @@ impl Bno055 {
 
     /// What it measures from now on.
     pub const fn measure(&mut self, motion: Motion) {
-        self.motion = motion;
+        self.newest = motion;
     }
 
     /// The supply comes up, or the register `SYS_TRIGGER` asks for a reset: all
@@ -176,6 +180,10 @@ impl Bno055 {
         self.settle(now);
         if now < self.ready {
             return 0;
+        }
+        // The low bytes have even numbers.
+        if register.is_multiple_of(2) {
+            self.motion = self.newest;
         }
         self.register(register)
     }
@@ -295,6 +303,30 @@ fn low_or_high(values: &[i16], offset: u8) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_value_that_changes_while_it_is_read_is_the_old_one_or_the_new_one() {
+        let mut device = Bno055::default();
+        write(&mut device, READY, OPR_MODE, IMU);
+        let now = READY + FROM_CONFIGURATION;
+        let gyroscope = |mrad_s| Motion {
+            angular_velocity_mrad_s: [mrad_s; 3],
+            ..Motion::default()
+        };
+        device.measure(gyroscope(-10));
+        let mut bytes = [0; 4];
+        device.select(now, true);
+        device.write(now, GYROSCOPE);
+        device.select(now, false);
+        for (index, byte) in bytes.iter_mut().enumerate() {
+            if index == 1 {
+                device.measure(gyroscope(1_000));
+            }
+            *byte = device.read(now);
+        }
+        let [old, new] = [[bytes[0], bytes[1]], [bytes[2], bytes[3]]].map(i16::from_le_bytes);
+        assert!(old < 0 && new > 0, "{old} {new}");
+    }
 
     const READY: u64 = STARTUP;
     const IMU: u8 = 0x08;

@@ -73,11 +73,12 @@ impl Board {
     /// Everything the board does.
     ///
     /// Call it at least every 10 ms, and when a frame has ended or the stop switch
-    /// has changed; called later it does the same things, later. `now_us` is the board's clock, which never goes backwards
-    /// but wraps. `received` holds the bytes that have arrived since the last
-    /// poll. `transmit` takes one whole frame (or, after a start, a zero before the
-    /// first), or none of it, and tells which; it may be called several times in a
-    /// poll. The outputs are in force until the next poll.
+    /// has changed; called later it does the same things, later. `now_us` is the
+    /// board's clock, which never goes backwards but wraps. `received` holds the
+    /// bytes that have arrived since the last poll. `transmit` takes one whole frame
+    /// (or, after a start, a zero before the first), or none of it, and tells which;
+    /// it may be called several times in a poll. The outputs are in force until the
+    /// next poll.
     ///
     /// Before the first poll the pins must show what [`Board::outputs`] says.
     pub fn poll(

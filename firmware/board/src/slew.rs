@@ -1,4 +1,5 @@
-//! Limits how fast a pulse changes.
+//! Limits how fast a pulse changes: from one moment to a later one by no more than
+//! the rate allows for the time between them and the one poll before.
 
 /// A stall of the main loop gives no more change than one servo frame.
 const LONGEST_STEP_US: u16 = 20_000;
@@ -7,7 +8,7 @@ const LONGEST_STEP_US: u16 = 20_000;
 ///
 /// As many as fit: the highest rate (1400 µs in 20 ms) and the longest step need
 /// 16 bits each. No division, and no multiplication of more than those, which on
-/// the AVR would take their time every millisecond.
+/// the AVR would take their time at every poll.
 const FRACTION_BITS: u32 = 19;
 
 /// A rate of change, and what is left of it from one poll to the next.

@@ -109,6 +109,12 @@ impl SharedInstant {
     }
 }
 
+/// The board's time at the last tick, in µs: for what goes by ticks, which a fine
+/// clock would let be a few µs early now and then, and so a whole round late.
+pub(crate) fn tick_us() -> u32 {
+    masked(|masked| TICK_AT_US.get(masked))
+}
+
 /// The board's time, in µs.
 pub(crate) fn now_us() -> u32 {
     let (tick_at_us, now) = masked(|masked| (TICK_AT_US.get(masked), Instant::now(masked)));

@@ -129,7 +129,7 @@ impl Surroundings {
 
     /// What has a pace of its own; returns whether it is the board's turn.
     fn round(&mut self) -> bool {
-        self.imu.poll(clock::now_us(), &mut self.inputs.imu);
+        self.imu.poll(clock::tick_us(), &mut self.inputs.imu);
         self.inputs.imu_errors = self.imu.errors();
         self.inputs.battery_mv = self.battery.poll();
         self.polls_next = !self.polls_next;
@@ -137,9 +137,9 @@ impl Surroundings {
     }
 
     fn poll(&mut self, board: &mut Board) {
-        let now_us = clock::now_us();
+        let now_us = clock::tick_us();
         let received = self.receiver.receive(&mut self.buffer);
-        self.inputs.motor = self.motor.poll(now_us);
+        self.inputs.motor = self.motor.poll(clock::now_us());
         self.inputs.stop_input_open = stop_input::is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
         let outputs = sections::measured(POLL, || {
