@@ -1,10 +1,11 @@
-//! Payloads into bytes and back.
+//! Payloads into bytes and back, for the board.
 //!
-//! The bytes are those that postcard gives for the same types (the tests
-//! compare the two), and nothing else is ever sent. But postcard's code is
-//! generic, inlined, and checks every byte for room in the middle of every
-//! field: on the board it would be a quarter of the flash. Here a field is a
-//! call; what is missing or means nothing is noted, and asked about at the end.
+//! The bytes are those that postcard gives for the same types, which the host's
+//! end uses (the tests compare the two), and nothing else is ever sent. But
+//! postcard's code is generic, inlined, and checks every byte for room in the
+//! middle of every field: on the board it would be a quarter of the flash. Here a
+//! field is a call; what is missing or means nothing is noted, and asked about at
+//! the end.
 
 use crate::{
     Acknowledgement, Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop,

@@ -70,6 +70,17 @@ impl Frame {
         self.seal(MAX_PAYLOAD_LENGTH - room);
     }
 
+    /// A frame whose payload `fill` writes to a buffer of [`MAX_PAYLOAD_LENGTH`]
+    /// bytes; it returns the length.
+    pub(crate) fn filled(kind: u8, fill: impl FnOnce(&mut [u8]) -> usize) -> Self {
+        let mut frame = Self::new();
+        let [_, first, rest @ ..] = &mut frame.bytes;
+        *first = kind;
+        let length = fill(rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default());
+        frame.seal(length);
+        frame
+    }
+
     /// Begins a packet.
     #[inline(never)]
     fn open(&mut self, kind: u8) -> Writer<'_> {

@@ -55,7 +55,7 @@ pub trait Message: Field + Serialize + DeserializeOwned {
     /// The length of its payload, in bytes.
     const PAYLOAD_LENGTH: usize;
 
-    /// The frame that carries this message.
+    /// The frame that carries this message, as the board makes it.
     #[must_use]
     fn encode(&self) -> Frame {
         let mut frame = Frame::new();
@@ -123,26 +123,58 @@ pub enum DecodeError {
     },
 }
 
-fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
-    let message = M::TYPE;
-    if payload.len() != M::PAYLOAD_LENGTH {
-        return Err(DecodeError::Length {
-            message,
-            expected: M::PAYLOAD_LENGTH,
-            actual: payload.len(),
-        });
-    }
-    let mut reader = Reader::new(payload);
-    let value = M::read(&mut reader);
-    if reader.finish() {
-        Ok(value)
-    } else {
-        Err(DecodeError::Value { message })
+// The host's end passes payloads through postcard. The board's end has no room for
+// that and passes the same bytes field by field, see `codec`: so whatever one end
+// writes, the other implementation reads.
+
+fn encode_by_postcard<M: Message>(message: &M) -> Frame {
+    Frame::filled(M::TYPE as u8, |buffer| {
+        // The buffer has room for every message.
+        postcard::to_slice(message, buffer).map_or(0, |payload| payload.len())
+    })
+}
+
+fn encode_by_fields<M: Message>(message: &M) -> Frame {
+    message.encode()
+}
+
+fn decode_by_postcard<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
+    check_length::<M>(payload)?;
+    match postcard::take_from_bytes(payload) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(DecodeError::Value { message: M::TYPE }),
     }
 }
 
+fn decode_by_fields<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
+    check_length::<M>(payload)?;
+    let mut reader = Reader::new(payload);
+    let message = M::read(&mut reader);
+    if reader.finish() {
+        Ok(message)
+    } else {
+        Err(DecodeError::Value { message: M::TYPE })
+    }
+}
+
+fn check_length<M: Message>(payload: &[u8]) -> Result<(), DecodeError> {
+    if payload.len() == M::PAYLOAD_LENGTH {
+        return Ok(());
+    }
+    Err(DecodeError::Length {
+        message: M::TYPE,
+        expected: M::PAYLOAD_LENGTH,
+        actual: payload.len(),
+    })
+}
+
 macro_rules! direction {
-    ($(#[$documentation:meta])* $name:ident { $($(#[$meaning:meta])* $message:ident,)* }) => {
+    (
+        $(#[$documentation:meta])*
+        $name:ident: $encode:ident, $decode:ident {
+            $($(#[$meaning:meta])* $message:ident,)*
+        }
+    ) => {
         $(#[$documentation])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $name {
@@ -154,7 +186,7 @@ macro_rules! direction {
             #[must_use]
             pub fn encode(&self) -> Frame {
                 match self {
-                    $(Self::$message(message) => message.encode(),)*
+                    $(Self::$message(message) => $encode(message),)*
                 }
             }
 
@@ -166,7 +198,7 @@ macro_rules! direction {
             /// contents are not those of the type.
             pub fn decode(packet: Packet<'_>) -> Result<Self, DecodeError> {
                 $(if packet.kind == MessageType::$message as u8 {
-                    return decode(packet.payload).map(Self::$message);
+                    return $decode(packet.payload).map(Self::$message);
                 })*
                 Err(DecodeError::UnknownType(packet.kind))
             }
@@ -182,7 +214,7 @@ macro_rules! direction {
 
 direction! {
     /// What the host sends.
-    ToBoard {
+    ToBoard: encode_by_postcard, decode_by_fields {
         /// Greets, and asks for the board's greeting.
         Hello,
         /// Asks the board to take over a configuration.
@@ -200,7 +232,7 @@ direction! {
 
 direction! {
     /// What the board sends.
-    ToHost {
+    ToHost: encode_by_fields, decode_by_postcard {
         /// Answers a greeting, or announces a start.
         Hello,
         /// The record for control.
