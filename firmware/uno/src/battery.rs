@@ -5,7 +5,7 @@ use crate::registers::{ADCH, ADCL, ADCSRA, ADMUX, DIDR0};
 /// Rounds between two measurements, 100 ms.
 const PERIOD: u8 = 20;
 
-/// AVcc is the reference, ADC0 the input.
+/// `AVcc` is the reference, ADC0 the input.
 const REFS0: u8 = 1 << 6;
 const ADC0: u8 = 1 << 0;
 const ADEN: u8 = 1 << 7;

@@ -254,7 +254,7 @@ impl Bno055 {
 /// From units of 0.01 m/s², saturating.
 fn linear_acceleration_mm_s2(raw: i16) -> i16 {
     const LARGEST: i16 = i16::MAX / 10;
-    raw.min(LARGEST).max(-LARGEST) * 10
+    raw.clamp(-LARGEST, LARGEST) * 10
 }
 
 /// From units of 1/900 rad/s, to the nearest, saturating: 10/9 is 1 + 1/9, and
