@@ -13,6 +13,9 @@ pub struct PulseRecord {
     pub servo_us: u16,
     /// ESC pulse in µs; zero is no pulse.
     pub esc_us: u16,
+    /// A reset came in mid-pulse: the pulses that it ended are shorter than they
+    /// were meant to be.
+    pub cut: bool,
 }
 
 /// The last servo frames, oldest first.
@@ -45,6 +48,7 @@ impl PulseLog {
 
     /// The first frame at or after `time_us` from which on, to the end of the
     /// log, the ESC's pulse stays within `tolerance_us` of neutral or is absent.
+    /// A pulse that a reset cut short of neutral says nothing about it.
     #[must_use]
     pub fn neutral_from(
         &self,
@@ -55,9 +59,10 @@ impl PulseLog {
         self.records
             .iter()
             .rev()
+            .take_while(|record| record.time_us >= time_us)
+            .filter(|record| !record.cut || record.esc_us > neutral_us)
             .take_while(|record| {
-                record.time_us >= time_us
-                    && (record.esc_us == 0 || record.esc_us.abs_diff(neutral_us) <= tolerance_us)
+                record.esc_us == 0 || record.esc_us.abs_diff(neutral_us) <= tolerance_us
             })
             .last()
             .copied()
@@ -80,6 +85,7 @@ mod tests {
                 board_time_us: 0,
                 servo_us: 0,
                 esc_us,
+                cut: false,
             });
         }
         let at = |time_us| {
@@ -89,5 +95,30 @@ mod tests {
         assert_eq!(at(0), Some(80_000));
         assert_eq!(at(100_000), Some(100_000));
         assert_eq!(at(120_001), None);
+    }
+    #[test]
+    fn a_pulse_that_a_reset_cut_neither_begins_nor_ends_neutral() {
+        let from = |pulses: &[(u16, bool)]| {
+            let mut log = PulseLog::default();
+            for (i, &(esc_us, cut)) in pulses.iter().enumerate() {
+                log.push(PulseRecord {
+                    time_us: i as u64,
+                    board_time_us: 0,
+                    servo_us: 0,
+                    esc_us,
+                    cut,
+                });
+            }
+            log.neutral_from(0, 1500, 5).map(|record| record.time_us)
+        };
+        let driven = (1560, false);
+        let silent = (0, false);
+        assert_eq!(from(&[driven, (1500, false), (900, true), silent]), Some(1));
+        assert_eq!(from(&[driven, (900, true), silent]), Some(2));
+        assert_eq!(from(&[driven, (900, false), silent]), Some(2));
+        assert_eq!(
+            from(&[driven, (1500, false), (1540, true), silent]),
+            Some(3)
+        );
     }
 }

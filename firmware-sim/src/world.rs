@@ -222,12 +222,12 @@ impl World {
 
     /// Resets the board: after its start-up time it begins anew.
     pub fn reset_board(&mut self, cause: ResetCause) {
-        self.board.reset(self.now_us, cause);
+        self.board.reset(self.now_us, cause, &mut self.car);
     }
 
     /// Switches the board's supply; the ESC has its own.
     pub fn set_board_power(&mut self, on: bool) {
-        self.board.set_power(self.now_us, on);
+        self.board.set_power(self.now_us, on, &mut self.car);
     }
 
     /// The board, to open its stop switch or to hang its main loop.

@@ -310,7 +310,8 @@ impl Bench {
         self.was_neutral_since(place)
     }
 
-    /// The motor got nothing since a place in the trace.
+    /// The motor got nothing since a place in the trace; the pulse that a reset cut
+    /// aside.
     ///
     /// # Errors
     ///
@@ -320,6 +321,7 @@ impl Bench {
         let driven = trace
             .since(place)
             .iter()
+            .filter(|pulses| !pulses.is_cut_short_of(self.neutral_us()))
             .find(|pulses| !pulses.is_neutral(self.neutral_us()));
         ensure!(
             driven.is_none(),
@@ -328,8 +330,8 @@ impl Bench {
         Ok(())
     }
 
-    /// Every pulse was within the configured limits, and the car within its
-    /// speed.
+    /// Every pulse was within the configured limits; one that a reset cut may be
+    /// shorter.
     ///
     /// # Errors
     ///
@@ -337,10 +339,11 @@ impl Bench {
     pub fn was_within_limits(&self, trace: &Trace) -> Outcome {
         let (servo, esc) = (&self.config.board.servo, &self.config.board.esc);
         let outside = trace.0.iter().find(|pulses| {
-            let servo_ok =
-                pulses.servo_us == 0 || (servo.min_us..=servo.max_us).contains(&pulses.servo_us);
-            let esc_ok = pulses.esc_us == 0 || (esc.min_us..=esc.max_us).contains(&pulses.esc_us);
-            !(servo_ok && esc_ok)
+            let within = |width_us: u16, min_us: u16, max_us: u16| {
+                width_us == 0 || width_us <= max_us && (pulses.cut || width_us >= min_us)
+            };
+            !(within(pulses.servo_us, servo.min_us, servo.max_us)
+                && within(pulses.esc_us, esc.min_us, esc.max_us))
         });
         ensure!(outside.is_none(), "outside the limits: {outside:?}");
         Ok(())

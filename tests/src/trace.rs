@@ -13,6 +13,9 @@ pub struct Pulses {
     pub servo_us: u16,
     /// ESC pulse in µs; zero is no pulse.
     pub esc_us: u16,
+    /// A reset cut one of them short, as the simulator sees; a physical board
+    /// tells of no such.
+    pub cut: bool,
 }
 
 impl Pulses {
@@ -20,6 +23,13 @@ impl Pulses {
     #[must_use]
     pub const fn is_neutral(&self, neutral_us: u16) -> bool {
         self.esc_us == 0 || self.esc_us == neutral_us
+    }
+
+    /// Whether a reset cut the ESC's pulse short of neutral: what it was meant to
+    /// be, nobody knows.
+    #[must_use]
+    pub const fn is_cut_short_of(&self, neutral_us: u16) -> bool {
+        self.cut && self.esc_us < neutral_us
     }
 }
 
@@ -46,12 +56,14 @@ impl Trace {
         self.0.get(place..).unwrap_or(&[])
     }
 
-    /// The first pulse from which on, to the end, the motor gets nothing.
+    /// The first pulse from which on, to the end, the motor gets nothing; the one
+    /// that a reset cut aside.
     #[must_use]
     pub fn neutral_from(&self, neutral_us: u16) -> Option<Pulses> {
         self.0
             .iter()
             .rev()
+            .filter(|pulses| !pulses.is_cut_short_of(neutral_us))
             .take_while(|pulses| pulses.is_neutral(neutral_us))
             .last()
             .copied()
@@ -109,6 +121,7 @@ mod tests {
             board_time_us: 0,
             servo_us: 1_500,
             esc_us,
+            cut: false,
         };
         let half_a_second = Duration::from_millis(500);
         has_pulses_for(&[pulses(1_500); 13], half_a_second).unwrap();

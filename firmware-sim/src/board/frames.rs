@@ -14,6 +14,8 @@ pub(super) struct Frame {
     pub(super) start: u64,
     pub(super) servo_us: u16,
     pub(super) esc_us: u16,
+    /// A reset ended one of them.
+    pub(super) cut: bool,
 }
 
 /// The frame that is going on, and how regularly they come.
@@ -29,10 +31,13 @@ impl Frames {
     /// Takes a pulse; returns the frame that is complete with it.
     ///
     /// A second pulse on a pin belongs to a frame of its own: it hides none.
-    pub(super) fn take(&mut self, pulse: &Pulse) -> Option<Frame> {
-        let width = |frame: &mut Frame| match pulse.pin {
-            Pin::Servo => core::mem::replace(&mut frame.servo_us, width_us(pulse)),
-            Pin::Esc => core::mem::replace(&mut frame.esc_us, width_us(pulse)),
+    pub(super) fn take(&mut self, pulse: &Pulse, cut: bool) -> Option<Frame> {
+        let width = |frame: &mut Frame| {
+            frame.cut |= cut;
+            match pulse.pin {
+                Pin::Servo => core::mem::replace(&mut frame.servo_us, width_us(pulse)),
+                Pin::Esc => core::mem::replace(&mut frame.esc_us, width_us(pulse)),
+            }
         };
         if let Some(frame) = &mut self.open
             && pulse.start <= frame.start + FRAME_ENDS
@@ -48,6 +53,7 @@ impl Frames {
             start: pulse.start,
             servo_us: 0,
             esc_us: 0,
+            cut: false,
         };
         width(&mut frame);
         self.open = Some(frame);
@@ -68,10 +74,11 @@ impl Frames {
         self.jitter
     }
 
-    /// The processor is held: the grid begins anew.
-    pub(super) fn forget(&mut self) {
-        self.open = None;
+    /// The processor is held: what is open ends here, and the grid begins anew.
+    pub(super) fn cut_off(&mut self) -> Option<Frame> {
+        let frame = self.finish();
         self.last = None;
+        frame
     }
 
     fn finish(&mut self) -> Option<Frame> {
@@ -109,7 +116,7 @@ mod tests {
     fn widths(frames: &mut Frames, pulses: &[Pulse]) -> Vec<(u16, u16)> {
         let mut complete: Vec<Frame> = pulses
             .iter()
-            .filter_map(|pulse| frames.take(pulse))
+            .filter_map(|pulse| frames.take(pulse, false))
             .collect();
         complete.extend(frames.over(u64::MAX));
         complete
@@ -164,8 +171,27 @@ mod tests {
         ];
         widths(&mut frames, &late);
         assert_eq!(frames.jitter(), 5);
-        frames.forget();
+        assert_eq!(frames.cut_off(), None);
         widths(&mut frames, &[pulse(Pin::Esc, 9 * PERIOD, 1_500)]);
         assert_eq!(frames.jitter(), 5);
+    }
+    #[test]
+    fn a_frame_that_a_reset_cuts_is_whole_as_it_was_and_no_jitter() {
+        let mut frames = Frames::default();
+        widths(&mut frames, &[pulse(Pin::Esc, 0, 1_500)]);
+        let servo = pulse(Pin::Servo, PERIOD, 1_400);
+        let esc = pulse(Pin::Esc, PERIOD, 1_450);
+        assert_eq!(frames.take(&servo, false), None);
+        assert_eq!(frames.take(&esc, true), None);
+        let cut = Frame {
+            start: PERIOD,
+            servo_us: 1_400,
+            esc_us: 1_450,
+            cut: true,
+        };
+        assert_eq!(frames.cut_off(), Some(cut));
+        // The next grid is another.
+        widths(&mut frames, &[pulse(Pin::Esc, 9 * PERIOD + 77, 1_500)]);
+        assert_eq!(frames.jitter(), 0);
     }
 }

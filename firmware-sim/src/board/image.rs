@@ -16,7 +16,7 @@ use super::{
 use crate::{
     car::{Car, ImuReading, MotorPulses},
     clock::SkewedClock,
-    pulse_log::PulseRecord,
+    pulse_log::{PulseLog, PulseRecord},
 };
 
 /// Where the image and the program that runs it are.
@@ -201,9 +201,17 @@ impl Image {
         self.ask(&Request::SetBus(fault));
     }
 
-    pub(super) fn hold(&mut self) {
+    /// Holds the processor in reset. What was on the pins until now reaches car
+    /// and log; of a pulse that was going on, as much as there was.
+    pub(super) fn hold(&mut self, clock: &SkewedClock, car: &mut Car, log: &mut PulseLog) {
         self.ask(&Request::Hold);
-        self.frames.forget();
+        // No time passes in this run: it asks for the report alone.
+        if let Some(Reply::Ran(report)) = self.ask(&Request::Run(Run::default())) {
+            self.take_pulses(&report, Some(report.cycle), clock, car, log);
+        }
+        if let Some(frame) = self.frames.cut_off() {
+            self.log(&frame, clock, log);
+        }
     }
 
     pub(super) fn figures(&mut self) -> Option<Figures> {
@@ -250,7 +258,6 @@ impl Image {
         }));
         self.started = until;
         self.next_run_us = now_us;
-        self.frames.forget();
     }
 
     /// Lets the processor catch up; returns whether the watchdog has bitten.
@@ -310,27 +317,47 @@ impl Image {
             around.monitor.hear_board(byte);
             around.wire.board_sent(around.clock.when_cycle(cycle), byte);
         }
-        for pulse in &report.pulses {
-            match pulse.pin {
-                Pin::Servo => around.car.apply_pulses(width_us(pulse), 0),
-                Pin::Esc => around.car.apply_pulses(0, width_us(pulse)),
-            }
-            if let Some(frame) = self.frames.take(pulse) {
-                self.log(&frame, around);
-            }
-        }
+        self.take_pulses(
+            report,
+            report.watchdog_reset,
+            &around.clock,
+            around.car,
+            around.pulses,
+        );
         if let Some(frame) = self.frames.over(report.cycle) {
-            self.log(&frame, around);
+            self.log(&frame, &around.clock, around.pulses);
         }
         report.watchdog_reset.is_some()
     }
 
-    fn log(&self, frame: &Frame, around: &mut Surroundings<'_>) {
-        around.pulses.push(PulseRecord {
-            time_us: around.clock.when_cycle(frame.start),
+    /// A pulse that ends at the very cycle of a reset was cut by it.
+    fn take_pulses(
+        &mut self,
+        report: &Report,
+        reset: Option<u64>,
+        clock: &SkewedClock,
+        car: &mut Car,
+        log: &mut PulseLog,
+    ) {
+        for pulse in &report.pulses {
+            match pulse.pin {
+                Pin::Servo => car.apply_pulses(width_us(pulse), 0),
+                Pin::Esc => car.apply_pulses(0, width_us(pulse)),
+            }
+            let cut = reset == Some(pulse.start + pulse.width);
+            if let Some(frame) = self.frames.take(pulse, cut) {
+                self.log(&frame, clock, log);
+            }
+        }
+    }
+
+    fn log(&self, frame: &Frame, clock: &SkewedClock, log: &mut PulseLog) {
+        log.push(PulseRecord {
+            time_us: clock.when_cycle(frame.start),
             board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,
             servo_us: frame.servo_us,
             esc_us: frame.esc_us,
+            cut: frame.cut,
         });
     }
 

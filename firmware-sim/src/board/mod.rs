@@ -299,7 +299,7 @@ impl SimulatedBoard {
         }
     }
 
-    pub(crate) fn reset(&mut self, now_us: u64, cause: ResetCause) {
+    pub(crate) fn reset(&mut self, now_us: u64, cause: ResetCause, car: &mut Car) {
         let duration = match cause {
             ResetCause::External => {
                 let [shortest, longest] = self.parameters.bootloader_us;
@@ -315,10 +315,11 @@ impl SimulatedBoard {
                 until_us: now_us + duration,
                 cause,
             },
+            car,
         );
     }
 
-    pub(crate) fn set_power(&mut self, now_us: u64, on: bool) {
+    pub(crate) fn set_power(&mut self, now_us: u64, on: bool, car: &mut Car) {
         match (&self.phase, on) {
             (Phase::Off, true) => {
                 self.phase = Phase::Starting {
@@ -327,25 +328,26 @@ impl SimulatedBoard {
                 };
             }
             (Phase::Starting { .. } | Phase::Running { .. }, false) => {
-                self.leave(now_us, Phase::Off);
+                self.leave(now_us, Phase::Off, car);
             }
             _ => {}
         }
     }
 
     /// The pins float from now on.
-    fn leave(&mut self, now_us: u64, phase: Phase) {
+    fn leave(&mut self, now_us: u64, phase: Phase, car: &mut Car) {
         let board_time_us = self.board_time_us(now_us).unwrap_or(0);
         self.phase = phase;
         self.monitor = Monitor::default();
         if let Machine::Image(image) = &mut self.machine {
-            image.hold();
+            image.hold(&self.clock, car, &mut self.pulses);
         }
         self.pulses.push(PulseRecord {
             time_us: now_us,
             board_time_us,
             servo_us: 0,
             esc_us: 0,
+            cut: false,
         });
     }
 
@@ -407,9 +409,9 @@ impl SimulatedBoard {
             Machine::Image(image) => image.run(&mut around),
         };
         if self.failure().is_some() {
-            self.leave(now_us, Phase::Off);
+            self.leave(now_us, Phase::Off, car);
         } else if bitten {
-            self.reset(now_us, ResetCause::Watchdog);
+            self.reset(now_us, ResetCause::Watchdog, car);
         }
     }
 }

@@ -133,6 +133,7 @@ impl Native {
                 board_time_us,
                 servo_us,
                 esc_us,
+                cut: false,
             });
         }
     }

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use singletrack_protocol::{BoardMode, ImuState, ResetCause, StopCause, UNSOLICITED};
 use singletrack_sim::{BusFault, Hang, PulseRecord, ScriptedDrive, WireFaults};
 
-use super::{armed, config, driving, is_within_limits, pulses_since};
+use super::{armed, config, driving, is_within, is_within_limits, limits, pulses_since};
 
 const NEUTRAL_US: u16 = 1_500;
 
@@ -87,6 +87,63 @@ fn with_interrupts_disabled_for_good_the_watchdog_alone_ends_the_drive() {
     assert_eq!(drive.world.board().resets(), 1);
     let neutral = neutral_after_ms(&drive, hung_us);
     assert!(neutral <= 110.0, "{neutral} ms");
+}
+
+/// The simulator looks at the image every millisecond, and dates resets with that.
+const SEEN_AFTER_US: u64 = 1_000;
+
+/// Checks every pulse by itself: whether it is marked as cut decides nothing.
+/// Returns how many were outside the limits.
+fn cut_by_resets(drive: &ScriptedDrive) -> usize {
+    let pulses: Vec<PulseRecord> = drive.world.board().pulses().iter().copied().collect();
+    let mut outside = 0;
+    for (place, pulse) in pulses.iter().enumerate() {
+        assert!(is_within_limits(pulse), "{pulse:?}");
+        let [servo, esc] = limits();
+        for (width_us, limits) in [(pulse.servo_us, servo), (pulse.esc_us, esc)] {
+            if is_within(width_us, limits) {
+                continue;
+            }
+            outside += 1;
+            assert!(width_us < limits[0], "{pulse:?}");
+            // Nothing comes after it but the silence of the reset.
+            let reset = pulses[place + 1];
+            assert_eq!((reset.servo_us, reset.esc_us), (0, 0), "{pulse:?}");
+            let end_us = pulse.time_us + u64::from(width_us);
+            // Both times are rounded up to a microsecond.
+            assert!(end_us <= reset.time_us + 2, "{pulse:?} {reset:?}");
+            assert!(
+                end_us + 2 + SEEN_AFTER_US >= reset.time_us,
+                "{pulse:?} {reset:?}"
+            );
+        }
+    }
+    outside
+}
+
+#[test]
+fn every_pulse_outside_the_limits_is_one_that_a_reset_cuts() {
+    let (mut cut_by_line, mut cut_by_watchdog) = (0, 0);
+    for phase_ms in 0..20 {
+        let mut drive = driving(1);
+        drive.run_ms(phase_ms);
+        drive.world.reset_board(ResetCause::BrownOut);
+        drive.drive(30, 400, 500, |_| {});
+        assert_eq!(drive.world.board().resets(), 1);
+        cut_by_line += cut_by_resets(&drive);
+        assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
+
+        let mut drive = driving(1);
+        drive.run_ms(phase_ms);
+        drive.world.board_mut().hang(Hang::Everything);
+        drive.drive(30, 400, 500, |_| {});
+        assert_eq!(drive.world.board().resets(), 1);
+        cut_by_watchdog += cut_by_resets(&drive);
+        assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
+    }
+    // A pulse lasts a thirteenth of the frame, and each frame has two.
+    assert!((1..=4).contains(&cut_by_line), "{cut_by_line}");
+    assert!(cut_by_watchdog <= 40, "{cut_by_watchdog}");
 }
 
 #[test]

@@ -57,10 +57,21 @@ fn pulses_since(drive: &ScriptedDrive, time_us: u64) -> Vec<PulseRecord> {
         .collect()
 }
 
-/// No pulse at all, or one within the configured limits.
+/// No pulse at all, or one within the configured limits; one that a reset cut may
+/// be shorter.
 fn is_within_limits(pulse: &PulseRecord) -> bool {
+    let longest_only = |[min_us, max_us]: [u16; 2]| [if pulse.cut { 0 } else { min_us }, max_us];
+    let [servo, esc] = limits().map(longest_only);
+    is_within(pulse.servo_us, servo) && is_within(pulse.esc_us, esc)
+}
+
+/// The configured limits of the servo's pulses and of the ESC's.
+fn limits() -> [[u16; 2]; 2] {
     let configuration = default_board_configuration();
     let (servo, esc) = (configuration.servo, configuration.esc);
-    (pulse.servo_us == 0 || (servo.min_us..=servo.max_us).contains(&pulse.servo_us))
-        && (pulse.esc_us == 0 || (esc.min_us..=esc.max_us).contains(&pulse.esc_us))
+    [[servo.min_us, servo.max_us], [esc.min_us, esc.max_us]]
+}
+
+fn is_within(width_us: u16, [min_us, max_us]: [u16; 2]) -> bool {
+    width_us == 0 || (min_us..=max_us).contains(&width_us)
 }

@@ -383,6 +383,7 @@ impl Shared {
             board_time_us: telemetry.board_time_us,
             servo_us: telemetry.servo_us,
             esc_us: telemetry.esc_us,
+            cut: false,
         });
     }
 }

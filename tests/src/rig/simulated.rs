@@ -116,6 +116,7 @@ impl Rig for SimulatedRig {
                     board_time_us: record.board_time_us,
                     servo_us: record.servo_us,
                     esc_us: record.esc_us,
+                    cut: record.cut,
                 })
                 .collect()
         })?))
