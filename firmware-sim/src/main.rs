@@ -6,8 +6,8 @@ use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
 use clap::Parser;
 use singletrack_mocap::codec::BitstreamVersion;
 use singletrack_sim::{
-    BoardKind, LossKind, LossPattern, RealTimeConfig, RealTimeSimulator, SimulationConfig,
-    StartPose, UdpConfig, parse_bitstream, parse_duration_us,
+    BoardKind, LossKind, LossPattern, RealTimeConfig, RealTimeError, RealTimeSimulator,
+    SimulationConfig, StartPose, UdpConfig, parse_bitstream, parse_duration_us,
 };
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -167,18 +167,20 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
             None => core::future::pending().await,
         }
     };
-    tokio::select! {
-        _ = interrupt.recv() => {}
-        _ = terminate.recv() => {}
-        () = end => {}
-    }
+    let failure = tokio::select! {
+        _ = interrupt.recv() => None,
+        _ = terminate.recv() => None,
+        () = end => None,
+        failure = board_failure(&simulator) => Some(failure?),
+    };
     let finished = simulator.stop()?;
+    let failure = failure.or_else(|| finished.world.board().failure().map(str::to_owned));
+    if let Some(failure) = failure {
+        return Err(format!("the board failed: {failure}").into());
+    }
     if !arguments.quiet {
         let truth = finished.world.truth();
         let cameras = finished.world.cameras().counters();
-        if let Some(failure) = finished.world.board().failure() {
-            eprintln!("singletrack-sim: the board failed: {failure}");
-        }
         println!(
             "stopped after {:.1} s at x {:.3} m, y {:.3} m, yaw {:.1} degrees; \
              {} camera frames, {} without the car",
@@ -191,6 +193,21 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     Ok(())
+}
+
+/// Without its process the image is a board that is off for good: nothing to wait
+/// for.
+const FAILURE_PERIOD: Duration = Duration::from_millis(100);
+
+/// Waits until the process that runs the image has gone, and says why.
+async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTimeError> {
+    loop {
+        tokio::time::sleep(FAILURE_PERIOD).await;
+        let failure = simulator.with_world(|world| world.board().failure().map(str::to_owned))?;
+        if let Some(failure) = failure {
+            return Ok(failure);
+        }
+    }
 }
 
 fn introduce(arguments: &Arguments, simulator: &RealTimeSimulator) {

@@ -10,6 +10,7 @@
 mod equivalence;
 mod faults;
 mod load;
+mod program;
 #[path = "../closed_loop/scenarios.rs"]
 mod scenarios;
 

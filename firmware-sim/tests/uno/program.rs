@@ -1,0 +1,79 @@
+//! The program `singletrack-sim` with the image.
+
+use std::{
+    io::Read,
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Calls until there is something.
+fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < PATIENCE, "no {what} in {PATIENCE:?}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The one child of a process.
+fn child_of(parent: u32) -> Option<u32> {
+    std::fs::read_dir("/proc")
+        .unwrap()
+        .flatten()
+        .find_map(|entry| {
+            let pid = entry.file_name().to_str()?.parse().ok()?;
+            let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+            // Behind the name in parentheses: state, parent.
+            let (_, rest) = stat.rsplit_once(") ")?;
+            (rest.split(' ').nth(1)? == parent.to_string()).then_some(pid)
+        })
+}
+
+/// Ends the simulator whatever becomes of the test.
+struct Simulator(Child);
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        // It may have ended.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn when_the_process_that_runs_the_image_dies_the_program_says_so_and_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("board");
+    let program = Command::new(env!("CARGO_BIN_EXE_singletrack-sim"))
+        .args(["--board", "uno", "--quiet", "--command-port", "0"])
+        .args(["--data-port", "0", "--port"])
+        .arg(&link)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut simulator = Simulator(program);
+    wait_for("serial port", || link.exists().then_some(()));
+    let image = child_of(simulator.0.id()).unwrap();
+
+    let killed = Command::new("kill")
+        .args(["-KILL", &image.to_string()])
+        .status()
+        .unwrap();
+    assert!(killed.success());
+    let since = Instant::now();
+    let status = wait_for("end", || simulator.0.try_wait().unwrap());
+    assert!(since.elapsed() < Duration::from_secs(2), "{since:?}");
+    assert_eq!(status.code(), Some(1));
+    let mut said = String::new();
+    let mut errors = simulator.0.stderr.take().unwrap();
+    errors.read_to_string(&mut said).unwrap();
+    assert!(said.contains("the board failed"), "{said}");
+    assert!(said.contains("the process that runs the image"), "{said}");
+    assert!(!link.exists());
+}
