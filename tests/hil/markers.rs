@@ -52,8 +52,12 @@ fn loss_for_good(bench: &mut Bench) -> Outcome {
         hold_ms + ramp_ms + MARGIN_MS,
     )?;
     let status = bench.wait_for_mode("idle", Duration::from_secs(3))?;
+    // At neutral the wheels roll on, and the odometer tells standstill later still:
+    // by then the last pose may be as old as the board allows, and it ends the
+    // drive in the host's stead.
+    let by_board = status.reason() == "board-failsafe" && status.stop_cause() == "pose-too-old";
     ensure!(
-        status.reason() == "pose-too-old",
+        status.reason() == "pose-too-old" || by_board,
         "the reason for the stop: {}",
         status.text()
     );
