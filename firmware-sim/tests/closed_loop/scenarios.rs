@@ -10,7 +10,7 @@ use singletrack_sim::{
 
 use super::KIND;
 
-fn seeded(seed: u64) -> SimulationConfig {
+pub(crate) fn seeded(seed: u64) -> SimulationConfig {
     SimulationConfig {
         seed,
         board: BoardParameters {
@@ -21,7 +21,7 @@ fn seeded(seed: u64) -> SimulationConfig {
     }
 }
 
-fn armed(config: SimulationConfig) -> ScriptedDrive {
+pub(crate) fn armed(config: SimulationConfig) -> ScriptedDrive {
     let drive = ScriptedDrive::armed(config).unwrap();
     let refusals = &drive.host.refusals;
     assert_eq!(drive.host.mode(), Some(BoardMode::Armed), "{refusals:?}");

@@ -14,32 +14,12 @@ mod program;
 #[path = "../closed_loop/scenarios.rs"]
 mod scenarios;
 
+use scenarios::{armed, seeded as config};
 use singletrack_protocol::BoardMode;
-use singletrack_sim::{
-    BoardKind, BoardParameters, PulseRecord, ScriptedDrive, SimulationConfig,
-    default_board_configuration,
-};
+use singletrack_sim::{BoardKind, PulseRecord, ScriptedDrive, default_board_configuration};
 
 /// Compiled for the ATmega328P.
 const KIND: BoardKind = BoardKind::Uno;
-
-fn config(seed: u64) -> SimulationConfig {
-    SimulationConfig {
-        seed,
-        board: BoardParameters {
-            kind: KIND,
-            ..BoardParameters::default()
-        },
-        ..SimulationConfig::default()
-    }
-}
-
-fn armed(config: SimulationConfig) -> ScriptedDrive {
-    let drive = ScriptedDrive::armed(config).unwrap();
-    let refusals = &drive.host.refusals;
-    assert_eq!(drive.host.mode(), Some(BoardMode::Armed), "{refusals:?}");
-    drive
-}
 
 /// Drives at 0.4 m/s for half a second.
 fn driving(seed: u64) -> ScriptedDrive {
