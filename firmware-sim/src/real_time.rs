@@ -391,7 +391,9 @@ impl Machine {
         let mut buffer = [0; 2048];
         while let Some((length, from)) = self.sockets.receive(&mut buffer) {
             if let Some(datagram) = buffer.get(..length) {
-                self.world.handle_datagram(from, datagram);
+                let now_us = (monotonic_ns() - self.started_ns) / 1_000;
+                self.world
+                    .handle_datagram_at(now_us.max(self.world.now_us()), from, datagram);
             }
         }
         while let Some(datagram) = self.world.poll_datagram() {

@@ -167,9 +167,16 @@ impl World {
 
     /// A client's datagram reaches the NatNet server.
     pub fn handle_datagram(&mut self, from: SocketAddr, bytes: &[u8]) {
+        self.handle_datagram_at(self.now_us, from, bytes);
+    }
+
+    /// The same at a time that the rest of the world has not come to yet: the
+    /// server's clock must not stand still while the world catches up with it, or
+    /// clients would map it wrongly and not know.
+    pub(crate) fn handle_datagram_at(&mut self, now_us: u64, from: SocketAddr, bytes: &[u8]) {
         let answer = self.natnet.handle_datagram(
-            self.now_us,
-            self.cameras.ticks(self.now_us),
+            now_us,
+            self.cameras.ticks(now_us),
             self.cameras.parameters(),
             from,
             bytes,
