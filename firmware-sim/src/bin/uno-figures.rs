@@ -69,11 +69,8 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         (5, "poll-idle"),
         (6, "poll-with-telemetry"),
     ] {
-        let &(_, count, _, most, _) = section(&codec, number)
-            .ok_or_else(|| format!("the image of the codecs has no section {number}"))?;
-        if count == 0 {
-            return Err(format!("section {number} ({name}) never ended").into());
-        }
+        let &(_, _, _, most, _) = section(&codec, number)
+            .ok_or_else(|| format!("section {number} ({name}) of the codecs never ended"))?;
         println!("{name} {most} cycles");
     }
     Ok(())
