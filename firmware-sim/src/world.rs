@@ -294,3 +294,34 @@ fn push_bounded<T>(queue: &mut VecDeque<T>, item: T) {
     }
     queue.push_back(item);
 }
+
+#[cfg(test)]
+mod tests {
+    use singletrack_mocap::{
+        codec::{BitstreamVersion, ClientMessage, ServerMessage},
+        encode,
+    };
+
+    use super::*;
+
+    #[test]
+    fn a_world_that_is_behind_tells_the_cameras_clock_of_now() {
+        let mut world = World::new(SimulationConfig::default()).unwrap();
+        world.advance_to(1_000_000);
+        while world.poll_datagram().is_some() {}
+        let mut request = [0; 64];
+        let message = ClientMessage::EchoRequest { client_stamp: 77 };
+        let length = encode::client_message(&message, &mut request).unwrap();
+        let mut ticks_at = |now_us| {
+            world.handle_datagram_at(now_us, ([127, 0, 0, 1], 4_000).into(), &request[..length]);
+            let answer = world.poll_datagram().unwrap();
+            match ServerMessage::decode(&answer.bytes, BitstreamVersion::V4_1) {
+                Ok(ServerMessage::Echo(echo)) => echo.server_ticks,
+                other => panic!("{other:?}"),
+            }
+        };
+        // 12 ms of a clock that is 40 ppm fast: 120,004.8 ticks of 100 ns.
+        let (then, now) = (ticks_at(1_000_000), ticks_at(1_012_000));
+        assert!((120_004..=120_005).contains(&(now - then)));
+    }
+}
