@@ -13,10 +13,13 @@ const SECOND_NS: u64 = 1_000_000_000;
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
-    // It starts with the machine, and is never negative.
-    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
-    let nanoseconds = u64::try_from(now.tv_nsec).unwrap_or(0);
-    seconds * SECOND_NS + nanoseconds
+    nanoseconds(now.tv_sec, now.tv_nsec)
+}
+
+/// Of a `timespec`, whose numbers have 32 bits on the Odroid.
+pub(crate) fn nanoseconds(seconds: impl TryInto<u64>, nanoseconds: impl TryInto<u64>) -> u64 {
+    // The clock starts with the machine, and is never negative.
+    seconds.try_into().unwrap_or(0) * SECOND_NS + nanoseconds.try_into().unwrap_or(0)
 }
 
 /// Sleeps until `deadline_ns` of `CLOCK_MONOTONIC`, or not at all if that is past.

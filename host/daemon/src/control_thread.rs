@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     thread::Thread,
 };
@@ -15,19 +15,31 @@ use crate::{
     serial_port::Line,
 };
 
-/// Runs until the loop is done, or `stop` is raised; `collector` is woken after
+/// What others see of the control thread.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Signs {
+    /// Ticks that it has done: proof that it lives, whatever becomes of records.
+    pub(crate) ticks: Arc<AtomicU64>,
+    /// It has ended, however it did.
+    pub(crate) ended: Arc<AtomicBool>,
+    /// Others ask it to end at once.
+    pub(crate) give_up: Arc<AtomicBool>,
+}
+
+/// Runs until the loop is done, or it is to give up; `collector` is woken after
 /// every tick.
 pub(crate) fn run<L: Line>(
     mut control: ControlLoop<L>,
     period_ns: u64,
-    stop: &AtomicBool,
+    signs: &Signs,
     collector: &Thread,
 ) -> LineCounters {
     let mut grid = Grid::new(monotonic_ns(), period_ns);
-    while !control.is_done() && !stop.load(Ordering::Relaxed) {
+    while !control.is_done() && !signs.give_up.load(Ordering::Relaxed) {
         grid.leave(monotonic_ns());
         sleep_until(grid.next_ns);
         control.tick(grid.enter(monotonic_ns()), &monotonic_ns);
+        signs.ticks.fetch_add(1, Ordering::Relaxed);
         collector.unpark();
         grid.slide(control.slide_ns());
     }

@@ -13,7 +13,7 @@ use std::{
 };
 
 use rtrb::RingBuffer;
-use singletrack_control::{Pilot, Request};
+use singletrack_control::{Mode, Pilot, Reason, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
 use singletrack_record::RecorderThread;
@@ -24,7 +24,7 @@ use crate::{
     collector::{Board, Collector},
     config::{Config, ConfigError},
     control_loop::{ControlLoop, ControlRequest, Rings},
-    control_thread::{self, Ended},
+    control_thread::{self, Ended, Signs},
     controller::Controller,
     mocap_receiver::MocapReceiver,
     mocap_socket::{MocapSocketError, MocapSockets},
@@ -114,8 +114,7 @@ impl View {
 pub struct Daemon {
     view: View,
     control: Option<JoinHandle<LineCounters>>,
-    ended: Arc<AtomicBool>,
-    give_up: Arc<AtomicBool>,
+    signs: Signs,
     stop: StopFlag,
     reader: Option<JoinHandle<ReaderCounters>>,
     receiver: Option<JoinHandle<(MocapCounters, u64)>>,
@@ -206,8 +205,7 @@ impl Daemon {
                 },
             },
             control: None,
-            ended: Arc::new(AtomicBool::new(false)),
-            give_up: Arc::new(AtomicBool::new(false)),
+            signs: Signs::default(),
             stop: stop.clone(),
             reader: None,
             receiver: None,
@@ -283,14 +281,13 @@ impl Daemon {
     ) -> Result<(), StartError> {
         let priority = config.control.realtime_priority;
         let period_ns = u64::from(config.control.period_ms) * 1_000_000;
-        let ended = Ended(Arc::clone(&self.ended));
-        let give_up = Arc::clone(&self.give_up);
+        let signs = self.signs.clone();
         let (granted_in, granted) = mpsc::sync_channel(1);
         self.control = Some(spawn("control", move || {
-            let _ended = ended;
+            let _ended = Ended(Arc::clone(&signs.ended));
             // The starter waits for it.
             let _ = granted_in.send(realtime::make_punctual(priority));
-            control_thread::run(control, period_ns, &give_up, &collector)
+            control_thread::run(control, period_ns, &signs, &collector)
         })?);
         let status = &mut self.view.realtime;
         match granted.recv() {
@@ -346,10 +343,24 @@ impl Daemon {
         self.view.requests.push(ControlRequest::Abort)
     }
 
+    /// How many ticks the control thread has done.
+    #[must_use]
+    pub fn ticks(&self) -> u64 {
+        self.signs.ticks.load(Ordering::Relaxed)
+    }
+
+    /// The pilot's mode and why the car does not drive, after the last tick that
+    /// is known of.
+    #[must_use]
+    pub fn mode(&self) -> (Mode, Option<Reason>) {
+        let tick = self.view.board.latest().tick;
+        tick.map_or((Mode::Disconnected, None), |tick| (tick.mode, tick.reason))
+    }
+
     /// Whether the control thread has ended: on request, or by a panic.
     #[must_use]
     pub fn has_ended(&self) -> bool {
-        self.ended.load(Ordering::Acquire)
+        self.signs.ended.load(Ordering::Acquire)
     }
 
     /// Stops the car, ends all threads and says what it came to.
@@ -418,12 +429,12 @@ impl Daemon {
             return Err(StopError::Panicked);
         };
         if !self.has_ended() && self.view.requests.push(how).is_err() {
-            self.give_up.store(true, Ordering::Relaxed);
+            self.signs.give_up.store(true, Ordering::Relaxed);
         }
         let begin = Instant::now();
         while !control.is_finished() {
             if begin.elapsed() > END_PATIENCE {
-                self.give_up.store(true, Ordering::Relaxed);
+                self.signs.give_up.store(true, Ordering::Relaxed);
                 return Err(StopError::Stuck);
             }
             thread::sleep(Duration::from_millis(1));

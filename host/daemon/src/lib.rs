@@ -13,6 +13,7 @@
 pub mod config;
 pub mod control_loop;
 pub mod controller;
+pub mod notify;
 pub mod serial_port;
 pub mod serial_reader;
 

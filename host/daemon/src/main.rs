@@ -1,5 +1,6 @@
 //! `singletrackd`: drives the car.
 
+mod service;
 mod signals;
 
 use std::{
@@ -8,12 +9,12 @@ use std::{
     io::{self, IsTerminal},
     path::PathBuf,
     process::ExitCode,
-    time::{Duration, Instant},
 };
 
 use clap::{Parser, ValueEnum};
+use service::Service;
 use signals::Signals;
-use singletrackd::{Config, Daemon, StartOptions, Summary};
+use singletrackd::{Config, Daemon, StartOptions, Summary, notify::ServiceManager};
 use tracing::{error, info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
@@ -55,13 +56,6 @@ const BAD_CONFIGURATION: u8 = 2;
 /// Lines of the log that may wait for their reader.
 const LOG_LINES: usize = 4_096;
 
-/// How long the control thread may take to stop the car and to end, after the
-/// first signal.
-const STOP_PATIENCE: Duration = Duration::from_secs(4);
-
-/// How often the main thread looks whether the control thread still runs.
-const LOOK_AROUND: Duration = Duration::from_millis(10);
-
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     // Before any thread: they inherit it.
@@ -99,57 +93,12 @@ fn main() -> ExitCode {
         lock_memory: true,
         ..StartOptions::default()
     };
+    let manager = ServiceManager::from_environment().unwrap_or_else(|error| {
+        warn!("the service manager is told nothing: {error}");
+        ServiceManager::default()
+    });
     match Daemon::start(config, options) {
-        Ok(daemon) => run(daemon, &signals),
-        Err(error) => {
-            error!("{error}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-/// Until a signal says otherwise.
-fn run(daemon: Daemon, signals: &Signals) -> ExitCode {
-    let mut first: Option<Instant> = None;
-    while !daemon.has_ended() {
-        // A control thread that is stuck does not keep the process.
-        if first.is_some_and(|first| first.elapsed() > STOP_PATIENCE) {
-            error!("the control thread does not end");
-            break;
-        }
-        let Some(signal) = signals.wait(LOOK_AROUND) else {
-            continue;
-        };
-        // First the car, then the log.
-        let asked = match first {
-            None => {
-                let asked = daemon.begin_stop();
-                info!(signal, "stopping");
-                asked
-            }
-            Some(_) => {
-                let asked = daemon.begin_abort();
-                warn!(signal, "disarming at once");
-                asked
-            }
-        };
-        first.get_or_insert_with(Instant::now);
-        if let Err(error) = asked {
-            error!("{error}");
-            break;
-        }
-    }
-    match daemon.stop() {
-        Ok(summary) => {
-            tell(&summary);
-            match &summary.record_error {
-                None => ExitCode::SUCCESS,
-                Some(error) => {
-                    error!("the record is incomplete: {error}");
-                    ExitCode::FAILURE
-                }
-            }
-        }
+        Ok(daemon) => Service::new(daemon, manager).run(&signals),
         Err(error) => {
             error!("{error}");
             ExitCode::FAILURE

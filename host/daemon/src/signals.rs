@@ -4,6 +4,13 @@
 
 use std::{io, mem::MaybeUninit, ptr, time::Duration};
 
+/// What a signal asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Signal {
+    /// Stop the car and end. Its name.
+    End(&'static str),
+}
+
 /// SIGTERM, SIGINT and SIGHUP, which are delivered to nobody but
 /// [`wait`](Self::wait).
 pub(crate) struct Signals(libc::sigset_t);
@@ -29,8 +36,8 @@ impl Signals {
         Ok(Self(set))
     }
 
-    /// Waits for one of them; its name, or none when time is up.
-    pub(crate) fn wait(&self, timeout: Duration) -> Option<&'static str> {
+    /// Waits for one of them; none when time is up.
+    pub(crate) fn wait(&self, timeout: Duration) -> Option<Signal> {
         let timeout = libc::timespec {
             tv_sec: timeout.as_secs() as _,
             tv_nsec: timeout.subsec_nanos() as _,
@@ -39,9 +46,9 @@ impl Signals {
         let signal =
             unsafe { libc::sigtimedwait(&raw const self.0, ptr::null_mut(), &raw const timeout) };
         match signal {
-            libc::SIGTERM => Some("SIGTERM"),
-            libc::SIGINT => Some("SIGINT"),
-            libc::SIGHUP => Some("SIGHUP"),
+            libc::SIGTERM => Some(Signal::End("SIGTERM")),
+            libc::SIGINT => Some(Signal::End("SIGINT")),
+            libc::SIGHUP => Some(Signal::End("SIGHUP")),
             _ => None,
         }
     }

@@ -7,10 +7,12 @@
 )]
 
 mod common;
+#[path = "common/terminal.rs"]
+mod terminal;
 
 use std::{net::Ipv4Addr, path::Path, time::Duration};
 
-use common::{Terminal, wait_for};
+use common::wait_for;
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Decoder, Hello, ImuState, Request, StopCause, Telemetry, ToBoard,
     ToHost, VERSION,
@@ -21,6 +23,7 @@ use singletrackd::{
     controller::Sent,
     serial_port::{self, Line, PortError},
 };
+use terminal::Terminal;
 
 fn config(port: &Path) -> Config {
     let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();

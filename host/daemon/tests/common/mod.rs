@@ -1,63 +1,6 @@
-//! A pseudo-terminal in place of the board's port.
+//! What several tests do.
 
-use std::{
-    ffi::OsStr,
-    os::{fd::OwnedFd, unix::ffi::OsStrExt},
-    path::{Path, PathBuf},
-    time::{Duration, Instant},
-};
-
-use rustix::{
-    fs::{OFlags, fcntl_setfl},
-    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
-    termios::{OptionalActions, tcgetattr, tcsetattr},
-};
-
-/// The board's end of a pseudo-terminal. Dropped, the line hangs up.
-pub(crate) struct Terminal {
-    master: OwnedFd,
-    device: PathBuf,
-}
-
-impl Terminal {
-    pub(crate) fn open() -> Self {
-        let master =
-            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let mut settings = tcgetattr(&master).unwrap();
-        settings.make_raw();
-        tcsetattr(&master, OptionalActions::Now, &settings).unwrap();
-        fcntl_setfl(&master, OFlags::NONBLOCK).unwrap();
-        let name = ptsname(&master, Vec::new()).unwrap();
-        let device = PathBuf::from(OsStr::from_bytes(name.as_bytes()));
-        Self { master, device }
-    }
-
-    pub(crate) fn device(&self) -> &Path {
-        &self.device
-    }
-
-    /// Points `link` at it.
-    pub(crate) fn link(&self, link: &Path) {
-        let _ = std::fs::remove_file(link);
-        std::os::unix::fs::symlink(&self.device, link).unwrap();
-    }
-
-    /// What has come so far.
-    pub(crate) fn read(&self) -> Vec<u8> {
-        let mut all = Vec::new();
-        let mut buffer = [0; 4_096];
-        while let Ok(count @ 1..) = rustix::io::read(&self.master, &mut buffer) {
-            all.extend_from_slice(&buffer[..count]);
-        }
-        all
-    }
-
-    pub(crate) fn write(&self, bytes: &[u8]) {
-        assert_eq!(rustix::io::write(&self.master, bytes), Ok(bytes.len()));
-    }
-}
+use std::time::{Duration, Instant};
 
 /// Looks until `condition` holds; how long that took.
 pub(crate) fn wait_for(what: &str, mut condition: impl FnMut() -> bool) -> Duration {

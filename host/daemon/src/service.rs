@@ -1,0 +1,141 @@
+//! The main thread: signals in, the service manager told, until the daemon ends.
+
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use singletrackd::{
+    Daemon, Stalled, monotonic_ns,
+    notify::{ServiceManager, Watchdog},
+};
+use tracing::{error, info, warn};
+
+use crate::{
+    signals::{Signal, Signals},
+    tell,
+};
+
+/// How long the control thread may take to stop the car and to end, after the
+/// first signal.
+const STOP_PATIENCE: Duration = Duration::from_secs(4);
+
+/// How often the main thread looks around.
+const LOOK_AROUND: Duration = Duration::from_millis(10);
+
+/// A daemon under the eyes of whoever started it.
+pub(crate) struct Service {
+    daemon: Daemon,
+    manager: ServiceManager,
+    watchdog: Option<Watchdog>,
+    /// What the manager was last told; none before everything runs.
+    told: Option<String>,
+    /// When the first signal to end came.
+    ending: Option<Instant>,
+}
+
+impl Service {
+    pub(crate) fn new(daemon: Daemon, manager: ServiceManager) -> Self {
+        Self {
+            daemon,
+            watchdog: manager.watchdog().map(Watchdog::new),
+            manager,
+            told: None,
+            ending: None,
+        }
+    }
+
+    /// Until a signal says otherwise.
+    pub(crate) fn run(mut self, signals: &Signals) -> ExitCode {
+        while !self.daemon.has_ended() {
+            // A control thread that is stuck does not keep the process.
+            if self
+                .ending
+                .is_some_and(|begin| begin.elapsed() > STOP_PATIENCE)
+            {
+                error!("the control thread does not end");
+                break;
+            }
+            self.report();
+            let asked = match signals.wait(LOOK_AROUND) {
+                None => continue,
+                Some(Signal::End(name)) => self.begin_end(name),
+            };
+            if let Err(error) = asked {
+                error!("{error}");
+                break;
+            }
+        }
+        self.end()
+    }
+
+    /// Tells the manager what has changed, and that the controller ticks.
+    fn report(&mut self) {
+        let ticks = self.daemon.ticks();
+        if ticks == 0 {
+            return;
+        }
+        let status = self.status();
+        if self.told.as_ref() != Some(&status) {
+            match self.told {
+                None => self.manager.ready(&status),
+                Some(_) => self.manager.status(&status),
+            }
+            self.told = Some(status);
+        }
+        if let Some(watchdog) = &mut self.watchdog
+            && watchdog.is_due(monotonic_ns(), ticks)
+        {
+            self.manager.alive();
+        }
+    }
+
+    fn status(&self) -> String {
+        match self.daemon.mode() {
+            (mode, Some(reason)) => format!("mode {mode}: {reason}"),
+            (mode, None) => format!("mode {mode}"),
+        }
+    }
+
+    /// First the car, then the log.
+    fn begin_end(&mut self, signal: &str) -> Result<(), Stalled> {
+        let asked = match self.ending {
+            None => {
+                let asked = self.daemon.begin_stop();
+                info!(signal, "stopping");
+                self.manager
+                    .stopping(&format!("{signal}: stopping the car"));
+                asked
+            }
+            Some(_) => {
+                let asked = self.daemon.begin_abort();
+                warn!(signal, "disarming at once");
+                asked
+            }
+        };
+        self.ending.get_or_insert_with(Instant::now);
+        asked
+    }
+
+    fn end(self) -> ExitCode {
+        if self.ending.is_none() {
+            self.manager.stopping("the control thread has ended");
+        }
+        match self.daemon.stop() {
+            Ok(summary) => {
+                tell(&summary);
+                match &summary.record_error {
+                    None => ExitCode::SUCCESS,
+                    Some(error) => {
+                        error!("the record is incomplete: {error}");
+                        ExitCode::FAILURE
+                    }
+                }
+            }
+            Err(error) => {
+                error!("{error}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! The shipped binary under a service manager: what it tells, and when.
+#![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+mod common;
+
+use std::{
+    fs,
+    os::{
+        linux::net::SocketAddrExt,
+        unix::net::{SocketAddr, UnixDatagram},
+    },
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use common::wait_for;
+use tempfile::TempDir;
+
+/// How long the manager waits for a sign of life.
+const WATCHDOG: Duration = Duration::from_millis(400);
+
+/// A service manager with one service.
+struct Manager {
+    socket: UnixDatagram,
+    daemon: Child,
+    _folder: TempDir,
+}
+
+impl Manager {
+    /// `address`: where it listens, made from a folder's path.
+    fn start(address: impl FnOnce(&Path) -> (SocketAddr, String)) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let (address, name) = address(folder.path());
+        let socket = UnixDatagram::bind_addr(&address).unwrap();
+        socket
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let config = folder.path().join("singletrackd.toml");
+        fs::write(&config, configuration(folder.path())).unwrap();
+        let daemon = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+            .arg("--config")
+            .arg(&config)
+            .env("NOTIFY_SOCKET", name)
+            .env("WATCHDOG_USEC", WATCHDOG.as_micros().to_string())
+            .env_remove("WATCHDOG_PID")
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self {
+            socket,
+            daemon,
+            _folder: folder,
+        }
+    }
+
+    /// By path.
+    fn by_path() -> Self {
+        Self::start(|folder| {
+            let path = folder.join("notify");
+            (
+                SocketAddr::from_pathname(&path).unwrap(),
+                path.to_str().unwrap().to_owned(),
+            )
+        })
+    }
+
+    /// The next datagram.
+    fn hear(&self) -> String {
+        let mut buffer = [0; 4_096];
+        let length = self.socket.recv(&mut buffer).unwrap();
+        String::from_utf8(buffer[..length].to_vec()).unwrap()
+    }
+
+    /// Listens until something is told that begins with `start`.
+    fn await_told(&self, start: &str) -> String {
+        loop {
+            let told = self.hear();
+            if told.starts_with(start) {
+                return told;
+            }
+        }
+    }
+
+    /// How often it gives a sign of life in `time`.
+    fn signs_of_life(&self, time: Duration) -> usize {
+        let begin = Instant::now();
+        let mut count = 0;
+        let mut buffer = [0; 4_096];
+        while let Some(rest) = time.checked_sub(begin.elapsed())
+            && !rest.is_zero()
+        {
+            self.socket.set_read_timeout(Some(rest)).unwrap();
+            if let Ok(length) = self.socket.recv(&mut buffer) {
+                count += usize::from(&buffer[..length] == b"WATCHDOG=1");
+            }
+        }
+        self.socket
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        count
+    }
+
+    fn signal(&self, signal: libc::c_int) {
+        let process = libc::pid_t::try_from(self.daemon.id()).unwrap();
+        // SAFETY: our own child, which has not been waited for.
+        assert_eq!(unsafe { libc::kill(process, signal) }, 0);
+    }
+
+    fn thread(&self, name: &str) -> libc::pid_t {
+        let tasks = PathBuf::from(format!("/proc/{}/task", self.daemon.id()));
+        fs::read_dir(tasks)
+            .unwrap()
+            .map(|task| task.unwrap())
+            .find(|task| {
+                fs::read_to_string(task.path().join("comm"))
+                    .unwrap_or_default()
+                    .trim()
+                    == name
+            })
+            .unwrap()
+            .file_name()
+            .to_str()
+            .unwrap()
+            .parse()
+            .unwrap()
+    }
+}
+
+impl Drop for Manager {
+    fn drop(&mut self) {
+        let _ = self.daemon.kill();
+        let _ = self.daemon.wait();
+    }
+}
+
+/// Of a daemon that has neither board nor cameras.
+fn configuration(folder: &Path) -> String {
+    let example = include_str!("../singletrackd.example.toml");
+    let path = |name: &str| folder.join(name).display().to_string();
+    let mut table: toml::Table = toml::from_str(example).unwrap();
+    let mut set = |section: &str, key: &str, value: toml::Value| {
+        table[section]
+            .as_table_mut()
+            .unwrap()
+            .insert(key.to_owned(), value);
+    };
+    set("serial", "port", path("board").into());
+    set("motion_capture", "server", "127.0.0.1".into());
+    set("motion_capture", "command_port", 9.into());
+    set("control", "realtime_priority", 0.into());
+    set("record", "directory", path("records").into());
+    set("socket", "path", path("control.sock").into());
+    toml::to_string(&table).unwrap()
+}
+
+#[test]
+fn it_is_ready_when_the_controller_ticks_and_says_how_it_is_doing() {
+    let manager = Manager::by_path();
+    let first = manager.hear();
+    assert!(
+        first.starts_with("READY=1\nSTATUS=mode disconnected"),
+        "{first}"
+    );
+    assert_eq!(manager.await_told("WATCHDOG"), "WATCHDOG=1");
+}
+
+#[test]
+fn a_manager_with_an_abstract_name_is_told_too() {
+    let manager = Manager::start(|folder| {
+        let name = folder.display().to_string();
+        (
+            SocketAddr::from_abstract_name(&name).unwrap(),
+            format!("@{name}"),
+        )
+    });
+    assert!(manager.hear().starts_with("READY=1\n"));
+}
+
+#[test]
+fn signs_of_life_come_only_while_the_control_thread_lives() {
+    let manager = Manager::by_path();
+    manager.await_told("READY=1");
+    let alive = manager.signs_of_life(5 * WATCHDOG);
+    assert!((8..=11).contains(&alive), "{alive} in five intervals");
+
+    let control = manager.thread("control");
+    let frozen = Frozen::new(control);
+    // One may have been under way.
+    manager.signs_of_life(WATCHDOG / 4);
+    assert_eq!(manager.signs_of_life(3 * WATCHDOG), 0);
+
+    drop(frozen);
+    assert_eq!(manager.await_told("WATCHDOG"), "WATCHDOG=1");
+}
+
+#[test]
+fn its_end_is_told_before_it_ends() {
+    let mut manager = Manager::by_path();
+    manager.await_told("READY=1");
+    manager.signal(libc::SIGTERM);
+    let told = manager.await_told("STOPPING=1");
+    assert!(told.contains("\nSTATUS=SIGTERM"), "{told}");
+    let mut status = None;
+    wait_for("the end", || {
+        status = manager.daemon.try_wait().unwrap();
+        status.is_some()
+    });
+    assert!(status.unwrap().success());
+}
+
+#[test]
+fn without_a_manager_and_with_one_that_is_unknown_it_runs() {
+    for name in ["", "vsock:2:1234"] {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("singletrackd.toml");
+        fs::write(&config, configuration(folder.path())).unwrap();
+        let daemon = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+            .arg("--config")
+            .arg(&config)
+            .env("NOTIFY_SOCKET", name)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let socket = folder.path().join("control.sock");
+        wait_for("a socket", || socket.exists());
+        // SAFETY: our own child, which has not been waited for.
+        unsafe { libc::kill(libc::pid_t::try_from(daemon.id()).unwrap(), libc::SIGTERM) };
+        let output = daemon.wait_with_output().unwrap();
+        let log = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{log}");
+        assert_eq!(log.contains("NOTIFY_SOCKET"), !name.is_empty(), "{log}");
+    }
+}
+
+/// A single thread of another process that is held; dropped, it goes on.
+struct Frozen(libc::pid_t);
+
+impl Frozen {
+    fn new(thread: libc::pid_t) -> Self {
+        trace(libc::PTRACE_SEIZE, thread);
+        trace(libc::PTRACE_INTERRUPT, thread);
+        let mut status = 0;
+        // SAFETY: the status outlives the call.
+        let stopped = unsafe { libc::waitpid(thread, &raw mut status, libc::__WALL) };
+        assert_eq!(stopped, thread);
+        assert!(libc::WIFSTOPPED(status));
+        Self(thread)
+    }
+}
+
+impl Drop for Frozen {
+    fn drop(&mut self) {
+        trace(libc::PTRACE_DETACH, self.0);
+    }
+}
+
+fn trace(request: libc::c_uint, thread: libc::pid_t) {
+    let nothing = core::ptr::null_mut::<libc::c_void>();
+    // SAFETY: these requests take a thread of our own child and no pointer.
+    let result = unsafe { libc::ptrace(request, thread, nothing, nothing) };
+    assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
+}
