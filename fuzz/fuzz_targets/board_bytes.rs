@@ -1,0 +1,7 @@
+//! See `singletrack_fuzz::board_bytes`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    singletrack_fuzz::board_bytes(data);
+});

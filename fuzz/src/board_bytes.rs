@@ -1,0 +1,532 @@
+//! Bytes that the serial line brings to the board.
+
+use singletrack_board::{Board, ImuSample, Inputs, Outputs};
+use singletrack_protocol::{
+    Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
+    EmergencyStop, FailsafeAction, Hello, ResetCause, Sequence, ToBoard, ToHost, VERSION,
+};
+
+use crate::choices::Choices;
+use crate::frame::frame;
+use crate::samples::CONFIGURATION;
+
+const MS: u32 = 1_000;
+
+/// The ESC's pulse while there is no configuration, in µs.
+const NEUTRAL_AT_START_US: u16 = 1_500;
+
+/// The type bytes of the messages to the board, and one that is none.
+const KINDS: [u8; 7] = [0x01, 0x10, 0x11, 0x12, 0x13, 0x14, 0x20];
+
+/// Frames that a poll may send unasked: twice a zero and two greetings, a
+/// record of telemetry and one of status.
+const UNASKED: usize = 8;
+
+// No room for a heap: what a board needs, it has from the start.
+const _: () = assert!(!core::mem::needs_drop::<Board>());
+const _: () = assert!(size_of::<Board>() <= 512);
+
+/// Bytes that the serial line brings to the board, while its pins show anything
+/// and time goes by in any steps.
+///
+/// The first byte chooses how far host and board had come before; the others are
+/// what happens then: bytes, frames around any payload, messages that fit what
+/// went before, time, pins.
+///
+/// # Panics
+///
+/// When the board drives without an `Arm` of its configuration and a `Drive`
+/// since, or longer than a command's time to live; when a pulse leaves the
+/// configuration's limits, or turns faster than it allows; when a mode follows
+/// that may not; when it sends what is no frame, or more than it was asked for;
+/// when a stop that was heard last does not stop.
+///
+/// Returns how many bytes the board was handed.
+pub fn board_bytes(data: &[u8]) -> u64 {
+    let mut choices = Choices::new(data);
+    let mut bench = Bench::at_stage(&mut choices);
+    while !choices.is_empty() {
+        bench.step(&mut choices);
+    }
+    bench.bytes
+}
+
+struct Bench {
+    board: Board,
+    now_us: u32,
+    inputs: Inputs,
+    outputs: Outputs,
+    /// Time between two motor pulses while the ESC drives.
+    pulse_period_us: Option<u32>,
+    line_open: bool,
+    /// Hears what the board hears.
+    mirror: Decoder,
+    polled_us: u32,
+    request: u8,
+    braked_us: u32,
+    /// Handed to the board.
+    bytes: u64,
+}
+
+/// The messages of one poll, as the mirror heard them.
+#[derive(Default)]
+struct Heard {
+    frames: usize,
+    configure: bool,
+    /// For a configuration that the board had or was given.
+    arm: bool,
+    drive: bool,
+    last: Option<ToBoard>,
+}
+
+impl Bench {
+    fn at_stage(choices: &mut Choices<'_>) -> Self {
+        let options = choices.byte();
+        let is = |bit: u8| options & (1 << bit) != 0;
+        let board = Board::new(ResetCause::PowerOn, [0, 1, 0]);
+        let mut bench = Self {
+            outputs: board.outputs(),
+            board,
+            now_us: if is(2) { u32::MAX - 2_500 * MS } else { 0 },
+            inputs: Inputs {
+                battery_mv: 7_400,
+                ..Inputs::default()
+            },
+            pulse_period_us: Some(3 * MS),
+            line_open: true,
+            mirror: Decoder::new(),
+            polled_us: 0,
+            request: 0,
+            braked_us: 0,
+            bytes: 0,
+        };
+        let configuration = Configuration {
+            failsafe: if is(3) {
+                FailsafeAction::Brake
+            } else {
+                FailsafeAction::Coast
+            },
+            stop_input: is(4),
+            speed: singletrack_protocol::SpeedLoop {
+                max_reverse_mm_s: if is(5) { 600 } else { 0 },
+                ..CONFIGURATION.speed
+            },
+            ..CONFIGURATION
+        };
+        let stage = options & 3;
+        bench.poll(&[]);
+        if stage >= 1 {
+            bench.say(Hello {
+                protocol_version: VERSION,
+                software_version: [0, 1, 0],
+                nonce: 1,
+            });
+            bench.configure(configuration);
+            bench.wait(11, 200 * MS);
+        }
+        if stage >= 2 {
+            let arm = bench.arm_request();
+            bench.say(arm);
+        }
+        if stage >= 3 {
+            for _ in 0..3 {
+                bench.drive_well(500, 1_000);
+            }
+        }
+        bench
+    }
+
+    fn step(&mut self, choices: &mut Choices<'_>) {
+        match choices.byte() % 20 {
+            0 => self.poll(choices.bytes()),
+            1 => {
+                let kind = choices.byte();
+                self.poll(&frame(kind, choices.bytes()));
+            }
+            // Several frames, or parts of them, in one poll.
+            2 => {
+                let mut bytes = Vec::new();
+                for _ in 0..choices.byte() % 8 {
+                    bytes.extend_from_slice(&frame(choices.one_of(KINDS), choices.bytes()));
+                }
+                bytes.truncate(usize::from(choices.u16()));
+                self.poll(&bytes);
+            }
+            3 => self.wait(choices.byte() % 32 + 1, MS),
+            4 => {
+                let step_us = choices.u16();
+                self.wait(choices.byte() % 8 + 1, step_us.into());
+            }
+            // Half a turn of the clock is no time between two polls.
+            5 => self.wait(1, choices.u32() >> 1),
+            6 => {
+                let protocol_version = if choices.flag() {
+                    VERSION
+                } else {
+                    choices.u16()
+                };
+                self.say(Hello {
+                    protocol_version,
+                    software_version: [1, 2, 3],
+                    nonce: choices.byte().into(),
+                });
+            }
+            7 => {
+                let configuration = any_configuration(choices);
+                self.configure(configuration);
+            }
+            8 => {
+                let arm = self.arm_request();
+                self.say(arm);
+            }
+            9 => {
+                let arm = self.arm_request();
+                self.say(Arm {
+                    request: Sequence(choices.byte()),
+                    configuration_hash: arm.configuration_hash ^ u32::from(choices.byte() & 2),
+                    telemetry_time_us: self.now_us.wrapping_sub(choices.u32()),
+                });
+            }
+            10 => {
+                let request = self.next_request();
+                self.say(Disarm { request });
+            }
+            11 => {
+                let request = self.next_request();
+                self.say(EmergencyStop { request });
+            }
+            12 => {
+                let (speed, steering) = (choices.i16(), choices.i16());
+                self.drive_well(speed, steering);
+            }
+            13 => self.say(Drive {
+                sequence: Sequence(self.board.last_sequence().0.wrapping_add(choices.byte())),
+                speed_mm_s: choices.i16(),
+                steering_100urad: choices.i16(),
+                telemetry_time_us: self.now_us.wrapping_sub(choices.u32()),
+                pose_age_ms: choices.u16(),
+            }),
+            14 => {
+                let period_us = u32::from(choices.u16());
+                self.pulse_period_us = (period_us >= 50).then_some(period_us);
+            }
+            15 => {
+                self.inputs.motor.count = choices.u16();
+                self.inputs.motor.last_edge_us = choices.u32();
+            }
+            16 => self.inputs.stop_input_open = choices.flag(),
+            17 => {
+                self.inputs.imu = Some(ImuSample {
+                    time_us: self.now_us.wrapping_sub(choices.u32()),
+                    linear_acceleration_mm_s2: [choices.i16(); 3],
+                    angular_velocity_mrad_s: [choices.i16(); 3],
+                    attitude_q14: [choices.i16(); 4],
+                });
+            }
+            18 => self.line_open = choices.flag(),
+            _ => {
+                // A good host for a while.
+                let (speed, steering) = (choices.i16(), choices.i16());
+                for _ in 0..choices.byte() % 16 {
+                    self.drive_well(speed, steering);
+                }
+            }
+        }
+    }
+
+    fn next_request(&mut self) -> Sequence {
+        self.request = self.request.wrapping_add(1);
+        Sequence(self.request)
+    }
+
+    fn arm_request(&mut self) -> Arm {
+        Arm {
+            request: self.next_request(),
+            configuration_hash: self.board.configuration().map_or(0, Configuration::hash),
+            telemetry_time_us: self.now_us,
+        }
+    }
+
+    fn configure(&mut self, configuration: Configuration) {
+        let request = self.next_request();
+        self.say(Configure {
+            request,
+            configuration,
+        });
+    }
+
+    fn drive_well(&mut self, speed_mm_s: i16, steering_100urad: i16) {
+        self.say(Drive {
+            sequence: self.board.last_sequence().next(),
+            speed_mm_s,
+            steering_100urad,
+            telemetry_time_us: self.now_us,
+            pose_age_ms: 10,
+        });
+        self.wait(2, 5 * MS);
+    }
+
+    fn say(&mut self, message: impl Into<ToBoard>) {
+        // Ends whatever stands half said on the line.
+        let mut bytes = vec![0];
+        bytes.extend_from_slice(message.into().encode().as_bytes());
+        self.poll(&bytes);
+    }
+
+    fn wait(&mut self, polls: u8, step_us: u32) {
+        for _ in 0..polls {
+            self.now_us = self.now_us.wrapping_add(step_us);
+            self.poll(&[]);
+        }
+    }
+
+    fn hear(&mut self, bytes: &[u8]) -> Heard {
+        let mut heard = Heard::default();
+        let mut hashes: Vec<_> = self
+            .board
+            .configuration()
+            .map(Configuration::hash)
+            .into_iter()
+            .collect();
+        for &byte in bytes {
+            let Some(Ok(packet)) = self.mirror.push(byte) else {
+                continue;
+            };
+            let Ok(message) = ToBoard::decode(packet) else {
+                continue;
+            };
+            heard.frames += 1;
+            match message {
+                ToBoard::Configure(configure) => {
+                    heard.configure = true;
+                    hashes.push(configure.configuration.hash());
+                }
+                ToBoard::Arm(arm) => heard.arm |= hashes.contains(&arm.configuration_hash),
+                ToBoard::Drive(_) => heard.drive = true,
+                _ => {}
+            }
+            heard.last = Some(message);
+        }
+        heard
+    }
+
+    fn turn_the_motor(&mut self) {
+        let neutral = self.outputs.esc_neutral_us;
+        let driven = self.outputs.esc_us.abs_diff(neutral) > CONFIGURATION.esc.deadband_us;
+        if let Some(period_us) = self.pulse_period_us
+            && driven
+        {
+            let since_us = self.now_us.wrapping_sub(self.inputs.motor.last_edge_us);
+            let pulses = since_us / period_us;
+            if pulses > 0 {
+                self.inputs.motor.count = self.inputs.motor.count.wrapping_add(pulses as u16);
+                self.inputs.motor.last_edge_us = self.now_us;
+            }
+        }
+    }
+
+    fn poll(&mut self, received: &[u8]) {
+        self.turn_the_motor();
+        let before = Before {
+            mode: self.board.mode(),
+            configuration: self.board.configuration().copied(),
+            servo_us: self.outputs.servo_us,
+        };
+        let heard = self.hear(received);
+        self.bytes += received.len() as u64;
+        let elapsed_us = self.now_us.wrapping_sub(self.polled_us);
+        self.polled_us = self.now_us;
+        let line_open = self.line_open;
+        let mut sent = 0;
+        self.outputs = self
+            .board
+            .poll(self.now_us, &self.inputs, received, &mut |bytes| {
+                sent += 1;
+                assert_is_frame(bytes);
+                line_open
+            });
+        assert!(
+            sent <= heard.frames + UNASKED,
+            "{sent} frames in answer to {}",
+            heard.frames
+        );
+        assert_eq!(self.outputs, self.board.outputs());
+        self.check_mode(before.mode, &heard);
+        match self.board.configuration().copied() {
+            None => self.check_silence(),
+            Some(now) => {
+                assert_eq!(now.validate(), Ok(()));
+                self.check_servo(&now, &before, &heard, elapsed_us);
+                self.check_esc(&now, before.mode, elapsed_us);
+            }
+        }
+    }
+
+    fn check_mode(&self, before: BoardMode, heard: &Heard) {
+        use BoardMode::{Armed, Driving, EmergencyStopped};
+        let mode = self.board.mode();
+        let is_armed = |mode| matches!(mode, Armed | Driving);
+        assert!(
+            !is_armed(mode) || is_armed(before) || heard.arm,
+            "{before:?} -> {mode:?} unasked"
+        );
+        assert!(
+            mode != Driving || before == Driving || heard.drive,
+            "{before:?} -> {mode:?} without a command"
+        );
+        assert!(
+            before != EmergencyStopped || mode == EmergencyStopped,
+            "left an emergency stop for {mode:?}"
+        );
+        match heard.last {
+            Some(ToBoard::Disarm(_)) => assert!(!is_armed(mode), "disarmed and {mode:?}"),
+            Some(ToBoard::EmergencyStop(_)) => assert_eq!(mode, EmergencyStopped),
+            _ => {}
+        }
+        assert_eq!(mode == Driving, self.outputs.drive_deadline_us.is_some());
+        if let Some(deadline_us) = self.outputs.drive_deadline_us {
+            let left_us = deadline_us.wrapping_sub(self.now_us);
+            assert!(
+                left_us <= COMMAND_TIME_TO_LIVE_US,
+                "a command in force for {left_us} us"
+            );
+        }
+    }
+
+    /// Without a configuration nothing moves.
+    fn check_silence(&self) {
+        assert_eq!(
+            (self.outputs.servo_us, self.outputs.esc_us),
+            (None, NEUTRAL_AT_START_US)
+        );
+        assert!(matches!(
+            self.board.mode(),
+            BoardMode::Boot | BoardMode::Neutral | BoardMode::EmergencyStopped
+        ));
+    }
+
+    fn check_servo(&self, now: &Configuration, before: &Before, heard: &Heard, elapsed_us: u32) {
+        let servo = &now.servo;
+        let Some(pulse_us) = self.outputs.servo_us else {
+            panic!("a configured board without a servo pulse");
+        };
+        assert!((servo.min_us..=servo.max_us).contains(&pulse_us));
+        if let Some(before_us) = before.servo_us
+            && before.configuration.as_ref() == Some(now)
+            && !heard.configure
+        {
+            let allowed =
+                u64::from(servo.slew_us_per_20ms) * u64::from(elapsed_us.min(20_000)) / 20_000 + 1;
+            let change = u64::from(pulse_us.abs_diff(before_us));
+            assert!(change <= allowed, "{change} us in {elapsed_us} us");
+        }
+    }
+
+    fn check_esc(&mut self, now: &Configuration, before: BoardMode, elapsed_us: u32) {
+        let (esc, mode, pulse_us) = (&now.esc, self.board.mode(), self.outputs.esc_us);
+        assert_eq!(self.outputs.esc_neutral_us, esc.neutral_us);
+        assert!((esc.min_us..=esc.max_us).contains(&pulse_us));
+        if mode == BoardMode::Driving {
+            self.braked_us = 0;
+            assert!(
+                now.speed.max_reverse_mm_s > 0 || pulse_us >= esc.neutral_us,
+                "reverse"
+            );
+        } else if pulse_us != esc.neutral_us {
+            // A stop that brakes: once, after driving, for half a second at most.
+            assert_eq!(pulse_us, esc.brake_us, "{mode:?}");
+            assert!(matches!(
+                mode,
+                BoardMode::Failsafe | BoardMode::EmergencyStopped
+            ));
+            assert_eq!(now.failsafe, FailsafeAction::Brake);
+            if before != BoardMode::Driving {
+                self.braked_us = self.braked_us.saturating_add(elapsed_us);
+            }
+            assert!(
+                self.braked_us < 500 * MS,
+                "braked for {} us",
+                self.braked_us
+            );
+        }
+    }
+}
+
+/// What was so before a poll.
+struct Before {
+    mode: BoardMode,
+    configuration: Option<Configuration>,
+    servo_us: Option<u16>,
+}
+
+/// What the board sends is a zero, or one message to the host.
+fn assert_is_frame(bytes: &[u8]) {
+    if bytes == [0] {
+        return;
+    }
+    let mut decoder = Decoder::new();
+    let messages = bytes
+        .iter()
+        .filter_map(|&byte| decoder.push(byte).map(|packet| packet.map(ToHost::decode)));
+    let messages: Vec<_> = messages.collect();
+    assert!(
+        matches!(messages.as_slice(), [Ok(Ok(_))]),
+        "{bytes:?} is not one message"
+    );
+}
+
+/// One of a few that boards take, with one value of any size.
+fn any_configuration(choices: &mut Choices<'_>) -> Configuration {
+    let mut configuration = CONFIGURATION;
+    let Configuration {
+        servo, esc, speed, ..
+    } = &mut configuration;
+    let value = choices.u16();
+    let field = choices.byte();
+    match field % 20 {
+        0 => servo.centre_us = value,
+        1 => servo.gain_us_per_rad = value.cast_signed(),
+        2 => servo.min_us = value,
+        3 => servo.max_us = value,
+        4 => servo.slew_us_per_20ms = value,
+        5 => esc.neutral_us = value,
+        6 => esc.deadband_us = value,
+        7 => esc.min_us = value,
+        8 => esc.max_us = value,
+        9 => esc.slew_us_per_20ms = value,
+        10 => esc.brake_us = value,
+        11 => speed.pulse_distance_um = value,
+        12 => speed.feed_forward_us_per_m_s = value,
+        13 => speed.proportional_us_per_m_s = value,
+        14 => speed.integral_us_per_m = value,
+        15 => speed.integral_limit_us = value,
+        16 => speed.max_forward_mm_s = value,
+        17 => speed.max_reverse_mm_s = value,
+        18 => configuration.max_pose_age_ms = value,
+        _ => configuration.stop_input = true,
+    }
+    if field & 0x80 != 0 {
+        configuration.failsafe = FailsafeAction::Brake;
+    }
+    configuration
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bench, BoardMode, Choices};
+
+    #[test]
+    fn the_first_byte_brings_the_board_as_far_as_it_says() {
+        for options in 0..64_u8 {
+            let bench = Bench::at_stage(&mut Choices::new(&[options]));
+            let wanted = match options & 3 {
+                0 => BoardMode::Boot,
+                1 => BoardMode::Neutral,
+                2 => BoardMode::Armed,
+                _ => BoardMode::Driving,
+            };
+            assert_eq!(bench.board.mode(), wanted, "{options:#08b}");
+            assert_eq!(bench.board.configuration().is_some(), options & 3 != 0);
+        }
+    }
+}

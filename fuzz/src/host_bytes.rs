@@ -1,0 +1,546 @@
+//! Bytes that the serial line brings to the host.
+
+use core::num::NonZeroU32;
+
+use singletrack_link::{DriveCommand, Event, Session, SessionConfig, State, TimedTelemetry};
+use singletrack_protocol::{
+    BoardMode, Configuration, Decoder, Drive, Hello, ImuState, RefusalReason, Request, ResetCause,
+    Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
+};
+
+use crate::choices::Choices;
+use crate::frame::frame;
+use crate::samples::CONFIGURATION;
+
+const MS: u64 = 1_000_000;
+
+/// What the session may want to send at one moment: a stop, a greeting or a
+/// configuration, a request to arm.
+const TRANSMITS: usize = 3;
+
+/// The type bytes of the messages to the host, and one that is none.
+const KINDS: [u8; 6] = [0x01, 0x20, 0x21, 0x22, 0x23, 0x13];
+
+// No room for a heap: what a session needs, it has from the start.
+const _: () = assert!(size_of::<Session>() <= 8_192);
+
+/// Bytes that the serial line brings to the host, whose owner arms, drives,
+/// stops, closes and opens the port, and lets time go by in any steps.
+///
+/// The first byte chooses how far the session had come before.
+///
+/// # Panics
+///
+/// When the session connects without an answer to its own greeting; when it
+/// sends what is no message, or more than one of a kind at a time, or a request
+/// to arm that nobody has asked for or that has outlived a loss, a restart, a
+/// stop; when it makes a command for a board that is not armed, or of other
+/// numbers than it was given; when times of a record run backwards or lie in
+/// the future; when it wants to be woken in the past.
+///
+/// Returns how many bytes the session was handed.
+pub fn host_bytes(data: &[u8]) -> u64 {
+    let mut choices = Choices::new(data);
+    let mut bench = Bench::at_stage(choices.byte());
+    while !choices.is_empty() {
+        bench.step(&mut choices);
+    }
+    bench.bytes
+}
+
+struct Bench {
+    session: Session,
+    now_ns: u64,
+    /// The board as it would be.
+    board_time_us: u32,
+    board_mode: BoardMode,
+    /// Hears what the session hears.
+    mirror: Decoder,
+    /// Of the newest greeting.
+    nonce: u32,
+    /// Of the newest configuration sent.
+    configure: Sequence,
+    /// The request to arm that may still be sent.
+    arm: Option<Sequence>,
+    stop: Sequence,
+    newest: Option<TimedTelemetry>,
+    /// Handed to the session.
+    bytes: u64,
+}
+
+/// What the session was told in one call, as the mirror heard it.
+#[derive(Default)]
+struct Heard {
+    frames: usize,
+    answer_to_greeting: bool,
+}
+
+impl Bench {
+    fn at_stage(options: u8) -> Self {
+        let config = SessionConfig {
+            configuration: CONFIGURATION,
+            software_version: [0, 1, 0],
+            nonce_seed: u64::from(options),
+            baud: NonZeroU32::new(115_200).unwrap_or(NonZeroU32::MIN),
+        };
+        let mut bench = Self {
+            session: Session::new(config).expect("the configuration is a good one"),
+            now_ns: 500_000 * MS,
+            board_time_us: if options & 0x80 != 0 {
+                u32::MAX - 500_000
+            } else {
+                7_000_000
+            },
+            board_mode: BoardMode::Neutral,
+            mirror: Decoder::new(),
+            nonce: 0,
+            configure: Sequence(0),
+            arm: None,
+            stop: Sequence(0),
+            newest: None,
+            bytes: 0,
+        };
+        let stage = options & 7;
+        if stage >= 1 {
+            bench.open();
+        }
+        if stage >= 2 {
+            bench.greet(VERSION);
+        }
+        if stage >= 3 {
+            bench.acknowledge(Request::Configure, bench.configure);
+            bench.run(3);
+        }
+        if stage >= 4 {
+            bench.ask_to_arm();
+        }
+        if stage >= 5 {
+            let sequence = bench.arm.unwrap_or_default();
+            bench.acknowledge(Request::Arm, sequence);
+            bench.board_mode = BoardMode::Armed;
+            bench.run(2);
+        }
+        bench
+    }
+
+    fn step(&mut self, choices: &mut Choices<'_>) {
+        match choices.byte() % 24 {
+            0 => self.hear(choices.bytes()),
+            1 => {
+                let kind = choices.byte();
+                self.hear(&frame(kind, choices.bytes()));
+            }
+            2 => {
+                let mut bytes = Vec::new();
+                for _ in 0..choices.byte() % 8 {
+                    bytes.extend_from_slice(&frame(choices.one_of(KINDS), choices.bytes()));
+                }
+                bytes.truncate(usize::from(choices.u16()));
+                self.hear(&bytes);
+            }
+            3 => self.greet(VERSION),
+            4 => self.greet(choices.u16()),
+            5 => self.say(Hello {
+                protocol_version: VERSION,
+                software_version: [0; 3],
+                nonce: if choices.flag() {
+                    UNSOLICITED
+                } else {
+                    choices.u32()
+                },
+            }),
+            6 => self.acknowledge(Request::Configure, self.configure),
+            // Type, request, number, hash: any of them.
+            7 => {
+                let sequence = self.some_sequence(choices);
+                let [a, b, c, d] = choices.u32().to_le_bytes();
+                let request = choices.byte() % 5;
+                self.hear(&frame(0x22, &[request, sequence.0, a, b, c, d]));
+            }
+            8 => {
+                let sequence = self.some_sequence(choices);
+                let (request, reason) = (choices.byte() % 5, choices.byte() % 16);
+                self.hear(&frame(0x23, &[request, sequence.0, reason]));
+            }
+            9 => self.run(choices.byte() % 16),
+            10 => {
+                self.board_mode = choices.one_of([
+                    BoardMode::Boot,
+                    BoardMode::Neutral,
+                    BoardMode::Armed,
+                    BoardMode::Driving,
+                    BoardMode::Failsafe,
+                    BoardMode::EmergencyStopped,
+                ]);
+                self.run(1);
+            }
+            11 => {
+                self.board_time_us = choices.u32();
+                let telemetry = self.any_telemetry(choices);
+                self.say(telemetry);
+            }
+            12 => {
+                let telemetry = self.any_telemetry(choices);
+                self.say(telemetry);
+            }
+            13 => {
+                let status = self.any_status(choices);
+                self.say(status);
+            }
+            14 => self.pass(u64::from(choices.u16()) * 1_000),
+            15 => self.pass(u64::from(choices.byte()) * 10 * MS),
+            16 => self.pass(choices.u32().into()),
+            17 => self.ask_to_arm(),
+            18 => {
+                self.stop = self.session.disarm(self.now_ns);
+                self.arm = None;
+                self.settle();
+            }
+            19 => {
+                self.stop = self.session.emergency_stop(self.now_ns);
+                self.arm = None;
+                self.settle();
+            }
+            20 => {
+                let configuration = Configuration {
+                    max_pose_age_ms: choices.u16(),
+                    ..CONFIGURATION
+                };
+                // Refused while armed; nothing is changed then.
+                let hash = self.session.configuration_hash();
+                if self.session.configure(self.now_ns, configuration).is_err() {
+                    assert_eq!(self.session.configuration_hash(), hash);
+                }
+                self.settle();
+            }
+            21 => self.drive(DriveCommand {
+                speed_m_s: choices.f64(),
+                steering_rad: choices.f64(),
+                pose_time_ns: choices.flag().then(|| choices.u64()),
+            }),
+            22 => {
+                for _ in 0..choices.byte() % 16 {
+                    self.drive(DriveCommand {
+                        speed_m_s: 0.5,
+                        steering_rad: -0.2,
+                        pose_time_ns: Some(self.now_ns - 8 * MS),
+                    });
+                    self.run(1);
+                }
+            }
+            _ => {
+                if choices.flag() {
+                    self.close();
+                }
+                self.open();
+            }
+        }
+    }
+
+    fn some_sequence(&self, choices: &mut Choices<'_>) -> Sequence {
+        let any = Sequence(choices.byte());
+        choices.one_of([any, self.configure, self.arm.unwrap_or(any), self.stop])
+    }
+
+    fn open(&mut self) {
+        self.session.opened(self.now_ns);
+        self.mirror = Decoder::new();
+        self.arm = None;
+        self.settle();
+    }
+
+    fn close(&mut self) {
+        let mut events = Vec::new();
+        self.session
+            .closed(self.now_ns, &mut |event| events.push(event));
+        self.arm = None;
+        assert_eq!(self.session.state(), State::Disconnected);
+        assert!(events.len() <= 1);
+    }
+
+    fn greet(&mut self, protocol_version: u16) {
+        self.say(Hello {
+            protocol_version,
+            software_version: [9, 8, 7],
+            nonce: self.nonce,
+        });
+    }
+
+    fn acknowledge(&mut self, request: Request, sequence: Sequence) {
+        self.say(singletrack_protocol::Acknowledgement {
+            request,
+            sequence,
+            configuration_hash: self.session.configuration_hash(),
+        });
+    }
+
+    fn ask_to_arm(&mut self) {
+        let ready = matches!(self.session.state(), State::Ready { .. });
+        if let Ok(sequence) = self.session.arm(self.now_ns) {
+            assert!(ready, "armed without a board that is ready");
+            assert!(!self.session.is_stop_pending(), "armed across a stop");
+            self.arm = Some(sequence);
+        }
+        self.settle();
+    }
+
+    fn drive(&mut self, command: DriveCommand) {
+        let mode = match self.session.state() {
+            State::Ready { mode } => mode,
+            _ => None,
+        };
+        let Ok(bytes) = self.session.drive(self.now_ns, command) else {
+            return;
+        };
+        assert!(
+            matches!(mode, Some(BoardMode::Armed | BoardMode::Driving)),
+            "a command for a board in {mode:?}"
+        );
+        assert!(!self.session.is_stop_pending(), "a command across a stop");
+        let ToBoard::Drive(drive) = message_to_board(bytes.as_bytes()) else {
+            panic!("a command that is none");
+        };
+        self.check_drive(&command, &drive);
+    }
+
+    fn check_drive(&self, command: &DriveCommand, drive: &Drive) {
+        let near = |steps: i16, value: f64| (f64::from(steps) - value).abs() <= 0.5 + 1e-9;
+        assert!(near(drive.speed_mm_s, command.speed_m_s * 1_000.0));
+        assert!(near(
+            drive.steering_100urad,
+            command.steering_rad * 10_000.0
+        ));
+        let newest = self.newest.expect("a command rests on telemetry");
+        assert_eq!(drive.telemetry_time_us, newest.telemetry.board_time_us);
+        assert!(drive.sequence.is_newer_than(newest.telemetry.last_sequence));
+        // Never told younger than it is.
+        let age_ns = command.pose_time_ns.map_or(u64::MAX, |pose_ns| {
+            newest.board_time_host_ns.saturating_sub(pose_ns)
+        });
+        assert!(
+            drive.pose_age_ms == u16::MAX || u64::from(drive.pose_age_ms) * MS >= age_ns,
+            "{age_ns} ns told as {} ms",
+            drive.pose_age_ms
+        );
+    }
+
+    /// Telemetry every 10 ms.
+    fn run(&mut self, records: u8) {
+        for _ in 0..records {
+            self.pass(10 * MS);
+            self.say(self.telemetry());
+        }
+    }
+
+    fn telemetry(&self) -> Telemetry {
+        Telemetry {
+            board_time_us: self.board_time_us,
+            mode: self.board_mode,
+            stop_cause: StopCause::None,
+            last_sequence: Sequence(200),
+            imu: ImuState::Fresh,
+            imu_age_100us: 42,
+            linear_acceleration_mm_s2: [0; 3],
+            angular_velocity_mrad_s: [0; 3],
+            attitude_q14: [16_384, 0, 0, 0],
+            motor_speed_mm_s: 0,
+            servo_us: 1_500,
+            esc_us: 1_500,
+        }
+    }
+
+    fn any_telemetry(&self, choices: &mut Choices<'_>) -> Telemetry {
+        Telemetry {
+            last_sequence: Sequence(choices.byte()),
+            imu: choices.one_of([ImuState::Fresh, ImuState::Repeated, ImuState::Silent]),
+            imu_age_100us: choices.byte(),
+            linear_acceleration_mm_s2: [choices.i16(); 3],
+            angular_velocity_mrad_s: [choices.i16(); 3],
+            attitude_q14: [choices.i16(); 4],
+            motor_speed_mm_s: choices.i16(),
+            ..self.telemetry()
+        }
+    }
+
+    fn any_status(&self, choices: &mut Choices<'_>) -> Status {
+        Status {
+            board_time_us: self.board_time_us,
+            configuration_hash: if choices.flag() {
+                choices.u32()
+            } else {
+                self.session.configuration_hash()
+            },
+            reset_cause: ResetCause::PowerOn,
+            stop_input_open: choices.flag(),
+            battery_mv: choices.u16(),
+            frames_received: choices.u16(),
+            frames_damaged: choices.u16(),
+            drives_refused: choices.u16(),
+            last_refusal: RefusalReason::None,
+            frames_dropped: choices.u16(),
+            bytes_overrun: choices.u16(),
+            imu_errors: choices.u16(),
+        }
+    }
+
+    fn pass(&mut self, span_ns: u64) {
+        self.now_ns += span_ns;
+        self.board_time_us = self.board_time_us.wrapping_add((span_ns / 1_000) as u32);
+        self.settle();
+    }
+
+    fn say(&mut self, message: impl Into<ToHost>) {
+        // Ends whatever stands half said on the line.
+        let mut bytes = vec![0];
+        bytes.extend_from_slice(message.into().encode().as_bytes());
+        self.hear(&bytes);
+    }
+
+    fn hear(&mut self, bytes: &[u8]) {
+        self.bytes += bytes.len() as u64;
+        let mut heard = Heard::default();
+        for &byte in bytes {
+            let Some(Ok(packet)) = self.mirror.push(byte) else {
+                continue;
+            };
+            heard.frames += 1;
+            if let Ok(ToHost::Hello(hello)) = ToHost::decode(packet) {
+                heard.answer_to_greeting |=
+                    hello.nonce == self.nonce && hello.protocol_version == VERSION;
+            }
+        }
+        let mut events = Vec::new();
+        self.session
+            .handle_bytes(self.now_ns, bytes, &mut |event| events.push(event));
+        assert!(
+            events.len() <= 3 * heard.frames,
+            "{} events of {} frames",
+            events.len(),
+            heard.frames
+        );
+        for event in events {
+            self.check_event(&event, heard.answer_to_greeting);
+        }
+        self.settle();
+    }
+
+    fn check_event(&mut self, event: &Event, answer_to_greeting: bool) {
+        match event {
+            Event::Connected { .. } => {
+                assert!(answer_to_greeting, "connected by a stranger's greeting");
+            }
+            Event::Lost { .. } | Event::BoardRestarted { .. } => self.arm = None,
+            Event::Acknowledged { request, sequence }
+            | Event::Refused {
+                request, sequence, ..
+            }
+            | Event::Unanswered { request, sequence } => match request {
+                Request::Arm => {
+                    assert_eq!(self.arm.take(), Some(*sequence), "an answer to nothing");
+                }
+                Request::Disarm | Request::EmergencyStop => assert_eq!(*sequence, self.stop),
+                Request::Configure => {}
+            },
+            Event::Telemetry(record) => self.check_times(record),
+            _ => {}
+        }
+    }
+
+    fn check_times(&mut self, record: &TimedTelemetry) {
+        assert_eq!(record.receive_time_ns, self.now_ns);
+        assert!(record.board_time_host_ns <= record.receive_time_ns);
+        if let Some(imu_ns) = record.imu_time_host_ns {
+            assert!(imu_ns <= record.receive_time_ns);
+        }
+        if let Some(before) = self.newest.replace(*record) {
+            assert!(
+                record.board_time_host_ns >= before.board_time_host_ns,
+                "a record made before the last one"
+            );
+            if let (Some(now), Some(before)) = (record.imu_time_host_ns, before.imu_time_host_ns) {
+                assert!(now >= before, "a sample taken before the last one");
+            }
+        }
+    }
+
+    /// Lets the session give up and send what is due.
+    fn settle(&mut self) {
+        let mut events = Vec::new();
+        self.session
+            .handle_timeout(self.now_ns, &mut |event| events.push(event));
+        assert!(events.len() <= 2);
+        for event in events {
+            self.check_event(&event, false);
+        }
+        let mut sent = 0;
+        while let Some(transmit) = self.session.poll_transmit(self.now_ns) {
+            sent += 1;
+            assert!(sent <= TRANSMITS, "sends without end");
+            self.check_transmit(message_to_board(transmit.as_bytes()));
+        }
+        if let Some(wake_ns) = self.session.poll_timeout() {
+            assert!(wake_ns > self.now_ns, "wants to be woken in the past");
+        }
+    }
+
+    fn check_transmit(&mut self, message: ToBoard) {
+        let state = self.session.state();
+        match message {
+            ToBoard::Hello(hello) => self.nonce = hello.nonce,
+            ToBoard::Configure(configure) => {
+                assert!(
+                    matches!(
+                        state,
+                        State::Configuring | State::ConfigurationRefused { .. }
+                    ),
+                    "configures in {state:?}"
+                );
+                assert_eq!(
+                    configure.configuration.hash(),
+                    self.session.configuration_hash()
+                );
+                self.configure = configure.request;
+            }
+            ToBoard::Arm(arm) => {
+                assert_eq!(Some(arm.request), self.arm, "arms unasked in {state:?}");
+                assert!(!self.session.is_stop_pending(), "arms across a stop");
+            }
+            ToBoard::Disarm(_) | ToBoard::EmergencyStop(_) => {
+                assert!(self.session.is_stop_pending());
+            }
+            ToBoard::Drive(_) => panic!("drives by itself"),
+        }
+    }
+}
+
+/// The one message that these bytes are.
+fn message_to_board(bytes: &[u8]) -> ToBoard {
+    let mut decoder = Decoder::new();
+    let messages: Vec<_> = bytes
+        .iter()
+        .filter_map(|&byte| decoder.push(byte).map(|packet| packet.map(ToBoard::decode)))
+        .collect();
+    match messages.as_slice() {
+        [Ok(Ok(message))] => *message,
+        _ => panic!("{bytes:?} is not one message"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bench, BoardMode, State};
+
+    #[test]
+    fn the_first_byte_brings_the_session_as_far_as_it_says() {
+        for options in [0, 0x40, 0x80, 0xF8] {
+            let state = |stage| Bench::at_stage(options | stage).session.state();
+            assert_eq!(state(0), State::Disconnected);
+            assert!(matches!(state(1), State::Greeting { .. }));
+            assert_eq!(state(2), State::Configuring);
+            let ready = |mode| State::Ready { mode: Some(mode) };
+            assert_eq!(state(3), ready(BoardMode::Neutral));
+            assert!(Bench::at_stage(options | 4).arm.is_some());
+            assert_eq!(state(5), ready(BoardMode::Armed));
+        }
+    }
+}

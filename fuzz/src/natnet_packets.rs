@@ -1,0 +1,560 @@
+//! Datagrams that the network brings to the motion capture client.
+
+use core::f64::consts::PI;
+use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+use core::num::NonZeroU64;
+
+use singletrack_mocap::codec::{
+    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+    RigidBody, RigidBodyDefinition, ServerInfo, ServerMessage,
+};
+use singletrack_mocap::encode::{self, Dataset, EncodeError, FrameContent};
+use singletrack_mocap::{
+    Binding, Config, Observation, Outcome, Phase, Pose, PoseState, Session, Transport, UpAxis,
+};
+
+use crate::choices::Choices;
+
+const MS: u64 = 1_000_000;
+const CAR: i32 = 7;
+const TICKS_PER_SECOND: u64 = 10_000_000;
+
+const SERVER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 168, 1, 10)), 1510);
+const STRANGER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 168, 1, 66)), 1510);
+
+/// Datagrams that a session may want to send at one moment: an echo, a request
+/// for the models, a keep-alive; and the greeting that a silence leads to.
+const TRANSMITS: usize = 4;
+
+/// Events that wait at most.
+const EVENTS: usize = 16;
+
+const VERSIONS: [(u8, u8); 9] = [
+    (2, 7),
+    (2, 9),
+    (2, 11),
+    (3, 0),
+    (3, 1),
+    (4, 0),
+    (4, 1),
+    (4, 2),
+    (4, 4),
+];
+
+// No room for a heap: what a session needs, it has from the start.
+const _: () = assert!(size_of::<Session>() <= 8_192);
+
+/// Datagrams that the network brings to the motion capture client, from the
+/// server and from strangers, at any time.
+///
+/// The first bytes choose the server's version, how the session is configured
+/// and how far it had come before.
+///
+/// # Panics
+///
+/// When a pose is believed that is not finite, not in its ranges, captured after
+/// it was received, of a body that is not the bound one or not tracked, or
+/// farther from the last one than the body can move; when a frame is believed
+/// that is not newer than the last, or that comes before the server was greeted;
+/// when a stranger's datagram changes anything but the count of those; when the
+/// session sends what is no message, elsewhere than to its server, or without
+/// end; when it wants to be woken in the past; when the counts don't add up.
+///
+/// Returns how many datagrams the session was handed.
+pub fn natnet_packets(data: &[u8]) -> u64 {
+    let mut choices = Choices::new(data);
+    let mut bench = Bench::at_stage(&mut choices);
+    while !choices.is_empty() {
+        bench.step(&mut choices);
+    }
+    bench.datagrams
+}
+
+struct Bench {
+    session: Session,
+    now_ns: u64,
+    version: BitstreamVersion,
+    /// Ticks of the server at local time zero.
+    ticks_at_zero: u64,
+    number: i32,
+    x_m: f32,
+    echo_stamp: u64,
+    last_valid: Option<Pose>,
+    /// A buffer for datagrams, as large as they get.
+    buffer: Vec<u8>,
+    /// Datagrams handed to the session.
+    datagrams: u64,
+}
+
+impl Bench {
+    fn at_stage(choices: &mut Choices<'_>) -> Self {
+        let options = choices.byte();
+        let stage = options & 3;
+        let is = |bit: u8| options & (1 << bit) != 0;
+        let (major, minor) = choices.one_of(VERSIONS);
+        let version = BitstreamVersion::new(major, minor).expect("all of these are supported");
+        let transport = if is(2) {
+            Transport::Multicast
+        } else {
+            Transport::Unicast {
+                bitstream: is(3).then_some(BitstreamVersion::V4_1),
+            }
+        };
+        let up_axis = if is(4) { UpAxis::Y } else { UpAxis::Z };
+        let config = Config::new(SERVER.ip(), transport, "car", up_axis)
+            .expect("the configuration is a good one");
+        let mut bench = Self {
+            session: Session::new(config).expect("the configuration is a good one"),
+            now_ns: 1_000_000 * MS,
+            version,
+            ticks_at_zero: if is(5) {
+                u64::MAX - 10
+            } else {
+                50 * TICKS_PER_SECOND
+            },
+            number: 100,
+            x_m: 0.0,
+            echo_stamp: 0,
+            last_valid: None,
+            buffer: vec![0; 65_536],
+            datagrams: 0,
+        };
+        bench.settle();
+        if stage >= 1 {
+            bench.inform(Some(TICKS_PER_SECOND), is(2));
+            if matches!(bench.session.phase(), Phase::Negotiating(_)) {
+                bench.send(|out| encode::response_status(0, out));
+                bench.version = BitstreamVersion::V4_1;
+            }
+            bench.answer_echo(0);
+        }
+        if stage >= 2 {
+            bench.define(&[("other", 3), ("car", CAR)]);
+        }
+        if stage >= 3 {
+            for _ in 0..3 {
+                bench.drive_on();
+            }
+        }
+        bench
+    }
+
+    fn step(&mut self, choices: &mut Choices<'_>) {
+        let operation = choices.byte();
+        // A quarter of everything also comes from a stranger.
+        if operation & 0xC0 == 0xC0 {
+            self.hear_stranger(operation, choices);
+            return;
+        }
+        match operation % 20 {
+            0 => self.receive(SERVER, choices.bytes()),
+            1 => {
+                let id = choices.byte();
+                let datagram = with_header(id.into(), choices.bytes());
+                self.receive(SERVER, &datagram);
+            }
+            2 => {
+                let id = choices.u16();
+                let datagram = with_header(id, choices.rest());
+                self.receive(SERVER, &datagram);
+            }
+            3 => {
+                let (major, minor) = if choices.flag() {
+                    choices.one_of(VERSIONS)
+                } else {
+                    (choices.byte(), choices.byte())
+                };
+                if let Ok(version) = BitstreamVersion::new(major, minor) {
+                    self.version = version;
+                }
+                let ticks_per_second = match choices.byte() % 4 {
+                    0 => None,
+                    1 => Some(choices.u64()),
+                    2 if major < 3 => None,
+                    _ => Some(TICKS_PER_SECOND),
+                };
+                let multicast = choices.flag();
+                self.inform_as([major, minor, 0, 0], ticks_per_second, multicast);
+            }
+            4 => {
+                let status = choices.one_of([0, 1, -1]);
+                self.send(|out| encode::response_status(status, out));
+            }
+            5 => self.send(encode::unrecognized),
+            6 => match choices.byte() % 4 {
+                0 => self.define(&[]),
+                1 => self.define(&[("car", choices.i32())]),
+                2 => self.define(&[("car", CAR), ("car", choices.i32())]),
+                _ => self.define(&[("other", CAR), ("car", CAR)]),
+            },
+            7..=9 => {
+                for _ in 0..choices.byte() % 16 {
+                    self.drive_on();
+                }
+            }
+            10 => {
+                let body = self.car(choices.f32(), choices.f32());
+                self.frame(&[body], 1, FrameFlags::default());
+            }
+            11 => {
+                let bodies = [(); 3].map(|()| any_body(choices));
+                let count = usize::from(choices.byte() % 4);
+                let step = choices.byte().cast_signed().into();
+                let flags = FrameFlags(choices.byte().into());
+                self.frame(bodies.get(..count).unwrap_or_default(), step, flags);
+            }
+            // A good frame with some bytes changed, or cut short.
+            12 | 13 => {
+                let mut datagram = self.nominal_frame();
+                for _ in 0..choices.byte() % 8 {
+                    let at = usize::from(choices.u16()) % datagram.len();
+                    if let Some(byte) = datagram.get_mut(at) {
+                        *byte = choices.byte();
+                    }
+                }
+                if choices.byte() & 7 == 7 {
+                    datagram.truncate(choices.u16().into());
+                }
+                self.receive(SERVER, &datagram);
+            }
+            14 => self.answer_echo(choices.i16().into()),
+            15 => {
+                let server_ticks = choices.u64();
+                let client_stamp = if choices.flag() {
+                    self.echo_stamp
+                } else {
+                    choices.u64()
+                };
+                let echo = Echo {
+                    client_stamp,
+                    server_ticks,
+                };
+                self.send(|out| encode::echo_response(echo, out));
+            }
+            16 => self.pass(u64::from(choices.u16()) * 1_000),
+            17 => self.pass(u64::from(choices.u16()) * MS),
+            18 => {
+                // The server's clock steps.
+                self.ticks_at_zero = self.ticks_at_zero.wrapping_add(choices.u64());
+                self.number = choices.i32();
+            }
+            _ => self.send(encode::disconnect),
+        }
+    }
+
+    fn car(&self, x_m: f32, y_m: f32) -> RigidBody {
+        // Upright whichever axis is up: the quaternion of no rotation.
+        match self.session.config().up_axis {
+            UpAxis::Z => RigidBody::tracked(CAR, [x_m, y_m, 0.05], [0.0, 0.0, 0.0, 1.0]),
+            UpAxis::Y => RigidBody::tracked(CAR, [x_m, 0.05, -y_m], [0.0, 0.0, 0.0, 1.0]),
+        }
+    }
+
+    fn ticks_at(&self, local_ns: u64) -> u64 {
+        self.ticks_at_zero
+            .wrapping_add(local_ns / (1_000_000_000 / TICKS_PER_SECOND))
+    }
+
+    fn encode_frame(&mut self, bodies: &[RigidBody], step: i32, flags: FrameFlags) -> Vec<u8> {
+        self.number = self.number.wrapping_add(step);
+        let capture_ns = self.now_ns - 8 * MS;
+        let transmit = self.ticks_at(self.now_ns - 100_000);
+        let content = FrameContent {
+            number: self.number,
+            rigid_bodies: bodies,
+            timestamp_s: capture_ns as f64 * 1e-9,
+            ticks: CameraTicks {
+                mid_exposure: self.ticks_at(capture_ns),
+                received: transmit,
+                transmit,
+            },
+            flags,
+            ..FrameContent::default()
+        };
+        self.encode(|version, out| encode::frame(version, &content, out))
+    }
+
+    fn nominal_frame(&mut self) -> Vec<u8> {
+        let body = self.car(self.x_m, 0.0);
+        self.encode_frame(&[body], 1, FrameFlags::default())
+    }
+
+    fn frame(&mut self, bodies: &[RigidBody], step: i32, flags: FrameFlags) {
+        let datagram = self.encode_frame(bodies, step, flags);
+        self.receive(SERVER, &datagram);
+    }
+
+    /// 10 ms at 0.5 m/s, and a frame of it.
+    fn drive_on(&mut self) {
+        self.pass(10 * MS);
+        self.x_m += 0.005;
+        let datagram = self.nominal_frame();
+        self.receive(SERVER, &datagram);
+    }
+
+    fn inform(&mut self, ticks_per_second: Option<u64>, multicast: bool) {
+        self.inform_as(self.version.to_wire(), ticks_per_second, multicast);
+    }
+
+    fn inform_as(&mut self, version: [u8; 4], ticks_per_second: Option<u64>, multicast: bool) {
+        let connection = (version[0] >= 3).then_some(Connection {
+            ticks_per_second: ticks_per_second.and_then(NonZeroU64::new),
+            data_channel: DataChannel {
+                port: 1511,
+                multicast,
+                group: Ipv4Addr::new(239, 255, 42, 99),
+            },
+        });
+        let info = ServerInfo {
+            application: "Fuzz",
+            application_version: [1, 0, 0, 0],
+            natnet_version: version,
+            connection,
+        };
+        self.send(|out| encode::server_info(&info, out));
+    }
+
+    fn define(&mut self, bodies: &[(&str, i32)]) {
+        let datasets: Vec<_> = bodies
+            .iter()
+            .map(|&(name, id)| {
+                Dataset::rigid_body(RigidBodyDefinition {
+                    name,
+                    id,
+                    parent_id: -1,
+                    offset_m: [0.0; 3],
+                })
+            })
+            .collect();
+        let datagram =
+            self.encode(|version, out| encode::model_definitions(version, &datasets, out));
+        self.receive(SERVER, &datagram);
+    }
+
+    fn answer_echo(&mut self, error_us: i64) {
+        let echo = Echo {
+            client_stamp: self.echo_stamp,
+            server_ticks: self
+                .ticks_at(self.now_ns)
+                .wrapping_add_signed(error_us * 10),
+        };
+        self.now_ns += 200_000;
+        self.send(|out| encode::echo_response(echo, out));
+    }
+
+    fn encode(
+        &mut self,
+        encode: impl FnOnce(BitstreamVersion, &mut [u8]) -> Result<usize, EncodeError>,
+    ) -> Vec<u8> {
+        let length = encode(self.version, &mut self.buffer).unwrap_or_default();
+        self.buffer.get(..length).unwrap_or_default().to_vec()
+    }
+
+    fn send(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
+        let datagram = self.encode(|_, out| encode(out));
+        self.receive(SERVER, &datagram);
+    }
+
+    fn hear_stranger(&mut self, operation: u8, choices: &mut Choices<'_>) {
+        let datagram = match operation % 4 {
+            0 => choices.bytes().to_vec(),
+            1 => {
+                let id = choices.byte();
+                with_header(id.into(), choices.bytes())
+            }
+            2 => self.nominal_frame(),
+            _ => self.encode(|_, out| encode::disconnect(out)),
+        };
+        let mut expected = self.session.clone();
+        let before = *expected.counters();
+        self.receive(STRANGER, &datagram);
+        let mut counters = *self.session.counters();
+        assert_eq!(counters.wrong_source, before.wrong_source + 1);
+        counters.wrong_source = before.wrong_source;
+        assert_eq!(counters, before, "a stranger is counted as something else");
+        // What is counted is all that differs.
+        let _ = expected.handle_datagram(self.now_ns, STRANGER, &[]);
+        assert_eq!(
+            format!("{expected:?}"),
+            format!("{:?}", self.session),
+            "a stranger changed something"
+        );
+    }
+
+    fn receive(&mut self, source: SocketAddr, datagram: &[u8]) {
+        self.datagrams += 1;
+        let phase = self.session.phase();
+        let binding = self.session.binding();
+        let frames = self.session.counters().frames;
+        let outcome = self.session.handle_datagram(self.now_ns, source, datagram);
+        match outcome {
+            Outcome::Frame(observation) => {
+                assert_eq!(source, SERVER);
+                assert_eq!(self.session.counters().frames, frames + 1);
+                let Phase::Streaming(version) = phase else {
+                    panic!("a frame is believed in {phase:?}");
+                };
+                assert_eq!(observation.receive_time_ns, self.now_ns);
+                self.check_observation(&observation, version, binding, datagram);
+            }
+            Outcome::WrongSource => assert_ne!(source, SERVER),
+            _ => assert_eq!(self.session.counters().frames, frames),
+        }
+        self.settle();
+    }
+
+    fn check_observation(
+        &mut self,
+        observation: &Observation,
+        version: BitstreamVersion,
+        binding: Binding,
+        datagram: &[u8],
+    ) {
+        let PoseState::Valid(pose) = observation.state else {
+            return;
+        };
+        let Binding::Bound { id } = binding else {
+            panic!("a pose of a body that is {binding:?}");
+        };
+        let Ok(ServerMessage::Frame(frame)) = ServerMessage::decode(datagram, version) else {
+            panic!("a pose of a datagram that is no frame");
+        };
+        let bodies: Vec<_> = frame.rigid_bodies().filter(|body| body.id == id).collect();
+        let [body] = bodies.as_slice() else {
+            panic!("a pose of {} bodies", bodies.len());
+        };
+        assert!(body.tracking_valid(), "a pose of a body that nobody sees");
+        assert_eq!(pose.frame_number, frame.number);
+        self.check_pose(&pose);
+        self.last_valid = Some(pose);
+    }
+
+    fn check_pose(&self, pose: &Pose) {
+        let limits = &self.session.config().limits;
+        let numbers = [
+            pose.x_m,
+            pose.y_m,
+            pose.z_m,
+            pose.yaw_rad,
+            pose.tilt_rad,
+            pose.mean_error_m,
+        ];
+        assert!(
+            numbers.iter().all(|number| number.is_finite()),
+            "{pose:?} is not finite"
+        );
+        assert!(pose.yaw_rad.abs() <= PI && (0.0..=limits.max_tilt_rad).contains(&pose.tilt_rad));
+        assert!(pose.mean_error_m <= limits.max_mean_error_m);
+        assert_eq!(pose.receive_time_ns, self.now_ns);
+        assert!(
+            pose.capture_time_ns <= pose.receive_time_ns,
+            "captured in the future"
+        );
+        let Some(last) = self.last_valid else {
+            assert!(pose.reacquired, "the first pose continues none");
+            return;
+        };
+        if !pose.reacquired {
+            let elapsed_s = pose.capture_time_ns.saturating_sub(last.capture_time_ns) as f64 * 1e-9;
+            let distance_m = [
+                pose.x_m - last.x_m,
+                pose.y_m - last.y_m,
+                pose.z_m - last.z_m,
+            ]
+            .iter()
+            .map(|difference| difference * difference)
+            .sum::<f64>()
+            .sqrt();
+            let reach_m = limits.jump_margin_m + limits.max_speed_m_s * elapsed_s;
+            assert!(
+                distance_m <= reach_m * (1.0 + 1e-12),
+                "moved {distance_m} m in {elapsed_s} s"
+            );
+        }
+    }
+
+    fn pass(&mut self, span_ns: u64) {
+        self.now_ns += span_ns;
+        self.settle();
+    }
+
+    /// Lets the session send what is due and say what it has to say.
+    fn settle(&mut self) {
+        let mut sent = 0;
+        while let Some(datagram) = self.session.poll_transmit(self.now_ns) {
+            sent += 1;
+            assert!(sent <= TRANSMITS, "sends without end");
+            assert_eq!(datagram.destination, SERVER);
+            match ClientMessage::decode(&datagram.bytes) {
+                Ok(ClientMessage::EchoRequest { client_stamp }) => self.echo_stamp = client_stamp,
+                Ok(_) => {}
+                Err(error) => panic!("sends what is no message: {error}"),
+            }
+        }
+        let mut events = 0;
+        while self.session.poll_event().is_some() {
+            events += 1;
+            assert!(events <= EVENTS, "events without end");
+        }
+        if let Some(wake_ns) = self.session.poll_timeout() {
+            assert!(wake_ns > self.now_ns, "wants to be woken in the past");
+        }
+        let counters = self.session.counters();
+        let rejected = &counters.rejected;
+        let rejected = rejected.not_finite
+            + rejected.not_unit_quaternion
+            + rejected.duplicate_id
+            + rejected.mean_error
+            + rejected.capture_time
+            + rejected.jump
+            + rejected.flip;
+        assert_eq!(
+            counters.frames,
+            counters.valid + counters.untracked + counters.absent + counters.unbound + rejected,
+            "frames without an outcome"
+        );
+    }
+}
+
+/// A datagram whose header is right, whatever message and payload are.
+fn with_header(id: u16, payload: &[u8]) -> Vec<u8> {
+    let length = u16::try_from(payload.len()).unwrap_or(u16::MAX);
+    let payload = payload.get(..length.into()).unwrap_or_default();
+    [&id.to_le_bytes(), &length.to_le_bytes(), payload].concat()
+}
+
+fn any_body(choices: &mut Choices<'_>) -> RigidBody {
+    RigidBody {
+        id: choices.one_of([CAR, CAR, 3, -1]),
+        position_m: [choices.f32(), choices.f32(), choices.f32()],
+        orientation_xyzw: if choices.flag() {
+            [0.0, 0.0, 0.0, 1.0]
+        } else {
+            [choices.f32(), choices.f32(), choices.f32(), choices.f32()]
+        },
+        mean_error_m: if choices.flag() { 0.0 } else { choices.f32() },
+        params: choices.byte().into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bench, Binding, CAR, Choices, Phase, PoseState, VERSIONS};
+
+    #[test]
+    fn the_first_bytes_bring_the_session_as_far_as_they_say() {
+        for options in 0..64_u8 {
+            for version in 0..VERSIONS.len() as u8 {
+                let bench = Bench::at_stage(&mut Choices::new(&[options, version]));
+                let session = &bench.session;
+                let what = format!("options {options:#08b}, version {version}");
+                let streams = matches!(session.phase(), Phase::Streaming(v) if v == bench.version);
+                assert_eq!(streams, options & 3 >= 1, "{what}");
+                let bound = session.binding() == Binding::Bound { id: CAR };
+                assert_eq!(bound, options & 3 >= 2, "{what}");
+                let valid = matches!(session.pose_state(bench.now_ns), PoseState::Valid(_));
+                assert_eq!(valid, options & 3 == 3, "{what}: {session:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! A car to attack: the calibration that board and session are given.
+
+use singletrack_protocol::{
+    Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
+};
+
+/// A configuration that every board takes.
+pub(crate) const CONFIGURATION: Configuration = Configuration {
+    servo: ServoCalibration {
+        centre_us: 1_500,
+        gain_us_per_rad: 800,
+        min_us: 1_080,
+        max_us: 1_920,
+        slew_us_per_20ms: 96,
+    },
+    esc: EscCalibration {
+        neutral_us: 1_500,
+        deadband_us: 30,
+        min_us: 1_200,
+        max_us: 1_700,
+        slew_us_per_20ms: 40,
+        brake_us: 1_350,
+    },
+    speed: SpeedLoop {
+        pulse_distance_um: 3_000,
+        feed_forward_us_per_m_s: 80,
+        proportional_us_per_m_s: 80,
+        integral_us_per_m: 250,
+        integral_limit_us: 60,
+        max_forward_mm_s: 1_500,
+        max_reverse_mm_s: 0,
+    },
+    failsafe: FailsafeAction::Coast,
+    max_pose_age_ms: 950,
+    stop_input: false,
+};

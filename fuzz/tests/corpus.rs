@@ -1,0 +1,71 @@
+//! Replays the corpus, and holds it to what the generator makes.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use singletrack_fuzz::{TARGETS, seeds::seeds};
+
+fn folder(target: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("corpus")
+        .join(target)
+}
+
+fn files(target: &str) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<_> = fs::read_dir(folder(target))
+        .unwrap()
+        .map(|entry| {
+            let entry = entry.unwrap();
+            let name = entry.file_name().into_string().unwrap();
+            (name, fs::read(entry.path()).unwrap())
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn every_file_of_the_corpus_keeps_the_promises() {
+    for target in TARGETS {
+        for (name, bytes) in files(target.name) {
+            // Seen when it fails.
+            println!("{}/{name}", target.name);
+            (target.run)(&bytes);
+        }
+    }
+}
+
+#[test]
+fn the_corpus_is_what_the_generator_makes_and_what_a_fuzzer_found() {
+    for target in TARGETS {
+        let mut expected: Vec<_> = seeds(target.name)
+            .into_iter()
+            .map(|seed| (seed.name, seed.bytes))
+            .collect();
+        expected.sort();
+        let mut committed = files(target.name);
+        committed.retain(|(name, _)| !name.starts_with("found-"));
+        assert!(
+            committed == expected,
+            "{} differs: run cargo run -p singletrack-fuzz --example seeds",
+            folder(target.name).display()
+        );
+    }
+}
+
+#[test]
+fn the_corpus_stays_small() {
+    let length: usize = TARGETS
+        .iter()
+        .flat_map(|target| files(target.name))
+        .map(|(_, bytes)| bytes.len())
+        .sum();
+    assert!(length < 200_000, "{length} bytes");
+}
