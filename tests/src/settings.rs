@@ -8,9 +8,9 @@ use std::{
 use singletrack_control::VehicleParameters;
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 use singletrackd::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, LawKind, LawSection,
-    LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
-    SerialSection, SocketSection, SupervisorSection, UpAxisKind,
+    BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, FenceSection, LawKind,
+    LawSection, LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection,
+    ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 
 use crate::{Failure, Outcome};
@@ -45,6 +45,8 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         limits: LimitsSection::default(),
         estimator: EstimatorSection::default(),
         supervisor: SupervisorSection::default(),
+        watch: WatchSection::default(),
+        fence: FenceSection::square(FENCE_WIDTH_M),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())
@@ -63,6 +65,9 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
 
 /// The point P is this far beyond the front axle, in m.
 pub const POINT_DISTANCE_M: f64 = 0.35;
+
+/// Width of the fence around the origin, in m: the circle's, and room to stop.
+pub const FENCE_WIDTH_M: f64 = 4.0;
 
 /// Radius of the circle, in m.
 pub const RADIUS_M: f64 = 1.0;

@@ -5,13 +5,16 @@ use std::net::Ipv4Addr;
 use singletrack_control::VehicleParameters;
 use singletrack_sim::default_board_configuration;
 use singletrackd::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, LawSection, LimitsSection,
-    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
-    SocketSection, SupervisorSection, UpAxisKind,
+    BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
+    LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
+    SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
+
+/// Width of the simulated hall, in m.
+const HALL_WIDTH_M: f64 = 20.0;
 
 /// What a drive of the simulated car is about; everything else is as the daemon
 /// has it by default.
@@ -42,6 +45,9 @@ pub fn daemon_config(drive: Drive) -> Config {
         limits: LimitsSection::default(),
         estimator: EstimatorSection::default(),
         supervisor: SupervisorSection::default(),
+        watch: WatchSection::default(),
+        // A hall: drives may begin and end anywhere.
+        fence: FenceSection::square(HALL_WIDTH_M),
         board: BoardSection::from(&default_board_configuration()),
         control: ControlSection::default(),
         record: RecordSection::default(),

@@ -6,7 +6,7 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use singletrack_control::{Mode, Pilot, PilotConfig, Reason, Request, Time};
+use singletrack_control::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request, Time};
 use singletrack_link::{Event as LinkEvent, Session as LinkSession, SessionConfig};
 use singletrack_mocap::{Config as MocapConfig, Observation, Outcome, Session as MocapSession};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
@@ -93,6 +93,11 @@ impl VirtualDrive {
     pub fn new(config: VirtualDriveConfig) -> Result<Self, VirtualDriveError> {
         let mut controller =
             Controller::new(LinkSession::new(config.link)?, Pilot::new(config.pilot));
+        // Virtual time is kept to the nanosecond.
+        controller.real_time(RealTimeState {
+            fifo: true,
+            memory_locked: true,
+        });
         controller.port_opened(Time(0));
         Ok(Self {
             world: World::new(config.simulation)?,

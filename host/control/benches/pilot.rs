@@ -2,9 +2,10 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
-    BoardSample, BoardState, Circle, EstimatorConfig, Event, FrontPointLaw, InertialSample, Limits,
-    LinkState, Mode, Motion, Pilot, PilotConfig, PoseSample, Position, ProportionalLoop, Reference,
-    Request, SupervisorConfig, Time, TrackingLoop, VehicleParameters, Velocity,
+    BoardHealth, BoardSample, BoardState, Circle, EstimatorConfig, Event, Fence, FrontPointLaw,
+    InertialSample, Limits, LinkState, Mode, Motion, Pilot, PilotConfig, PoseSample, Position,
+    ProportionalLoop, RealTimeState, Reference, Request, SupervisorConfig, Time, TrackingLoop,
+    VehicleParameters, Velocity, WatchConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;
@@ -21,6 +22,12 @@ fn pilot() -> Option<Pilot> {
         limits: Limits::paper(),
         estimator: EstimatorConfig::for_vehicle(&vehicle),
         supervisor: SupervisorConfig::paper(),
+        // The samples below repeat themselves.
+        watch: WatchConfig {
+            stuck_samples: 0,
+            ..WatchConfig::paper()
+        },
+        fence: Fence::rectangle(Position::origin(), Velocity::new(4.0, 4.0), 0.0).ok()?,
         stop_deceleration: 1.5,
         period: 0.01,
     }))
@@ -58,7 +65,20 @@ fn events(tick: u64, state: BoardState) -> [Event; 2] {
 fn control_tick(criterion: &mut Criterion) {
     let Some(mut pilot) = pilot() else { return };
     let mut tick = 100;
-    pilot.step(Time(tick * TICK_NS), &[Event::Link(LinkState::Ready)]);
+    pilot.step(
+        Time(tick * TICK_NS),
+        &[
+            Event::RealTime(RealTimeState {
+                fifo: true,
+                memory_locked: true,
+            }),
+            Event::Link(LinkState::Ready),
+            Event::Health(BoardHealth {
+                battery_mv: 7_400,
+                stop_input_open: false,
+            }),
+        ],
+    );
     let mut step = |state, request: Option<Request>| {
         tick += 1;
         let [board, pose] = events(tick, state);

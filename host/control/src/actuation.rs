@@ -4,6 +4,8 @@
 //! speed, acceleration, steering angle and rate, no reverse unless enabled, and
 //! a way round when P should move where the car does not point.
 
+use libm::{fabs, sqrt, tan};
+
 use crate::{FrontPointLaw, Motion, Singularity, Velocity, angle_between, direction};
 
 /// What the car may do, in SI units and radians.
@@ -15,6 +17,11 @@ pub struct Limits {
     pub max_reverse_speed: f64,
     /// Largest change of speed, m/s².
     pub max_acceleration: f64,
+    /// Largest acceleration to the side, m/s²; below μg, or the tyres slide.
+    pub max_lateral_acceleration: f64,
+    /// Distance between the axles, m: with steering and speed it tells the
+    /// acceleration to the side.
+    pub wheelbase: f64,
     /// Largest steering angle to either side.
     pub max_steering: f64,
     /// Largest steering rate.
@@ -33,11 +40,23 @@ impl Limits {
             max_speed: 1.5,
             max_reverse_speed: 0.0,
             max_acceleration: 2.0,
+            max_lateral_acceleration: 2.0,
+            wheelbase: 0.26,
             max_steering: 0.45,
             max_steering_rate: 5.0,
             creep_speed: 0.3,
             standstill_speed: 0.02,
         }
+    }
+
+    /// The speed at which the acceleration to the side reaches its limit, with
+    /// this steering angle (rad): that of a car that does not slip, v² tan δ/L.
+    /// One that understeers, as the paper's does, stays below. Straight on there is
+    /// no such speed: infinity.
+    #[must_use]
+    pub fn speed_in_bend(&self, steering: f64) -> f64 {
+        let curvature = fabs(tan(steering)) / self.wheelbase;
+        sqrt(self.max_lateral_acceleration / curvature)
     }
 }
 
@@ -249,14 +268,16 @@ impl LimitedLaw {
 
     fn apply(&mut self, speed: f64, rate: f64, period: f64) -> Actuation {
         let limits = self.limits;
-        let change = limits.max_acceleration * period;
-        let speed = speed
-            .clamp(-limits.max_reverse_speed, limits.max_speed)
-            .clamp(self.actuation.speed - change, self.actuation.speed + change);
         let rate = rate.clamp(-limits.max_steering_rate, limits.max_steering_rate);
         // The integrator is limited itself, so it cannot wind up beyond.
         let steering = (self.actuation.steering + rate * period)
             .clamp(-limits.max_steering, limits.max_steering);
+        let change = limits.max_acceleration * period;
+        let in_bend = limits.speed_in_bend(steering);
+        let speed = speed
+            .clamp(-limits.max_reverse_speed, limits.max_speed)
+            .clamp(-in_bend, in_bend)
+            .clamp(self.actuation.speed - change, self.actuation.speed + change);
         self.actuation = Actuation {
             speed,
             steering,
@@ -388,6 +409,28 @@ mod tests {
             either.step(&standing(0.0), 0.0, &behind, PERIOD).unwrap();
         }
         assert_eq!(either.actuation().speed, -0.3);
+    }
+
+    #[test]
+    fn in_a_bend_the_acceleration_to_the_side_bounds_the_speed() {
+        let limits = Limits {
+            max_speed: 5.0,
+            ..Limits::paper()
+        };
+        let mut law = limited(limits);
+        let mut largest: f64 = 0.0;
+        for step in 0..2_000 {
+            // Ever farther to the left of where the car points.
+            let wanted = 3.0 * direction(f64::from(step) * 5e-4);
+            let now = law.step(&standing(0.0), 0.5, &wanted, PERIOD).unwrap();
+            let lateral = now.speed * now.speed * libm::tan(now.steering.abs()) / 0.26;
+            largest = largest.max(lateral);
+        }
+        assert!(largest < 2.2, "{largest}");
+        assert!(law.actuation().steering > 0.3);
+        assert_eq!(limits.speed_in_bend(0.0), f64::INFINITY);
+        let at_limit = limits.speed_in_bend(-0.45);
+        assert!((at_limit - (2.0 * 0.26 / libm::tan(0.45)).sqrt()).abs() < 1e-12);
     }
 
     #[test]

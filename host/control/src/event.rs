@@ -1,6 +1,6 @@
 //! What the pilot is told between two ticks.
 
-use crate::{Position, Time};
+use crate::{Position, Time, Velocity};
 
 /// Something that happened since the last tick.
 ///
@@ -20,6 +20,77 @@ pub enum Event {
     Request(Request),
     /// The board refused to arm.
     ArmRefused,
+    /// The board said how it is.
+    Health(BoardHealth),
+    /// How well frames cross the line to the board.
+    Line(LineHealth),
+    /// What the system granted the controller; told once, before anything drives.
+    RealTime(RealTimeState),
+    /// Where P should be and how fast it should move, from outside.
+    Setpoint(Setpoint),
+    /// From here on the pilot has another configuration
+    /// ([`crate::Pilot::reconfigure`]), which has this number.
+    Reconfigured(u32),
+}
+
+/// What the board says of itself, a few times a second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BoardHealth {
+    /// Voltage of the battery, in mV.
+    pub battery_mv: u16,
+    /// Whether the stop switch is open; false if none is configured.
+    pub stop_input_open: bool,
+}
+
+/// Damaged frames as a part of all over about a second, 0 to 1; none while too
+/// few came to tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineHealth {
+    /// Of those that the host received.
+    pub to_host: Option<f64>,
+    /// Of those that the board received.
+    pub to_board: Option<f64>,
+}
+
+impl LineHealth {
+    /// The worse of the two directions; 0 while neither can be told.
+    #[must_use]
+    pub fn worst(&self) -> f64 {
+        self.to_host
+            .unwrap_or(0.0)
+            .max(self.to_board.unwrap_or(0.0))
+    }
+}
+
+/// What the system granted the controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RealTimeState {
+    /// Whether it is scheduled in real time.
+    pub fifo: bool,
+    /// Whether its memory stays in place.
+    pub memory_locked: bool,
+}
+
+/// A set-point from outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setpoint {
+    /// When it arrived.
+    pub time: Time,
+    /// Where P should be, in m; none for a velocity alone.
+    pub position: Option<Position>,
+    /// How fast P should move, in m/s.
+    pub velocity: Velocity,
+}
+
+impl Setpoint {
+    /// Whether every number of it is one.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.velocity.iter().all(|value| value.is_finite())
+            && self
+                .position
+                .is_none_or(|position| position.iter().all(|value| value.is_finite()))
+    }
 }
 
 /// A valid pose from the motion capture.
@@ -98,8 +169,12 @@ pub enum BoardState {
 /// The link to the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkState {
-    /// No board, or none that can be talked to.
+    /// No board, or none that has its configuration yet.
     Down,
+    /// The board speaks another version of the protocol.
+    VersionDiffers,
+    /// The board does not take its configuration.
+    ConfigurationRefused,
     /// The board answers, has the configuration and reports.
     Ready,
 }

@@ -14,11 +14,15 @@
 
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 mod actuation;
 mod angle;
 mod estimate;
 mod estimator;
 mod event;
+mod fence;
 mod law;
 mod outer_loop;
 mod pilot;
@@ -29,23 +33,26 @@ mod single_track;
 mod supervisor;
 mod time;
 mod vehicle;
+mod watch;
 
 pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
 pub use estimate::Estimate;
 pub use estimator::{Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use event::{
-    BoardSample, BoardState, Event, InertialSample, LinkState, PoseMissing, PoseSample, Request,
+    BoardHealth, BoardSample, BoardState, Event, InertialSample, LineHealth, LinkState,
+    PoseMissing, PoseSample, RealTimeState, Request, Setpoint,
 };
+pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
-pub use pilot::{DriveCommand, Output, Pilot, PilotConfig};
+pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
 pub use reference::{
-    Circle, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
+    Circle, External, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
     ReferencePoint, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
@@ -53,3 +60,4 @@ pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
 pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
 pub use time::Time;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};
+pub use watch::{ImuVerdict, WatchConfig};

@@ -1,11 +1,13 @@
 //! The whole controller as one value.
 
-use libm::cos;
+use libm::{copysign, cos, fabs};
 
 use crate::{
     Actuation, BoardRequest, BoardSample, Conditions, Estimate, Estimator, EstimatorConfig, Event,
-    FrontPointLaw, LimitedLaw, Limits, Mode, OuterLoop, PoseVerdict, Position, Reason, Reference,
-    ReferencePoint, Supervisor, SupervisorConfig, Time, TrackingLoop, Velocity,
+    Fence, FrontPointLaw, LimitedLaw, Limits, Mode, OuterLoop, PoseSample, PoseVerdict, Position,
+    Reason, Reference, ReferencePoint, Supervisor, SupervisorConfig, Time, TrackingLoop, Velocity,
+    WatchConfig, direction,
+    watch::{BlindWatch, ImuWatch, SpeedWatch, TickWatch},
 };
 
 /// Everything that a [`Pilot`] is told once.
@@ -23,6 +25,10 @@ pub struct PilotConfig {
     pub estimator: EstimatorConfig,
     /// When to stop.
     pub supervisor: SupervisorConfig,
+    /// What the senses may say, and how punctual a tick must be.
+    pub watch: WatchConfig,
+    /// Where the car may be.
+    pub fence: Fence,
     /// Deceleration of a stop, m/s².
     pub stop_deceleration: f64,
     /// The control period, s.
@@ -69,19 +75,29 @@ pub struct Output {
     pub request: Option<BoardRequest>,
 }
 
+/// A drive is underway: nothing is reconfigured then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the car drives (mode {0}): disarm it first")]
+pub struct Underway(pub Mode);
+
+/// From the decision to stop until the car begins to, s: a tick, the board, the
+/// motor's lag.
+const REACTION: f64 = 0.1;
+
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
 /// It reads no clock and keeps no secret: the same configuration and the same
 /// events at the same ticks give the same outputs, bit for bit.
 #[derive(Clone, Debug)]
 pub struct Pilot {
-    tracking: TrackingLoop,
-    reference: Reference,
+    config: PilotConfig,
     law: LimitedLaw,
     estimator: Estimator,
     supervisor: Supervisor,
-    stop_deceleration: f64,
-    period: f64,
+    imu: ImuWatch,
+    speeds: SpeedWatch,
+    ticks: TickWatch,
+    blind: BlindWatch,
     imu_time: Option<Time>,
     pose_time: Option<Time>,
     motor_speed: f64,
@@ -93,18 +109,39 @@ impl Pilot {
     #[must_use]
     pub fn new(config: PilotConfig) -> Self {
         Self {
-            tracking: config.tracking,
-            reference: config.reference,
             law: LimitedLaw::new(config.law, config.limits),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
-            stop_deceleration: config.stop_deceleration,
-            period: config.period,
+            imu: ImuWatch::default(),
+            speeds: SpeedWatch::default(),
+            ticks: TickWatch::default(),
+            blind: BlindWatch::default(),
             imu_time: None,
             pose_time: None,
             motor_speed: 0.0,
             drive_start: None,
+            config,
         }
+    }
+
+    /// Another configuration, from the next tick on. What is known of board and
+    /// requests stays; the estimate begins anew.
+    ///
+    /// # Errors
+    ///
+    /// While a drive is underway. Nothing changes then.
+    pub fn reconfigure(&mut self, config: &PilotConfig) -> Result<(), Underway> {
+        let mode = self.mode();
+        if mode.is_underway() {
+            return Err(Underway(mode));
+        }
+        self.config.clone_from(config);
+        self.law = LimitedLaw::new(config.law, config.limits);
+        self.estimator = Estimator::new(config.estimator);
+        self.supervisor.reconfigure(config.supervisor);
+        self.speeds.reset();
+        self.pose_time = None;
+        Ok(())
     }
 
     /// The mode after the last tick.
@@ -131,26 +168,48 @@ impl Pilot {
         if estimate.is_none() {
             self.pose_time = None;
         }
+        let speed = estimate.map_or(0.0, |estimate| estimate.speed);
+        // The fastest that anybody says it is.
+        let pace = fabs(speed)
+            .max(fabs(self.motor_speed))
+            .max(fabs(self.law.actuation().speed));
+        let (period, watch) = (self.config.period, &self.config.watch);
+        self.blind.advance(now, pace);
+        self.ticks.tick(now, period, watch);
+        let max_speed = self.config.limits.max_speed;
+        self.speeds.tick(speed, max_speed, watch);
         let drive_time = self.drive_start.map(|start| now.seconds_since(start));
         let was = self.supervisor.mode();
         let mut request = self.supervisor.step(&Conditions {
             now,
             pose_time: self.pose_time,
+            blind_distance: self.blind.distance(),
             poses: self.estimator.poses(),
             implausible: self.estimator.implausible_in_a_row(),
             imu_time: self.imu_time,
-            speed: estimate.map_or(0.0, |estimate| estimate.speed),
+            imu: self.imu.verdict(self.estimator.gyro_bias(), watch),
+            imu_still: self.imu.is_still(),
+            speed,
             motor_speed: self.motor_speed,
+            speed_mismatch: self.speeds.is_mismatched(),
+            overspeed: self.speeds.is_overspeed(),
             commanded_speed: self.law.actuation().speed,
-            reference_finished: match (drive_time, self.reference.duration()) {
+            inside_fence: estimate.is_none_or(|estimate| self.stops_inside(&estimate, pace)),
+            late: self.ticks.is_late(watch),
+            setpoint_stale: match &self.config.reference {
+                Reference::External(external) => external.is_stale(now),
+                _ => false,
+            },
+            reference_finished: match (drive_time, self.config.reference.duration()) {
                 (Some(time), Some(duration)) => time >= duration,
                 _ => false,
             },
         });
         let mode = self.supervisor.mode();
-        if mode == Mode::Driving && was != Mode::Driving {
+        if mode == Mode::Driving && was == Mode::Arming {
             self.drive_start = Some(now);
             self.law.reset();
+            self.speeds.reset();
         }
         if matches!(mode, Mode::Idle | Mode::Disconnected | Mode::Fault) {
             self.stand_by(was);
@@ -184,8 +243,8 @@ impl Pilot {
                         output.request = request;
                     }
                 }
-                Mode::Stopping => {
-                    let actuation = self.law.slow_down(self.stop_deceleration, self.period);
+                Mode::Slowing | Mode::Stopping => {
+                    let actuation = self.law.slow_down(self.config.stop_deceleration, period);
                     output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
                     output.actuation = actuation;
                     output.command = Some(command(estimate, &actuation));
@@ -206,11 +265,16 @@ impl Pilot {
             estimate.yaw,
             self.law.actuation().steering,
         );
-        let reference = self.reference.at(time);
-        let velocity = self.tracking.velocity(&reference, &point);
+        let reference = self.config.reference.at(time);
+        let velocity = self.config.tracking.velocity(&reference, &point);
         let actuation = self
             .law
-            .step(&estimate.motion(), estimate.speed, &velocity, self.period)
+            .step(
+                &estimate.motion(),
+                estimate.speed,
+                &velocity,
+                self.config.period,
+            )
             .map_err(|_| Reason::LawSingular)?;
         output.drive_time = Some(time);
         output.reference = Some(reference);
@@ -224,21 +288,51 @@ impl Pilot {
     /// Takes in an event; true for a pose that was accepted.
     fn handle(&mut self, event: &Event) -> bool {
         match event {
-            Event::Pose(pose) => {
-                let verdict = self.estimator.handle_pose(pose);
-                if verdict == PoseVerdict::Accepted {
-                    self.pose_time = Some(pose.capture);
-                    self.supervisor.handle_pose();
-                    return true;
-                }
-            }
+            Event::Pose(pose) => return self.handle_pose(pose),
             Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
             Event::Board(sample) => self.handle_board(sample),
             Event::Link(link) => self.supervisor.handle_link(*link),
             Event::Request(request) => self.supervisor.handle_request(*request),
             Event::ArmRefused => self.supervisor.handle_arm_refused(),
+            Event::Health(health) => self.supervisor.handle_health(*health),
+            Event::Line(line) => self.supervisor.handle_line(*line),
+            Event::RealTime(state) => self.supervisor.handle_real_time(*state),
+            Event::Setpoint(setpoint) => {
+                if let Reference::External(external) = &mut self.config.reference {
+                    external.handle(setpoint);
+                }
+            }
+            // Whoever replays it has called `reconfigure`.
+            Event::Reconfigured(_) => {}
         }
         false
+    }
+
+    fn handle_pose(&mut self, pose: &PoseSample) -> bool {
+        let accepted = self.estimator.handle_pose(pose) == PoseVerdict::Accepted;
+        if accepted {
+            self.pose_time = Some(pose.capture);
+            self.supervisor.handle_pose();
+            self.blind.seen(pose.capture);
+            let centre = self.estimator.centre_of_mass(pose);
+            self.speeds.pose(
+                pose.capture,
+                centre.position,
+                centre.yaw,
+                &self.config.watch,
+            );
+        }
+        accepted
+    }
+
+    /// Whether the car is inside the fence, and would be after a stop that begins
+    /// now, from wherever it may have got to since it was last seen.
+    fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
+        let braking = 0.5 * pace * pace / self.config.stop_deceleration;
+        let ahead = self.blind.distance() + pace * REACTION + braking;
+        let course = direction(estimate.yaw + estimate.sideslip);
+        let way = copysign(ahead, estimate.speed) * course;
+        self.config.fence.contains_way(&estimate.position, &way)
     }
 
     fn handle_board(&mut self, sample: &BoardSample) {
@@ -246,7 +340,11 @@ impl Pilot {
         self.motor_speed = sample.motor_speed;
         if let Some(inertial) = &sample.inertial {
             self.imu_time = Some(inertial.time);
+            let supervisor = &self.config.supervisor;
+            let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
+            self.imu.handle(inertial, &self.config.watch, still);
         }
+        self.speeds.motor(sample.motor_speed);
         self.estimator.handle_board(sample);
     }
 
@@ -257,7 +355,7 @@ impl Pilot {
         // A track that lost the car must find it anew: nothing is at stake
         // while the car stands.
         let lost = self.estimator.implausible_in_a_row() > 0;
-        if lost && was != Mode::Driving {
+        if lost && !was.commands() {
             self.estimator.reset();
         }
     }

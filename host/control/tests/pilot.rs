@@ -4,13 +4,27 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, FrontPointLaw, InertialSample,
-    Limits, LinkState, Mode, Output, Pilot, PilotConfig, PoseMissing, PoseSample, Position,
-    ProportionalLoop, Reason, Reference, Request, SupervisorConfig, Time, TrackingLoop,
-    VehicleParameters, Velocity, VelocityStep, VelocitySteps, direction,
+    BoardHealth, BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, Fence,
+    FrontPointLaw, InertialSample, Limits, LinkState, Mode, Output, Pilot, PilotConfig,
+    PoseMissing, PoseSample, Position, ProportionalLoop, RealTimeState, Reason, Reference, Request,
+    SupervisorConfig, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+    WatchConfig, direction,
 };
 
 const TICK_NS: u64 = 10_000_000;
+
+/// What is told once, before anything drives.
+const AT_START: [Event; 3] = [
+    Event::RealTime(RealTimeState {
+        fifo: false,
+        memory_locked: false,
+    }),
+    Event::Link(LinkState::Ready),
+    Event::Health(BoardHealth {
+        battery_mv: 7_400,
+        stop_input_open: false,
+    }),
+];
 
 /// A kinematic car with perfect sensors, and the pilot that drives it.
 struct Bench {
@@ -52,6 +66,8 @@ fn config() -> PilotConfig {
         limits: Limits::paper(),
         estimator: EstimatorConfig::for_vehicle(&vehicle),
         supervisor: SupervisorConfig::paper(),
+        watch: WatchConfig::paper(),
+        fence: Fence::rectangle(Position::origin(), Velocity::new(20.0, 20.0), 0.0).unwrap(),
         stop_deceleration: 1.5,
         period: 0.01,
     }
@@ -88,14 +104,20 @@ impl Bench {
         let now = self.now();
         let mut events = Vec::new();
         if self.tick == 1001 {
-            events.push(Event::Link(LinkState::Ready));
+            events.extend(AT_START);
         }
+        // A sensor has noise.
+        let noise = if self.tick.is_multiple_of(2) {
+            1e-3
+        } else {
+            -1e-3
+        };
         if self.link {
             events.push(Event::Board(BoardSample {
                 time: now,
                 inertial: self.imu.then_some(InertialSample {
                     time: now,
-                    yaw_rate,
+                    yaw_rate: yaw_rate + noise,
                     forward_acceleration: 0.0,
                     left_acceleration: self.speed * yaw_rate,
                 }),
@@ -168,7 +190,7 @@ impl Bench {
             if self.speed == 0.0 && stood.is_none() {
                 stood = Some(f64::from(tick) * 0.01);
             }
-            if !matches!(output.mode, Mode::Driving | Mode::Stopping) {
+            if !output.mode.commands() {
                 return (output, stood.unwrap_or(f64::INFINITY));
             }
         }
@@ -309,9 +331,7 @@ fn a_lost_link_ends_the_drive_at_once_and_its_return_does_not_start_it() {
     bench.speed = 0.0;
     bench.board = BoardState::Neutral;
     bench.tick += 1;
-    bench
-        .pilot
-        .step(bench.now(), &[Event::Link(LinkState::Ready)]);
+    bench.pilot.step(bench.now(), &AT_START);
     for _ in 0..300 {
         let output = bench.step();
         assert!(output.command.is_none() && output.request.is_none());
@@ -397,9 +417,7 @@ fn an_emergency_stop_asked_for_without_a_link_is_not_forgotten() {
     );
     assert_eq!(output.request, Some(BoardRequest::EmergencyStop));
     bench.tick += 1;
-    bench
-        .pilot
-        .step(bench.now(), &[Event::Link(LinkState::Ready)]);
+    bench.pilot.step(bench.now(), &AT_START);
     for _ in 0..200 {
         let output = bench.step_with(Some(Request::Arm));
         assert_eq!(output.mode, Mode::Fault);

@@ -2,8 +2,8 @@
 //!
 //! Nothing here waits, allocates or locks.
 
-use rtrb::{Consumer, Producer};
-use singletrack_control::{Mode, Request, Time};
+use rtrb::{Consumer, Producer, PushError};
+use singletrack_control::{Mode, RealTimeState, Request, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::Observation;
 use singletrack_protocol::BoardMode;
@@ -12,16 +12,21 @@ use singletrack_record::{DriveWrite, TickRecord};
 use crate::{
     alignment::Alignment,
     controller::{Controller, Sent},
+    reconfigure::{Reconfiguration, Refusal},
     report::{LineCounters, Report, link_phase},
     serial_port::{Line, drive_number},
     serial_reader::SerialEvent,
+    setpoint_slot::SetpointReceiver,
 };
 
 /// What the control thread is asked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum ControlRequest {
     /// Something for the pilot.
     Pilot(Request),
+    /// Take over another configuration, if the car does not drive, and give the
+    /// box back.
+    Reconfigure(Box<Reconfiguration>),
     /// Bring the car to a stop and end.
     Finish,
     /// Disarm at once and end.
@@ -50,6 +55,10 @@ pub struct Rings<L> {
     pub observations: Consumer<Observation>,
     /// From people and programs.
     pub requests: Consumer<ControlRequest>,
+    /// From a program that says where P should go.
+    pub setpoints: SetpointReceiver,
+    /// Configurations on their way back to who made them.
+    pub reconfigured: Producer<Box<Reconfiguration>>,
     /// Every tick.
     pub ticks: Producer<TickRecord>,
     /// Everything else.
@@ -124,6 +133,11 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
+    /// What the system granted the thread that is to run it, for the pilot.
+    pub fn real_time(&mut self, state: RealTimeState) {
+        self.controller.real_time(state);
+    }
+
     /// How much later the next tick should begin than a period after the last
     /// one; negative for earlier.
     #[must_use]
@@ -156,6 +170,9 @@ impl<L: Line> ControlLoop<L> {
             self.controller.observed(&observation);
         }
         self.take_requests(slot.start_ns);
+        if let Some(setpoint) = self.rings.setpoints.take() {
+            self.controller.setpoint(setpoint);
+        }
         let now = Time(clock());
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
@@ -283,7 +300,32 @@ impl<L: Line> ControlLoop<L> {
                     }
                 }
                 ControlRequest::Abort => self.abort(now_ns),
+                ControlRequest::Reconfigure(change) => self.reconfigure(now_ns, change),
             }
+        }
+    }
+
+    fn reconfigure(&mut self, now_ns: u64, mut change: Box<Reconfiguration>) {
+        let outcome = if self.ending != Ending::Running {
+            Err(Refusal::Ending)
+        } else if now_ns > change.until_ns {
+            Err(Refusal::Late)
+        } else {
+            let Reconfiguration {
+                number,
+                pilot,
+                board,
+                ..
+            } = &*change;
+            self.controller
+                .reconfigure(Time(now_ns), *number, pilot, *board)
+                .map_err(Refusal::from)
+        };
+        change.outcome = Some(outcome);
+        if let Err(PushError::Full(change)) = self.rings.reconfigured.push(change) {
+            // There is room for every one that can be under way. If ever there is
+            // not, it is lost and not freed: that may take long.
+            core::mem::forget(change);
         }
     }
 
@@ -318,10 +360,7 @@ impl<L: Line> ControlLoop<L> {
     }
 
     fn is_driving(&self) -> bool {
-        matches!(
-            self.controller.pilot().mode(),
-            Mode::Arming | Mode::Driving | Mode::Stopping
-        )
+        self.controller.pilot().mode().is_underway()
     }
 
     /// Whether the board is armed, or was asked to disarm and has not confirmed it.

@@ -4,12 +4,13 @@
 //! they differ only in where bytes and time come from.
 
 use singletrack_control::{
-    BoardRequest, BoardSample, BoardState, Event, InertialSample, LinkState, Output, Pilot,
-    PoseMissing, PoseSample, Position, Request, Time,
+    BoardHealth, BoardRequest, BoardSample, BoardState, Event, InertialSample, LineHealth,
+    LinkState, Output, Pilot, PilotConfig, PoseMissing, PoseSample, Position, RealTimeState,
+    Request, Setpoint, Time, Underway,
 };
-use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, Session};
+use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_protocol::{BoardMode, Request as BoardRequestKind};
+use singletrack_protocol::{BoardMode, Configuration, Request as BoardRequestKind};
 
 /// How many events a tick can take: a stall of 300 ms at 100 Hz of poses and
 /// telemetry.
@@ -33,6 +34,7 @@ pub struct Controller {
     pilot: Pilot,
     events: Events,
     dropped: u32,
+    ticks: u32,
 }
 
 /// What a tick did.
@@ -47,6 +49,20 @@ pub struct Tick {
     /// What became of the drive command, if there was one.
     pub drive: Option<Result<Sent, DriveError>>,
 }
+
+/// Why a configuration was not taken over.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ReconfigureError {
+    /// The car drives.
+    #[error(transparent)]
+    Underway(#[from] Underway),
+    /// Not with this board, or not now.
+    #[error("board: {0}")]
+    Board(#[from] ConfigureError),
+}
+
+/// How often the pilot is told how well frames cross the line, in ticks.
+const LINE_HEALTH_TICKS: u32 = 10;
 
 /// What became of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +82,7 @@ impl Controller {
             pilot,
             events: Events::new(),
             dropped: 0,
+            ticks: 0,
         }
     }
 
@@ -135,6 +152,56 @@ impl Controller {
         self.push(Event::Request(request));
     }
 
+    /// Whether the controller runs in real time.
+    pub fn real_time(&mut self, state: RealTimeState) {
+        self.push(Event::RealTime(state));
+    }
+
+    /// Somebody says where P should be. Only the newest of a tick counts.
+    pub fn setpoint(&mut self, setpoint: Setpoint) {
+        let last = self.events.iter_mut().rev().find_map(|event| match event {
+            Event::Setpoint(last) => Some(last),
+            _ => None,
+        });
+        match last {
+            Some(last) => *last = setpoint,
+            None => self.push(Event::Setpoint(setpoint)),
+        }
+    }
+
+    /// Another configuration for pilot and board, with a number for the record.
+    /// The board is given it at the next tick, and takes no commands until it has
+    /// acknowledged it.
+    ///
+    /// # Errors
+    ///
+    /// While a drive is underway, and what no board would take. Nothing changes
+    /// then.
+    pub fn reconfigure(
+        &mut self,
+        now: Time,
+        number: u32,
+        pilot: &PilotConfig,
+        board: Configuration,
+    ) -> Result<(), ReconfigureError> {
+        let mode = self.pilot.mode();
+        // A request that came first would be judged by the new configuration.
+        let asked = self
+            .events
+            .iter()
+            .any(|event| *event == Event::Request(Request::Arm));
+        if mode.is_underway() || asked {
+            return Err(Underway(mode).into());
+        }
+        if board != *self.session.configuration() {
+            self.session.configure(now.0, board)?;
+            self.push(Event::Link(LinkState::Down));
+        }
+        self.pilot.reconfigure(pilot)?;
+        self.push(Event::Reconfigured(number));
+        Ok(())
+    }
+
     /// Asks the board to disarm without slowing down first; the next tick
     /// writes it, and the link repeats it until telemetry shows it.
     pub fn disarm_now(&mut self, now: Time) {
@@ -156,6 +223,10 @@ impl Controller {
             on_link(&event);
             queue.link(&event);
         });
+        if self.ticks.is_multiple_of(LINE_HEALTH_TICKS) {
+            queue.push(Event::Line(line_health(&self.session, now)));
+        }
+        self.ticks = self.ticks.wrapping_add(1);
         let events = core::mem::take(&mut self.events);
         let dropped_events = core::mem::take(&mut self.dropped);
         let output = self.pilot.step(now, &events);
@@ -217,7 +288,14 @@ impl Queue<'_> {
     fn push(&mut self, event: Event) {
         let room = match event {
             Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
-            Event::Link(_) | Event::Request(_) | Event::ArmRefused => MAX_EVENTS,
+            Event::Link(_)
+            | Event::Request(_)
+            | Event::ArmRefused
+            | Event::Health(_)
+            | Event::Line(_)
+            | Event::RealTime(_)
+            | Event::Setpoint(_)
+            | Event::Reconfigured(_) => MAX_EVENTS,
         };
         if self.events.len() >= room || self.events.push(event).is_err() {
             *self.dropped = self.dropped.saturating_add(1);
@@ -229,21 +307,40 @@ impl Queue<'_> {
         match event {
             LinkEvent::Telemetry(record) => self.push(Event::Board(board_sample(record))),
             LinkEvent::ConfigurationAccepted { .. } => self.push(Event::Link(LinkState::Ready)),
-            LinkEvent::VersionMismatch(_)
-            | LinkEvent::ConfigurationRefused { .. }
-            | LinkEvent::BoardRestarted { .. }
-            | LinkEvent::Lost { .. } => self.push(Event::Link(LinkState::Down)),
+            LinkEvent::VersionMismatch(_) => self.push(Event::Link(LinkState::VersionDiffers)),
+            LinkEvent::ConfigurationRefused { .. } => {
+                self.push(Event::Link(LinkState::ConfigurationRefused));
+            }
+            LinkEvent::BoardRestarted { .. } | LinkEvent::Lost { .. } => {
+                self.push(Event::Link(LinkState::Down));
+            }
+            LinkEvent::Status(status) => self.push(Event::Health(BoardHealth {
+                battery_mv: status.battery_mv,
+                stop_input_open: status.stop_input_open,
+            })),
             LinkEvent::Refused {
                 request: BoardRequestKind::Arm,
                 ..
             } => self.push(Event::ArmRefused),
             LinkEvent::Connected { .. }
-            | LinkEvent::Status(_)
             | LinkEvent::Acknowledged { .. }
             | LinkEvent::Refused { .. }
             | LinkEvent::Unanswered { .. }
             | LinkEvent::StopConfirmed { .. } => {}
         }
+    }
+}
+
+/// How well frames cross the line, both ways.
+fn line_health(session: &Session, now: Time) -> LineHealth {
+    let part = |fraction: Option<f32>| fraction.map(f64::from);
+    LineHealth {
+        to_host: part(session.line_quality(now.0).damaged_fraction()),
+        to_board: part(
+            session
+                .board_line_quality()
+                .and_then(|quality| quality.damaged_fraction()),
+        ),
     }
 }
 

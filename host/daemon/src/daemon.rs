@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -13,7 +13,7 @@ use std::{
 };
 
 use rtrb::RingBuffer;
-use singletrack_control::{Mode, Pilot, Reason, Request};
+use singletrack_control::{Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
 use singletrack_record::RecorderThread;
@@ -29,10 +29,12 @@ use crate::{
     mocap_receiver::MocapReceiver,
     mocap_socket::{MocapSocketError, MocapSockets},
     realtime::{self, RealTimeStatus},
+    reconfigure::{ChangeError, ConfigurationView, Reconfigurer},
     recording::{self, RecordingError},
     report::LineCounters,
     requests::{Requests, Stalled},
     serial_reader::{ReaderCounters, SerialReader},
+    setpoint_slot::{SetpointSender, setpoint_slot},
     snapshot::Snapshot,
     socket::{BoundSocket, SocketError, SocketThread},
     summary::Summary,
@@ -93,6 +95,8 @@ pub enum StopError {
 pub(crate) struct View {
     pub(crate) board: Arc<Board>,
     pub(crate) requests: Requests,
+    pub(crate) setpoints: SetpointSender,
+    pub(crate) reconfigurer: Reconfigurer,
     realtime: RealTimeStatus,
 }
 
@@ -105,6 +109,7 @@ impl View {
             board_status: latest.board_status,
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
+            configuration: self.reconfigurer.view(),
         }
     }
 }
@@ -142,6 +147,8 @@ impl core::fmt::Debug for Recording {
 /// loses nothing; one of the records' of two seconds neither.
 const SERIAL_EVENTS: usize = 512;
 const OBSERVATIONS: usize = 256;
+/// One is under way at a time.
+const RECONFIGURATIONS: usize = 2;
 /// All of them find room among a tick's events, see `controller::RESERVED`.
 const REQUESTS: usize = 12;
 const TICKS: usize = 256;
@@ -189,15 +196,26 @@ impl Daemon {
         let (returned, returned_out) = RingBuffer::new(2);
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
+        let (setpoints_in, setpoints) = setpoint_slot();
+        let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
         let (ticks, ticks_out) = RingBuffer::new(TICKS);
         let (reports, reports_out) = RingBuffer::new(REPORTS);
         let (mocap_reports, mocap_out) = RingBuffer::new(REPORTS);
 
         let board = Arc::new(Board::new());
+        let requests_in = Requests::new(requests_in);
+        let (log_in, log) = mpsc::channel();
         let mut daemon = Self {
             view: View {
                 board: Arc::clone(&board),
-                requests: Requests::new(requests_in),
+                reconfigurer: Reconfigurer::new(
+                    config.clone(),
+                    requests_in.clone(),
+                    reconfigured_out,
+                    log_in,
+                ),
+                requests: requests_in,
+                setpoints: setpoints_in,
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,
@@ -219,6 +237,7 @@ impl Daemon {
             ticks: ticks_out,
             reports: reports_out,
             mocap: mocap_out,
+            log,
             board,
             record,
             record_dropped: 0,
@@ -237,6 +256,8 @@ impl Daemon {
                 returned,
                 observations,
                 requests,
+                setpoints,
+                reconfigured,
                 ticks,
                 reports,
             },
@@ -276,17 +297,23 @@ impl Daemon {
     fn start_control(
         &mut self,
         config: &Config,
-        control: ControlLoop<crate::serial_port::WriteHalf>,
+        mut control: ControlLoop<crate::serial_port::WriteHalf>,
         collector: thread::Thread,
     ) -> Result<(), StartError> {
         let priority = config.control.realtime_priority;
         let period_ns = u64::from(config.control.period_ms) * 1_000_000;
         let signs = self.signs.clone();
+        let memory_locked = self.view.realtime.memory_locked;
         let (granted_in, granted) = mpsc::sync_channel(1);
         self.control = Some(spawn("control", move || {
             let _ended = Ended(Arc::clone(&signs.ended));
+            let granted = realtime::make_punctual(priority);
+            control.real_time(RealTimeState {
+                fifo: matches!(granted, Ok(Some(_))),
+                memory_locked,
+            });
             // The starter waits for it.
-            let _ = granted_in.send(realtime::make_punctual(priority));
+            let _ = granted_in.send(granted);
             control_thread::run(control, period_ns, &signs, &collector)
         })?);
         let status = &mut self.view.realtime;
@@ -323,6 +350,23 @@ impl Daemon {
     /// When the control thread takes no requests.
     pub fn request(&self, request: Request) -> Result<(), Stalled> {
         self.view.requests.push(ControlRequest::Pilot(request))
+    }
+
+    /// Reads the configuration anew and has controller and board take it over,
+    /// all of it or nothing. Returns its number.
+    ///
+    /// # Errors
+    ///
+    /// Why the configuration in force stays: the new one makes no sense or takes
+    /// a restart, or the car drives.
+    pub fn reload(&self, path: &Path) -> Result<u32, ChangeError> {
+        self.view.reconfigurer.reload(path)
+    }
+
+    /// Which configuration is in force.
+    #[must_use]
+    pub fn configuration(&self) -> ConfigurationView {
+        self.view.reconfigurer.view()
     }
 
     /// Begins to end: the car slows down and stops, the board is disarmed.

@@ -353,7 +353,7 @@ fn every_mistake_is_told_by_key_value_and_fix() {
         ),
         (
             "supervisor",
-            "hold_ms = 500",
+            "hold_distance_m = 0.45",
             &["board.max_pose_age_ms", "950", "shorten the hold"],
         ),
         (
@@ -415,7 +415,7 @@ fn every_mistake_is_told_by_key_value_and_fix() {
         (
             "control",
             "stop_deceleration_m_s2 = 1.0",
-            &["board.max_pose_age_ms", "1800 ms", "brake harder"],
+            &["board.max_pose_age_ms", "1750 ms", "brake harder"],
         ),
         (
             "record",

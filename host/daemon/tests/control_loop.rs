@@ -1,241 +1,30 @@
 //! The body of the control thread in virtual time, with the simulated car at
-//! the other end of its rings: it allocates nothing, and queues nothing.
-#![expect(unsafe_code, reason = "an allocator is unsafe to write")]
+//! the other end of its rings: what it does when it is asked to, and that it
+//! queues nothing.
+
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     reason = "the helpers of tests may fail as tests do"
 )]
 
-use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
-    net::{IpAddr, Ipv4Addr, SocketAddr},
-};
+#[path = "common/outside.rs"]
+mod outside;
 
-use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::{Event, Mode, Pilot, Request, Time};
+use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
+use singletrack_control::{
+    Event, Mode, Pilot, Position, Reason, Request, Setpoint, Time, Velocity,
+};
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
+use singletrack_mocap::{Observation, PoseState};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
-use singletrack_record::TickRecord;
-use singletrack_sim::{Destination, SimulationConfig, World};
 use singletrackd::{
-    Config, Report,
-    control_loop::{ControlLoop, ControlRequest, Rings, Slot},
-    controller::{Controller, Sent},
-    serial_port::Line,
-    serial_reader::{Chunk, SerialEvent},
+    Config,
+    config::{OuterLoopSection, ReferenceSection},
+    control_loop::{ControlLoop, ControlRequest},
+    controller::{Controller, ReconfigureError, Sent},
+    reconfigure::Refusal,
 };
-
-struct Counting;
-
-thread_local! {
-    static COUNTS: Cell<bool> = const { Cell::new(false) };
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    COUNTS.with(|counts| {
-        if counts.get() {
-            COUNT.with(|count| count.set(count.get() + 1));
-        }
-    });
-}
-
-// SAFETY: everything is the system allocator's; counting does not allocate.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// How often `action` asks the allocator for something.
-fn allocations(action: impl FnOnce()) -> u64 {
-    let before = COUNT.with(Cell::get);
-    COUNTS.with(|counts| counts.set(true));
-    action();
-    COUNTS.with(|counts| counts.set(false));
-    COUNT.with(Cell::get) - before
-}
-
-/// A line into a ring.
-struct RingLine(Producer<u8>);
-
-impl Line for RingLine {
-    fn write_frame(&mut self, frame: &[u8]) -> Sent {
-        if self.0.slots() < frame.len() {
-            return Sent::Dropped;
-        }
-        for &byte in frame {
-            self.0.push(byte).unwrap();
-        }
-        Sent::Whole
-    }
-}
-
-/// The outside of the control thread's rings.
-struct Outside {
-    world: World,
-    mocap: MocapSession,
-    serial: Producer<SerialEvent<RingLine>>,
-    observations: Producer<Observation>,
-    line: Consumer<u8>,
-    ticks: Consumer<TickRecord>,
-    reports: Consumer<Report>,
-    requests: Producer<ControlRequest>,
-    bytes: Vec<u8>,
-    /// Nothing comes from the board.
-    stuck: bool,
-}
-
-const HOST: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
-
-impl Outside {
-    fn advance_to(&mut self, now_us: u64) {
-        let now_ns = now_us * 1_000;
-        self.world.advance_to(now_us);
-        self.bytes.clear();
-        self.world.host_read(&mut self.bytes);
-        if !self.bytes.is_empty() && !self.stuck {
-            let chunk = Chunk::new(now_ns, &self.bytes);
-            assert_eq!(chunk.bytes(), self.bytes);
-            self.serial.push(SerialEvent::Bytes(chunk)).unwrap();
-        }
-        while let Some(transmit) = self.mocap.poll_transmit(now_ns) {
-            self.world.handle_datagram(HOST, &transmit.bytes);
-        }
-        while let Some(datagram) = self.world.poll_datagram() {
-            assert_eq!(datagram.to, Destination::Client(HOST));
-            let source = SocketAddr::new(HOST.ip(), 1_510);
-            if let Outcome::Frame(observation) =
-                self.mocap.handle_datagram(now_ns, source, &datagram.bytes)
-            {
-                self.observations.push(observation).unwrap();
-            }
-        }
-        while self.mocap.poll_event().is_some() {}
-    }
-
-    fn board_mode(&self) -> Option<BoardMode> {
-        let code = self.world.board().code()?;
-        Some(code.mode())
-    }
-
-    fn run_until_tick(&mut self, index: u64) {
-        let tick_us = index * PERIOD_US;
-        for step in (0..PERIOD_US / STEP_US).rev() {
-            self.advance_to(tick_us - step * STEP_US);
-        }
-    }
-
-    /// What the tick sent.
-    fn sent(&mut self) -> Vec<u8> {
-        core::iter::from_fn(|| self.line.pop().ok()).collect()
-    }
-
-    /// Takes what the tick sent and told; the mode it ended in.
-    fn after_tick(&mut self) -> Option<Mode> {
-        let sent = self.sent();
-        self.world.host_write(&sent);
-        while self.reports.pop().is_ok() {}
-        self.ticks.pop().ok().map(|tick| tick.output.mode)
-    }
-}
-
-fn set_up() -> (ControlLoop<RingLine>, Outside) {
-    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    let simulation = SimulationConfig::default();
-    config
-        .motion_capture
-        .rigid_body
-        .clone_from(&simulation.cameras.car.name);
-
-    let (line_in, line) = RingBuffer::new(4_096);
-    let (mut serial_in, serial) = RingBuffer::new(256);
-    let (returned, _) = RingBuffer::new(2);
-    let (observations_in, observations) = RingBuffer::new(64);
-    let (requests_in, requests) = RingBuffer::new(4);
-    let (ticks_in, ticks) = RingBuffer::new(4);
-    let (reports_in, reports) = RingBuffer::new(64);
-    serial_in
-        .push(SerialEvent::Opened(RingLine(line_in)))
-        .unwrap();
-    let controller = Controller::new(
-        LinkSession::new(config.link(7)).unwrap(),
-        Pilot::new(config.pilot().unwrap()),
-    );
-    let control = ControlLoop::new(
-        controller,
-        Rings {
-            serial,
-            returned,
-            observations,
-            requests,
-            ticks: ticks_in,
-            reports: reports_in,
-        },
-        true,
-    );
-    let outside = Outside {
-        world: World::new(simulation).unwrap(),
-        mocap: MocapSession::new(config.motion_capture.session().unwrap()).unwrap(),
-        serial: serial_in,
-        observations: observations_in,
-        line,
-        ticks,
-        reports,
-        requests: requests_in,
-        bytes: Vec::new(),
-        stuck: false,
-    };
-    (control, outside)
-}
-
-const PERIOD_US: u64 = 10_000;
-const STEP_US: u64 = 500;
-
-fn tick(control: &mut ControlLoop<RingLine>, index: u64) {
-    let now_ns = index * PERIOD_US * 1_000;
-    let slot = Slot {
-        scheduled_ns: now_ns,
-        start_ns: now_ns,
-        skipped: 0,
-    };
-    control.tick(slot, &|| now_ns);
-}
-
-/// Runs until the car has driven for a second; the number of the next tick.
-fn drive(control: &mut ControlLoop<RingLine>, outside: &mut Outside) -> u64 {
-    let mut driving = 0;
-    for index in 1..2_000 {
-        outside.run_until_tick(index);
-        tick(control, index);
-        driving += u64::from(outside.after_tick() == Some(Mode::Driving));
-        if driving == 100 {
-            return index + 1;
-        }
-    }
-    panic!("the car never drove");
-}
 
 /// The drive commands in `bytes`.
 fn drives(bytes: &[u8]) -> usize {
@@ -291,7 +80,9 @@ fn asked_to_finish_it_stops_the_car_and_disarms_the_board_first() {
         modes.starts_with(&[Mode::Stopping, Mode::Idle]),
         "{modes:?}"
     );
-    assert!(outside.world.truth().speed.abs() < 0.05);
+    // At neutral it coasts the rest of the way.
+    let speed = outside.world.truth().speed;
+    assert!(speed.abs() < 0.1, "{speed} m/s");
     assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
 }
 
@@ -373,31 +164,167 @@ fn a_flood_of_samples_leaves_room_for_a_stop() {
     controller.request(Request::EmergencyStop);
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(tick.dropped_events > 0);
-    assert_eq!(
-        tick.events.last(),
-        Some(&Event::Request(Request::EmergencyStop))
+    assert!(
+        tick.events
+            .contains(&Event::Request(Request::EmergencyStop))
     );
     assert_eq!(tick.output.mode, Mode::Fault);
 }
 
-#[test]
-fn ten_thousand_ticks_allocate_nothing() {
-    const TICKS: u64 = 10_000;
-    let (mut control, mut outside) = set_up();
-    let mut driving = 0;
-    let mut total = 0;
-    for index in 1..=TICKS {
+/// Runs `ticks` ticks from `index` on; the modes that they ended in, each once.
+fn run(
+    control: &mut ControlLoop<RingLine>,
+    outside: &mut Outside,
+    index: u64,
+    ticks: u64,
+) -> Vec<Mode> {
+    let mut modes = Vec::new();
+    for index in index..index + ticks {
         outside.run_until_tick(index);
-        total += allocations(|| tick(&mut control, index));
-        driving += u64::from(outside.after_tick() == Some(Mode::Driving));
+        tick(control, index);
+        modes.extend(outside.after_tick());
     }
-    assert_eq!(total, 0, "allocations");
-    assert!(driving > TICKS * 8 / 10, "only {driving} driving ticks");
-    assert_eq!(control.counters().reports_dropped, 0);
-    assert_eq!(control.counters().drives_withheld, 0);
+    modes.dedup();
+    modes
 }
 
 #[test]
-fn the_allocator_counts() {
-    assert!(allocations(|| drop(Vec::<u8>::with_capacity(10))) >= 2);
+fn a_configuration_is_taken_over_between_two_ticks_and_its_box_comes_back() {
+    let (mut control, mut outside) = set_up();
+    outside
+        .requests
+        .push(ControlRequest::Pilot(Request::Disarm))
+        .unwrap();
+    run(&mut control, &mut outside, 1, 300);
+    let mut config = outside.config.clone();
+    config.limits.max_speed_m_s = 0.2;
+    config.board.speed.max_forward_mm_s = 300;
+    outside.reconfigure(&config, u64::MAX);
+    outside.run_until_tick(301);
+    tick(&mut control, 301);
+    assert_eq!(outside.outcome(), Ok(()));
+    let record = outside.ticks.pop().unwrap();
+    assert!(record.events.contains(&Event::Reconfigured(2)));
+
+    // Pilot and board are as before, only slower.
+    run(&mut control, &mut outside, 302, 200);
+    outside
+        .requests
+        .push(ControlRequest::Pilot(Request::Arm))
+        .unwrap();
+    run(&mut control, &mut outside, 502, 300);
+    assert_eq!(outside.board_mode(), Some(BoardMode::Driving));
+    let speed = outside.world.truth().speed;
+    assert!((0.15..0.22).contains(&speed), "{speed} m/s");
+}
+
+#[test]
+fn a_car_that_drives_keeps_its_configuration() {
+    let (mut control, mut outside) = set_up();
+    let start = drive(&mut control, &mut outside);
+    let config = outside.config.clone();
+    outside.reconfigure(&config, u64::MAX);
+    let modes = run(&mut control, &mut outside, start, 50);
+    let outcome = outside.outcome();
+    assert!(
+        matches!(outcome, Err(Refusal::Pilot(ReconfigureError::Underway(_)))),
+        "{outcome:?}"
+    );
+    assert_eq!(modes, [Mode::Driving]);
+}
+
+#[test]
+fn a_configuration_for_which_nobody_waits_any_more_is_not_taken_over() {
+    let (mut control, mut outside) = set_up();
+    let config = outside.config.clone();
+    outside.reconfigure(&config, 10 * PERIOD_US * 1_000);
+    tick(&mut control, 11);
+    assert_eq!(outside.outcome(), Err(Refusal::Late));
+
+    outside.requests.push(ControlRequest::Finish).unwrap();
+    outside.reconfigure(&config, u64::MAX);
+    tick(&mut control, 12);
+    assert_eq!(outside.outcome(), Err(Refusal::Ending));
+}
+
+fn setpoint(time_us: u64, velocity: Velocity) -> Setpoint {
+    Setpoint {
+        time: Time(time_us * 1_000),
+        position: None,
+        velocity,
+    }
+}
+
+#[test]
+fn of_many_set_points_a_tick_sees_the_newest() {
+    let (mut control, mut outside) = set_up();
+    for number in 1..=1_000 {
+        outside.setpoints.send(&Setpoint {
+            position: Some(Position::new(number as f64, 0.0)),
+            ..setpoint(number, Velocity::zeros())
+        });
+    }
+    let setpoints = |outside: &mut Outside| -> Vec<Setpoint> {
+        let record = outside.ticks.pop().unwrap();
+        let setpoint = |event: &Event| match event {
+            Event::Setpoint(setpoint) => Some(*setpoint),
+            _ => None,
+        };
+        record.events.iter().filter_map(setpoint).collect()
+    };
+    tick(&mut control, 1);
+    let seen = setpoints(&mut outside);
+    assert_eq!(seen.len(), 1);
+    assert_eq!(seen[0].position, Some(Position::new(1_000.0, 0.0)));
+    tick(&mut control, 2);
+    assert_eq!(setpoints(&mut outside), []);
+}
+
+#[test]
+fn the_car_follows_set_points_and_stops_when_they_cease() {
+    let (mut control, mut outside) = set_up();
+    let mut config = outside.config.clone();
+    config.reference = ReferenceSection::External {
+        setpoint_timeout_ms: 200,
+    };
+    config.outer_loop = OuterLoopSection::OpenLoop {};
+    outside.reconfigure(&config, u64::MAX);
+    let mut index = 1;
+    let mut driving = 0;
+    let heading = outside.world.truth().yaw;
+    let ahead = Velocity::new(0.3 * heading.cos(), 0.3 * heading.sin());
+    while driving < 200 {
+        outside.setpoints.send(&setpoint(index * PERIOD_US, ahead));
+        let modes = run(&mut control, &mut outside, index, 1);
+        driving += u64::from(modes == [Mode::Driving]);
+        index += 1;
+        assert!(index < 2_000, "it never drove: {modes:?}");
+    }
+    assert_eq!(outside.outcome(), Ok(()));
+    let speed = outside.world.truth().speed;
+    assert!((0.25..0.35).contains(&speed), "{speed} m/s");
+
+    let last = index;
+    let (stopping, reason) = loop {
+        outside.run_until_tick(index);
+        tick(&mut control, index);
+        let record = outside.ticks.pop().unwrap();
+        if record.output.mode != Mode::Driving {
+            break (index, record.output.reason);
+        }
+        let sent = outside.sent();
+        outside.world.host_write(&sent);
+        index += 1;
+    };
+    assert_eq!(reason, Some(Reason::SetpointStale));
+    // 200 ms after the last one, and a tick.
+    assert!(
+        (20..=21).contains(&(stopping - last)),
+        "{}",
+        stopping - last
+    );
+    outside.after_tick();
+    run(&mut control, &mut outside, stopping + 1, 200);
+    assert!(outside.world.truth().speed.abs() < 0.05);
+    assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
 }

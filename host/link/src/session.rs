@@ -249,6 +249,12 @@ impl Session {
         }
     }
 
+    /// The configuration that the board is given.
+    #[must_use]
+    pub const fn configuration(&self) -> &Configuration {
+        &self.config.configuration
+    }
+
     /// The hash of the configuration that the board is given.
     #[must_use]
     pub const fn configuration_hash(&self) -> u32 {

@@ -7,7 +7,7 @@ use mcap::{Attachment, records::Metadata};
 use crate::RecordError;
 
 /// The generation of records that this crate writes and reads. Exact match.
-pub const RECORD_VERSION: u32 = 1;
+pub const RECORD_VERSION: u32 = 2;
 
 /// Name of the metadata in the file.
 pub(crate) const METADATA_NAME: &str = "singletrack";

@@ -353,7 +353,8 @@ fn drive(
     let mut last_s = 0.0;
     loop {
         let snapshot = daemon.snapshot();
-        if snapshot.mode() != Mode::Driving || daemon.has_ended() || interrupt.is_raised() {
+        let drives = matches!(snapshot.mode(), Mode::Driving | Mode::Slowing);
+        if !drives || daemon.has_ended() || interrupt.is_raised() {
             return Ok(Some(Ended {
                 mode: snapshot.mode(),
                 reason: snapshot.reason(),
@@ -375,12 +376,12 @@ fn drive(
 /// Asks the car to stop and waits until it is disarmed.
 fn stop(daemon: &Daemon) -> Result<(), DemoError> {
     let begin = Instant::now();
-    if matches!(daemon.snapshot().mode(), Mode::Driving | Mode::Arming) {
+    if daemon.snapshot().mode().is_underway() {
         daemon.request(Request::Disarm)?;
         // The request is taken at the next tick.
         thread::sleep(POLL);
     }
-    while matches!(daemon.snapshot().mode(), Mode::Driving | Mode::Stopping)
+    while daemon.snapshot().mode().commands()
         && begin.elapsed() < STOP_TIMEOUT
         && !daemon.has_ended()
     {

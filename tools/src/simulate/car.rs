@@ -139,7 +139,7 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
             };
             let time = index as f64 / ROWS_PER_SECOND as f64;
             let output = &last.tick.output;
-            if output.mode != Mode::Driving && ended.is_none() {
+            if !matches!(output.mode, Mode::Driving | Mode::Slowing) && ended.is_none() {
                 let reason = output.reason.map_or("no reason", Reason::name);
                 ended = Some(format!(
                     "the car no longer follows its reference from t = {time} s on: {}, {reason}",
@@ -180,7 +180,7 @@ fn row(
     };
     let wanted = output.point_velocity.unwrap_or_default();
     let rate = match output.mode {
-        Mode::Driving => output.actuation.steering_rate,
+        Mode::Driving | Mode::Slowing => output.actuation.steering_rate,
         _ => 0.0,
     };
     Row {

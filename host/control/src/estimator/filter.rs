@@ -47,6 +47,11 @@ pub(super) struct Navigation {
 }
 
 impl Filter {
+    /// The gyro bias believed in, rad/s.
+    pub(super) fn gyro_bias(&self) -> f64 {
+        self.mean[GYRO_BIAS]
+    }
+
     /// Starts at a pose, with a velocity around zero.
     pub(super) fn at_pose(pose: &Measurement, config: &EstimatorConfig) -> Self {
         let mut mean = State::zeros();

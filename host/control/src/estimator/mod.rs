@@ -188,6 +188,14 @@ impl Estimator {
         self.track.as_ref().map_or(0, |track| track.poses)
     }
 
+    /// The gyro bias that it believes in, rad/s.
+    #[must_use]
+    pub fn gyro_bias(&self) -> f64 {
+        self.track
+            .as_ref()
+            .map_or(0.0, |track| track.filter.gyro_bias())
+    }
+
     /// Takes in a pose.
     pub fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
         let measurement = self.centre_of_mass(pose);
@@ -320,7 +328,8 @@ impl Estimator {
         (sign * pace, kinematic + weight * (dynamic - kinematic))
     }
 
-    fn centre_of_mass(&self, pose: &PoseSample) -> Measurement {
+    /// The pose of G that belongs to a pose of the markers.
+    pub(crate) fn centre_of_mass(&self, pose: &PoseSample) -> Measurement {
         let yaw = pose.yaw - self.config.marker_yaw;
         let [forward, left] = self.config.marker_offset;
         let axis = direction(yaw);

@@ -1,11 +1,13 @@
 //! Where P should be, and how fast it should move.
 
 mod circle;
+mod external;
 mod figure_of_eight;
 mod velocity_steps;
 mod waypoints;
 
 pub use circle::Circle;
+pub use external::External;
 pub use figure_of_eight::FigureOfEight;
 pub use velocity_steps::{MAX_VELOCITY_STEPS, VelocityStep, VelocitySteps};
 pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
@@ -36,6 +38,8 @@ pub enum Reference {
     FigureOfEight(FigureOfEight),
     /// Through timed points.
     Waypoints(Waypoints),
+    /// Whatever is sent from outside, [`crate::Event::Setpoint`].
+    External(External),
 }
 
 /// A reference that makes no sense.
@@ -94,6 +98,7 @@ impl Reference {
             Self::VelocitySteps(steps) => steps.at(time),
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
+            Self::External(external) => external.newest(),
         }
     }
 
@@ -104,7 +109,7 @@ impl Reference {
         match self {
             Self::VelocitySteps(steps) => steps.before(time),
             Self::Waypoints(waypoints) => waypoints.before(time),
-            Self::Circle(_) | Self::FigureOfEight(_) => self.at(time),
+            Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => self.at(time),
         }
     }
 
@@ -112,7 +117,7 @@ impl Reference {
     #[must_use]
     pub fn duration(&self) -> Option<f64> {
         match self {
-            Self::Circle(_) | Self::FigureOfEight(_) => None,
+            Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => None,
             Self::VelocitySteps(steps) => Some(steps.duration()),
             Self::Waypoints(waypoints) => Some(waypoints.duration()),
         }
@@ -122,7 +127,7 @@ impl Reference {
     #[must_use]
     pub fn next_switch(&self, time: f64) -> Option<f64> {
         match self {
-            Self::Circle(_) | Self::FigureOfEight(_) => None,
+            Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => None,
             Self::VelocitySteps(steps) => steps.next_switch(time),
             Self::Waypoints(waypoints) => waypoints.next_switch(time),
         }

@@ -3,7 +3,7 @@
 use core::fmt;
 use std::path::{Path, PathBuf};
 
-use singletrack_control::{LawError, ReferenceError, VehicleParameterError};
+use singletrack_control::{FenceError, LawError, ReferenceError, VehicleParameterError};
 use singletrack_protocol::ConfigurationError;
 
 /// A configuration with which nothing can be driven: key, value and fix.
@@ -45,6 +45,9 @@ pub enum ConfigError {
     /// The reference makes no sense.
     #[error("[reference] {0}")]
     Reference(#[from] ReferenceError),
+    /// The fence encloses nothing.
+    #[error("[fence] corners_m, margin_m: {0}")]
+    Fence(#[from] FenceError),
     /// The law makes no sense.
     #[error("[law] {0}")]
     Law(#[from] LawError),

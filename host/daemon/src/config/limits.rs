@@ -15,6 +15,8 @@ pub struct LimitsSection {
     pub max_reverse_speed_m_s: f64,
     /// Largest change of speed.
     pub max_acceleration_m_s2: f64,
+    /// Largest acceleration to the side.
+    pub max_lateral_acceleration_m_s2: f64,
     /// Largest steering angle to either side.
     pub max_steering_rad: f64,
     /// Largest steering rate.
@@ -32,6 +34,7 @@ impl Default for LimitsSection {
             max_speed_m_s: limits.max_speed,
             max_reverse_speed_m_s: limits.max_reverse_speed,
             max_acceleration_m_s2: limits.max_acceleration,
+            max_lateral_acceleration_m_s2: limits.max_lateral_acceleration,
             max_steering_rad: limits.max_steering,
             max_steering_rate_rad_s: limits.max_steering_rate,
             creep_speed_m_s: limits.creep_speed,
@@ -41,13 +44,15 @@ impl Default for LimitsSection {
 }
 
 impl LimitsSection {
-    /// For the controller.
+    /// For the controller of a car with this wheelbase, in m.
     #[must_use]
-    pub const fn limits(&self) -> Limits {
+    pub const fn limits(&self, wheelbase: f64) -> Limits {
         Limits {
             max_speed: self.max_speed_m_s,
             max_reverse_speed: self.max_reverse_speed_m_s,
             max_acceleration: self.max_acceleration_m_s2,
+            max_lateral_acceleration: self.max_lateral_acceleration_m_s2,
+            wheelbase,
             max_steering: self.max_steering_rad,
             max_steering_rate: self.max_steering_rate_rad_s,
             creep_speed: self.creep_speed_m_s,
@@ -66,6 +71,11 @@ impl LimitsSection {
         check::positive(
             "limits.max_acceleration_m_s2",
             self.max_acceleration_m_s2,
+            50.0,
+        )?;
+        check::positive(
+            "limits.max_lateral_acceleration_m_s2",
+            self.max_lateral_acceleration_m_s2,
             50.0,
         )?;
         // The law is singular before 90 degrees.

@@ -8,6 +8,7 @@ mod check;
 mod control;
 mod error;
 mod estimator;
+mod fence;
 mod kind;
 mod law;
 mod limits;
@@ -17,17 +18,19 @@ mod output;
 mod reference;
 mod serial;
 mod supervisor;
+mod watch;
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{PilotConfig, VehicleParameters};
+use singletrack_control::{GRAVITY, PilotConfig, VehicleParameters};
 use singletrack_link::SessionConfig;
 
 pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
+pub use fence::FenceSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
 pub use motion_capture::{
@@ -38,6 +41,11 @@ pub use output::{RecordSection, SocketSection};
 pub use reference::{ReferenceSection, StepSection};
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
+pub use watch::WatchSection;
+
+/// From a car that is told to stand to a board that is disarmed, s: the
+/// supervisor's rest, a tick, and the request on the line, sent twice.
+const REST_S: f64 = 0.15;
 
 /// Everything that the daemon is told.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,6 +73,12 @@ pub struct Config {
     /// When to stop.
     #[serde(default)]
     pub supervisor: SupervisorSection,
+    /// What the senses may say, and how punctual a tick must be.
+    #[serde(default)]
+    pub watch: WatchSection,
+    /// Where the car may be.
+    #[serde(default)]
+    pub fence: FenceSection,
     /// What the board is given.
     pub board: BoardSection,
     /// How the controller runs.
@@ -146,6 +160,8 @@ impl Config {
         self.limits.validate()?;
         self.estimator.validate()?;
         self.supervisor.validate()?;
+        self.watch.validate()?;
+        self.fence.validate()?;
         self.control.validate()?;
         self.board.configuration().validate()?;
         self.record.validate()?;
@@ -205,15 +221,28 @@ impl Config {
                 ),
             ));
         }
-        let stop_ms = 1_000.0 * limits.max_speed_m_s / control.stop_deceleration_m_s2;
-        let blind_ms = f64::from(supervisor.hold_ms) + stop_ms;
+        let grip = self.vehicle.friction * GRAVITY;
+        if limits.max_lateral_acceleration_m_s2 > grip {
+            return Err(ConfigError::value(
+                "limits.max_lateral_acceleration_m_s2",
+                limits.max_lateral_acceleration_m_s2,
+                format!(
+                    "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
+                ),
+            ));
+        }
+        let blind_ms = 1_000.0
+            * (supervisor
+                .longest_blind_drive(limits.max_speed_m_s, control.stop_deceleration_m_s2)
+                + REST_S);
         if blind_ms > f64::from(board.max_pose_age_ms) {
             return Err(ConfigError::value(
                 "board.max_pose_age_ms",
                 board.max_pose_age_ms,
                 format!(
-                    "the host holds for supervisor.hold_ms and stops from limits.max_speed_m_s in {blind_ms:.0} ms, \
-                     and must be first; raise it (up to 1000), shorten the hold, lower the speed or brake harder"
+                    "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
+                     limits.max_speed_m_s and disarms within {blind_ms:.0} ms, and must be first; raise it \
+                     (up to 1000), shorten the hold, lower the speed or brake harder"
                 ),
             ));
         }
@@ -230,13 +259,15 @@ impl Config {
             law: self.law.front_point_law(&self.vehicle)?,
             tracking: self.outer_loop.tracking_loop(),
             reference: self.reference.reference()?,
-            limits: self.limits.limits(),
+            limits: self.limits.limits(self.vehicle.wheelbase_m()),
             estimator: self.estimator.config(
                 &self.vehicle,
                 self.motion_capture.marker_offset_m,
                 self.motion_capture.marker_yaw_rad,
             ),
             supervisor: self.supervisor.config(),
+            watch: self.watch.config(),
+            fence: self.fence.fence()?,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             period: check::seconds(self.control.period_ms),
         })

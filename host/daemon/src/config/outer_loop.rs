@@ -106,7 +106,11 @@ impl OuterLoopSection {
     ///
     /// That one.
     pub fn validate_for(&self, reference: &Reference) -> Result<(), ConfigError> {
-        if matches!(self, Self::Proportional { .. }) && reference.at(0.0).position.is_none() {
+        // A set-point from outside may have a position; one that has none passes through.
+        if matches!(self, Self::Proportional { .. })
+            && !matches!(reference, Reference::External(_))
+            && reference.at(0.0).position.is_none()
+        {
             return Err(ConfigError::value(
                 "outer_loop.kind",
                 "proportional",

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Deserializer, Serialize, de};
 use singletrack_control::{
-    Circle, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps, Waypoint,
-    Waypoints,
+    Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
+    Waypoint, Waypoints,
 };
 
-use super::{ConfigError, kind::Keys};
+use super::{ConfigError, check, kind::Keys};
 
 /// The reference of P.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -45,6 +45,11 @@ pub enum ReferenceSection {
         /// names it.
         file: PathBuf,
     },
+    /// See [`External`]: set-points from the control socket.
+    External {
+        /// The car stops when the last set-point is older.
+        setpoint_timeout_ms: u32,
+    },
 }
 
 /// One velocity step.
@@ -59,6 +64,9 @@ pub struct StepSection {
     pub v_y_m_s: f64,
 }
 
+/// How long a set-point is in force unless told otherwise.
+const SETPOINT_TIMEOUT_MS: u32 = 200;
+
 /// The keys of all kinds.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -71,6 +79,7 @@ struct Section {
     centre_m: Option<[f64; 2]>,
     steps: Option<Vec<StepSection>>,
     file: Option<PathBuf>,
+    setpoint_timeout_ms: Option<u32>,
 }
 
 #[derive(Deserialize)]
@@ -80,6 +89,7 @@ enum Kind {
     VelocitySteps,
     FigureOfEight,
     Waypoints,
+    External,
 }
 
 impl<'de> Deserialize<'de> for ReferenceSection {
@@ -102,6 +112,7 @@ impl TryFrom<Section> for ReferenceSection {
                 Kind::VelocitySteps => "velocity-steps",
                 Kind::FigureOfEight => "figure-of-eight",
                 Kind::Waypoints => "waypoints",
+                Kind::External => "external",
             },
         };
         let reference = match section.kind {
@@ -128,6 +139,12 @@ impl TryFrom<Section> for ReferenceSection {
             Kind::Waypoints => Self::Waypoints {
                 file: keys.need("file", section.file.take())?,
             },
+            Kind::External => Self::External {
+                setpoint_timeout_ms: section
+                    .setpoint_timeout_ms
+                    .take()
+                    .unwrap_or(SETPOINT_TIMEOUT_MS),
+            },
         };
         keys.refuse("radius_m", section.radius_m.as_ref())?;
         keys.refuse("half_length_m", section.half_length_m.as_ref())?;
@@ -139,6 +156,7 @@ impl TryFrom<Section> for ReferenceSection {
         keys.refuse("centre_m", section.centre_m.as_ref())?;
         keys.refuse("steps", section.steps.as_ref())?;
         keys.refuse("file", section.file.as_ref())?;
+        keys.refuse("setpoint_timeout_ms", section.setpoint_timeout_ms.as_ref())?;
         Ok(reference)
     }
 }
@@ -190,6 +208,17 @@ impl ReferenceSection {
             )?),
             Self::Waypoints { file } => {
                 Reference::Waypoints(Waypoints::new(&read_waypoints(file)?)?)
+            }
+            Self::External {
+                setpoint_timeout_ms,
+            } => {
+                // Longer, and nobody would call it a deadman's switch.
+                check::within(
+                    "reference.setpoint_timeout_ms",
+                    *setpoint_timeout_ms,
+                    20..=1_000,
+                )?;
+                Reference::External(External::new(check::seconds(*setpoint_timeout_ms))?)
             }
         })
     }

@@ -148,6 +148,11 @@ pub(crate) enum EventKind {
     Link,
     Request,
     ArmRefused,
+    Health,
+    Line,
+    RealTime,
+    Setpoint,
+    Reconfigured,
 }
 
 /// What a frame of the motion capture says of the car.
@@ -181,6 +186,7 @@ codes! {
         Driving = 5 "driving",
         Stopping = 6 "stopping",
         Fault = 7 "fault",
+        Slowing = 8 "slowing",
     }
     Reason as "REASON" {
         LinkDown = 1 "link-down",
@@ -199,6 +205,23 @@ codes! {
         Requested = 14 "requested",
         LawSingular = 15 "law-singular",
         BoardArmed = 16 "board-armed",
+        VersionDiffers = 17 "version-differs",
+        ConfigurationRefused = 18 "configuration-refused",
+        StopInputOpen = 19 "stop-input-open",
+        LineNoisy = 20 "line-noisy",
+        BatteryUnknown = 21 "battery-unknown",
+        BatteryLow = 22 "battery-low",
+        RealTimeUnknown = 23 "real-time-unknown",
+        RealTimeRefused = 24 "real-time-refused",
+        DeadlineMissed = 25 "deadline-missed",
+        ImuImplausible = 26 "imu-implausible",
+        ImuStuck = 27 "imu-stuck",
+        ImuNotStill = 28 "imu-not-still",
+        BlindTooFar = 29 "blind-too-far",
+        OutsideFence = 30 "outside-fence",
+        MotorSpeedMismatch = 31 "motor-speed-mismatch",
+        Overspeed = 32 "overspeed",
+        SetpointStale = 33 "setpoint-stale",
     }
     BoardRequest as "BOARD_REQUEST" {
         Arm = 1 "arm",
@@ -220,6 +243,11 @@ codes! {
         Link = 4 "link",
         Request = 5 "request",
         ArmRefused = 6 "arm-refused",
+        Health = 7 "health",
+        Line = 8 "line",
+        RealTime = 9 "real-time",
+        Setpoint = 10 "setpoint",
+        Reconfigured = 11 "reconfigured",
     }
     PoseMissing as "POSE_MISSING" {
         Untracked = 1 "untracked",
@@ -239,6 +267,8 @@ codes! {
     LinkState as "LINK" {
         Down = 1 "down",
         Ready = 2 "ready",
+        VersionDiffers = 3 "version-differs",
+        ConfigurationRefused = 4 "configuration-refused",
     }
     Request as "REQUEST" {
         Arm = 1 "arm",

@@ -2,8 +2,8 @@
 
 use nalgebra::Point2;
 use singletrack_control::{
-    BoardSample, BoardState, Event, InertialSample, LinkState, PoseMissing, PoseSample, Request,
-    Time,
+    BoardHealth, BoardSample, BoardState, Event, InertialSample, LineHealth, LinkState,
+    PoseMissing, PoseSample, RealTimeState, Request, Setpoint, Time,
 };
 
 use super::{
@@ -11,6 +11,7 @@ use super::{
     code::{Code, EventKind, OptionalCode},
     field::Maybe,
     message,
+    tick::{PointMessage, VelocityMessage},
 };
 
 message! {
@@ -24,6 +25,12 @@ message! {
         board: Maybe<BoardSampleMessage>,
         link: OptionalCode<LinkState>,
         request: OptionalCode<Request>,
+        health: Maybe<BoardHealthMessage>,
+        line: Maybe<LineHealthMessage>,
+        real_time: Maybe<RealTimeMessage>,
+        setpoint: Maybe<SetpointMessage>,
+        /// Number of the configuration that is in force from here on.
+        reconfigured: Maybe<u32>,
     }
 }
 
@@ -72,6 +79,45 @@ message! {
     }
 }
 
+message! {
+    /// What the board says of itself.
+    BoardHealthMessage as "BoardHealth" {
+        battery_mv: u16,
+        /// False if no stop switch is configured.
+        stop_input_open: bool,
+    }
+}
+
+message! {
+    /// Damaged frames as a part of all over about a second, 0 to 1; absent while
+    /// too few came to tell.
+    LineHealthMessage as "LineHealth" {
+        to_host: Maybe<f64>,
+        to_board: Maybe<f64>,
+    }
+}
+
+message! {
+    /// What the system granted the controller.
+    RealTimeMessage as "RealTime" {
+        /// Whether it is scheduled in real time.
+        fifo: bool,
+        /// Whether its memory stays in place.
+        memory_locked: bool,
+    }
+}
+
+message! {
+    /// A set-point for P from outside.
+    SetpointMessage as "Setpoint" {
+        /// When it arrived, in ns of the host's monotonic clock.
+        time_ns: u64,
+        /// Absent for a velocity alone.
+        position: Maybe<PointMessage>,
+        velocity: VelocityMessage,
+    }
+}
+
 impl EventMessage {
     const fn of(kind: EventKind) -> Self {
         Self {
@@ -81,6 +127,11 @@ impl EventMessage {
             board: Maybe(None),
             link: OptionalCode(None),
             request: OptionalCode(None),
+            health: Maybe(None),
+            line: Maybe(None),
+            real_time: Maybe(None),
+            setpoint: Maybe(None),
+            reconfigured: Maybe(None),
         }
     }
 }
@@ -109,6 +160,26 @@ impl From<&Event> for EventMessage {
                 ..Self::of(EventKind::Request)
             },
             Event::ArmRefused => Self::of(EventKind::ArmRefused),
+            Event::Health(health) => Self {
+                health: Maybe(Some(health.into())),
+                ..Self::of(EventKind::Health)
+            },
+            Event::Line(line) => Self {
+                line: Maybe(Some(line.into())),
+                ..Self::of(EventKind::Line)
+            },
+            Event::RealTime(state) => Self {
+                real_time: Maybe(Some(state.into())),
+                ..Self::of(EventKind::RealTime)
+            },
+            Event::Setpoint(setpoint) => Self {
+                setpoint: Maybe(Some(setpoint.into())),
+                ..Self::of(EventKind::Setpoint)
+            },
+            Event::Reconfigured(number) => Self {
+                reconfigured: Maybe(Some(number)),
+                ..Self::of(EventKind::Reconfigured)
+            },
         }
     }
 }
@@ -149,7 +220,101 @@ impl TryFrom<&EventMessage> for Event {
                 Self::Request(message.request.0.ok_or_else(|| missing("the request"))?)
             }
             EventKind::ArmRefused => Self::ArmRefused,
+            EventKind::Health => {
+                let health = message.health.0.clone();
+                Self::Health(health.ok_or_else(|| missing("the board's health"))?.into())
+            }
+            EventKind::Line => {
+                let line = message.line.0.clone();
+                Self::Line(line.ok_or_else(|| missing("the line's health"))?.into())
+            }
+            EventKind::RealTime => {
+                let state = message.real_time.0.clone();
+                Self::RealTime(state.ok_or_else(|| missing("what was granted"))?.into())
+            }
+            EventKind::Setpoint => {
+                let setpoint = message.setpoint.0.clone();
+                Self::Setpoint(setpoint.ok_or_else(|| missing("the set-point"))?.into())
+            }
+            EventKind::Reconfigured => {
+                let number = message.reconfigured.0;
+                Self::Reconfigured(number.ok_or_else(|| missing("the configuration's number"))?)
+            }
         })
+    }
+}
+
+impl From<BoardHealth> for BoardHealthMessage {
+    fn from(health: BoardHealth) -> Self {
+        Self {
+            battery_mv: health.battery_mv,
+            stop_input_open: health.stop_input_open,
+        }
+    }
+}
+
+impl From<BoardHealthMessage> for BoardHealth {
+    fn from(message: BoardHealthMessage) -> Self {
+        Self {
+            battery_mv: message.battery_mv,
+            stop_input_open: message.stop_input_open,
+        }
+    }
+}
+
+impl From<LineHealth> for LineHealthMessage {
+    fn from(line: LineHealth) -> Self {
+        Self {
+            to_host: Maybe(line.to_host),
+            to_board: Maybe(line.to_board),
+        }
+    }
+}
+
+impl From<LineHealthMessage> for LineHealth {
+    fn from(message: LineHealthMessage) -> Self {
+        Self {
+            to_host: message.to_host.0,
+            to_board: message.to_board.0,
+        }
+    }
+}
+
+impl From<RealTimeState> for RealTimeMessage {
+    fn from(state: RealTimeState) -> Self {
+        Self {
+            fifo: state.fifo,
+            memory_locked: state.memory_locked,
+        }
+    }
+}
+
+impl From<RealTimeMessage> for RealTimeState {
+    fn from(message: RealTimeMessage) -> Self {
+        Self {
+            fifo: message.fifo,
+            memory_locked: message.memory_locked,
+        }
+    }
+}
+
+impl From<Setpoint> for SetpointMessage {
+    fn from(setpoint: Setpoint) -> Self {
+        Self {
+            time_ns: setpoint.time.0,
+            position: Maybe::from(setpoint.position),
+            velocity: setpoint.velocity.into(),
+        }
+    }
+}
+
+impl From<SetpointMessage> for Setpoint {
+    fn from(message: SetpointMessage) -> Self {
+        Self {
+            time: Time(message.time_ns),
+            position: message.position.0.map(Into::into),
+            velocity: message.velocity.into(),
+        }
     }
 }
 

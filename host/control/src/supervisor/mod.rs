@@ -1,156 +1,17 @@
 //! When the car may drive, and when it must stop.
 
-use core::fmt;
+mod config;
+mod mode;
+mod reason;
 
-use crate::{BoardState, LinkState, PoseMissing, Request, Time};
+pub use config::SupervisorConfig;
+pub use mode::Mode;
+pub use reason::Reason;
 
-/// What the pilot is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
-    /// There is no board to talk to.
-    Disconnected,
-    /// Something is missing for a drive; the reason says what.
-    Idle,
-    /// Everything is there; waiting to be armed.
-    Ready,
-    /// Waiting for the board to arm.
-    Arming,
-    /// Following the reference.
-    Driving,
-    /// Slowing down to a stop, wheels held.
-    Stopping,
-    /// An emergency stop, or a state that can't be. A disarm request clears it;
-    /// after an emergency stop so does a board that was reset.
-    Fault,
-}
-
-impl Mode {
-    /// The name of the mode in status, log and record.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Disconnected => "disconnected",
-            Self::Idle => "idle",
-            Self::Ready => "ready",
-            Self::Arming => "arming",
-            Self::Driving => "driving",
-            Self::Stopping => "stopping",
-            Self::Fault => "fault",
-        }
-    }
-}
-
-impl fmt::Display for Mode {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
-/// Why the car does not drive, or stopped. One word in status, log and record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reason {
-    /// No board answers, or it has another protocol, or refused the configuration.
-    LinkDown,
-    /// The board is starting up.
-    BoardBooting,
-    /// The board is still armed from before.
-    BoardArmed,
-    /// The board stopped the car by itself.
-    BoardFailsafe,
-    /// An emergency stop is latched until the board is reset.
-    EmergencyStop,
-    /// The board refused to arm.
-    BoardRefused,
-    /// The board did not answer in time.
-    BoardTimeout,
-    /// No inertial sample for too long.
-    ImuSilent,
-    /// No pose yet.
-    NoPose,
-    /// The last accepted pose is too old.
-    PoseTooOld,
-    /// Too many poses in a row were implausible.
-    PoseImplausible,
-    /// The estimate has not settled.
-    EstimateUnsettled,
-    /// The car moves before it was armed.
-    Moving,
-    /// The reference has come to its end.
-    ReferenceFinished,
-    /// Someone asked.
-    Requested,
-    /// The law has no answer at this state.
-    LawSingular,
-}
-
-impl Reason {
-    /// The name of the reason in status, log and record.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::LinkDown => "link-down",
-            Self::BoardBooting => "board-booting",
-            Self::BoardArmed => "board-armed",
-            Self::BoardFailsafe => "board-failsafe",
-            Self::EmergencyStop => "emergency-stop",
-            Self::BoardRefused => "board-refused",
-            Self::BoardTimeout => "board-timeout",
-            Self::ImuSilent => "imu-silent",
-            Self::NoPose => "no-pose",
-            Self::PoseTooOld => "pose-too-old",
-            Self::PoseImplausible => "pose-implausible",
-            Self::EstimateUnsettled => "estimate-unsettled",
-            Self::Moving => "moving",
-            Self::ReferenceFinished => "reference-finished",
-            Self::Requested => "requested",
-            Self::LawSingular => "law-singular",
-        }
-    }
-}
-
-impl fmt::Display for Reason {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
-/// The supervisor's time limits, in s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SupervisorConfig {
-    /// A pose older than this stops the car.
-    pub hold: f64,
-    /// A pose must be younger than this to arm.
-    pub fresh: f64,
-    /// No inertial sample for this long stops the car.
-    pub imu_silence: f64,
-    /// How long the board may take to arm.
-    pub arm_timeout: f64,
-    /// Poses that the estimate needs to settle.
-    pub settling_poses: u32,
-    /// This many implausible poses in a row stop the car.
-    pub max_implausible: u32,
-    /// Slowing down may take this long; then the board is disarmed anyway.
-    pub stop_timeout: f64,
-    /// Below this speed the car stands, m/s.
-    pub standing_speed: f64,
-}
-
-impl SupervisorConfig {
-    /// For the paper's car.
-    #[must_use]
-    pub const fn paper() -> Self {
-        Self {
-            hold: 0.3,
-            fresh: 0.05,
-            imu_silence: 0.1,
-            arm_timeout: 0.5,
-            settling_poses: 50,
-            max_implausible: 20,
-            stop_timeout: 1.5,
-            standing_speed: 0.03,
-        }
-    }
-}
+use crate::{
+    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState,
+    Request, Time,
+};
 
 /// What the supervisor asks of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -170,21 +31,42 @@ pub struct Conditions {
     pub now: Time,
     /// Mid-exposure of the last accepted pose.
     pub pose_time: Option<Time>,
+    /// How far the car may have gone since, m.
+    pub blind_distance: f64,
     /// Poses accepted so far.
     pub poses: u32,
     /// Poses in a row that were implausible.
     pub implausible: u32,
     /// When the last inertial sample was made.
     pub imu_time: Option<Time>,
+    /// What to think of the inertial samples.
+    pub imu: ImuVerdict,
+    /// Whether the IMU has felt no movement for a while.
+    pub imu_still: bool,
     /// Speed of the car, m/s.
     pub speed: f64,
     /// Speed by the motor pulses, m/s.
     pub motor_speed: f64,
+    /// Whether motor and cameras tell different speeds.
+    pub speed_mismatch: bool,
+    /// Whether the car is much faster than it may be.
+    pub overspeed: bool,
     /// The speed that the car was last told, m/s.
     pub commanded_speed: f64,
+    /// Whether the car is inside the fence and can stop there.
+    pub inside_fence: bool,
+    /// Whether ticks came too late.
+    pub late: bool,
+    /// Whether set-points are to come from outside and do not.
+    pub setpoint_stale: bool,
     /// Whether the reference has ended.
     pub reference_finished: bool,
 }
+
+/// How long a car that is not seen must have been told to stand before the board
+/// is disarmed although its wheels still turn, s: a car that coasts needs no
+/// commands, and the last pose behind them does not get younger.
+const REST: f64 = 0.1;
 
 /// The pilot's modes.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,8 +77,13 @@ pub struct Supervisor {
     /// Why the last drive, or the attempt at one, ended.
     ended: Option<Reason>,
     since: Time,
+    /// Since when a stopping car has been told to stand.
+    resting: Option<Time>,
     link: LinkState,
     board: Option<BoardState>,
+    health: Option<BoardHealth>,
+    line: Option<LineHealth>,
+    real_time: Option<RealTimeState>,
     untrustworthy: bool,
     /// The board has been seen to latch the emergency stop.
     latched: bool,
@@ -216,8 +103,12 @@ impl Supervisor {
             reason: Some(Reason::LinkDown),
             ended: None,
             since: Time(0),
+            resting: None,
             link: LinkState::Down,
             board: None,
+            health: None,
+            line: None,
+            real_time: None,
             untrustworthy: false,
             latched: false,
             arm_requested: false,
@@ -245,12 +136,36 @@ impl Supervisor {
         self.since
     }
 
+    /// Other limits, from now on. What it knows of the world and why the last
+    /// drive ended stays.
+    pub const fn reconfigure(&mut self, config: SupervisorConfig) {
+        self.config = config;
+    }
+
     /// Takes note of the link.
     pub const fn handle_link(&mut self, link: LinkState) {
         self.link = link;
-        if matches!(link, LinkState::Down) {
+        if !matches!(link, LinkState::Ready) {
+            // What it said may have been another board's.
             self.board = None;
+            self.health = None;
+            self.line = None;
         }
+    }
+
+    /// Takes note of what the board says of itself.
+    pub const fn handle_health(&mut self, health: BoardHealth) {
+        self.health = Some(health);
+    }
+
+    /// Takes note of how well frames cross the line.
+    pub const fn handle_line(&mut self, line: LineHealth) {
+        self.line = Some(line);
+    }
+
+    /// Takes note of what the system granted.
+    pub const fn handle_real_time(&mut self, state: RealTimeState) {
+        self.real_time = Some(state);
     }
 
     /// Takes note of the board's state.
@@ -305,14 +220,20 @@ impl Supervisor {
         if self.mode == Mode::Fault {
             return self.faulted(stop, now);
         }
-        if self.link == LinkState::Down {
-            self.enter(Mode::Disconnected, Some(Reason::LinkDown), now);
+        let unlinked = match self.link {
+            LinkState::Down => Some(Reason::LinkDown),
+            LinkState::VersionDiffers => Some(Reason::VersionDiffers),
+            LinkState::ConfigurationRefused => Some(Reason::ConfigurationRefused),
+            LinkState::Ready => None,
+        };
+        if unlinked.is_some() {
+            self.enter(Mode::Disconnected, unlinked, now);
             return None;
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => self.wait(arm, stop, conditions),
             Mode::Arming => self.arming(stop, refused, conditions),
-            Mode::Driving => self.driving(stop, conditions),
+            Mode::Driving | Mode::Slowing => self.driving(stop, conditions),
             Mode::Stopping => self.stopping(conditions),
             Mode::Fault => None,
         }
@@ -346,7 +267,10 @@ impl Supervisor {
                 // until something else is wrong.
                 let settling = matches!(
                     missing,
-                    Reason::Moving | Reason::EstimateUnsettled | Reason::BoardArmed
+                    Reason::Moving
+                        | Reason::ImuNotStill
+                        | Reason::EstimateUnsettled
+                        | Reason::BoardArmed
                 );
                 let told = self.ended.filter(|_| settling && !arm);
                 self.enter(Mode::Idle, told.or(Some(missing)), now);
@@ -372,36 +296,83 @@ impl Supervisor {
             Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
             Some(BoardState::Neutral | BoardState::Failsafe) => {}
         }
-        if let Some(reason) = self.blind(conditions, self.config.fresh) {
-            return Some(reason);
-        }
-        if conditions.poses < self.config.settling_poses {
-            return Some(Reason::EstimateUnsettled);
-        }
         let standing = conditions.motor_speed.abs() < self.config.standing_speed
             && conditions.speed.abs() < self.config.standing_speed;
-        if !standing {
-            return Some(Reason::Moving);
-        }
-        None
+        self.unfit(self.config.arm_battery)
+            .or_else(|| self.senseless(conditions))
+            .or_else(|| self.unseen(conditions, self.config.fresh))
+            .or_else(|| {
+                let unsettled = conditions.poses < self.config.settling_poses;
+                unsettled.then_some(Reason::EstimateUnsettled)
+            })
+            .or_else(|| (!standing).then_some(Reason::Moving))
+            .or_else(|| (!conditions.imu_still).then_some(Reason::ImuNotStill))
+            .or_else(|| self.astray(conditions))
     }
 
-    /// What the senses lack, with poses no older than `pose_limit` seconds.
-    fn blind(&self, conditions: &Conditions, pose_limit: f64) -> Option<Reason> {
-        let age = |time: Time| conditions.now.seconds_since(time);
-        if !conditions
-            .imu_time
-            .is_some_and(|time| age(time) <= self.config.imu_silence)
-        {
-            return Some(Reason::ImuSilent);
+    /// What board, line and computer lack, with a battery of `least` volts.
+    fn unfit(&self, least: f64) -> Option<Reason> {
+        let config = &self.config;
+        let Some(health) = self.health else {
+            return Some(Reason::BatteryUnknown);
+        };
+        if health.stop_input_open {
+            return Some(Reason::StopInputOpen);
         }
+        if f64::from(health.battery_mv) < 1_000.0 * least {
+            return Some(Reason::BatteryLow);
+        }
+        match self.real_time {
+            None => return Some(Reason::RealTimeUnknown),
+            Some(granted) if !(granted.fifo && granted.memory_locked) => {
+                if config.require_real_time {
+                    return Some(Reason::RealTimeRefused);
+                }
+            }
+            Some(_) => {}
+        }
+        self.line
+            .is_some_and(|line| line.worst() > config.max_damaged)
+            .then_some(Reason::LineNoisy)
+    }
+
+    /// What the IMU lacks.
+    fn senseless(&self, conditions: &Conditions) -> Option<Reason> {
+        let heard = conditions
+            .imu_time
+            .is_some_and(|time| conditions.now.seconds_since(time) <= self.config.imu_silence);
+        match conditions.imu {
+            _ if !heard => Some(Reason::ImuSilent),
+            ImuVerdict::Stuck => Some(Reason::ImuStuck),
+            ImuVerdict::Implausible => Some(Reason::ImuImplausible),
+            ImuVerdict::Good => None,
+        }
+    }
+
+    /// What the cameras lack, with poses no older than `pose_limit` seconds.
+    fn unseen(&self, conditions: &Conditions, pose_limit: f64) -> Option<Reason> {
         if self.untrustworthy || conditions.implausible >= self.config.max_implausible {
             return Some(Reason::PoseImplausible);
         }
         match conditions.pose_time {
             None => Some(Reason::NoPose),
-            Some(time) if age(time) > pose_limit => Some(Reason::PoseTooOld),
+            Some(time) if conditions.now.seconds_since(time) > pose_limit => {
+                Some(Reason::PoseTooOld)
+            }
             Some(_) => None,
+        }
+    }
+
+    /// Where the car should not be, and what nobody tells it.
+    fn astray(&self, conditions: &Conditions) -> Option<Reason> {
+        if !conditions.inside_fence {
+            Some(Reason::OutsideFence)
+        } else if conditions.late {
+            Some(Reason::DeadlineMissed)
+        } else if conditions.setpoint_stale {
+            Some(Reason::SetpointStale)
+        } else {
+            None
         }
     }
 
@@ -422,7 +393,12 @@ impl Supervisor {
         if refused {
             return self.give_up(Reason::BoardRefused, now);
         }
-        if let Some(reason) = self.blind(conditions, self.config.fresh) {
+        let missing = self
+            .unfit(self.config.arm_battery)
+            .or_else(|| self.senseless(conditions))
+            .or_else(|| self.unseen(conditions, self.config.fresh))
+            .or_else(|| self.astray(conditions));
+        if let Some(reason) = missing {
             return self.give_up(reason, now);
         }
         if self.board == Some(BoardState::Armed) {
@@ -448,12 +424,52 @@ impl Supervisor {
         } else if conditions.reference_finished {
             Some(Reason::ReferenceFinished)
         } else {
-            self.blind(conditions, self.config.hold)
+            self.unfit(self.config.min_battery)
+                .or_else(|| self.senseless(conditions))
+                .or_else(|| self.unseen(conditions, self.config.blind))
+                .or_else(|| self.astray(conditions))
+                .or_else(|| {
+                    if conditions.speed_mismatch {
+                        Some(Reason::MotorSpeedMismatch)
+                    } else if conditions.overspeed {
+                        Some(Reason::Overspeed)
+                    } else {
+                        None
+                    }
+                })
         };
-        if let Some(reason) = reason {
-            self.enter(Mode::Stopping, Some(reason), now);
+        match reason.or_else(|| self.blind_for_good(conditions)) {
+            Some(reason) => self.enter(Mode::Stopping, Some(reason), now),
+            None => match self.blind(conditions) {
+                Some(reason) => self.enter(Mode::Slowing, Some(reason), now),
+                None => self.enter(Mode::Driving, None, now),
+            },
         }
         None
+    }
+
+    /// Whether the car has not been seen for longer, or farther, than a pose may
+    /// be held. A car that has begun to slow down wants a fresh one.
+    fn blind(&self, conditions: &Conditions) -> Option<Reason> {
+        let slowing = self.mode == Mode::Slowing;
+        let limit = if slowing {
+            self.config.fresh
+        } else {
+            self.config.hold
+        };
+        self.unseen(conditions, limit).or_else(|| {
+            let too_far = conditions.blind_distance > self.config.hold_distance;
+            too_far.then_some(Reason::BlindTooFar)
+        })
+    }
+
+    /// Whether a blind car has used up its budget, or has come to rest.
+    fn blind_for_good(&self, conditions: &Conditions) -> Option<Reason> {
+        if conditions.blind_distance > self.config.blind_distance {
+            return Some(Reason::BlindTooFar);
+        }
+        let rests = self.mode == Mode::Slowing && conditions.commanded_speed == 0.0;
+        if rests { self.blind(conditions) } else { None }
     }
 
     fn stopping(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
@@ -461,8 +477,14 @@ impl Supervisor {
         if let Some(request) = self.board_stopped(now) {
             return request;
         }
+        if conditions.commanded_speed != 0.0 {
+            self.resting = None;
+        }
+        let resting = *self.resting.get_or_insert(now);
+        let unseen = self.unseen(conditions, self.config.fresh).is_some();
         let stands = conditions.commanded_speed == 0.0
-            && conditions.motor_speed.abs() < self.config.standing_speed;
+            && (conditions.motor_speed.abs() < self.config.standing_speed
+                || (unseen && now.seconds_since(resting) >= REST));
         if stands || now.seconds_since(self.since) > self.config.stop_timeout {
             self.enter(Mode::Idle, self.reason, now);
             return Some(BoardRequest::Disarm);
@@ -491,14 +513,15 @@ impl Supervisor {
     fn enter(&mut self, mode: Mode, reason: Option<Reason>, now: Time) {
         let was_underway = matches!(
             self.mode,
-            Mode::Arming | Mode::Driving | Mode::Stopping | Mode::Fault
+            Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Stopping | Mode::Fault
         );
-        if was_underway || mode == Mode::Fault {
+        if (was_underway && !matches!(mode, Mode::Driving | Mode::Slowing)) || mode == Mode::Fault {
             self.ended = reason.or(self.ended);
         }
         if self.mode != mode {
             self.mode = mode;
             self.since = now;
+            self.resting = None;
         }
         self.reason = reason;
     }

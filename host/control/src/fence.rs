@@ -1,0 +1,315 @@
+//! Where the car may be.
+
+use heapless::Vec;
+use libm::{fabs, sqrt};
+
+use crate::{Position, Velocity};
+
+/// The most corners that a fence can have.
+pub const MAX_FENCE_CORNERS: usize = 16;
+
+/// A fence that encloses nothing, or not one thing.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum FenceError {
+    /// Fewer than three corners, or more than fit.
+    #[error("{count} corners: give 3 to {MAX_FENCE_CORNERS}, in order")]
+    Corners {
+        /// How many were given.
+        count: usize,
+    },
+    /// A coordinate that is no number.
+    #[error("corner {index} is ({x}, {y}): both must be finite")]
+    NotFinite {
+        /// Index of the corner, from 0.
+        index: usize,
+        /// Its x, in m.
+        x: f64,
+        /// Its y, in m.
+        y: f64,
+    },
+    /// Two sides that cross or touch.
+    #[error(
+        "the sides from corner {first} and from corner {second} meet: give the corners in order, all round"
+    )]
+    Crosses {
+        /// Index of the corner where the one begins.
+        first: usize,
+        /// Index of the corner where the other begins.
+        second: usize,
+    },
+    /// A margin that is negative or no number.
+    #[error("the margin is {margin}: it must be finite and not negative")]
+    Margin {
+        /// The margin, in m.
+        margin: f64,
+    },
+}
+
+/// A polygon on the floor that the car's centre of mass must not leave, and must
+/// be able to stop inside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fence {
+    corners: Vec<Position, MAX_FENCE_CORNERS>,
+    margin: f64,
+}
+
+impl Fence {
+    /// The fence through these corners, in order (m, world frame), kept at a
+    /// distance of `margin` (m) at least: half the car's length, for instance.
+    ///
+    /// # Errors
+    ///
+    /// Corners that enclose nothing or cross over.
+    pub fn new(corners: &[Position], margin: f64) -> Result<Self, FenceError> {
+        if !(margin.is_finite() && margin >= 0.0) {
+            return Err(FenceError::Margin { margin });
+        }
+        let count = corners.len();
+        let corners = Vec::from_slice(corners).map_err(|_| FenceError::Corners { count })?;
+        if count < 3 {
+            return Err(FenceError::Corners { count });
+        }
+        for (index, corner) in corners.iter().enumerate() {
+            if !(corner.x.is_finite() && corner.y.is_finite()) {
+                return Err(FenceError::NotFinite {
+                    index,
+                    x: corner.x,
+                    y: corner.y,
+                });
+            }
+        }
+        let fence = Self { corners, margin };
+        fence.check_sides()?;
+        Ok(fence)
+    }
+
+    /// A rectangle around `centre` with these full widths along x and y, in m.
+    ///
+    /// # Errors
+    ///
+    /// Widths that enclose nothing.
+    pub fn rectangle(centre: Position, width: Velocity, margin: f64) -> Result<Self, FenceError> {
+        let (x, y) = (0.5 * width.x, 0.5 * width.y);
+        Self::new(
+            &[
+                centre + Velocity::new(-x, -y),
+                centre + Velocity::new(x, -y),
+                centre + Velocity::new(x, y),
+                centre + Velocity::new(-x, y),
+            ],
+            margin,
+        )
+    }
+
+    /// The corners, in order.
+    #[must_use]
+    pub fn corners(&self) -> &[Position] {
+        &self.corners
+    }
+
+    /// How far a point is inside, in m; negative outside. Only inside does it
+    /// take the margin off.
+    #[must_use]
+    pub fn clearance(&self, point: &Position) -> f64 {
+        let distance = self
+            .sides()
+            .map(|(_, from, to)| distance_to_side(point, &from, &to))
+            .fold(f64::INFINITY, f64::min);
+        if self.encloses(point) {
+            distance - self.margin
+        } else {
+            -distance
+        }
+    }
+
+    /// Whether the straight way from `point` along `way` (m) stays inside.
+    #[must_use]
+    pub fn contains_way(&self, point: &Position, way: &Velocity) -> bool {
+        let end = point + way;
+        let finite = [point.x, point.y, end.x, end.y]
+            .iter()
+            .all(|coordinate| coordinate.is_finite());
+        finite
+            && self.clearance(point) >= 0.0
+            && self.clearance(&end) >= 0.0
+            // Both ends may be inside with a corner of the fence in between.
+            && self
+                .sides()
+                .all(|(_, from, to)| !sides_meet(point, &end, &from, &to))
+    }
+
+    /// Every side with the index of its first corner.
+    fn sides(&self) -> impl Iterator<Item = (usize, Position, Position)> + '_ {
+        let next = self.corners.iter().cycle().skip(1);
+        self.corners
+            .iter()
+            .zip(next)
+            .enumerate()
+            .map(|(index, (from, to))| (index, *from, *to))
+    }
+
+    /// By how often a ray from the point crosses the sides.
+    fn encloses(&self, point: &Position) -> bool {
+        self.sides().fold(false, |inside, (_, from, to)| {
+            let spans = (from.y > point.y) != (to.y > point.y);
+            let crosses =
+                spans && point.x < from.x + (point.y - from.y) / (to.y - from.y) * (to.x - from.x);
+            inside != crosses
+        })
+    }
+
+    fn check_sides(&self) -> Result<(), FenceError> {
+        let count = self.corners.len();
+        for (first, a, b) in self.sides() {
+            for (second, c, d) in self.sides().skip(first + 1) {
+                let neighbours = second == first + 1 || (first == 0 && second == count - 1);
+                let meet = if neighbours {
+                    // They share a corner; they must not fold back on each other.
+                    let (shared, one, other) = if second == first + 1 {
+                        (b, a, d)
+                    } else {
+                        (a, b, c)
+                    };
+                    let (u, v) = (one - shared, other - shared);
+                    u.perp(&v) == 0.0 && u.dot(&v) >= 0.0
+                } else {
+                    sides_meet(&a, &b, &c, &d)
+                };
+                if meet {
+                    return Err(FenceError::Crosses { first, second });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn distance_to_side(point: &Position, from: &Position, to: &Position) -> f64 {
+    let side = to - from;
+    let length_squared = side.norm_squared();
+    let along = if length_squared > 0.0 {
+        ((point - from).dot(&side) / length_squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let off = point - (from + along * side);
+    sqrt(off.norm_squared())
+}
+
+/// Whether two straight lines from a to b and from c to d have a point in common.
+fn sides_meet(a: &Position, b: &Position, c: &Position, d: &Position) -> bool {
+    let turn = |p: &Position, q: &Position, r: &Position| (q - p).perp(&(r - p));
+    let (abc, abd) = (turn(a, b, c), turn(a, b, d));
+    let (cda, cdb) = (turn(c, d, a), turn(c, d, b));
+    let proper = abc * abd < 0.0 && cda * cdb < 0.0;
+    let within = |p: &Position, q: &Position, r: &Position| {
+        fabs(r.x - 0.5 * (p.x + q.x)) <= 0.5 * fabs(q.x - p.x)
+            && fabs(r.y - 0.5 * (p.y + q.y)) <= 0.5 * fabs(q.y - p.y)
+    };
+    proper
+        || (abc == 0.0 && within(a, b, c))
+        || (abd == 0.0 && within(a, b, d))
+        || (cda == 0.0 && within(c, d, a))
+        || (cdb == 0.0 && within(c, d, b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn carpet() -> Fence {
+        Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.0).unwrap()
+    }
+
+    /// A room with a corner taken out: x from 0 to 2, y from 0 to 2, without
+    /// what is beyond (1, 1).
+    fn ell() -> Fence {
+        let corners = [
+            (0.0, 0.0),
+            (2.0, 0.0),
+            (2.0, 1.0),
+            (1.0, 1.0),
+            (1.0, 2.0),
+            (0.0, 2.0),
+        ];
+        Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap()
+    }
+
+    #[test]
+    fn clearance_is_the_distance_to_the_nearest_side_and_negative_outside() {
+        let fence = carpet();
+        for (x, y, clearance) in [
+            (0.0, 0.0, 1.0),
+            (0.7, -0.2, 0.3),
+            (1.25, 0.0, -0.25),
+            (1.3, 1.4, -0.5),
+            (-0.9, 0.95, 0.05),
+        ] {
+            let found = fence.clearance(&Position::new(x, y));
+            assert!((found - clearance).abs() < 1e-12, "({x}, {y}): {found}");
+        }
+        let with_margin =
+            Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.2).unwrap();
+        assert!((with_margin.clearance(&Position::origin()) - 0.8).abs() < 1e-12);
+        assert!(with_margin.clearance(&Position::new(0.9, 0.0)) < 0.0);
+    }
+
+    #[test]
+    fn a_way_that_ends_outside_or_cuts_a_corner_is_not_inside() {
+        let way = |x: f64, y: f64, dx: f64, dy: f64| {
+            ell().contains_way(&Position::new(x, y), &Velocity::new(dx, dy))
+        };
+        assert!(way(0.5, 0.5, 1.0, 0.2));
+        assert!(!way(0.5, 0.5, 1.6, 0.0), "beyond the side");
+        assert!(
+            !way(0.5, 1.5, 1.2, -0.9),
+            "both ends inside, a corner between"
+        );
+        assert!(!way(1.5, 1.5, 0.0, 0.0), "in the part that is taken out");
+        assert!(!way(-0.1, 0.5, 0.5, 0.0), "begins outside");
+        assert!(!way(f64::NAN, 0.5, 0.0, 0.0) && !way(0.5, 0.5, f64::NAN, 0.0));
+    }
+
+    #[test]
+    fn what_encloses_nothing_is_refused() {
+        let new = |corners: &[(f64, f64)]| {
+            let corners: std::vec::Vec<_> =
+                corners.iter().map(|&(x, y)| Position::new(x, y)).collect();
+            Fence::new(&corners, 0.0)
+        };
+        assert_eq!(
+            new(&[(0.0, 0.0), (1.0, 0.0)]),
+            Err(FenceError::Corners { count: 2 })
+        );
+        assert_eq!(
+            new(&[(0.0, 0.0); 17]),
+            Err(FenceError::Corners { count: 17 })
+        );
+        let bow = [(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)];
+        assert_eq!(
+            new(&bow),
+            Err(FenceError::Crosses {
+                first: 0,
+                second: 2
+            })
+        );
+        for flat in [
+            [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)],
+            [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0)],
+            [(0.0, 0.0), (2.0, 0.0), (1.0, 0.0)],
+        ] {
+            assert!(
+                matches!(new(&flat), Err(FenceError::Crosses { .. })),
+                "{flat:?}"
+            );
+        }
+        assert!(matches!(
+            new(&[(0.0, 0.0), (1.0, f64::NAN), (1.0, 1.0)]),
+            Err(FenceError::NotFinite { index: 1, .. })
+        ));
+        assert!(
+            Fence::rectangle(Position::origin(), Velocity::new(1.0, 1.0), -0.1).is_err(),
+            "negative margin"
+        );
+    }
+}

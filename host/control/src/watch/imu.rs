@@ -1,0 +1,170 @@
+//! Whether the inertial samples can be.
+
+use libm::{fabs, hypot};
+
+use super::WatchConfig;
+use crate::InertialSample;
+
+/// What to think of the IMU.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImuVerdict {
+    /// Nothing speaks against it.
+    #[default]
+    Good,
+    /// It says what can't be.
+    Implausible,
+    /// It says the same over and over, to the last bit; a sensor has noise.
+    Stuck,
+}
+
+/// Looks at every inertial sample.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ImuWatch {
+    last: Option<InertialSample>,
+    impossible: u32,
+    equal: u32,
+    still: u32,
+}
+
+/// So many samples in a row must be still before the car is: 0.2 s at 100 Hz.
+const STILL_SAMPLES: u32 = 20;
+
+impl ImuWatch {
+    pub(crate) fn handle(
+        &mut self,
+        sample: &InertialSample,
+        config: &WatchConfig,
+        (still_yaw_rate, still_acceleration): (f64, f64),
+    ) {
+        let acceleration = hypot(sample.forward_acceleration, sample.left_acceleration);
+        // False for what is no number, too.
+        let possible =
+            fabs(sample.yaw_rate) <= config.max_yaw_rate && acceleration <= config.max_acceleration;
+        count(&mut self.impossible, !possible);
+        let equal = self.last.is_some_and(|last| {
+            last.yaw_rate == sample.yaw_rate
+                && last.forward_acceleration == sample.forward_acceleration
+                && last.left_acceleration == sample.left_acceleration
+        });
+        count(&mut self.equal, equal);
+        let still = fabs(sample.yaw_rate) < still_yaw_rate && acceleration < still_acceleration;
+        count(&mut self.still, still);
+        self.last = Some(*sample);
+    }
+
+    /// The verdict, with the gyro bias that the estimator believes in (rad/s).
+    pub(crate) fn verdict(&self, gyro_bias: f64, config: &WatchConfig) -> ImuVerdict {
+        if config.stuck_samples > 0 && self.equal >= config.stuck_samples {
+            ImuVerdict::Stuck
+        } else if self.impossible >= config.implausible_samples
+            || fabs(gyro_bias) > config.max_gyro_bias
+        {
+            ImuVerdict::Implausible
+        } else {
+            ImuVerdict::Good
+        }
+    }
+
+    /// Whether it has felt no movement for a while.
+    pub(crate) const fn is_still(&self) -> bool {
+        self.still >= STILL_SAMPLES
+    }
+}
+
+/// Counts in a row.
+const fn count(counter: &mut u32, again: bool) {
+    *counter = if again { counter.saturating_add(1) } else { 0 };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Time;
+
+    fn sample(yaw_rate: f64, forward_acceleration: f64) -> InertialSample {
+        InertialSample {
+            time: Time(0),
+            yaw_rate,
+            forward_acceleration,
+            left_acceleration: 0.0,
+        }
+    }
+
+    fn after(samples: impl IntoIterator<Item = InertialSample>) -> ImuWatch {
+        let mut watch = ImuWatch::default();
+        for sample in samples {
+            watch.handle(&sample, &WatchConfig::paper(), (0.1, 1.0));
+        }
+        watch
+    }
+
+    fn verdict(samples: impl IntoIterator<Item = InertialSample>) -> ImuVerdict {
+        after(samples).verdict(0.0, &WatchConfig::paper())
+    }
+
+    #[test]
+    fn single_impossible_samples_are_passed_over_and_a_row_is_not() {
+        for impossible in [
+            sample(10.1, 0.0),
+            sample(-10.1, 0.1),
+            sample(0.0, 35.1),
+            sample(f64::NAN, 0.0),
+            sample(0.0, f64::INFINITY),
+        ] {
+            let good = sample(9.9, 34.9);
+            assert_eq!(verdict([impossible; 4]), ImuVerdict::Good);
+            assert_eq!(verdict([impossible; 5]), ImuVerdict::Implausible);
+            let mixed = (0..40).map(|i| if i % 5 == 4 { good } else { impossible });
+            assert_eq!(verdict(mixed), ImuVerdict::Good);
+        }
+    }
+
+    #[test]
+    fn a_gyro_bias_beyond_the_limit_is_implausible() {
+        let watch = after([]);
+        for (bias, expected) in [
+            (0.19, ImuVerdict::Good),
+            (-0.19, ImuVerdict::Good),
+            (0.21, ImuVerdict::Implausible),
+            (-0.21, ImuVerdict::Implausible),
+        ] {
+            assert_eq!(watch.verdict(bias, &WatchConfig::paper()), expected);
+        }
+    }
+
+    #[test]
+    fn samples_that_repeat_to_the_last_bit_are_stuck() {
+        // The first one repeats nothing.
+        assert_eq!(verdict([sample(0.1, 0.2); 25]), ImuVerdict::Good);
+        assert_eq!(verdict([sample(0.1, 0.2); 26]), ImuVerdict::Stuck);
+        let off = WatchConfig {
+            stuck_samples: 0,
+            ..WatchConfig::paper()
+        };
+        assert_eq!(
+            after([sample(0.1, 0.2); 99]).verdict(0.0, &off),
+            ImuVerdict::Good
+        );
+        for differing in [
+            |i: u32| sample(f64::from(i % 2) * 1e-3, 0.2),
+            |i: u32| sample(0.1, f64::from(i % 2) * 1e-3),
+            |i: u32| InertialSample {
+                left_acceleration: f64::from(i % 2) * 1e-3,
+                ..sample(0.1, 0.2)
+            },
+        ] {
+            assert_eq!(verdict((0..100).map(differing)), ImuVerdict::Good);
+        }
+    }
+
+    #[test]
+    fn it_is_still_after_a_while_without_movement() {
+        let still = |count| after(std::vec![sample(0.05, -0.5); count]).is_still();
+        assert!(!still(19) && still(20));
+        for moved in [sample(0.1, 0.0), sample(0.0, 1.0), sample(f64::NAN, 0.0)] {
+            let mut samples = std::vec![sample(0.0, 0.0); 100];
+            samples.push(moved);
+            assert!(!after(samples).is_still());
+        }
+    }
+}
