@@ -5,6 +5,7 @@ use std::{
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
+        mpsc,
     },
     thread,
     time::Duration,
@@ -69,6 +70,8 @@ pub(crate) struct Collector {
     pub(crate) ticks: Consumer<TickRecord>,
     pub(crate) reports: Consumer<Report>,
     pub(crate) mocap: Consumer<MocapReport>,
+    /// Lines that are in the log already.
+    pub(crate) log: mpsc::Receiver<Log>,
     pub(crate) board: Arc<Board>,
     pub(crate) record: Option<FeedInput>,
     /// Entries that the record has no room for.
@@ -93,6 +96,9 @@ impl Collector {
     }
 
     fn pass_on(&mut self) {
+        while let Ok(log) = self.log.try_recv() {
+            self.entry(Entry::Log(log));
+        }
         while let Ok(report) = self.reports.pop() {
             self.report(report);
         }

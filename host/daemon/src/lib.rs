@@ -5,6 +5,7 @@
 //! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
 //! motion capture --ring----> control thread --<                   \--> recorder
 //! socket, owner ---ring--/     |               \--> the port's write half
+//! set-points ------slot--/
 //! ```
 //!
 //! The control thread waits for nothing but its deadline: what comes to it and
@@ -14,8 +15,10 @@ pub mod config;
 pub mod control_loop;
 pub mod controller;
 pub mod notify;
+pub mod reconfigure;
 pub mod serial_port;
 pub mod serial_reader;
+pub mod setpoint_slot;
 
 mod alignment;
 mod clock;
@@ -29,6 +32,7 @@ mod realtime;
 mod recording;
 mod report;
 mod requests;
+mod restart_keys;
 mod snapshot;
 mod socket;
 mod summary;
@@ -42,9 +46,10 @@ pub use daemon::{Daemon, StartError, StartOptions, StopError};
 pub use histogram::Percentiles;
 pub use mocap_socket::MocapSocketError;
 pub use realtime::RealTimeStatus;
+pub use reconfigure::read_configuration;
 pub use recording::RecordingError;
 pub use report::{LineCounters, Report};
 pub use requests::Stalled;
 pub use snapshot::{Snapshot, TickView};
-pub use socket::{SOCKET_VERSION, SocketError};
+pub use socket::{Command, Question, SOCKET_VERSION, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

@@ -14,7 +14,7 @@ use std::{
 use clap::{Parser, ValueEnum};
 use service::Service;
 use signals::Signals;
-use singletrackd::{Config, Daemon, StartOptions, Summary, notify::ServiceManager};
+use singletrackd::{Daemon, StartOptions, Summary, notify::ServiceManager, read_configuration};
 use tracing::{error, info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
@@ -24,6 +24,7 @@ use tracing_subscriber::EnvFilter;
 ///
 /// It arms when asked on its control socket, or with --arm. SIGTERM and SIGINT
 /// slow the car down, disarm the board and end; a second one disarms at once.
+/// SIGHUP reads the configuration anew while the car does not drive.
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Arguments {
@@ -75,7 +76,7 @@ fn main() -> ExitCode {
         );
         return ExitCode::from(BAD_CONFIGURATION);
     };
-    let config = match Config::read(path) {
+    let config = match read_configuration(path) {
         Ok(config) => config,
         Err(error) => {
             eprintln!("singletrackd: {error}");
@@ -98,7 +99,7 @@ fn main() -> ExitCode {
         ServiceManager::default()
     });
     match Daemon::start(config, options) {
-        Ok(daemon) => Service::new(daemon, manager).run(&signals),
+        Ok(daemon) => Service::new(daemon, path.clone(), manager).run(&signals),
         Err(error) => {
             error!("{error}");
             ExitCode::FAILURE

@@ -31,7 +31,8 @@ impl Requests {
         // The ring is whole at every moment.
         let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let stops = match request {
-            ControlRequest::Pilot(Request::Arm | Request::Disarm) => false,
+            ControlRequest::Pilot(Request::Arm | Request::Disarm)
+            | ControlRequest::Reconfigure(_) => false,
             ControlRequest::Pilot(Request::EmergencyStop)
             | ControlRequest::Finish
             | ControlRequest::Abort => true,
@@ -52,9 +53,9 @@ mod tests {
         let (ring, mut taken) = rtrb::RingBuffer::new(12);
         let requests = Requests::new(ring);
         let disarm = ControlRequest::Pilot(Request::Disarm);
-        assert!((0..100).any(|_| requests.push(disarm).is_err()));
+        assert!((0..100).any(|_| requests.push(disarm.clone()).is_err()));
         let stop = ControlRequest::Pilot(Request::EmergencyStop);
-        assert_eq!(requests.push(stop), Ok(()));
+        assert_eq!(requests.push(stop.clone()), Ok(()));
         assert_eq!(requests.push(ControlRequest::Finish), Ok(()));
         let mut last = Vec::new();
         while let Ok(request) = taken.pop() {

@@ -1,6 +1,7 @@
 //! The main thread: signals in, the service manager told, until the daemon ends.
 
 use std::{
+    path::PathBuf,
     process::ExitCode,
     time::{Duration, Instant},
 };
@@ -8,6 +9,7 @@ use std::{
 use singletrackd::{
     Daemon, Stalled, monotonic_ns,
     notify::{ServiceManager, Watchdog},
+    reconfigure::{ChangeView, ConfigurationView},
 };
 use tracing::{error, info, warn};
 
@@ -26,6 +28,8 @@ const LOOK_AROUND: Duration = Duration::from_millis(10);
 /// A daemon under the eyes of whoever started it.
 pub(crate) struct Service {
     daemon: Daemon,
+    /// Its configuration.
+    path: PathBuf,
     manager: ServiceManager,
     watchdog: Option<Watchdog>,
     /// What the manager was last told; none before everything runs.
@@ -35,9 +39,10 @@ pub(crate) struct Service {
 }
 
 impl Service {
-    pub(crate) fn new(daemon: Daemon, manager: ServiceManager) -> Self {
+    pub(crate) fn new(daemon: Daemon, path: PathBuf, manager: ServiceManager) -> Self {
         Self {
             daemon,
+            path,
             watchdog: manager.watchdog().map(Watchdog::new),
             manager,
             told: None,
@@ -60,6 +65,10 @@ impl Service {
             let asked = match signals.wait(LOOK_AROUND) {
                 None => continue,
                 Some(Signal::End(name)) => self.begin_end(name),
+                Some(Signal::Reload) => {
+                    self.reload();
+                    Ok(())
+                }
             };
             if let Err(error) = asked {
                 error!("{error}");
@@ -91,10 +100,39 @@ impl Service {
     }
 
     fn status(&self) -> String {
-        match self.daemon.mode() {
+        let mut status = match self.daemon.mode() {
             (mode, Some(reason)) => format!("mode {mode}: {reason}"),
             (mode, None) => format!("mode {mode}"),
+        };
+        let ConfigurationView {
+            number,
+            last_change,
+        } = self.daemon.configuration();
+        if number > 1 {
+            status += &format!("; configuration {number}");
         }
+        if let Some(ChangeView {
+            by,
+            error: Some(error),
+        }) = last_change
+        {
+            status += &format!("; {by} refused: {error}");
+        }
+        status
+    }
+
+    /// What comes of it stands in the status.
+    fn reload(&mut self) {
+        if self.told.is_none() || self.ending.is_some() {
+            warn!("SIGHUP: the configuration is not read anew while singletrackd starts or ends");
+            return;
+        }
+        self.manager.reloading(monotonic_ns());
+        // The daemon logs what comes of it.
+        let _ = self.daemon.reload(&self.path);
+        let status = self.status();
+        self.manager.ready(&status);
+        self.told = Some(status);
     }
 
     /// First the car, then the log.

@@ -1,4 +1,4 @@
-//! The signals that end the daemon.
+//! The signals that end the daemon or have it read its configuration anew.
 
 #![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
 
@@ -7,8 +7,10 @@ use std::{io, mem::MaybeUninit, ptr, time::Duration};
 /// What a signal asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Signal {
-    /// Stop the car and end. Its name.
+    /// SIGTERM or SIGINT: stop the car and end. Its name.
     End(&'static str),
+    /// SIGHUP: read the configuration anew.
+    Reload,
 }
 
 /// SIGTERM, SIGINT and SIGHUP, which are delivered to nobody but
@@ -48,7 +50,7 @@ impl Signals {
         match signal {
             libc::SIGTERM => Some(Signal::End("SIGTERM")),
             libc::SIGINT => Some(Signal::End("SIGINT")),
-            libc::SIGHUP => Some(Signal::End("SIGHUP")),
+            libc::SIGHUP => Some(Signal::Reload),
             _ => None,
         }
     }

@@ -7,6 +7,7 @@ use singletrack_record::{LinkPhase, TickRecord};
 
 use crate::{
     realtime::RealTimeStatus,
+    reconfigure::ConfigurationView,
     summary::Figures,
     words::{board_mode_name, link_name, stop_cause_name},
 };
@@ -25,6 +26,8 @@ pub struct Snapshot {
     pub figures: Figures,
     /// What the system granted the control thread.
     pub realtime: RealTimeStatus,
+    /// Which configuration is in force.
+    pub configuration: ConfigurationView,
 }
 
 /// What a tick saw and decided, without its events.
@@ -123,6 +126,7 @@ impl Snapshot {
             })),
             "figures": self.figures,
             "realtime": self.realtime,
+            "configuration": self.configuration,
         })
     }
 }

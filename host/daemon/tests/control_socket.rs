@@ -207,3 +207,101 @@ fn the_record_of_a_run_can_be_read() {
         .count();
     assert_eq!(ticks as u64, summary.figures.ticks);
 }
+
+const CIRCLE: &str = r#"{"version":1,"command":"set-reference","reference":
+    {"kind":"circle","radius_m":0.8,"angular_velocity_rad_s":0.4}}"#;
+const EXTERNAL: &str = r#"{"version":1,"command":"set-reference","reference":
+    {"kind":"external"}}"#;
+
+/// On one line.
+fn line(text: &str) -> String {
+    text.replace('\n', " ")
+}
+
+fn status(client: &mut Client) -> Value {
+    client.ask(r#"{"version":1,"command":"status"}"#)["status"].clone()
+}
+
+#[test]
+fn a_reference_is_set_while_the_car_stands_and_the_record_tells_it() {
+    let (daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    assert_eq!(
+        status(&mut client)["configuration"],
+        json!({"number": 1, "last_change": null})
+    );
+    let answer = client.ask(&line(CIRCLE));
+    assert_eq!(
+        answer,
+        json!({"version": 1, "ok": true, "configuration": 2})
+    );
+    assert_eq!(
+        status(&mut client)["configuration"],
+        json!({"number": 2, "last_change": {"by": "set-reference", "error": null}})
+    );
+    let summary = daemon.stop().unwrap();
+    let told = singletrack_record::Reader::open(&summary.record.unwrap())
+        .unwrap()
+        .only(&[singletrack_record::Topic::Log])
+        .map(Result::unwrap)
+        .any(|entry| match entry {
+            singletrack_record::Entry::Log(log) => {
+                log.text.contains("configuration 2 is in force") && log.text.contains("0.8")
+            }
+            _ => false,
+        });
+    assert!(told);
+}
+
+#[test]
+fn a_reference_that_makes_no_sense_changes_nothing() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    for (reference, part) in [
+        (json!({"kind": "circle"}), "radius_m"),
+        (
+            json!({"kind": "circle", "radius_m": -1.0, "angular_velocity_rad_s": 0.5}),
+            "reference",
+        ),
+        (
+            json!({"kind": "waypoints", "file": "way.csv"}),
+            "reference.file is way.csv: a daemon needs an absolute path",
+        ),
+        (
+            json!({"kind": "waypoints", "file": "/dev/zero"}),
+            "/dev/zero: it is no regular file",
+        ),
+        (
+            json!({"kind": "waypoints", "file": "/nowhere/way.csv"}),
+            "/nowhere/way.csv",
+        ),
+    ] {
+        let command = json!({"version": 1, "command": "set-reference", "reference": reference});
+        let answer = client.ask(&command.to_string());
+        assert_eq!(answer["ok"], false, "{reference}");
+        let error = answer["error"].as_str().unwrap();
+        assert!(error.contains(part), "{reference}: {error}");
+        assert_eq!(status(&mut client)["configuration"]["number"], 1);
+    }
+}
+
+#[test]
+fn set_points_are_answered_only_when_something_is_wrong_with_them() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let good = r#"{"version":1,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
+    let wrong = r#"{"version":1,"command":"setpoint","velocity_m_s":[0.3,1000.0]}"#;
+
+    let answer = client.ask(good);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("reference.kind is not"), "{error}");
+
+    assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
+    for _ in 0..1_000 {
+        writeln!(client.write, "{good}").unwrap();
+    }
+    let answer = client.ask(wrong);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("velocity_m_s is [0.3, 1000.0]"), "{error}");
+    assert!(status(&mut client)["mode"].is_string());
+}

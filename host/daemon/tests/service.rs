@@ -10,9 +10,10 @@ mod common;
 
 use std::{
     fs,
+    io::{BufRead, BufReader, Write},
     os::{
         linux::net::SocketAddrExt,
-        unix::net::{SocketAddr, UnixDatagram},
+        unix::net::{SocketAddr, UnixDatagram, UnixStream},
     },
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
@@ -20,6 +21,7 @@ use std::{
 };
 
 use common::wait_for;
+use singletrackd::monotonic_ns;
 use tempfile::TempDir;
 
 /// How long the manager waits for a sign of life.
@@ -29,7 +31,7 @@ const WATCHDOG: Duration = Duration::from_millis(400);
 struct Manager {
     socket: UnixDatagram,
     daemon: Child,
-    _folder: TempDir,
+    folder: TempDir,
 }
 
 impl Manager {
@@ -55,7 +57,7 @@ impl Manager {
         Self {
             socket,
             daemon,
-            _folder: folder,
+            folder,
         }
     }
 
@@ -104,6 +106,23 @@ impl Manager {
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
         count
+    }
+
+    /// Replaces the configuration and has it read.
+    fn reload(&self, configuration: &str) -> (String, String) {
+        fs::write(self.folder.path().join("singletrackd.toml"), configuration).unwrap();
+        self.signal(libc::SIGHUP);
+        (self.await_told("RELOADING=1"), self.await_told("READY=1"))
+    }
+
+    /// What the control socket says of the configuration.
+    fn configuration(&self) -> serde_json::Value {
+        let mut stream = UnixStream::connect(self.folder.path().join("control.sock")).unwrap();
+        writeln!(stream, r#"{{"version":1,"command":"status"}}"#).unwrap();
+        let mut line = String::new();
+        BufReader::new(stream).read_line(&mut line).unwrap();
+        let answer: serde_json::Value = serde_json::from_str(&line).unwrap();
+        answer["status"]["configuration"].clone()
     }
 
     fn signal(&self, signal: libc::c_int) {
@@ -197,6 +216,76 @@ fn signs_of_life_come_only_while_the_control_thread_lives() {
 
     drop(frozen);
     assert_eq!(manager.await_told("WATCHDOG"), "WATCHDOG=1");
+}
+
+#[test]
+fn a_configuration_is_read_anew_and_comes_into_force() {
+    let manager = Manager::by_path();
+    manager.await_told("READY=1");
+    let before_us = monotonic_ns() / 1_000;
+    let changed = configuration(manager.folder.path()).replace("radius_m = 1.0", "radius_m = 0.9");
+    let (reloading, ready) = manager.reload(&changed);
+    let time_us: u64 = reloading
+        .strip_prefix("RELOADING=1\nMONOTONIC_USEC=")
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert!((before_us..=monotonic_ns() / 1_000).contains(&time_us));
+    assert!(ready.contains("; configuration 2"), "{ready}");
+    assert_eq!(manager.configuration()["number"], 2);
+}
+
+#[test]
+fn a_configuration_that_can_not_come_into_force_changes_nothing_and_is_told_why() {
+    let manager = Manager::by_path();
+    manager.await_told("READY=1");
+    let good = configuration(manager.folder.path());
+    for (changed, why) in [
+        (good.replace("radius_m = 1.0", "radius_m = -1.0"), "radius"),
+        (
+            good.replace("[reference]", "[reference"),
+            "singletrackd.toml",
+        ),
+        (
+            good.replace(
+                "realtime_priority = 0",
+                "realtime_priority = 0\nperiod_ms = 20",
+            ),
+            "control.period_ms can't change while singletrackd runs: restart it",
+        ),
+        (
+            good.replace("/board\"", "/another-board\""),
+            "serial.port can't change",
+        ),
+    ] {
+        assert_ne!(changed, good);
+        let (_, ready) = manager.reload(&changed);
+        assert!(ready.contains("reload refused:"), "{ready}");
+        assert!(ready.contains(why), "{why}: {ready}");
+        let configuration = manager.configuration();
+        assert_eq!(configuration["number"], 1);
+        assert_eq!(configuration["last_change"]["by"], "reload");
+        let error = configuration["last_change"]["error"].as_str().unwrap();
+        assert!(error.contains(why), "{why}: {error}");
+    }
+    let (_, ready) = manager.reload(&good);
+    assert!(ready.ends_with("; configuration 2"), "{ready}");
+}
+
+#[test]
+fn a_configuration_that_is_no_file_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("singletrackd.toml");
+    let made = Command::new("mkfifo").arg(&fifo).status().unwrap();
+    assert!(made.success());
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+        .arg("--config")
+        .arg(&fifo)
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(error.contains("it is no regular file"), "{error}");
 }
 
 #[test]

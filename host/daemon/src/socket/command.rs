@@ -1,0 +1,279 @@
+//! A client's line, as a command.
+
+use core::str::FromStr;
+
+use serde::Deserialize;
+use singletrack_control::{Position, Setpoint, Time, Velocity};
+use singletrack_record::Topic;
+
+use super::SOCKET_VERSION;
+use crate::config::ReferenceSection;
+
+/// What a client may send.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Command {
+    /// One line answers it, at once.
+    Ask(Question),
+    /// One line answers it, when it has been tried.
+    SetReference(ReferenceSection),
+    /// Nothing answers it.
+    Setpoint(Setpoint),
+    /// A stream answers it.
+    Watch {
+        /// What of; none: all.
+        topics: Vec<Topic>,
+    },
+}
+
+/// What is answered in one line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// How the daemon is doing.
+    Status,
+    /// Drive along the reference.
+    Arm,
+    /// Slow down, stop and disarm.
+    Disarm,
+    /// Neutral at once, until the board is reset.
+    Stop,
+}
+
+/// A line as it comes.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line {
+    version: u32,
+    command: String,
+    topics: Option<Vec<String>>,
+    reference: Option<ReferenceSection>,
+    velocity_m_s: Option<[f64; 2]>,
+    position_m: Option<[f64; 2]>,
+    time_ns: Option<u64>,
+}
+
+/// Beyond these a set-point is a mistake, whatever the limits of the car: in m/s
+/// and m.
+const FASTEST: f64 = 100.0;
+const FARTHEST: f64 = 10_000.0;
+
+impl Command {
+    /// Of a line that was read at `now_ns` of `CLOCK_MONOTONIC`.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, in the words of the answer.
+    pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, String> {
+        let mut line: Line = serde_json::from_slice(line).map_err(|error| {
+            format!("{error}; write {{\"version\":{SOCKET_VERSION},\"command\":\"status\"}}")
+        })?;
+        if line.version != SOCKET_VERSION {
+            return Err(format!(
+                "version is {}: this daemon speaks version {SOCKET_VERSION}; use the singletrack of its release",
+                line.version
+            ));
+        }
+        let command = match line.command.as_str() {
+            "status" => Self::Ask(Question::Status),
+            "arm" => Self::Ask(Question::Arm),
+            "disarm" => Self::Ask(Question::Disarm),
+            "stop" => Self::Ask(Question::Stop),
+            "set-reference" => {
+                let missing = "set-reference needs a reference, such as {\"kind\":\"circle\",\
+                               \"radius_m\":1.0,\"angular_velocity_rad_s\":0.5}";
+                Self::SetReference(line.reference.take().ok_or(missing)?)
+            }
+            "setpoint" => Self::Setpoint(line.take_setpoint(now_ns)?),
+            "watch" => Self::Watch {
+                topics: line
+                    .topics
+                    .take()
+                    .unwrap_or_default()
+                    .iter()
+                    .map(|topic| Topic::from_str(topic).map_err(|error| error.to_string()))
+                    .collect::<Result<_, _>>()?,
+            },
+            other => {
+                return Err(format!(
+                    "command is {other:?}: use status, arm, disarm, stop, set-reference, setpoint or watch"
+                ));
+            }
+        };
+        line.refuse_the_rest()?;
+        Ok(command)
+    }
+}
+
+impl Line {
+    fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
+        let velocity = self
+            .velocity_m_s
+            .take()
+            .ok_or("setpoint needs velocity_m_s, such as [0.4,0.0]")?;
+        let position = self.position_m.take();
+        within("velocity_m_s", velocity, FASTEST)?;
+        if let Some(position) = position {
+            within("position_m", position, FARTHEST)?;
+        }
+        let time_ns = self.time_ns.take().unwrap_or(now_ns);
+        if time_ns > now_ns {
+            return Err(format!(
+                "time_ns is {time_ns}: CLOCK_MONOTONIC of this computer says {now_ns}"
+            ));
+        }
+        Ok(Setpoint {
+            position: position.map(|[x, y]| Position::new(x, y)),
+            velocity: Velocity::new(velocity[0], velocity[1]),
+            time: Time(time_ns),
+        })
+    }
+
+    /// What the command has not taken it does not have.
+    fn refuse_the_rest(&self) -> Result<(), String> {
+        for (key, is_there, owner) in [
+            ("topics", self.topics.is_some(), "watch"),
+            ("reference", self.reference.is_some(), "set-reference"),
+            ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
+            ("position_m", self.position_m.is_some(), "setpoint"),
+            ("time_ns", self.time_ns.is_some(), "setpoint"),
+        ] {
+            if is_there {
+                return Err(format!(
+                    "{} takes no {key}; only {owner} does",
+                    self.command
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn within(key: &str, value: [f64; 2], limit: f64) -> Result<(), String> {
+    if value.iter().all(|part| part.abs() <= limit) {
+        return Ok(());
+    }
+    Err(format!(
+        "{key} is {value:?}: both must lie between -{limit} and {limit}"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: u64 = 1_000;
+
+    #[test]
+    fn lines_that_are_no_commands_are_told_what_would_be() {
+        for (line, part) in [
+            (r#""#, "write {"),
+            (r#"status"#, "write {"),
+            (r#"{"version":1}"#, "command"),
+            (r#"{"command":"status"}"#, "version"),
+            (r#"{"version":2,"command":"status"}"#, "version is 2"),
+            (r#"{"version":1,"command":"fly"}"#, "use status, arm"),
+            (r#"{"version":1,"command":"arm","now":true}"#, "now"),
+            (
+                r#"{"version":1,"command":"arm","topics":["tick"]}"#,
+                "arm takes no topics; only watch does",
+            ),
+            (
+                r#"{"version":1,"command":"watch","topics":["ticks"]}"#,
+                "ticks",
+            ),
+            (
+                r#"{"version":1,"command":"watch","velocity_m_s":[0,0]}"#,
+                "only setpoint does",
+            ),
+            (
+                r#"{"version":1,"command":"set-reference"}"#,
+                "needs a reference",
+            ),
+            (
+                r#"{"version":1,"command":"set-reference","reference":{"kind":"circle"}}"#,
+                "radius_m",
+            ),
+            (
+                r#"{"version":1,"command":"set-reference","reference":{"kind":"square"}}"#,
+                "square",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint"}"#,
+                "needs velocity_m_s",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[1]}"#,
+                "length",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[1,null]}"#,
+                "null",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[1,1e999]}"#,
+                "number out of range",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
+                "velocity_m_s is [0.0, -100.1]: both must lie between -100 and 100",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
+                "position_m",
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
+                "CLOCK_MONOTONIC of this computer says 1000",
+            ),
+        ] {
+            let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
+            assert!(error.contains(part), "{line}: {error}");
+        }
+    }
+
+    #[test]
+    fn commands_are_read() {
+        let setpoint = |position, time| {
+            Command::Setpoint(Setpoint {
+                position,
+                velocity: Velocity::new(0.5, -1.0),
+                time: Time(time),
+            })
+        };
+        for (line, command) in [
+            (
+                r#"{"version":1,"command":"status"}"#,
+                Command::Ask(Question::Status),
+            ),
+            (
+                "{\"command\":\"stop\",\"version\":1}\r\n",
+                Command::Ask(Question::Stop),
+            ),
+            (
+                r#"{"version":1,"command":"watch","topics":["tick","log"]}"#,
+                Command::Watch {
+                    topics: vec![Topic::Tick, Topic::Log],
+                },
+            ),
+            (
+                r#"{"version":1,"command":"set-reference","reference":
+                    {"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
+                Command::SetReference(ReferenceSection::Circle {
+                    radius_m: 1.0,
+                    angular_velocity_rad_s: 0.5,
+                    centre_m: [0.0, 0.0],
+                }),
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
+                setpoint(None, NOW),
+            ),
+            (
+                r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1],
+                    "position_m":[2,3],"time_ns":400}"#,
+                setpoint(Some(Position::new(2.0, 3.0)), 400),
+            ),
+        ] {
+            assert_eq!(Command::parse(line.as_bytes(), NOW), Ok(command), "{line}");
+        }
+    }
+}

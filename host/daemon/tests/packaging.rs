@@ -1,0 +1,175 @@
+//! The unit and its companions agree with the daemon that they start.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use singletrackd::Config;
+
+const UNIT: &str = include_str!("../../../packaging/singletrackd.service");
+const XU4: &str = include_str!("../../../packaging/singletrackd.service.d/xu4.conf");
+const RULES: &str = include_str!("../../../packaging/99-singletrack.rules");
+const MODULES: &str = include_str!("../../../packaging/modules-load.d/singletrack.conf");
+const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
+
+/// The lines that say something.
+fn lines(text: &str) -> impl Iterator<Item = &str> {
+    text.lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty() && !line.starts_with('#'))
+}
+
+/// The values of a key, in order.
+fn values<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
+    lines(text)
+        .filter_map(|line| line.split_once('='))
+        .filter(|(name, _)| *name == key)
+        .map(|(_, value)| value)
+        .collect()
+}
+
+/// The one value of a key.
+fn value<'a>(text: &'a str, key: &str) -> &'a str {
+    match values(text, key)[..] {
+        [value] => value,
+        ref values => panic!("{key}: {values:?}"),
+    }
+}
+
+fn daemon(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_daemon_knows_the_options_that_the_unit_starts_it_with() {
+    let mut words = value(UNIT, "ExecStart").split_whitespace();
+    assert_eq!(words.next(), Some("/usr/bin/singletrackd"));
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("singletrackd.example.toml");
+    let arguments: Vec<&str> = words
+        .map(|word| match word {
+            "/etc/singletrackd/singletrackd.toml" => example.to_str().unwrap(),
+            option => option,
+        })
+        .chain(["--check"])
+        .collect();
+    let output = daemon(&arguments);
+    assert!(output.status.success(), "{output:?}");
+}
+
+#[test]
+fn the_service_never_arms_the_car_by_itself() {
+    assert!(!UNIT.contains("--arm") && !XU4.contains("Exec"));
+}
+
+#[test]
+fn the_defaults_of_the_configuration_are_the_units_folders() {
+    let config = Config::from_toml(EXAMPLE).unwrap();
+    let runtime = Path::new("/run").join(value(UNIT, "RuntimeDirectory"));
+    assert_eq!(config.socket.path.parent(), Some(&*runtime));
+    let logs = Path::new("/var/log").join(value(UNIT, "LogsDirectory"));
+    assert_eq!(config.record.directory, logs);
+    for key in ["socket.path", "record.directory"] {
+        let (_, name) = key.split_once('.').unwrap();
+        assert!(EXAMPLE.contains(&format!("#{name} = ")), "{key}");
+    }
+}
+
+#[test]
+fn a_configuration_that_is_wrong_does_not_start_the_daemon_over_and_over() {
+    let output = daemon(&["--config", "/nowhere/singletrackd.toml"]);
+    let status = output.status.code().unwrap().to_string();
+    assert_eq!(value(UNIT, "RestartPreventExitStatus"), status);
+    assert_eq!(value(UNIT, "Restart"), "on-failure");
+}
+
+#[test]
+fn the_unit_grants_what_the_control_thread_asks_for() {
+    let config = Config::from_toml(EXAMPLE).unwrap();
+    let granted: u8 = value(UNIT, "LimitRTPRIO").parse().unwrap();
+    assert!(granted >= config.control.realtime_priority);
+    assert_eq!(value(UNIT, "LimitMEMLOCK"), "infinity");
+    let calls = values(UNIT, "SystemCallFilter").join(" ");
+    for call in ["sched_setscheduler", "mlockall"] {
+        assert!(calls.contains(call), "{call}");
+    }
+    // Kernels with real-time group scheduling refuse it to a service.
+    assert!(lines(UNIT).all(|line| !line.starts_with("CPUScheduling")));
+    // Other computers do not have the Odroid's cores.
+    assert!(values(UNIT, "CPUAffinity").is_empty());
+    assert_eq!(value(XU4, "CPUAffinity"), "4-7");
+}
+
+#[test]
+fn the_watchdog_is_fed_and_a_stop_has_the_time_that_it_takes() {
+    assert_eq!(value(UNIT, "Type"), "notify");
+    let seconds = |key| -> f64 { value(UNIT, key).parse().unwrap() };
+    assert!(seconds("WatchdogSec") >= 1.0);
+    // The daemon gives up on its control thread after four.
+    assert!(seconds("TimeoutStopSec") > 4.0);
+}
+
+#[test]
+fn the_driver_of_every_device_is_there_before_the_unit_starts() {
+    let modules: Vec<&str> = lines(MODULES).collect();
+    let devices = values(UNIT, "DeviceAllow");
+    assert_eq!(devices, ["char-ttyACM rw", "char-ttyUSB rw"]);
+    assert_eq!(modules, ["cdc_acm", "usbserial"]);
+}
+
+#[test]
+fn every_rule_of_udev_is_well_formed() {
+    let mut links = 0;
+    for rule in lines(RULES) {
+        for part in rule.split(", ") {
+            let (key, quoted) = part.split_once('"').unwrap();
+            assert!(
+                quoted.ends_with('"') && quoted.matches('"').count() == 1,
+                "{part}"
+            );
+            let key = key.trim_end_matches(['=', '+']);
+            let (name, attribute) = key.split_once('{').unwrap_or((key, "}"));
+            assert!(
+                [
+                    "ACTION",
+                    "SUBSYSTEM",
+                    "DRIVER",
+                    "ATTR",
+                    "ATTRS",
+                    "ENV",
+                    "SYMLINK"
+                ]
+                .contains(&name),
+                "{part}"
+            );
+            assert!(attribute.ends_with('}'), "{part}");
+        }
+        links += usize::from(rule.ends_with("SYMLINK+=\"singletrack-board\""));
+    }
+    assert!(links > 0);
+    let text = include_str!("../../../packaging/README.md");
+    assert!(text.contains("/dev/singletrack-board"));
+}
+
+#[test]
+fn every_file_that_is_to_be_installed_is_there() {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let readme = include_str!("../../../packaging/README.md");
+    let files: Vec<&str> = readme
+        .split_whitespace()
+        .filter(|word| word.starts_with("packaging/") || word.starts_with("host/"))
+        .collect();
+    assert!(files.len() >= 5, "{files:?}");
+    for file in files {
+        assert!(root.join(file).is_file(), "{file}");
+    }
+}
