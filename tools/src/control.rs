@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::Args;
-use serde_json::Value;
+use serde_json::{Value, json};
 use singletrackd::{SOCKET_VERSION, config::SocketSection};
 
 /// Where the daemon listens.
@@ -15,7 +15,7 @@ use singletrackd::{SOCKET_VERSION, config::SocketSection};
 pub struct ControlArgs {
     /// The daemon's control socket
     #[arg(long, value_name = "PATH", default_value_os_t = SocketSection::default().path)]
-    socket: PathBuf,
+    pub(crate) socket: PathBuf,
 }
 
 /// What may be asked of the daemon.
@@ -77,38 +77,54 @@ pub enum ControlError {
 ///
 /// When it can't be asked, or refuses; the reason is the daemon's.
 pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlError> {
-    let answer = ask(command, &args.socket)?;
-    if answer.get("ok").and_then(Value::as_bool) != Some(true) {
-        let error = answer.get("error").and_then(Value::as_str);
-        return Err(ControlError::Refused(
-            error.map_or_else(|| answer.to_string(), str::to_owned),
-        ));
-    }
-    let told = match command {
+    let answer = ask(
+        &json!({ "version": SOCKET_VERSION, "command": command.name() }),
+        &args.socket,
+    )?;
+    tell(&match command {
         ControlCommand::Status => {
             serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
         }
         ControlCommand::Arm => "driving".to_owned(),
         ControlCommand::Disarm => "disarming: the car slows down and stops".to_owned(),
         ControlCommand::Stop => "stopped: neutral until the board is reset".to_owned(),
-    };
+    })
+}
+
+/// Prints what came of it. Whoever reads that may stop at any time.
+pub(crate) fn tell(text: &str) -> Result<(), ControlError> {
     let mut stdout = io::stdout().lock();
-    match writeln!(stdout, "{told}").and_then(|()| stdout.flush()) {
+    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(ControlError::Output(error)),
         _ => Ok(()),
     }
 }
 
-fn ask(command: ControlCommand, path: &Path) -> Result<Value, ControlError> {
-    let mut stream = UnixStream::connect(path).map_err(|source| ControlError::Connect {
+pub(crate) fn connect(path: &Path) -> Result<UnixStream, ControlError> {
+    UnixStream::connect(path).map_err(|source| ControlError::Connect {
         path: path.to_owned(),
         source,
-    })?;
-    let request = serde_json::json!({ "version": SOCKET_VERSION, "command": command.name() });
-    stream.write_all(format!("{request}\n").as_bytes())?;
-    let mut line = String::new();
-    if BufReader::new(stream).read_line(&mut line)? == 0 {
+    })
+}
+
+/// The daemon's answer to one line, if it agrees.
+pub(crate) fn ask(line: &Value, path: &Path) -> Result<Value, ControlError> {
+    let mut stream = connect(path)?;
+    stream.write_all(format!("{line}\n").as_bytes())?;
+    let mut answer = String::new();
+    if BufReader::new(stream).read_line(&mut answer)? == 0 {
         return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
     }
-    Ok(serde_json::from_str(&line)?)
+    agreed(serde_json::from_str(&answer)?)
+}
+
+/// An answer, unless it is a refusal.
+pub(crate) fn agreed(answer: Value) -> Result<Value, ControlError> {
+    if answer.get("ok").and_then(Value::as_bool) == Some(true) {
+        return Ok(answer);
+    }
+    let error = answer.get("error").and_then(Value::as_str);
+    Err(ControlError::Refused(
+        error.map_or_else(|| answer.to_string(), str::to_owned),
+    ))
 }

@@ -5,6 +5,8 @@ pub mod demo;
 pub mod dump;
 pub mod estimation;
 pub mod figure;
+pub mod set_reference;
+pub mod setpoint;
 pub mod simulate;
 pub mod simulated;
 pub mod tracking;

@@ -9,7 +9,7 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, simulate,
+    demo, dump, set_reference, setpoint, simulate,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -42,6 +42,10 @@ enum Command {
     Disarm(control::ControlArgs),
     /// Emergency stop: neutral at once, until the board is reset.
     Stop(control::ControlArgs),
+    /// Give a car that stands another reference, until the configuration is read anew.
+    SetReference(set_reference::SetReferenceArgs),
+    /// Stream set-points from standard input to a car whose reference is external.
+    Setpoint(setpoint::SetpointArgs),
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -68,6 +72,8 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
+        Command::SetReference(args) => Ok(set_reference::run(args)?),
+        Command::Setpoint(args) => Ok(setpoint::run(args)?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,

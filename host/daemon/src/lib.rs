@@ -19,6 +19,7 @@ pub mod reconfigure;
 pub mod serial_port;
 pub mod serial_reader;
 pub mod setpoint_slot;
+pub mod socket;
 
 mod alignment;
 mod clock;
@@ -34,7 +35,6 @@ mod report;
 mod requests;
 mod restart_keys;
 mod snapshot;
-mod socket;
 mod summary;
 mod system;
 mod wake;

@@ -1,0 +1,283 @@
+//! `singletrack setpoint`: set-points from standard input to the daemon.
+//!
+//! One a line: `VX VY`, how fast P should move, in m/s; `VX VY X Y` says where
+//! it should be as well, in m; or a JSON object with the keys of the socket's
+//! command, `{"velocity_m_s":[0.4,0.0]}`. The car stops soon after the last.
+
+use std::{
+    io::{self, BufRead, BufReader, Write},
+    net::Shutdown,
+    os::unix::net::UnixStream,
+    sync::mpsc::{self, Receiver, Sender},
+    thread,
+    time::Duration,
+};
+
+use clap::Args;
+use serde_json::{Map, Value, json};
+use singletrackd::{SOCKET_VERSION, monotonic_ns};
+
+use crate::control::{self, ControlArgs, ControlError};
+
+/// Where the daemon is.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "\
+Each line of standard input is a set-point: VX VY, or VX VY X Y, in m/s and m; or a JSON \
+object such as {\"velocity_m_s\":[0.4,0.0],\"position_m\":[1.0,0.0]}. Of lines that come at \
+once the newest is sent. The car stops reference.setpoint_timeout_ms after the last.")]
+pub struct SetpointArgs {
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
+/// Why set-points no longer reach the daemon.
+#[derive(Debug, thiserror::Error)]
+pub enum SetpointError {
+    /// A line that is none.
+    #[error("line {number}: {line:?} is no set-point: {reason}; write VX VY, or VX VY X Y")]
+    Line {
+        /// From 1.
+        number: u64,
+        /// What it says.
+        line: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The lines can't be read.
+    #[error("can't read standard input: {0}")]
+    Input(io::Error),
+    /// The daemon says no, or nothing.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+}
+
+/// How long a daemon that does not read may keep us waiting.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// What happens on one of the two sides.
+enum Event {
+    Line {
+        number: u64,
+        text: String,
+        time_ns: u64,
+    },
+    Input(io::Result<()>),
+    Answer(String),
+    Closed(io::Result<()>),
+}
+
+/// Sends what comes on standard input until that ends.
+///
+/// # Errors
+///
+/// The first line that is no set-point, or that the daemon refuses.
+pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
+    let mut stream = control::connect(&args.control.socket)?;
+    let prepared = || -> io::Result<UnixStream> {
+        stream.set_write_timeout(Some(PATIENCE))?;
+        stream.try_clone()
+    };
+    let answers = prepared().map_err(ControlError::from)?;
+    let (events_in, events) = mpsc::channel();
+    let answers_in = events_in.clone();
+    // Neither is waited for: both end with the process.
+    thread::spawn(move || read_answers(answers, &answers_in));
+    thread::spawn(move || read_input(&events_in));
+
+    for event in (Newest { events, next: None }) {
+        match event {
+            Event::Line {
+                number,
+                text,
+                time_ns,
+            } => {
+                let line = setpoint(&text, time_ns).map_err(|reason| SetpointError::Line {
+                    number,
+                    line: text,
+                    reason,
+                })?;
+                stream
+                    .write_all(format!("{line}\n").as_bytes())
+                    .map_err(ControlError::from)?;
+            }
+            Event::Input(Ok(())) => {
+                // The daemon answers what it has not yet answered, and hangs up.
+                stream
+                    .shutdown(Shutdown::Write)
+                    .map_err(ControlError::from)?;
+            }
+            Event::Input(Err(error)) => return Err(SetpointError::Input(error)),
+            Event::Answer(answer) => {
+                let answer = serde_json::from_str(&answer).map_err(ControlError::from)?;
+                control::agreed(answer)?;
+            }
+            Event::Closed(Ok(())) => break,
+            Event::Closed(Err(error)) => return Err(ControlError::from(error).into()),
+        }
+    }
+    Ok(())
+}
+
+/// What happens, in order, but of lines that came meanwhile only the last.
+struct Newest {
+    events: Receiver<Event>,
+    /// What came after the last line.
+    next: Option<Event>,
+}
+
+impl Iterator for Newest {
+    type Item = Event;
+
+    fn next(&mut self) -> Option<Event> {
+        let mut event = match self.next.take() {
+            Some(event) => event,
+            None => self.events.recv().ok()?,
+        };
+        while let Event::Line { .. } = event {
+            match self.events.try_recv() {
+                Ok(line @ Event::Line { .. }) => event = line,
+                next => {
+                    self.next = next.ok();
+                    break;
+                }
+            }
+        }
+        Some(event)
+    }
+}
+
+fn read_input(events: &Sender<Event>) {
+    let mut ended = Ok(());
+    for (number, line) in (1..).zip(io::stdin().lock().lines()) {
+        match line {
+            Ok(text) if text.trim().is_empty() => {}
+            Ok(text) => {
+                let time_ns = monotonic_ns();
+                // Nobody listens any more when the process is about to end.
+                let _ = events.send(Event::Line {
+                    number,
+                    text,
+                    time_ns,
+                });
+            }
+            Err(error) => {
+                ended = Err(error);
+                break;
+            }
+        }
+    }
+    let _ = events.send(Event::Input(ended));
+}
+
+fn read_answers(answers: UnixStream, events: &Sender<Event>) {
+    let mut closed = Ok(());
+    for line in BufReader::new(answers).lines() {
+        match line {
+            Ok(line) => drop(events.send(Event::Answer(line))),
+            Err(error) => {
+                closed = Err(error);
+                break;
+            }
+        }
+    }
+    let _ = events.send(Event::Closed(closed));
+}
+
+/// The daemon's command for a line that was read at `time_ns`.
+fn setpoint(line: &str, time_ns: u64) -> Result<Value, String> {
+    let keys = if line.trim_start().starts_with('{') {
+        serde_json::from_str(line).map_err(|error| error.to_string())?
+    } else {
+        numbers(line)?
+    };
+    let mut command = Map::new();
+    command.insert("version".to_owned(), SOCKET_VERSION.into());
+    command.insert("command".to_owned(), "setpoint".into());
+    command.insert("time_ns".to_owned(), time_ns.into());
+    command.extend(keys);
+    Ok(Value::Object(command))
+}
+
+fn numbers(line: &str) -> Result<Map<String, Value>, String> {
+    let numbers = line
+        .split_whitespace()
+        .map(|word| match word.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(format!("{word:?} is no number")),
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let keys = match numbers[..] {
+        [v_x, v_y] => json!({ "velocity_m_s": [v_x, v_y] }),
+        [v_x, v_y, x, y] => json!({ "velocity_m_s": [v_x, v_y], "position_m": [x, y] }),
+        _ => return Err(format!("it has {} numbers", numbers.len())),
+    };
+    match keys {
+        Value::Object(keys) => Ok(keys),
+        _ => Ok(Map::new()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_numbers_and_one_of_json_are_the_same_set_point() {
+        let both = json!({
+            "version": 1, "command": "setpoint", "time_ns": 7,
+            "velocity_m_s": [0.5, -1.0], "position_m": [2.0, 3.0],
+        });
+        assert_eq!(setpoint(" 0.5 -1\t2 3 ", 7), Ok(both.clone()));
+        let line = r#"{"velocity_m_s":[0.5,-1.0],"position_m":[2.0,3.0]}"#;
+        assert_eq!(setpoint(line, 7), Ok(both));
+        let velocity = json!({
+            "version": 1, "command": "setpoint", "time_ns": 8, "velocity_m_s": [0.0, 0.25],
+        });
+        assert_eq!(setpoint("0 0.25", 8), Ok(velocity));
+    }
+
+    #[test]
+    fn of_lines_that_wait_the_newest_is_sent_and_nothing_else_is_lost() {
+        let (sender, events) = mpsc::channel();
+        let line = |number| Event::Line {
+            number,
+            text: String::new(),
+            time_ns: 0,
+        };
+        for event in [
+            line(1),
+            line(2),
+            Event::Answer("a".to_owned()),
+            line(3),
+            line(4),
+            Event::Input(Ok(())),
+        ] {
+            sender.send(event).unwrap();
+        }
+        drop(sender);
+        let told: Vec<String> = Newest { events, next: None }
+            .map(|event| match event {
+                Event::Line { number, .. } => number.to_string(),
+                Event::Answer(answer) => answer,
+                Event::Input(_) => "end".to_owned(),
+                Event::Closed(_) => "closed".to_owned(),
+            })
+            .collect();
+        assert_eq!(told, ["2", "a", "4", "end"]);
+    }
+
+    #[test]
+    fn a_line_that_is_no_set_point_is_told_why() {
+        for (line, part) in [
+            ("0.5", "it has 1 numbers"),
+            ("0.5 0 0", "it has 3 numbers"),
+            ("left right", "\"left\" is no number"),
+            ("nan 0", "\"nan\" is no number"),
+            ("1e999 0", "is no number"),
+            ("{\"velocity_m_s\"", "EOF"),
+        ] {
+            let reason = setpoint(line, 0).unwrap_err();
+            assert!(reason.contains(part), "{line}: {reason}");
+        }
+    }
+}
