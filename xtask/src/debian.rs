@@ -51,6 +51,12 @@ pub(crate) const ODROID: Purpose = Purpose {
     ],
 };
 
+/// What judges the unit of the service.
+pub(crate) const UNITS: Purpose = Purpose {
+    what: "to check the service's unit",
+    packages: &["systemd"],
+};
+
 /// What writes the image into a board.
 pub(crate) const FLASH: Purpose = Purpose {
     what: "to flash the Arduino",

@@ -15,6 +15,7 @@ mod packages;
 mod same_bits;
 mod step;
 mod target;
+mod units;
 mod uno;
 mod verify;
 

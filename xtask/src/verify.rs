@@ -7,7 +7,7 @@ use crate::{
     image::{self, Progress},
     odroid, packages, same_bits,
     step::{Failure, Step, cargo, check, quiet, run_all},
-    uno,
+    units, uno,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -46,7 +46,7 @@ fn quick_steps() -> Vec<Step> {
     vec![
         Step::new(
             "prerequisites",
-            "rustfmt, clippy, a C compiler, and Debian's packages for Arduino and Odroid",
+            "rustfmt, clippy, a C compiler, and Debian's packages for Arduino, Odroid and service",
             prerequisites,
         ),
         Step::new("format", "the code is formatted", format),
@@ -91,6 +91,11 @@ fn quick_steps() -> Vec<Step> {
             &["doc", "--workspace", "--no-deps"],
         )
         .env("RUSTDOCFLAGS", "-D warnings"),
+        Step::new(
+            "units",
+            "systemd takes the service's unit without a word, and finds it hardly exposed",
+            units::check,
+        ),
     ]
 }
 
@@ -222,6 +227,7 @@ fn prerequisites() -> Result<(), Failure> {
         debian::IMAGE_LINTS,
         debian::SIMULATOR,
         debian::ODROID,
+        debian::UNITS,
     ])
 }
 

@@ -1,0 +1,108 @@
+//! What systemd says of the service in `packaging/`.
+
+use std::{fs, io, path::Path, process::Command};
+
+use crate::{
+    debian,
+    step::{Failure, output, root},
+    target,
+};
+
+const UNIT: &str = "singletrackd.service";
+
+/// For the Odroid alone.
+const DROP_IN: &str = "singletrackd.service.d/xu4.conf";
+
+/// Exposure by systemd's own count, 0 to 10. gpsd has 9.6, chrony 3.7.
+const MOST_EXPOSED: f64 = 1.6;
+
+/// Verifies the unit with and without the Odroid's drop-in, and how exposed it is.
+pub(crate) fn check() -> Result<(), Failure> {
+    debian::ensure(&[debian::UNITS])?;
+    let folder = target::folder()?.join("units");
+    for drop_in in [None, Some(DROP_IN)] {
+        let folder = folder.join(drop_in.map_or("plain", |_| "xu4"));
+        let unit = lay_out(&folder, drop_in)
+            .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
+        verify(&unit)?;
+        let exposure = exposure(&unit)?;
+        if exposure > MOST_EXPOSED {
+            return Err(Failure::new(format!(
+                "{UNIT} is exposed to {exposure}, more than {MOST_EXPOSED}; \
+                 `systemd-analyze security --offline=yes packaging/{UNIT}` says by what"
+            )));
+        }
+        println!("{}: verified, exposure {exposure}", drop_in.unwrap_or(UNIT));
+    }
+    Ok(())
+}
+
+/// Puts the unit where systemd finds it with its drop-in; what it starts is a
+/// program that is there, because it need not be installed for this.
+fn lay_out(folder: &Path, drop_in: Option<&str>) -> io::Result<std::path::PathBuf> {
+    let packaging = root().join("packaging");
+    let unit = folder.join(UNIT);
+    fs::create_dir_all(folder)?;
+    let text = fs::read_to_string(packaging.join(UNIT))?;
+    fs::write(
+        &unit,
+        text.replace("=/usr/bin/singletrackd ", "=/bin/true "),
+    )?;
+    if let Some(drop_in) = drop_in {
+        let to = folder.join(drop_in);
+        if let Some(folder) = to.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        fs::copy(packaging.join(drop_in), to)?;
+    }
+    Ok(unit)
+}
+
+/// Systemd succeeds even with keys that it does not know: it must say nothing.
+fn verify(unit: &Path) -> Result<(), Failure> {
+    let said = Command::new("systemd-analyze")
+        .args(["verify", "--man=no"])
+        .arg(unit)
+        .output()
+        .map_err(|error| Failure::new(format!("systemd-analyze does not start: {error}")))?;
+    let text = [said.stdout, said.stderr].concat();
+    if said.status.success() && text.is_empty() {
+        return Ok(());
+    }
+    Err(Failure::new(format!(
+        "systemd-analyze verify {}: {}\n{}",
+        unit.display(),
+        said.status,
+        String::from_utf8_lossy(&text)
+    )))
+}
+
+fn exposure(unit: &Path) -> Result<f64, Failure> {
+    let report = output(
+        Command::new("systemd-analyze")
+            .args(["security", "--offline=yes", "--no-pager"])
+            .arg(unit),
+    )?;
+    level(&String::from_utf8_lossy(&report)).ok_or_else(|| {
+        Failure::new("`systemd-analyze security` does not tell an exposure level".to_owned())
+    })
+}
+
+fn level(report: &str) -> Option<f64> {
+    let (_, rest) = report.split_once("Overall exposure level for ")?;
+    let (_, rest) = rest.split_once(": ")?;
+    rest.split_whitespace().next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::level;
+
+    #[test]
+    fn the_level_is_the_number_after_the_units_name() {
+        let report = "✗ PrivateNetwork=   0.5\n\n\
+                      → Overall exposure level for singletrackd.service: 1.4 OK 🙂\n";
+        assert_eq!(level(report), Some(1.4));
+        assert_eq!(level("no unit"), None);
+    }
+}
