@@ -4,11 +4,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, Fence,
+    BoardHealth, BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, External, Fence,
     FrontPointLaw, InertialSample, Limits, LinkState, Mode, Output, Pilot, PilotConfig,
     PoseMissing, PoseSample, Position, ProportionalLoop, RealTimeState, Reason, Reference, Request,
-    SupervisorConfig, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
-    WatchConfig, direction,
+    Setpoint, SupervisorConfig, Time, TrackingLoop, Underway, VehicleParameters, Velocity,
+    VelocityStep, VelocitySteps, WatchConfig, direction,
 };
 
 const TICK_NS: u64 = 10_000_000;
@@ -38,6 +38,14 @@ struct Bench {
     link: bool,
     imu: bool,
     pose: Pose,
+    /// Pulses told for each that there was.
+    pulses: f64,
+    gyro_bias: f64,
+    noisy: bool,
+    /// The yaw rate that the IMU hangs at.
+    stuck: Option<f64>,
+    /// Events of the next tick.
+    extra: Vec<Event>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -75,8 +83,12 @@ fn config() -> PilotConfig {
 
 impl Bench {
     fn new() -> Self {
+        Self::with(config())
+    }
+
+    fn with(config: PilotConfig) -> Self {
         Self {
-            pilot: Pilot::new(config()),
+            pilot: Pilot::new(config),
             tick: 1000,
             position: Position::origin(),
             yaw: 0.0,
@@ -86,6 +98,11 @@ impl Bench {
             link: true,
             imu: true,
             pose: Pose::Seen,
+            pulses: 1.0,
+            gyro_bias: 0.0,
+            noisy: true,
+            stuck: None,
+            extra: Vec::new(),
         }
     }
 
@@ -117,11 +134,11 @@ impl Bench {
                 time: now,
                 inertial: self.imu.then_some(InertialSample {
                     time: now,
-                    yaw_rate: yaw_rate + noise,
+                    yaw_rate: self.stuck.unwrap_or(yaw_rate + noise + self.gyro_bias),
                     forward_acceleration: 0.0,
-                    left_acceleration: self.speed * yaw_rate,
+                    left_acceleration: self.stuck.unwrap_or(self.speed * yaw_rate),
                 }),
-                motor_speed: self.speed,
+                motor_speed: self.pulses * self.speed,
                 state: self.board,
             }));
         }
@@ -140,6 +157,7 @@ impl Bench {
             Pose::Missing => Event::PoseMissing(PoseMissing::Untracked),
         });
         events.extend(request.map(Event::Request));
+        events.append(&mut self.extra);
         let output = self.pilot.step(now, &events);
         if let Some(command) = output.command {
             self.speed = command.rear_speed;
@@ -185,7 +203,7 @@ impl Bench {
     /// and the seconds that it took to stand.
     fn run_until_idle(&mut self) -> (Output, f64) {
         let mut stood = None;
-        for tick in 0..500 {
+        for tick in 0..1_000 {
             let output = self.step();
             if self.speed == 0.0 && stood.is_none() {
                 stood = Some(f64::from(tick) * 0.01);
@@ -368,6 +386,235 @@ fn an_emergency_stop_is_passed_on_in_any_mode_and_latched() {
     for _ in 0..100 {
         assert!(bench.step_with(Some(Request::Arm)).command.is_none());
     }
+}
+
+#[test]
+fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.pose = Pose::Missing;
+    let mut speeds = Vec::new();
+    let slowing = loop {
+        let output = bench.step();
+        speeds.push(bench.speed);
+        if output.mode == Mode::Slowing && bench.speed < 0.4 {
+            break output;
+        }
+        assert!(speeds.len() < 60);
+    };
+    assert_eq!(slowing.reason, Some(Reason::PoseTooOld));
+    assert!(slowing.drive_time.is_some() && slowing.command.is_some());
+    let steering = bench.steering;
+    bench.step();
+    assert_eq!(bench.steering, steering, "the wheels are held");
+    bench.pose = Pose::Seen;
+    let output = bench.step();
+    assert_eq!((output.mode, output.reason), (Mode::Driving, None));
+    // No jump: the speed rises as fast as it may.
+    let before = bench.speed;
+    bench.step();
+    assert!(bench.speed > before && bench.speed <= before + 0.0201);
+    // The reference has gone on meanwhile.
+    assert!(output.drive_time > slowing.drive_time);
+}
+
+#[test]
+fn a_fast_car_may_hold_a_pose_for_less_long() {
+    let held_for = |velocity: f64| {
+        let mut bench = Bench::with(PilotConfig {
+            reference: Reference::VelocitySteps(
+                VelocitySteps::new(&[VelocityStep {
+                    duration: 30.0,
+                    velocity: Velocity::new(velocity, 0.0),
+                }])
+                .unwrap(),
+            ),
+            ..config()
+        });
+        bench.drive();
+        bench.pose = Pose::Missing;
+        (0..100)
+            .take_while(|_| bench.step().mode == Mode::Driving)
+            .count()
+    };
+    // 0.15 m at 1.5 m/s are 0.1 s; at 0.4 m/s the 0.3 s come first.
+    assert!((9..=11).contains(&held_for(1.5)), "{}", held_for(1.5));
+    assert!((28..=30).contains(&held_for(0.4)), "{}", held_for(0.4));
+}
+
+/// Where the car stood when it had stopped before a fence at this x.
+fn stops_before(x: f64, velocity: f64) -> (Output, f64) {
+    let corners = [(-5.0, -5.0), (x, -5.0), (x, 5.0), (-5.0, 5.0)];
+    let mut bench = Bench::with(PilotConfig {
+        fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
+        reference: Reference::VelocitySteps(
+            VelocitySteps::new(&[VelocityStep {
+                duration: 60.0,
+                velocity: Velocity::new(velocity, 0.0),
+            }])
+            .unwrap(),
+        ),
+        ..config()
+    });
+    bench.drive();
+    let (output, _) = bench.run_until_idle();
+    (output, bench.position.x)
+}
+
+#[test]
+fn a_car_stops_inside_its_fence_from_any_speed() {
+    for velocity in [0.4, 0.8, 1.5] {
+        let (output, x) = stops_before(4.0, velocity);
+        assert_eq!(output.reason, Some(Reason::OutsideFence));
+        assert!((3.7..4.0).contains(&x), "{velocity} m/s: {x}");
+    }
+}
+
+#[test]
+fn a_car_outside_its_fence_is_not_armed() {
+    let mut bench = Bench::new();
+    bench.position = Position::new(10.5, 0.0);
+    let output = bench.run(100);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::OutsideFence))
+    );
+}
+
+#[test]
+fn motor_pulses_that_count_double_end_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.pulses = 2.0;
+    let (output, _) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::MotorSpeedMismatch));
+}
+
+#[test]
+fn an_imu_that_hangs_or_is_biased_ends_the_drive() {
+    for (bias, noisy, reason) in [
+        (0.0, false, Reason::ImuStuck),
+        (12.0, true, Reason::ImuImplausible),
+    ] {
+        let mut bench = Bench::new();
+        bench.drive();
+        bench.gyro_bias = bias;
+        bench.noisy = noisy;
+        if !noisy {
+            // What it measured last, over and over.
+            bench.stuck = Some(0.1);
+        }
+        let (output, seconds) = bench.run_until_idle();
+        assert_eq!(output.reason, Some(reason));
+        assert!(seconds < 1.0, "{seconds}");
+    }
+}
+
+#[test]
+fn a_tick_that_comes_too_late_ends_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.tick += 8;
+    let output = bench.step();
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Stopping, Some(Reason::DeadlineMissed))
+    );
+}
+
+fn setpoint(bench: &Bench, velocity: Velocity, position: Option<Position>) -> Event {
+    Event::Setpoint(Setpoint {
+        time: Time((bench.tick + 1) * TICK_NS),
+        position,
+        velocity,
+    })
+}
+
+#[test]
+fn set_points_from_outside_are_followed_until_they_are_no_longer_renewed() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    });
+    let output = bench.run(100);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::SetpointStale))
+    );
+    let mut outputs = Vec::new();
+    for tick in 0..200 {
+        if tick == 10 {
+            bench.extra.push(Event::Request(Request::Arm));
+        }
+        let event = setpoint(&bench, Velocity::new(0.5, 0.0), None);
+        bench.extra.push(event);
+        outputs.push(bench.step());
+    }
+    let last = outputs.last().unwrap();
+    assert_eq!((last.mode, last.reason), (Mode::Driving, None));
+    assert_eq!(last.point_velocity, Some(Velocity::new(0.5, 0.0)));
+    assert!((bench.speed - 0.5).abs() < 0.01);
+    // One that is no number is as good as none.
+    for _ in 0..20 {
+        let event = setpoint(&bench, Velocity::new(f64::NAN, 0.0), None);
+        bench.extra.push(event);
+        assert_eq!(bench.step().mode, Mode::Driving);
+    }
+    let output = bench.step();
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Stopping, Some(Reason::SetpointStale))
+    );
+}
+
+#[test]
+fn a_position_from_outside_is_approached_by_the_position_loop() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    });
+    let target = Position::new(2.0, 0.3);
+    for tick in 0..1_500 {
+        if tick == 100 {
+            bench.extra.push(Event::Request(Request::Arm));
+        }
+        let event = setpoint(&bench, Velocity::zeros(), Some(target));
+        bench.extra.push(event);
+        bench.step();
+    }
+    let point = bench.step().point.unwrap();
+    assert!((point - target).norm() < 0.05, "{point}");
+}
+
+#[test]
+fn it_is_given_another_configuration_only_while_no_drive_is_underway() {
+    let other = PilotConfig {
+        limits: Limits {
+            max_speed: 0.2,
+            ..Limits::paper()
+        },
+        ..config()
+    };
+    let mut bench = Bench::new();
+    bench.drive();
+    assert_eq!(
+        bench.pilot.reconfigure(&other),
+        Err(Underway(Mode::Driving))
+    );
+    bench.step_with(Some(Request::Disarm));
+    assert_eq!(
+        bench.pilot.reconfigure(&other),
+        Err(Underway(Mode::Stopping))
+    );
+    bench.run_until_idle();
+    assert_eq!(bench.pilot.reconfigure(&other), Ok(()));
+    // The estimate begins anew; what is known of the board stays.
+    let output = bench.step();
+    assert_eq!(output.mode, Mode::Idle);
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.step_with(Some(Request::Arm));
+    bench.run(200);
+    assert!((bench.speed - 0.2).abs() < 0.01, "{}", bench.speed);
 }
 
 #[test]

@@ -428,14 +428,10 @@ impl Supervisor {
                 .or_else(|| self.senseless(conditions))
                 .or_else(|| self.unseen(conditions, self.config.blind))
                 .or_else(|| self.astray(conditions))
-                .or_else(|| {
-                    if conditions.speed_mismatch {
-                        Some(Reason::MotorSpeedMismatch)
-                    } else if conditions.overspeed {
-                        Some(Reason::Overspeed)
-                    } else {
-                        None
-                    }
+                .or(match conditions {
+                    _ if conditions.speed_mismatch => Some(Reason::MotorSpeedMismatch),
+                    _ if conditions.overspeed => Some(Reason::Overspeed),
+                    _ => None,
                 })
         };
         match reason.or_else(|| self.blind_for_good(conditions)) {

@@ -1,0 +1,623 @@
+//! The supervisor alone: what refuses a drive, what slows it down, what ends it.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use singletrack_control::{
+    BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState, Mode,
+    PoseMissing, RealTimeState, Reason, Request, Supervisor, SupervisorConfig, Time,
+};
+
+const TICK_NS: u64 = 10_000_000;
+const HEALTHY: BoardHealth = BoardHealth {
+    battery_mv: 7_400,
+    stop_input_open: false,
+};
+
+/// A supervisor, and what it is shown.
+struct Bench {
+    supervisor: Supervisor,
+    conditions: Conditions,
+    /// Age of the last accepted pose, in ms.
+    pose_age_ms: u64,
+    imu_age_ms: u64,
+}
+
+/// Something that goes wrong, and the word for it.
+type Trouble = (&'static str, Reason, fn(&mut Bench));
+
+/// What is wrong at any time.
+const TROUBLES: [Trouble; 15] = [
+    ("an open stop switch", Reason::StopInputOpen, |bench| {
+        bench.supervisor.handle_health(BoardHealth {
+            stop_input_open: true,
+            ..HEALTHY
+        });
+    }),
+    ("an empty battery", Reason::BatteryLow, |bench| {
+        bench.supervisor.handle_health(BoardHealth {
+            battery_mv: 6_399,
+            ..HEALTHY
+        });
+    }),
+    (
+        "damage on the way to the host",
+        Reason::LineNoisy,
+        |bench| {
+            bench.supervisor.handle_line(LineHealth {
+                to_host: Some(0.51),
+                to_board: None,
+            });
+        },
+    ),
+    (
+        "damage on the way to the board",
+        Reason::LineNoisy,
+        |bench| {
+            bench.supervisor.handle_line(LineHealth {
+                to_host: Some(0.0),
+                to_board: Some(0.51),
+            });
+        },
+    ),
+    ("a silent IMU", Reason::ImuSilent, |bench| {
+        bench.imu_age_ms = 101;
+    }),
+    ("an IMU that never spoke", Reason::ImuSilent, |bench| {
+        bench.conditions.imu_time = None;
+        bench.imu_age_ms = u64::MAX;
+    }),
+    ("an IMU that repeats itself", Reason::ImuStuck, |bench| {
+        bench.conditions.imu = ImuVerdict::Stuck;
+    }),
+    ("an IMU that can't be", Reason::ImuImplausible, |bench| {
+        bench.conditions.imu = ImuVerdict::Implausible;
+    }),
+    ("no pose", Reason::NoPose, |bench| {
+        bench.pose_age_ms = u64::MAX;
+    }),
+    ("poses that can't be", Reason::PoseImplausible, |bench| {
+        bench.conditions.implausible = 20;
+    }),
+    ("untrustworthy cameras", Reason::PoseImplausible, |bench| {
+        bench
+            .supervisor
+            .handle_pose_missing(PoseMissing::Untrustworthy);
+    }),
+    ("markers lost for long", Reason::PoseTooOld, |bench| {
+        bench.pose_age_ms = 601;
+    }),
+    ("the fence", Reason::OutsideFence, |bench| {
+        bench.conditions.inside_fence = false;
+    }),
+    ("a late controller", Reason::DeadlineMissed, |bench| {
+        bench.conditions.late = true;
+    }),
+    ("no set-points", Reason::SetpointStale, |bench| {
+        bench.conditions.setpoint_stale = true;
+    }),
+];
+
+/// What is wrong with a drive only.
+const DRIVING_TROUBLES: [Trouble; 4] = [
+    (
+        "a motor that tells another speed",
+        Reason::MotorSpeedMismatch,
+        |bench| {
+            bench.conditions.speed_mismatch = true;
+        },
+    ),
+    ("too fast a car", Reason::Overspeed, |bench| {
+        bench.conditions.overspeed = true;
+    }),
+    (
+        "the end of the reference",
+        Reason::ReferenceFinished,
+        |bench| {
+            bench.conditions.reference_finished = true;
+        },
+    ),
+    ("a long way blind", Reason::BlindTooFar, |bench| {
+        bench.conditions.blind_distance = 0.451;
+    }),
+];
+
+/// What is wrong before a drive only.
+const STANDING_TROUBLES: [Trouble; 8] = [
+    (
+        "a battery that would end a drive soon",
+        Reason::BatteryLow,
+        |bench| {
+            bench.supervisor.handle_health(BoardHealth {
+                battery_mv: 6_799,
+                ..HEALTHY
+            });
+        },
+    ),
+    ("a pose that is not fresh", Reason::PoseTooOld, |bench| {
+        bench.pose_age_ms = 51;
+    }),
+    (
+        "a filter that has seen little",
+        Reason::EstimateUnsettled,
+        |bench| {
+            bench.conditions.poses = 49;
+        },
+    ),
+    ("a car that moves", Reason::Moving, |bench| {
+        bench.conditions.speed = -0.03;
+    }),
+    ("wheels that turn", Reason::Moving, |bench| {
+        bench.conditions.motor_speed = -0.03;
+    }),
+    ("a car that is shaken", Reason::ImuNotStill, |bench| {
+        bench.conditions.imu_still = false;
+    }),
+    ("a board that starts", Reason::BoardBooting, |bench| {
+        bench.supervisor.handle_board(BoardState::Booting);
+    }),
+    ("a board that is armed", Reason::BoardArmed, |bench| {
+        bench.supervisor.handle_board(BoardState::Driving);
+    }),
+];
+
+impl Bench {
+    /// With everything there.
+    fn new() -> Self {
+        let mut bench = Self::unconnected(SupervisorConfig::paper());
+        bench.connect();
+        bench
+    }
+
+    fn unconnected(config: SupervisorConfig) -> Self {
+        Self {
+            supervisor: Supervisor::new(config),
+            conditions: Conditions {
+                now: Time(10_000_000_000),
+                pose_time: None,
+                blind_distance: 0.0,
+                poses: 50,
+                implausible: 19,
+                imu_time: None,
+                imu: ImuVerdict::Good,
+                imu_still: true,
+                speed: 0.029,
+                motor_speed: 0.029,
+                speed_mismatch: false,
+                overspeed: false,
+                commanded_speed: 0.0,
+                inside_fence: true,
+                late: false,
+                setpoint_stale: false,
+                reference_finished: false,
+            },
+            pose_age_ms: 10,
+            imu_age_ms: 10,
+        }
+    }
+
+    fn connect(&mut self) {
+        self.supervisor.handle_real_time(RealTimeState {
+            fifo: false,
+            memory_locked: false,
+        });
+        self.supervisor.handle_link(LinkState::Ready);
+        self.supervisor.handle_board(BoardState::Neutral);
+        self.supervisor.handle_health(HEALTHY);
+    }
+
+    fn step(&mut self) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+        let now = Time(self.conditions.now.0 + TICK_NS);
+        let ago = |ms: u64| {
+            ms.checked_mul(1_000_000)
+                .and_then(|ns| now.0.checked_sub(ns))
+                .map(Time)
+        };
+        self.conditions.now = now;
+        self.conditions.pose_time = ago(self.pose_age_ms);
+        self.conditions.imu_time = ago(self.imu_age_ms);
+        let request = self.supervisor.step(&self.conditions);
+        (self.supervisor.mode(), self.supervisor.reason(), request)
+    }
+
+    fn ask(&mut self, request: Request) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+        self.supervisor.handle_request(request);
+        self.step()
+    }
+
+    fn arming() -> Self {
+        let mut bench = Self::new();
+        assert_eq!(bench.step(), (Mode::Ready, None, None));
+        assert_eq!(
+            bench.ask(Request::Arm),
+            (Mode::Arming, None, Some(BoardRequest::Arm))
+        );
+        bench
+    }
+
+    fn driving() -> Self {
+        let mut bench = Self::arming();
+        bench.supervisor.handle_board(BoardState::Armed);
+        assert_eq!(bench.step(), (Mode::Driving, None, None));
+        bench.supervisor.handle_board(BoardState::Driving);
+        bench.conditions.commanded_speed = 0.5;
+        bench.conditions.speed = 0.5;
+        bench.conditions.motor_speed = 0.5;
+        // A drive goes on with what would not let it begin.
+        bench.conditions.imu_still = false;
+        assert_eq!(bench.step(), (Mode::Driving, None, None));
+        bench
+    }
+
+    fn slowing() -> Self {
+        let mut bench = Self::driving();
+        bench.pose_age_ms = 301;
+        assert_eq!(
+            bench.step(),
+            (Mode::Slowing, Some(Reason::PoseTooOld), None)
+        );
+        bench
+    }
+
+    /// What a trouble before makes of one now.
+    fn then(&mut self, trouble: fn(&mut Self)) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+        trouble(self);
+        self.step()
+    }
+}
+
+#[test]
+fn everything_that_is_missing_refuses_a_drive_by_name() {
+    for (name, reason, trouble) in TROUBLES.into_iter().chain(STANDING_TROUBLES) {
+        let mut bench = Bench::new();
+        assert_eq!(
+            bench.then(trouble),
+            (Mode::Idle, Some(reason), None),
+            "{name}"
+        );
+        assert_eq!(
+            bench.ask(Request::Arm),
+            (Mode::Idle, Some(reason), None),
+            "{name}: asked to arm"
+        );
+    }
+}
+
+#[test]
+fn everything_that_goes_wrong_while_the_board_arms_takes_that_back() {
+    for (name, reason, trouble) in TROUBLES {
+        let mut bench = Bench::arming();
+        assert_eq!(
+            bench.then(trouble),
+            (Mode::Idle, Some(reason), Some(BoardRequest::Disarm)),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn everything_that_goes_wrong_stops_a_drive_by_name_and_for_good() {
+    let troubles = TROUBLES.into_iter().chain(DRIVING_TROUBLES);
+    for (name, reason, trouble) in troubles {
+        for mut bench in [Bench::driving(), Bench::slowing()] {
+            assert_eq!(
+                bench.then(trouble),
+                (Mode::Stopping, Some(reason), None),
+                "{name}"
+            );
+            // All is well again: it stops all the same, and stays.
+            bench.connect();
+            bench.supervisor.handle_board(BoardState::Driving);
+            bench.supervisor.handle_line(LineHealth {
+                to_host: None,
+                to_board: None,
+            });
+            bench.supervisor.handle_pose();
+            bench.conditions = Bench::new().conditions;
+            bench.conditions.commanded_speed = 0.3;
+            (bench.pose_age_ms, bench.imu_age_ms) = (10, 10);
+            assert_eq!(bench.step().0, Mode::Stopping, "{name}");
+            bench.conditions.commanded_speed = 0.0;
+            assert_eq!(
+                bench.step(),
+                (Mode::Idle, Some(reason), Some(BoardRequest::Disarm)),
+                "{name}"
+            );
+            bench.supervisor.handle_board(BoardState::Neutral);
+            for _ in 0..100 {
+                assert_eq!(bench.step(), (Mode::Ready, Some(reason), None), "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_would_not_let_a_drive_begin_lets_it_go_on() {
+    for (name, _, trouble) in STANDING_TROUBLES {
+        if name.starts_with("a board") {
+            continue;
+        }
+        let mut bench = Bench::driving();
+        assert_eq!(bench.then(trouble), (Mode::Driving, None, None), "{name}");
+    }
+}
+
+#[test]
+fn nothing_is_armed_before_everything_has_been_told() {
+    type Tell = (Reason, fn(&mut Supervisor));
+    let mut bench = Bench::unconnected(SupervisorConfig::paper());
+    let steps: [Tell; 5] = [
+        (Reason::LinkDown, |supervisor| {
+            supervisor.handle_link(LinkState::VersionDiffers);
+        }),
+        (Reason::VersionDiffers, |supervisor| {
+            supervisor.handle_link(LinkState::ConfigurationRefused);
+        }),
+        (Reason::ConfigurationRefused, |supervisor| {
+            supervisor.handle_link(LinkState::Ready);
+        }),
+        (Reason::BoardBooting, |supervisor| {
+            supervisor.handle_board(BoardState::Neutral);
+        }),
+        (Reason::BatteryUnknown, |supervisor| {
+            supervisor.handle_health(HEALTHY);
+        }),
+    ];
+    for (reason, tell) in steps {
+        let (mode, told, request) = bench.ask(Request::Arm);
+        assert_eq!((told, request), (Some(reason), None));
+        assert!(matches!(mode, Mode::Disconnected | Mode::Idle));
+        tell(&mut bench.supervisor);
+    }
+    assert_eq!(bench.ask(Request::Arm).1, Some(Reason::RealTimeUnknown));
+    bench.supervisor.handle_real_time(RealTimeState {
+        fifo: false,
+        memory_locked: false,
+    });
+    assert_eq!(bench.step(), (Mode::Ready, None, None));
+}
+
+#[test]
+fn real_time_is_demanded_only_if_the_configuration_does() {
+    for (fifo, memory_locked) in [(false, false), (true, false), (false, true), (true, true)] {
+        let mut bench = Bench::unconnected(SupervisorConfig {
+            require_real_time: true,
+            ..SupervisorConfig::paper()
+        });
+        bench.connect();
+        bench.supervisor.handle_real_time(RealTimeState {
+            fifo,
+            memory_locked,
+        });
+        let refused = (!(fifo && memory_locked)).then_some(Reason::RealTimeRefused);
+        assert_eq!(bench.step().1, refused);
+    }
+}
+
+#[test]
+fn a_link_that_is_lost_forgets_what_the_board_said_of_itself() {
+    let mut bench = Bench::new();
+    bench.supervisor.handle_line(LineHealth {
+        to_host: Some(0.9),
+        to_board: Some(0.9),
+    });
+    assert_eq!(bench.step().1, Some(Reason::LineNoisy));
+    bench.supervisor.handle_link(LinkState::Down);
+    assert_eq!(bench.step().0, Mode::Disconnected);
+    bench.supervisor.handle_link(LinkState::Ready);
+    assert_eq!(bench.step().1, Some(Reason::BoardBooting));
+    bench.supervisor.handle_board(BoardState::Neutral);
+    assert_eq!(bench.step().1, Some(Reason::BatteryUnknown));
+    bench.supervisor.handle_health(HEALTHY);
+    assert_eq!(bench.step(), (Mode::Ready, None, None));
+}
+
+#[test]
+fn a_battery_or_a_line_at_its_limit_is_good_enough() {
+    let mut bench = Bench::new();
+    bench.supervisor.handle_health(BoardHealth {
+        battery_mv: 6_800,
+        ..HEALTHY
+    });
+    bench.supervisor.handle_line(LineHealth {
+        to_host: Some(0.5),
+        to_board: Some(0.5),
+    });
+    assert_eq!(bench.step().0, Mode::Ready);
+    let mut bench = Bench::driving();
+    bench.supervisor.handle_health(BoardHealth {
+        battery_mv: 6_400,
+        ..HEALTHY
+    });
+    assert_eq!(bench.step().0, Mode::Driving);
+}
+
+#[test]
+fn a_pose_is_held_for_its_time_and_its_way() {
+    let mut bench = Bench::driving();
+    bench.pose_age_ms = 300;
+    bench.conditions.blind_distance = 0.15;
+    assert_eq!(bench.step(), (Mode::Driving, None, None));
+    bench.conditions.blind_distance = 0.151;
+    assert_eq!(
+        bench.step(),
+        (Mode::Slowing, Some(Reason::BlindTooFar), None)
+    );
+}
+
+#[test]
+fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
+    let mut bench = Bench::slowing();
+    for age_ms in [600, 299, 51] {
+        bench.pose_age_ms = age_ms;
+        assert_eq!(bench.step().0, Mode::Slowing, "{age_ms} ms");
+    }
+    bench.pose_age_ms = 50;
+    assert_eq!(bench.step(), (Mode::Driving, None, None));
+    // Nothing of it is told after the drive.
+    bench.ask(Request::Disarm);
+    assert_eq!(bench.supervisor.reason(), Some(Reason::Requested));
+}
+
+#[test]
+fn a_slowing_car_that_has_come_to_rest_stays() {
+    let mut bench = Bench::slowing();
+    bench.conditions.commanded_speed = 0.0;
+    assert_eq!(
+        bench.step(),
+        (Mode::Stopping, Some(Reason::PoseTooOld), None)
+    );
+}
+
+#[test]
+fn a_slowing_car_obeys_a_disarm_and_follows_a_board_that_stopped() {
+    assert_eq!(
+        Bench::slowing().ask(Request::Disarm),
+        (Mode::Stopping, Some(Reason::Requested), None)
+    );
+    for (state, mode, reason) in [
+        (BoardState::Failsafe, Mode::Idle, Reason::BoardFailsafe),
+        (BoardState::Neutral, Mode::Idle, Reason::BoardFailsafe),
+        (
+            BoardState::EmergencyStopped,
+            Mode::Fault,
+            Reason::EmergencyStop,
+        ),
+    ] {
+        for mut bench in [Bench::slowing(), Bench::driving()] {
+            bench.supervisor.handle_board(state);
+            assert_eq!(bench.step(), (mode, Some(reason), None));
+        }
+    }
+}
+
+#[test]
+fn a_stopping_car_that_is_seen_is_disarmed_when_it_stands() {
+    let mut bench = Bench::driving();
+    bench.ask(Request::Disarm);
+    bench.conditions.commanded_speed = 0.0;
+    for _ in 0..100 {
+        assert_eq!(bench.step().0, Mode::Stopping, "it rolls");
+    }
+    bench.conditions.motor_speed = 0.029;
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::Requested),
+            Some(BoardRequest::Disarm)
+        )
+    );
+}
+
+#[test]
+fn a_stopping_car_that_is_not_seen_is_disarmed_a_tenth_of_a_second_after_it_was_told_to_stand() {
+    let mut bench = Bench::slowing();
+    bench.pose_age_ms = 601;
+    bench.step();
+    for _ in 0..3 {
+        assert_eq!(bench.step().0, Mode::Stopping, "it is told to roll");
+    }
+    // Told at the tick before.
+    bench.conditions.commanded_speed = 0.0;
+    for tick in 1..10 {
+        assert_eq!(bench.step().0, Mode::Stopping, "{tick}");
+    }
+    assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+    assert_eq!(bench.supervisor.mode(), Mode::Idle);
+}
+
+#[test]
+fn a_stop_that_takes_too_long_ends_in_a_disarm() {
+    let mut bench = Bench::driving();
+    bench.ask(Request::Disarm);
+    let mut ticks = 0;
+    while bench.supervisor.mode() == Mode::Stopping {
+        ticks += 1;
+        let (_, _, request) = bench.step();
+        let ended = bench.supervisor.mode() == Mode::Idle;
+        assert_eq!(request, ended.then_some(BoardRequest::Disarm));
+    }
+    assert_eq!(ticks, 151);
+}
+
+#[test]
+fn a_board_that_refuses_or_does_not_answer_is_not_waited_for() {
+    let mut bench = Bench::arming();
+    bench.supervisor.handle_arm_refused();
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::BoardRefused),
+            Some(BoardRequest::Disarm)
+        )
+    );
+    let mut bench = Bench::arming();
+    for _ in 0..50 {
+        assert_eq!(bench.step(), (Mode::Arming, None, None));
+    }
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::BoardTimeout),
+            Some(BoardRequest::Disarm)
+        )
+    );
+    assert_eq!(
+        Bench::arming().ask(Request::Disarm),
+        (
+            Mode::Idle,
+            Some(Reason::Requested),
+            Some(BoardRequest::Disarm)
+        )
+    );
+    let mut bench = Bench::arming();
+    bench.supervisor.handle_board(BoardState::EmergencyStopped);
+    assert_eq!(
+        bench.step(),
+        (Mode::Fault, Some(Reason::EmergencyStop), None)
+    );
+}
+
+#[test]
+fn other_limits_hold_from_the_next_tick_on() {
+    let mut bench = Bench::new();
+    bench.pose_age_ms = 60;
+    assert_eq!(bench.step().1, Some(Reason::PoseTooOld));
+    bench.supervisor.reconfigure(SupervisorConfig {
+        fresh: 0.1,
+        ..SupervisorConfig::paper()
+    });
+    assert_eq!(bench.step(), (Mode::Ready, None, None));
+}
+
+#[test]
+fn a_battery_is_not_looked_at_when_its_limits_are_zero() {
+    let mut bench = Bench::unconnected(SupervisorConfig {
+        min_battery: 0.0,
+        arm_battery: 0.0,
+        ..SupervisorConfig::paper()
+    });
+    bench.connect();
+    bench.supervisor.handle_health(BoardHealth {
+        battery_mv: 0,
+        ..HEALTHY
+    });
+    assert_eq!(bench.step().0, Mode::Ready);
+}
+
+#[test]
+fn modes_say_what_they_mean() {
+    let underway = [Mode::Arming, Mode::Driving, Mode::Slowing, Mode::Stopping];
+    for mode in Mode::ALL {
+        assert_eq!(mode.is_underway(), underway.contains(&mode));
+        assert_eq!(mode.commands(), underway[1..].contains(&mode));
+        assert_eq!(mode.to_string(), mode.name());
+    }
+    for (index, reason) in Reason::ALL.iter().enumerate() {
+        assert_eq!(reason.to_string(), reason.name());
+        let same = |other: &Reason| other.name() == reason.name();
+        assert_eq!(Reason::ALL.iter().position(same), Some(index));
+    }
+}
