@@ -4,7 +4,9 @@ use core::fmt;
 use std::path::{Path, PathBuf};
 
 use singletrack_control::{FenceError, LawError, ReferenceError, VehicleParameterError};
-use singletrack_protocol::ConfigurationError;
+use singletrack_protocol::{ConfigurationError, ConfigurationField};
+
+use super::{WaypointFileError, explain::explain};
 
 /// A configuration with which nothing can be driven: key, value and fix.
 #[derive(Debug, thiserror::Error)]
@@ -40,22 +42,22 @@ pub enum ConfigError {
         /// The file.
         path: PathBuf,
         /// Where and why.
-        source: csv::Error,
+        source: WaypointFileError,
     },
     /// The reference makes no sense.
-    #[error("[reference] {0}")]
+    #[error("reference.{0}")]
     Reference(#[from] ReferenceError),
     /// The fence encloses nothing.
-    #[error("[fence] corners_m, margin_m: {0}")]
+    #[error("fence.corners_m: {0}")]
     Fence(#[from] FenceError),
     /// The law makes no sense.
-    #[error("[law] {0}")]
+    #[error("law.{0}")]
     Law(#[from] LawError),
     /// The vehicle makes no sense.
-    #[error("[vehicle] {0}")]
+    #[error("vehicle.{} is {}: it must be finite and above zero", .0.name, .0.value)]
     Vehicle(#[from] VehicleParameterError),
     /// No board would take these values.
-    #[error("board.{0}")]
+    #[error("{}", board_message(.0))]
     Board(#[from] ConfigurationError),
     /// A value outside its range, or at odds with another.
     #[error("{key} is {value}: {fix}")]
@@ -82,12 +84,23 @@ impl ConfigError {
         }
     }
 
-    pub(crate) fn parse(path: Option<&Path>, error: &toml::de::Error) -> Self {
+    /// Why `text`, from a file or not, is no configuration.
+    pub(crate) fn parse(path: Option<&Path>, text: &str, error: &toml::de::Error) -> Self {
         Self::Parse {
             path: path.map(Path::to_owned),
-            message: error.to_string().trim_end().to_owned(),
+            message: explain(text, error),
         }
     }
+}
+
+fn board_message(error: &ConfigurationError) -> String {
+    if error.field == ConfigurationField::ServoGainMagnitude {
+        return format!(
+            "board.servo.gain_us_per_rad has the magnitude {}, but must have {} to {}",
+            error.value, error.lowest, error.highest
+        );
+    }
+    format!("board.{error}")
 }
 
 fn prefix(path: &Option<PathBuf>) -> String {

@@ -8,7 +8,9 @@ mod check;
 mod control;
 mod error;
 mod estimator;
+mod explain;
 mod fence;
+mod file;
 mod kind;
 mod law;
 mod limits;
@@ -19,6 +21,7 @@ mod reference;
 mod serial;
 mod supervisor;
 mod watch;
+mod waypoint_file;
 
 use std::path::Path;
 
@@ -42,6 +45,7 @@ pub use reference::{ReferenceSection, StepSection};
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
 pub use watch::WatchSection;
+pub use waypoint_file::WaypointFileError;
 
 /// From a car that is told to stand to a board that is disarmed, s: the
 /// supervisor's rest, a tick, and the request on the line, sent twice.
@@ -99,12 +103,12 @@ impl Config {
     ///
     /// What is wrong with it, by key.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        let text = file::read_text(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;
         let mut config: Self =
-            toml::from_str(&text).map_err(|error| ConfigError::parse(Some(path), &error))?;
+            toml::from_str(&text).map_err(|error| ConfigError::parse(Some(path), &text, &error))?;
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
         }
@@ -122,7 +126,7 @@ impl Config {
     /// What is wrong with it, by key.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self =
-            toml::from_str(text).map_err(|error| ConfigError::parse(None, &error))?;
+            toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
         config.validate()?;
         Ok(config)
     }

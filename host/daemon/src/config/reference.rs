@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use singletrack_control::{
     Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
-    Waypoint, Waypoints,
 };
 
-use super::{ConfigError, check, kind::Keys};
+use super::{ConfigError, check, kind::Keys, waypoint_file::read_waypoints};
 
 /// The reference of P.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,7 +38,7 @@ pub enum ReferenceSection {
         /// Centre, in m.
         centre_m: [f64; 2],
     },
-    /// See [`Waypoints`].
+    /// See [`Waypoints`](singletrack_control::Waypoints).
     Waypoints {
         /// CSV file with the columns `t_s,x_m,y_m`; relative to the file that
         /// names it.
@@ -66,6 +65,10 @@ pub struct StepSection {
 
 /// How long a set-point is in force unless told otherwise.
 const SETPOINT_TIMEOUT_MS: u32 = 200;
+
+/// The largest coordinate and the fastest turn of a curve.
+const FARTHEST_M: f64 = 1_000.0;
+const FASTEST_RAD_S: f64 = 100.0;
 
 /// The keys of all kinds.
 #[derive(Deserialize)]
@@ -169,12 +172,53 @@ impl ReferenceSection {
         }
     }
 
+    /// Refuses what no hall holds and no car follows: the reference's points and
+    /// velocities are then finite, too.
+    fn check_sizes(&self) -> Result<(), ConfigError> {
+        let length = |key, value: f64| check::within(key, value, -FARTHEST_M..=FARTHEST_M);
+        let rate = |value: f64| {
+            check::within(
+                "reference.angular_velocity_rad_s",
+                value,
+                -FASTEST_RAD_S..=FASTEST_RAD_S,
+            )
+        };
+        match self {
+            Self::Circle {
+                radius_m,
+                angular_velocity_rad_s,
+                centre_m,
+            } => {
+                length("reference.radius_m", *radius_m)?;
+                rate(*angular_velocity_rad_s)?;
+                centre_m
+                    .iter()
+                    .try_for_each(|centre| length("reference.centre_m", *centre))
+            }
+            Self::FigureOfEight {
+                half_length_m,
+                half_width_m,
+                angular_velocity_rad_s,
+                centre_m,
+            } => {
+                length("reference.half_length_m", *half_length_m)?;
+                length("reference.half_width_m", *half_width_m)?;
+                rate(*angular_velocity_rad_s)?;
+                centre_m
+                    .iter()
+                    .try_for_each(|centre| length("reference.centre_m", *centre))
+            }
+            Self::VelocitySteps { .. } | Self::Waypoints { .. } | Self::External { .. } => Ok(()),
+        }
+    }
+
     /// The reference, with waypoints read from their file.
     ///
     /// # Errors
     ///
     /// A reference that makes no sense, or waypoints that can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
+        self.check_sizes()?;
         Ok(match self {
             Self::Circle {
                 radius_m,
@@ -207,7 +251,12 @@ impl ReferenceSection {
                 *angular_velocity_rad_s,
             )?),
             Self::Waypoints { file } => {
-                Reference::Waypoints(Waypoints::new(&read_waypoints(file)?)?)
+                Reference::Waypoints(read_waypoints(file).map_err(|source| {
+                    ConfigError::Waypoints {
+                        path: file.clone(),
+                        source,
+                    }
+                })?)
             }
             Self::External {
                 setpoint_timeout_ms,
@@ -222,31 +271,4 @@ impl ReferenceSection {
             }
         })
     }
-}
-
-/// A row of a waypoint file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WaypointRow {
-    t_s: f64,
-    x_m: f64,
-    y_m: f64,
-}
-
-fn read_waypoints(path: &Path) -> Result<Vec<Waypoint>, ConfigError> {
-    let error = |source| ConfigError::Waypoints {
-        path: path.to_owned(),
-        source,
-    };
-    csv::Reader::from_path(path)
-        .map_err(error)?
-        .deserialize()
-        .map(|row| {
-            let row: WaypointRow = row.map_err(error)?;
-            Ok(Waypoint {
-                time: row.t_s,
-                position: Position::new(row.x_m, row.y_m),
-            })
-        })
-        .collect()
 }

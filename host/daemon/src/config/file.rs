@@ -1,0 +1,46 @@
+//! Files that a person has written: read whole, and refused if they can't be one.
+
+use std::{
+    fs::{self, File},
+    io::{self, Read as _},
+    path::Path,
+};
+
+/// No configuration and no list of waypoints that the controller takes is longer.
+const LONGEST: u64 = 1 << 20;
+
+/// The text of a file.
+///
+/// # Errors
+///
+/// What the system says; or that it is none, is too long, or is no UTF-8, with
+/// what to do about it.
+pub(super) fn read_text(path: &Path) -> io::Result<String> {
+    // Before it is opened: to open a pipe that nobody writes to waits for ever.
+    let metadata = fs::metadata(path)?;
+    if !metadata.is_file() {
+        let kind = if metadata.is_dir() {
+            "a folder"
+        } else {
+            "a pipe, a socket or a device"
+        };
+        return Err(io::Error::other(format!("it is {kind}; name a file")));
+    }
+    let mut bytes = Vec::new();
+    // What the system calls a file may still have no end, as in /proc.
+    File::open(path)?
+        .take(LONGEST + 1)
+        .read_to_end(&mut bytes)?;
+    let length = metadata.len().max(bytes.len() as u64);
+    if length > LONGEST {
+        return Err(io::Error::other(format!(
+            "it is {length} bytes long; at most {LONGEST} are read, is it the right file?"
+        )));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let good = error.utf8_error().valid_up_to();
+        let before = error.as_bytes().get(..good).unwrap_or_default();
+        let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+        io::Error::other(format!("line {line} is not UTF-8; save the file as UTF-8"))
+    })
+}
