@@ -12,6 +12,7 @@ use singletrack_record::{DriveWrite, TickRecord};
 use crate::{
     alignment::Alignment,
     controller::{Controller, Sent},
+    realtime,
     reconfigure::{Reconfiguration, Refusal},
     report::{LineCounters, Report, link_phase},
     serial_port::{Line, drive_number},
@@ -68,6 +69,12 @@ pub struct Rings<L> {
 /// So many commands may be under way to a board that says nothing: a line that
 /// is stuck both ways shows in nothing else when it is a pseudo-terminal.
 const COMMANDS_INTO_SILENCE: u32 = 2;
+
+/// What a tick takes in of the cameras: of more, the newest.
+const OBSERVATIONS: usize = 16;
+
+/// What has waited for longer to be taken from the line waited for a stall.
+const STALL_NS: u64 = 100_000_000;
 
 /// How long the car may take to stop and the board to confirm it, at the end.
 const FINISH_NS: u64 = 2_000_000_000;
@@ -133,6 +140,11 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
+    /// Has the memory there that its ticks on the calling thread will write to.
+    pub fn touch_memory(&mut self) {
+        realtime::touch_memory(&mut self.rings);
+    }
+
     /// What the system granted the thread that is to run it, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.real_time(state);
@@ -162,13 +174,16 @@ impl<L: Line> ControlLoop<L> {
 
     /// One tick: takes in what came since the last one, decides, commands, tells.
     pub fn tick(&mut self, slot: Slot, clock: &impl Fn() -> u64) {
-        self.take_serial(slot.start_ns);
-        while let Ok(observation) = self.rings.observations.pop() {
-            if let Some(alignment) = &mut self.alignment {
-                alignment.arrived(observation.receive_time_ns);
-            }
-            self.controller.observed(&observation);
-        }
+        // After a stall there is more than a tick takes in: the newest poses are
+        // to be among it.
+        let passed_over = if self.has_stalled(slot.start_ns) {
+            let passed_over = self.take_observations();
+            self.take_serial(slot.start_ns);
+            passed_over
+        } else {
+            self.take_serial(slot.start_ns);
+            self.take_observations()
+        };
         self.take_requests(slot.start_ns);
         if let Some(setpoint) = self.rings.setpoints.take() {
             self.controller.setpoint(setpoint);
@@ -228,7 +243,7 @@ impl<L: Line> ControlLoop<L> {
             skipped: slot.skipped,
             pilot_time: now,
             events: tick.events,
-            events_dropped: tick.dropped_events,
+            events_dropped: tick.dropped_events.saturating_add(passed_over),
             output: tick.output,
             drive,
             link: link_phase(&controller.session().state()),
@@ -247,6 +262,29 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
+    fn has_stalled(&self, now_ns: u64) -> bool {
+        match self.rings.serial.peek() {
+            Ok(SerialEvent::Bytes(chunk)) => now_ns.saturating_sub(chunk.time_ns) > STALL_NS,
+            _ => false,
+        }
+    }
+
+    /// Takes the newest; returns how many older ones it passed over.
+    fn take_observations(&mut self) -> u32 {
+        let waiting = self.rings.observations.slots();
+        let old = waiting.saturating_sub(OBSERVATIONS);
+        for _ in 0..old {
+            let _ = self.rings.observations.pop();
+        }
+        while let Ok(observation) = self.rings.observations.pop() {
+            if let Some(alignment) = &mut self.alignment {
+                alignment.arrived(observation.receive_time_ns);
+            }
+            self.controller.observed(&observation);
+        }
+        u32::try_from(old).unwrap_or(u32::MAX)
+    }
+
     fn take_serial(&mut self, now_ns: u64) {
         while let Ok(event) = self.rings.serial.pop() {
             let mut dropped = 0;
@@ -254,7 +292,10 @@ impl<L: Line> ControlLoop<L> {
             match event {
                 SerialEvent::Opened(line) => {
                     self.controller.port_opened(Time(now_ns));
-                    self.line = Some(line);
+                    if let Some(old) = self.line.replace(line) {
+                        // Not closed here: see below.
+                        let _ = self.rings.returned.push(old);
+                    }
                     self.commands_since_heard = 0;
                 }
                 SerialEvent::Bytes(chunk) => {

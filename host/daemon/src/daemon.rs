@@ -307,6 +307,7 @@ impl Daemon {
         let (granted_in, granted) = mpsc::sync_channel(1);
         self.control = Some(spawn("control", move || {
             let _ended = Ended(Arc::clone(&signs.ended));
+            control.touch_memory();
             let granted = realtime::make_punctual(priority);
             control.real_time(RealTimeState {
                 fifo: matches!(granted, Ok(Some(_))),

@@ -11,7 +11,7 @@ use rustix::{
 };
 use serde::Serialize;
 
-use crate::system;
+use crate::{control_loop::Rings, system};
 
 /// What the system granted the control thread.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -24,10 +24,18 @@ pub struct RealTimeStatus {
     pub refusals: Vec<String>,
 }
 
+/// So much of its stack a control thread may use, in bytes; a tick takes a tenth
+/// of it.
+const STACK: usize = 512 * 1_024;
+
 /// Keeps the process in memory, if it may lock as much as it likes.
 ///
 /// With a limit, `MCL_FUTURE` would make some later allocation fail.
-pub(crate) fn lock_memory() -> Result<(), String> {
+///
+/// # Errors
+///
+/// What was not granted, and how to change that.
+pub fn lock_memory() -> Result<(), String> {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let capable =
         capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK));
@@ -41,8 +49,22 @@ pub(crate) fn lock_memory() -> Result<(), String> {
         .map_err(|error| format!("memory is not locked: mlockall: {error}"))
 }
 
+/// Has the memory there that a control thread on the calling thread will write
+/// to: its stack and the room of these rings. If memory is locked, it is already.
+pub fn touch_memory<L>(rings: &mut Rings<L>) {
+    system::touch_stack::<STACK>();
+    system::touch_room(&mut rings.ticks);
+    system::touch_room(&mut rings.reports);
+    system::touch_room(&mut rings.returned);
+    system::touch_room(&mut rings.reconfigured);
+}
+
 /// Makes the calling thread a real-time thread.
-pub(crate) fn make_punctual(priority: u8) -> Result<Option<u8>, String> {
+///
+/// # Errors
+///
+/// What was not granted, and how to change that.
+pub fn make_punctual(priority: u8) -> Result<Option<u8>, String> {
     // For when the thread is not scheduled in real time: its timers are not
     // to be bundled with others'. Without it they are 50 µs later.
     let _ = set_current_timer_slack(NonZeroU64::new(1));

@@ -4,9 +4,11 @@
 
 use std::{
     io,
+    mem::MaybeUninit,
     os::fd::{AsFd, AsRawFd, FromRawFd, IntoRawFd, OwnedFd},
 };
 
+use rtrb::Producer;
 use serialport::TTYPort;
 
 /// The open file of a serial port, which is not closed.
@@ -45,4 +47,31 @@ pub(crate) fn schedule_fifo(priority: u8) -> io::Result<()> {
         return Err(io::Error::last_os_error());
     }
     Ok(())
+}
+
+/// Writes to all free room of a ring, so that it is there when it is needed: the
+/// first write to a page that is not is a page fault.
+pub(crate) fn touch_room<T>(ring: &mut Producer<T>) {
+    let room = ring.slots();
+    if let Ok(mut chunk) = ring.write_chunk_uninit(room) {
+        let (first, second) = chunk.as_mut_slices();
+        for slots in [first, second] {
+            // SAFETY: whatever bytes are in it, a slot is still uninitialised; it
+            // is not handed over.
+            unsafe { slots.as_mut_ptr().write_bytes(0, slots.len()) };
+        }
+    }
+}
+
+/// Writes to so much of the calling thread's stack.
+#[inline(never)]
+pub(crate) fn touch_stack<const BYTES: usize>() {
+    let mut room = MaybeUninit::<[u8; BYTES]>::uninit();
+    // SAFETY: it is as long as that; the writes are volatile, so they happen.
+    unsafe {
+        let start = room.as_mut_ptr().cast::<u8>();
+        for page in (0..BYTES).step_by(1_024) {
+            start.add(page).write_volatile(0);
+        }
+    }
 }

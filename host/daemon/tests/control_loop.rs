@@ -328,3 +328,28 @@ fn the_car_follows_set_points_and_stops_when_they_cease() {
     assert!(outside.world.truth().speed.abs() < 0.05);
     assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
 }
+
+#[test]
+fn after_a_stall_the_newest_pose_is_among_what_a_tick_takes_in() {
+    let (mut control, mut outside) = set_up();
+    let start = drive(&mut control, &mut outside);
+    // The thread sleeps for half a second; the rest of the world goes on.
+    let stall = 50;
+    for index in start..start + stall {
+        outside.run_until_tick(index);
+    }
+    let newest = outside.last_frame;
+    tick(&mut control, start + stall - 1);
+    let record = outside.ticks.pop().unwrap();
+    let frames: Vec<i32> = record
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Pose(pose) => Some(pose.frame),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(frames.last(), Some(&newest));
+    assert!(frames.is_sorted() && frames.len() <= 16, "{frames:?}");
+    assert!(record.events_dropped > 0);
+}

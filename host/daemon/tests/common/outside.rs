@@ -52,6 +52,8 @@ pub(crate) struct Outside {
     /// With which it all began.
     pub(crate) config: Config,
     bytes: Vec<u8>,
+    /// The number of the newest frame that was handed over.
+    pub(crate) last_frame: i32,
     /// Nothing comes from the board.
     pub(crate) stuck: bool,
 }
@@ -78,6 +80,7 @@ impl Outside {
             if let Outcome::Frame(observation) =
                 self.mocap.handle_datagram(now_ns, source, &datagram.bytes)
             {
+                self.last_frame = observation.frame_number;
                 self.observations.push(observation).unwrap();
             }
         }
@@ -141,7 +144,7 @@ pub(crate) fn set_up() -> (ControlLoop<RingLine>, Outside) {
         .clone_from(&simulation.cameras.car.name);
 
     let (line_in, line) = RingBuffer::new(4_096);
-    let (mut serial_in, serial) = RingBuffer::new(256);
+    let (mut serial_in, serial) = RingBuffer::new(2_048);
     let (returned, _) = RingBuffer::new(2);
     let (observations_in, observations) = RingBuffer::new(64);
     let (requests_in, requests) = RingBuffer::new(4);
@@ -187,6 +190,7 @@ pub(crate) fn set_up() -> (ControlLoop<RingLine>, Outside) {
         reconfigured: reconfigured_out,
         config,
         bytes: Vec::new(),
+        last_frame: 0,
         stuck: false,
     };
     (control, outside)
