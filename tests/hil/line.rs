@@ -1,8 +1,8 @@
 //! When the serial line is unplugged, damaged or stuck.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use singletrack_hil::{Outcome, bench::Bench, ensure, rig::LineFaults};
+use singletrack_hil::{Outcome, bench::Bench, ensure, rig::LineFaults, wait};
 
 use crate::Scenario;
 
@@ -22,13 +22,24 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("a_stuck_line_releases_nothing_that_moves", stuck),
 ];
 
+/// How soon a hang-up shows, and a line that is back is used.
+const NOTICED_LIMIT_MS: f64 = 50.0;
+const REOPENED_LIMIT_MS: f64 = 1_000.0;
+
 fn unplugged(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_millis(1_500))?;
-    bench.rig().unplug()?;
-    bench.neutral_after_last_command()?;
     // A hang-up says so itself; no time-out is needed.
+    bench.rig().unplug()?;
+    let start = Instant::now();
     let status = bench.wait_for_mode("disconnected", Duration::from_millis(500))?;
+    bench.at_most(
+        "from the hang-up to its being told",
+        start.elapsed().as_secs_f64() * 1_000.0,
+        NOTICED_LIMIT_MS,
+        "ms",
+    )?;
+    bench.neutral_after_last_command()?;
     ensure!(
         status.reason() == "link-down",
         "the reason for the stop: {}",
@@ -38,6 +49,17 @@ fn unplugged(bench: &mut Bench) -> Outcome {
 
     let place = bench.rig().trace()?.len();
     bench.rig().plug()?;
+    let start = Instant::now();
+    let mut client = bench.client()?;
+    wait::until("an open port", Duration::from_secs(3), || {
+        Ok((client.status()?.link() != "disconnected").then_some(()))
+    })?;
+    bench.at_most(
+        "from plugging in to an open port",
+        start.elapsed().as_secs_f64() * 1_000.0,
+        REOPENED_LIMIT_MS,
+        "ms",
+    )?;
     bench.wait_for_mode("ready", Duration::from_secs(4))?;
     bench.stays_neutral(Duration::from_secs(1))?;
     bench.was_neutral_since(place)?;
@@ -101,7 +123,7 @@ const MAX_QUEUED: f64 = 2.0;
 fn stuck(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_secs(1))?;
-    let refused_before = drives_refused(bench)?;
+    let refused_before = bench.drives_refused()?;
     bench.rig().set_line(LineFaults {
         corrupt: 0.0,
         stuck: true,
@@ -117,7 +139,7 @@ fn stuck(bench: &mut Bench) -> Outcome {
     bench.stays_neutral(Duration::from_millis(500))?;
     bench.was_neutral_since(place)?;
     // What had waited came too late, and the board has said so.
-    let refused = drives_refused(bench)? - refused_before;
+    let refused = bench.drives_refused()? - refused_before;
     bench.at_most(
         "commands that waited in the stuck line",
         refused,
@@ -125,9 +147,4 @@ fn stuck(bench: &mut Bench) -> Outcome {
         "",
     )?;
     bench.arm_and_drive()
-}
-
-/// Drive commands that the board has refused since it started.
-fn drives_refused(bench: &mut Bench) -> Outcome<f64> {
-    bench.client()?.watch_board()?.next("drives_refused")
 }

@@ -3,6 +3,7 @@
 
 mod board;
 mod drive;
+mod hostile;
 mod image;
 mod line;
 mod markers;
@@ -37,6 +38,10 @@ struct Options {
     /// A singletrackd that is already there, instead of building one
     #[arg(long, value_name = "PATH")]
     daemon: Option<PathBuf>,
+
+    /// How often the daemon is killed in mid-drive, at different moments
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    kills: usize,
 
     #[command(flatten)]
     libtest: Arguments,
@@ -88,6 +93,7 @@ fn main() -> ExitCode {
         board::SCENARIOS,
         image::SCENARIOS,
         stop::SCENARIOS,
+        hostile::SCENARIOS,
     ]
     .concat();
     let program = if libtest.list {
@@ -105,6 +111,7 @@ fn main() -> ExitCode {
         program,
         port: options.port,
         board: options.board,
+        kills: options.kills,
         measurements: measurements.clone(),
     };
     let trials = scenarios

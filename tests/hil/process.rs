@@ -15,6 +15,10 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         terminated_driving,
     ),
     Scenario::new("a_termination_at_rest_is_prompt", terminated_at_rest),
+    Scenario::new(
+        "a_daemon_that_was_paused_sends_nothing_old_and_waits_for_an_arm",
+        paused,
+    ),
     Scenario::new("a_second_daemon_on_the_same_socket_is_refused", same_socket),
     Scenario::new("a_second_daemon_on_the_same_port_gets_no_board", same_port),
 ];
@@ -23,10 +27,22 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
 /// speeds up, and at moments that fall differently on ticks and servo frames.
 const KILLED_AFTER_MS: [u64; 3] = [53, 571, 1_238];
 
+/// These, and then any others up to one and a half seconds: multiples of the
+/// golden ratio fall evenly and never on the same moment of a tick.
+fn kill_moments(count: usize) -> impl Iterator<Item = Duration> {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let others = (1_u32..).map(|index| 1.5 * (GOLDEN * f64::from(index)).fract());
+    KILLED_AFTER_MS
+        .into_iter()
+        .map(Duration::from_millis)
+        .chain(others.map(Duration::from_secs_f64))
+        .take(count)
+}
+
 fn killed(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
-    for after_ms in KILLED_AFTER_MS {
-        bench.keep_driving(Duration::from_millis(after_ms))?;
+    for after in kill_moments(bench.kills()) {
+        bench.keep_driving(after)?;
         bench.daemon()?.kill()?;
         bench.neutral_after_last_command()?;
         bench.wait_until_standing()?;
@@ -38,6 +54,31 @@ fn killed(bench: &mut Bench) -> Outcome {
         bench.wait_until_ready()?;
         bench.stays_neutral(Duration::from_millis(500))?;
         bench.was_neutral_since(place)?;
+        bench.arm_and_drive()?;
+    }
+    Ok(())
+}
+
+/// Commands that may be under way when the daemon is paused, or leave it when it
+/// goes on.
+const OLD_COMMANDS: f64 = 2.0;
+
+fn paused(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    for pause in [Duration::from_millis(200), Duration::from_secs(2)] {
+        bench.keep_driving(Duration::from_secs(1))?;
+        let refused_before = bench.drives_refused()?;
+        bench.daemon()?.pause()?;
+        bench.neutral_after_last_command()?;
+        std::thread::sleep(pause);
+        let place = bench.rig().trace()?.len();
+        bench.daemon()?.go_on()?;
+        bench.wait_until_standing()?;
+        bench.wait_for_mode("ready", Duration::from_secs(4))?;
+        bench.stays_neutral(Duration::from_millis(500))?;
+        bench.was_neutral_since(place)?;
+        let refused = bench.drives_refused()? - refused_before;
+        bench.at_most("commands that came too late", refused, OLD_COMMANDS, "")?;
         bench.arm_and_drive()?;
     }
     Ok(())

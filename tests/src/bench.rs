@@ -27,6 +27,8 @@ pub struct Equipment {
     pub port: Option<PathBuf>,
     /// What runs on the simulated board.
     pub board: BoardKind,
+    /// How often the daemon is killed in mid-drive.
+    pub kills: usize,
     /// Where the measurements go.
     pub measurements: Measurements,
 }
@@ -144,6 +146,21 @@ impl Bench {
     #[must_use]
     pub fn program(&self) -> &Path {
         &self.equipment.program
+    }
+
+    /// How often the daemon is to be killed.
+    #[must_use]
+    pub const fn kills(&self) -> usize {
+        self.equipment.kills
+    }
+
+    /// Drive commands that the board has refused since it started.
+    ///
+    /// # Errors
+    ///
+    /// It does not say.
+    pub fn drives_refused(&mut self) -> Outcome<f64> {
+        self.client()?.watch_board()?.next("drives_refused")
     }
 
     /// The pulse at which the motor gets nothing, in µs.

@@ -179,6 +179,12 @@ impl Status {
         self.word("/reason")
     }
 
+    /// Where the session with the board stands.
+    #[must_use]
+    pub fn link(&self) -> &str {
+        self.word("/link")
+    }
+
     /// Why the board last went to neutral, as it said itself.
     #[must_use]
     pub fn stop_cause(&self) -> &str {

@@ -88,10 +88,32 @@ impl Daemon {
     /// It did not end within the limit.
     pub fn terminate(&mut self, limit: Duration) -> Outcome<(ExitStatus, Duration)> {
         let start = Instant::now();
-        kill_process(Pid::from_child(&self.child), Signal::TERM)
-            .map_err(|error| Failure::system("cannot signal the daemon")(error.into()))?;
+        self.signal(Signal::TERM)?;
         let status = wait::until("the daemon's end", limit, || self.status())?;
         Ok((status, start.elapsed()))
+    }
+
+    /// Stops all of its threads where they are.
+    ///
+    /// # Errors
+    ///
+    /// What the system says.
+    pub fn pause(&self) -> Outcome {
+        self.signal(Signal::STOP)
+    }
+
+    /// Lets them go on.
+    ///
+    /// # Errors
+    ///
+    /// What the system says.
+    pub fn go_on(&self) -> Outcome {
+        self.signal(Signal::CONT)
+    }
+
+    fn signal(&self, signal: Signal) -> Outcome {
+        kill_process(Pid::from_child(&self.child), signal)
+            .map_err(|error| Failure::system("cannot signal the daemon")(error.into()))
     }
 }
 

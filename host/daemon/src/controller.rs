@@ -186,10 +186,7 @@ impl Controller {
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // A request that came first would be judged by the new configuration.
-        let asked = self
-            .events
-            .iter()
-            .any(|event| *event == Event::Request(Request::Arm));
+        let asked = self.events.contains(&Event::Request(Request::Arm));
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }

@@ -21,8 +21,10 @@ impl TickWatch {
         self.gap = now.seconds_since(last);
         // A tick that is late by less than half a period has missed nothing.
         let missed = libm::floor(self.gap / period - 0.5).max(0.0);
-        let forgiven = self.gap * f64::from(config.max_missed);
-        self.missed = (self.missed - forgiven).max(0.0) + missed;
+        let limit = f64::from(config.max_missed);
+        let forgiven = self.gap * limit;
+        // However long a pause was, it is forgiven a second after it.
+        self.missed = ((self.missed - forgiven).max(0.0) + missed).min(2.0 * limit);
     }
 
     /// Whether the last tick came too long after the one before, or too many
@@ -58,6 +60,13 @@ mod tests {
             late([10, 80, 10, 81, 10]),
             [false, false, false, true, false]
         );
+    }
+
+    #[test]
+    fn a_long_pause_is_forgiven_a_second_later() {
+        let late = late([5_000].into_iter().chain([10; 200]));
+        let last = late.iter().rposition(|late| *late).unwrap();
+        assert!((98..=101).contains(&last), "{last}");
     }
 
     #[test]
