@@ -46,7 +46,6 @@ pub use daemon::{Daemon, StartError, StartOptions, StopError};
 pub use histogram::Percentiles;
 pub use mocap_socket::MocapSocketError;
 pub use realtime::RealTimeStatus;
-pub use reconfigure::read_configuration;
 pub use recording::RecordingError;
 pub use report::{LineCounters, Report};
 pub use requests::Stalled;

@@ -14,7 +14,7 @@ use std::{
 use clap::{Parser, ValueEnum};
 use service::Service;
 use signals::Signals;
-use singletrackd::{Daemon, StartOptions, Summary, notify::ServiceManager, read_configuration};
+use singletrackd::{Config, Daemon, StartOptions, Summary, notify::ServiceManager};
 use tracing::{error, info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
@@ -76,7 +76,7 @@ fn main() -> ExitCode {
         );
         return ExitCode::from(BAD_CONFIGURATION);
     };
-    let config = match read_configuration(path) {
+    let config = match Config::read(path) {
         Ok(config) => config,
         Err(error) => {
             eprintln!("singletrackd: {error}");

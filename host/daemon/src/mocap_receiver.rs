@@ -8,12 +8,17 @@ use tracing::{info, warn};
 
 use crate::{
     clock::monotonic_ns,
-    mocap_socket::MocapSockets,
+    mocap_socket::{Channel, MocapSockets},
     wake::{StopFlag, Woken},
 };
 
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_535;
+
+/// So many datagrams of a socket are read before something else is looked after: who sends
+/// them faster than they are read must not keep it from saying goodbye, from
+/// noticing silence, or from asking for the stream.
+const DATAGRAMS: usize = 64;
 
 /// How long the receiver waits before it looks around without a reason.
 const LOOK_AROUND: Duration = Duration::from_millis(100);
@@ -52,15 +57,20 @@ impl MocapReceiver {
         let mut sent = true;
         let mut counters_ns = 0;
         loop {
-            while let Some((length, source)) = self.sockets.receive(&mut buffer) {
-                let now_ns = monotonic_ns();
-                let datagram = buffer.get(..length).unwrap_or(&[]);
-                if let Outcome::Frame(observation) =
-                    self.session.handle_datagram(now_ns, source, datagram)
-                {
-                    stale = false;
-                    last_frame = observation.frame_number;
-                    dropped += self.tell(observation);
+            for channel in [Channel::Command, Channel::Data] {
+                for _ in 0..DATAGRAMS {
+                    let Some((length, source)) = self.sockets.receive(channel, &mut buffer) else {
+                        break;
+                    };
+                    let now_ns = monotonic_ns();
+                    let datagram = buffer.get(..length).unwrap_or(&[]);
+                    if let Outcome::Frame(observation) =
+                        self.session.handle_datagram(now_ns, source, datagram)
+                    {
+                        stale = false;
+                        last_frame = observation.frame_number;
+                        dropped += self.tell(observation);
+                    }
                 }
             }
             let now_ns = monotonic_ns();

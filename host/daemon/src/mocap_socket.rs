@@ -27,6 +27,15 @@ pub(crate) struct MocapSockets {
     data: Option<UdpSocket>,
 }
 
+/// Which of the two.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Channel {
+    /// Answers, and frames if they are unicast.
+    Command,
+    /// Multicast frames.
+    Data,
+}
+
 impl MocapSockets {
     pub(crate) fn open(config: &MotionCaptureSection) -> Result<Self, MocapSocketError> {
         let command = bind(
@@ -48,12 +57,18 @@ impl MocapSockets {
             .collect()
     }
 
-    /// The next datagram that waits.
-    pub(crate) fn receive(&self, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
-        core::iter::once(&self.command)
-            .chain(&self.data)
-            // A datagram that can't be received is one that is lost.
-            .find_map(|socket| socket.recv_from(buffer).ok())
+    /// The next datagram that waits in a socket.
+    pub(crate) fn receive(
+        &self,
+        channel: Channel,
+        buffer: &mut [u8],
+    ) -> Option<(usize, SocketAddr)> {
+        let socket = match channel {
+            Channel::Command => &self.command,
+            Channel::Data => self.data.as_ref()?,
+        };
+        // A datagram that can't be received is one that is lost.
+        socket.recv_from(buffer).ok()
     }
 
     pub(crate) fn send(&self, to: SocketAddr, bytes: &[u8]) -> io::Result<()> {

@@ -6,7 +6,6 @@
 //! or not now, changes nothing.
 
 use std::{
-    fs, io,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError, mpsc},
     thread,
@@ -28,9 +27,6 @@ use crate::{
     requests::{Requests, Stalled},
     restart_keys::restart_keys,
 };
-
-/// The longest file that is read: a configuration has some 10 kB.
-const LONGEST_FILE: u64 = 1 << 20;
 
 /// How long the control thread may take to answer: many ticks.
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -163,7 +159,7 @@ impl Reconfigurer {
 
     /// Reads the configuration anew.
     pub(crate) fn reload(&self, path: &Path) -> Result<u32, ChangeError> {
-        self.change("reload", |_| Ok(read_configuration(path)?))
+        self.change("reload", |_| Ok(Config::read(path)?))
     }
 
     /// The configuration in force with another reference.
@@ -173,7 +169,6 @@ impl Reconfigurer {
                 if !file.is_absolute() {
                     return Err(ChangeError::RelativePath(file.clone()));
                 }
-                require_file(file)?;
             }
             let config = Config {
                 reference,
@@ -293,35 +288,4 @@ impl Reconfigurer {
 fn takes_setpoints(config: &Config) -> bool {
     // Waypoints that have gone since are no set-points either.
     matches!(config.reference.reference(), Ok(Reference::External(_)))
-}
-
-/// Reads and checks a configuration, from a regular file of reasonable length:
-/// reading anything else might never end.
-///
-/// # Errors
-///
-/// What is wrong with it, by key.
-pub fn read_configuration(path: &Path) -> Result<Config, ConfigError> {
-    require_file(path)?;
-    Config::read(path)
-}
-
-fn require_file(path: &Path) -> Result<(), ConfigError> {
-    let error = |source| ConfigError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let metadata = fs::metadata(path).map_err(error)?;
-    if !metadata.is_file() {
-        return Err(error(io::Error::other(
-            "it is no regular file; name one, or a link to one",
-        )));
-    }
-    if metadata.len() > LONGEST_FILE {
-        return Err(error(io::Error::other(format!(
-            "it has {} bytes, more than {LONGEST_FILE}; is it the right one?",
-            metadata.len()
-        ))));
-    }
-    Ok(())
 }

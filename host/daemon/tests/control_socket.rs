@@ -269,7 +269,7 @@ fn a_reference_that_makes_no_sense_changes_nothing() {
         ),
         (
             json!({"kind": "waypoints", "file": "/dev/zero"}),
-            "/dev/zero: it is no regular file",
+            "/dev/zero: it is a pipe, a socket or a device",
         ),
         (
             json!({"kind": "waypoints", "file": "/nowhere/way.csv"}),

@@ -35,7 +35,8 @@ use schedule::Schedule;
 /// Events kept for the shell to fetch.
 const EVENTS: usize = 16;
 
-/// So many frames in a row that cannot be decoded are another bitstream.
+/// So many frames in a row that cannot be decoded, for as long as a stream may be
+/// silent, are another bitstream.
 const UNDECODABLE: u32 = 20;
 
 /// A NatNet client, without socket and clock.
@@ -127,8 +128,12 @@ impl Session {
     fn handle_malformed(&mut self, now_ns: u64, is_frame: bool, error: DecodeError) -> Outcome {
         self.counters.malformed += 1;
         if is_frame {
-            self.undecodable += 1;
-            if self.undecodable >= UNDECODABLE {
+            self.undecodable = self.undecodable.saturating_add(1);
+            // As long as others can be decoded these are not another bitstream but
+            // somebody's rubbish; and whoever sends it quickly must not have the
+            // conversation begin anew all the time.
+            let lasts_ns = now_ns.saturating_sub(self.decodable_until_ns());
+            if self.undecodable >= UNDECODABLE && lasts_ns >= self.config.timing.stale_after_ns {
                 self.restart(now_ns, RestartReason::Undecodable(error));
             }
         }

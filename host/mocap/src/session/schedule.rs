@@ -200,10 +200,15 @@ impl Session {
     }
 
     fn silence_due_ns(&self) -> u64 {
+        self.decodable_until_ns()
+            .saturating_add(self.config.timing.reconnect_after_ns)
+    }
+
+    /// When a frame last came that could be decoded, or the first was waited for.
+    pub(super) fn decodable_until_ns(&self) -> u64 {
         self.last_frame_ns
             .unwrap_or_default()
             .max(self.schedule.listening_since_ns)
-            .saturating_add(self.config.timing.reconnect_after_ns)
     }
 
     fn bitstream_request(&self, requested: BitstreamVersion) -> Option<Datagram> {

@@ -133,6 +133,43 @@ fn a_bitstream_that_changes_underway_is_asked_about_again() {
     assert_eq!(world.session.counters().malformed, 20);
 }
 
+/// A frame of another bitstream than the session's.
+fn rubbish(world: &mut World) -> Vec<u8> {
+    let native = world.server.stream;
+    world.server.stream = singletrack_mocap::codec::BitstreamVersion::V3_1;
+    let bytes = world.encode(&Frame::at_rest(1_000));
+    world.server.stream = native;
+    bytes
+}
+
+#[test]
+fn rubbish_between_good_frames_does_not_begin_the_conversation_anew() {
+    let mut world = connected();
+    let rubbish = rubbish(&mut world);
+    for number in 1..50 {
+        world.next_state(&Frame::at_rest(number));
+        for _ in 0..100 {
+            assert!(matches!(world.receive(&rubbish), Outcome::Malformed(_)));
+        }
+    }
+    assert_eq!(world.session.counters().restarts, 0);
+    assert!(matches!(world.session.phase(), Phase::Streaming(_)));
+}
+
+#[test]
+fn a_flood_of_rubbish_alone_begins_the_conversation_anew_ten_times_a_second_at_most() {
+    let mut world = connected();
+    let rubbish = rubbish(&mut world);
+    for _ in 0..1_000 {
+        world.run(MS);
+        for _ in 0..100 {
+            world.receive(&rubbish);
+        }
+    }
+    let restarts = world.session.counters().restarts;
+    assert!((1..=10).contains(&restarts), "{restarts}");
+}
+
 #[test]
 fn a_stream_that_falls_silent_is_connected_to_again() {
     let mut world = connected();
