@@ -43,7 +43,7 @@ mod wire;
 mod world;
 
 pub use board::{
-    BoardKind, BoardParameters, ImageSize, Installation, SERVO_FRAME_US, SimulatedBoard,
+    BoardKind, BoardParameters, Heard, ImageSize, Installation, SERVO_FRAME_US, SimulatedBoard,
     UnknownBoard, UnoError,
 };
 pub use cameras::{
@@ -51,8 +51,8 @@ pub use cameras::{
     LossKind, TICKS_PER_SECOND, UpAxis,
 };
 pub use car::{
-    BatteryParameters, Car, CarParameters, ImuParameters, ImuReading, MotorParameters, MotorPulses,
-    MotorSensorFault, MotorSensorParameters, ServoParameters, StartPose, Truth,
+    BatteryParameters, Car, CarParameters, ImuFault, ImuParameters, ImuReading, MotorParameters,
+    MotorPulses, MotorSensorFault, MotorSensorParameters, ServoParameters, StartPose, Truth,
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;

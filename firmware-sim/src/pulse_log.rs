@@ -22,6 +22,7 @@ pub struct PulseRecord {
 #[derive(Clone, Debug, Default)]
 pub struct PulseLog {
     records: VecDeque<PulseRecord>,
+    total: u64,
 }
 
 impl PulseLog {
@@ -33,6 +34,13 @@ impl PulseLog {
             self.records.pop_front();
         }
         self.records.push_back(record);
+        self.total += 1;
+    }
+
+    /// Frames since the start, those that are not kept any more too.
+    #[must_use]
+    pub const fn total(&self) -> u64 {
+        self.total
     }
 
     /// The frames, oldest first.

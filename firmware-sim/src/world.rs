@@ -7,7 +7,7 @@ use singletrack_protocol::ResetCause;
 use crate::{
     board::SimulatedBoard,
     cameras::{CameraFrame, Cameras},
-    car::{Car, Imu, ImuReading, Truth},
+    car::{Car, Imu, ImuFault, ImuReading, Truth},
     natnet_server::{Datagram, NatNetServer},
     parameters::{ConfigError, SimulationConfig},
     wire::SerialWire,
@@ -29,6 +29,9 @@ pub struct World {
     next_step_us: u64,
     imu: Imu,
     imu_samples: u64,
+    imu_fault: ImuFault,
+    /// The last sample that was taken as it should be.
+    imu_last: Option<ImuReading>,
     /// Samples on their way to the board, with the time at which it has them.
     imu_pending: VecDeque<(u64, ImuReading)>,
     board: SimulatedBoard,
@@ -61,6 +64,8 @@ impl World {
             next_step_us: STEP_US,
             imu: Imu::new(config.car.imu, seed),
             imu_samples: 0,
+            imu_fault: ImuFault::None,
+            imu_last: None,
             imu_pending: VecDeque::new(),
             board: SimulatedBoard::new(config.board, seed)?,
             wire: SerialWire::new(&config.wire, seed),
@@ -127,8 +132,15 @@ impl World {
         if self.next_imu_us() <= now_us {
             self.imu_samples += 1;
             let reading = self.imu.sample(&self.car.truth());
+            if self.imu_fault == ImuFault::None {
+                self.imu_last = Some(reading);
+            }
             let arrival = now_us + self.config.car.imu.latency_us;
-            self.imu_pending.push_back((arrival, reading));
+            let sample = self
+                .imu_fault
+                .falsify(reading, self.imu_last, self.imu_samples);
+            self.imu_pending
+                .extend(sample.map(|reading| (arrival, reading)));
         }
         while let Some(&(arrival, reading)) = self.imu_pending.front() {
             if arrival > now_us {
@@ -208,6 +220,11 @@ impl World {
     #[must_use]
     pub const fn gyro_bias_rad_s(&self) -> [f64; 3] {
         self.imu.gyro_bias()
+    }
+
+    /// Breaks the IMU or mends it.
+    pub const fn set_imu_fault(&mut self, fault: ImuFault) {
+        self.imu_fault = fault;
     }
 
     /// The car.

@@ -36,7 +36,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// Whether the demo will want the Arduino's image. Whether the arguments are
 /// right is for the demo to say.
-fn drives_the_image(arguments: &[String]) -> bool {
+pub(crate) fn drives_the_image(arguments: &[String]) -> bool {
     arguments.iter().any(|argument| argument == "--board=uno")
         || arguments
             .windows(2)

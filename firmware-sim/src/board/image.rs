@@ -271,9 +271,11 @@ impl Image {
         let mut received = Vec::new();
         around.wire.board_read_timed(now_us, |arrival_us, byte| {
             received.push((clock.cycle_at(arrival_us), byte));
-            around
-                .monitor
-                .hear_host(byte, local_time(&clock, around.started_us, arrival_us));
+            around.monitor.hear_host(
+                byte,
+                arrival_us,
+                local_time(&clock, around.started_us, arrival_us),
+            );
         });
         let run = Run {
             until: clock.cycle_at(now_us),

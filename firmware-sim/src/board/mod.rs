@@ -14,6 +14,7 @@ use singletrack_protocol::{ResetCause, Telemetry};
 use singletrack_simavr::{BusFault, Figures, Hang};
 
 pub use image::{Installation, UnoError};
+pub use monitor::Heard;
 pub use size::ImageSize;
 
 use crate::{
@@ -230,6 +231,12 @@ impl SimulatedBoard {
     #[must_use]
     pub const fn last_command_us(&self) -> Option<u32> {
         self.monitor.last_command_us()
+    }
+
+    /// The next message of the host that has reached the board since it started,
+    /// oldest first. The newest 64 are kept.
+    pub fn next_heard(&mut self) -> Option<Heard> {
+        self.monitor.next_heard()
     }
 
     /// The pulses on the pins.

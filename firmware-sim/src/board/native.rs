@@ -9,6 +9,10 @@ use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
 /// The version that the simulated board reports: this crate's.
 const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 
+/// A main loop that has been silent for longer hangs, as the image's supervisor
+/// has it.
+const PATIENCE_US: u32 = 19_000;
+
 /// The board's code and its inputs.
 #[derive(Debug)]
 pub(super) struct Native {
@@ -19,6 +23,8 @@ pub(super) struct Native {
     frames: u64,
     inputs: Inputs,
     hung: bool,
+    /// Board time of the last round of the main loop.
+    last_poll_us: u32,
     imu_is_silent: bool,
     received: Vec<u8>,
 }
@@ -32,6 +38,7 @@ impl Native {
             frames: 0,
             inputs: Inputs::default(),
             hung: false,
+            last_poll_us: 0,
             imu_is_silent: false,
             received: Vec::new(),
         }
@@ -43,6 +50,7 @@ impl Native {
         self.frames = 0;
         self.inputs = Inputs::default();
         self.hung = false;
+        self.last_poll_us = 0;
     }
 
     pub(super) const fn code(&self) -> &Board {
@@ -90,6 +98,7 @@ impl Native {
         if self.polls * self.parameters.poll_period_us <= elapsed {
             self.polls = elapsed / self.parameters.poll_period_us + 1;
             if !self.hung {
+                self.last_poll_us = board_time_us;
                 let edges = car.motor_pulses();
                 self.inputs.motor = MotorPulses {
                     count: edges.count,
@@ -104,7 +113,7 @@ impl Native {
                 self.received.truncate(room);
                 self.inputs.bytes_overrun = self.inputs.bytes_overrun.wrapping_add(lost as u16);
                 for &byte in &self.received {
-                    monitor.hear_host(byte, board_time_us);
+                    monitor.hear_host(byte, now_us, board_time_us);
                 }
                 let room = self.parameters.transmit_buffer;
                 self.board.poll(
@@ -138,14 +147,16 @@ impl Native {
         }
     }
 
-    /// What the pins show, with the timer interrupt's last word: once the
-    /// command has run out, neutral, whether the main loop is alive or not.
+    /// What the pins show, with the timer interrupt's last word: neutral once the
+    /// command has run out, and once the main loop has been silent for longer
+    /// than [`PATIENCE_US`].
     fn pulses(&self, board_time_us: u32) -> (u16, u16) {
         let outputs = self.board.outputs();
         let expired = outputs
             .drive_deadline_us
             .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
-        let esc_us = if expired {
+        let stalled = board_time_us.wrapping_sub(self.last_poll_us) > PATIENCE_US;
+        let esc_us = if expired || stalled {
             outputs.esc_neutral_us
         } else {
             outputs.esc_us

@@ -64,6 +64,11 @@ impl Battery {
         self.drawn_ah += self.current_a * seconds / 3600.0;
     }
 
+    /// Draws charge at once, in Ah.
+    pub(crate) fn drain(&mut self, charge_ah: f64) {
+        self.drawn_ah += charge_ah;
+    }
+
     /// Voltage at the terminals, in V.
     pub(crate) fn voltage(&self, p: &BatteryParameters) -> f64 {
         (p.start_v - p.fall_v_per_ah * self.drawn_ah - p.resistance_ohm * self.current_a).max(0.0)

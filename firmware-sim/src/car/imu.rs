@@ -66,6 +66,76 @@ pub struct ImuReading {
     pub attitude_q14: [i16; 4],
 }
 
+/// What is wrong with the IMU, beyond its noise and biases.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImuFault {
+    /// Nothing.
+    #[default]
+    None,
+    /// No sample comes any more.
+    Silent,
+    /// Samples go on coming, all with the values of the last good one.
+    Stuck,
+    /// A further bias: of the angular velocity about the vertical in mrad/s, and
+    /// of the acceleration forward in mm/s².
+    Biased {
+        /// Of the angular velocity about the vertical, in mrad/s.
+        yaw_rate_mrad_s: i16,
+        /// Of the acceleration forward, in mm/s².
+        forward_mm_s2: i16,
+    },
+    /// Every value is at the end of its scale, as sensors without a notion of
+    /// "no number" tell one.
+    Saturated,
+    /// Every other sample has its signs reversed.
+    Erratic,
+}
+
+impl ImuFault {
+    /// The sample that the board gets of `reading`; `last` is the one before.
+    pub(crate) fn falsify(
+        self,
+        mut reading: ImuReading,
+        last: Option<ImuReading>,
+        number: u64,
+    ) -> Option<ImuReading> {
+        match self {
+            Self::None => {}
+            Self::Silent => return None,
+            Self::Stuck => {
+                let time_us = reading.time_us;
+                reading = ImuReading {
+                    time_us,
+                    ..last.unwrap_or(reading)
+                };
+            }
+            Self::Biased {
+                yaw_rate_mrad_s,
+                forward_mm_s2,
+            } => {
+                let [_, _, yaw_rate] = &mut reading.angular_velocity_mrad_s;
+                *yaw_rate = yaw_rate.saturating_add(yaw_rate_mrad_s);
+                let [forward, _, _] = &mut reading.linear_acceleration_mm_s2;
+                *forward = forward.saturating_add(forward_mm_s2);
+            }
+            Self::Saturated => {
+                reading.angular_velocity_mrad_s = [i16::MAX; 3];
+                reading.linear_acceleration_mm_s2 = [i16::MIN; 3];
+                reading.attitude_q14 = [i16::MAX; 4];
+            }
+            Self::Erratic => {
+                if number % 2 == 1 {
+                    let negative = i16::saturating_neg;
+                    reading.angular_velocity_mrad_s = reading.angular_velocity_mrad_s.map(negative);
+                    reading.linear_acceleration_mm_s2 =
+                        reading.linear_acceleration_mm_s2.map(negative);
+                }
+            }
+        }
+        Some(reading)
+    }
+}
+
 /// The sensor's own state: biases and drift.
 #[derive(Clone, Debug)]
 pub(crate) struct Imu {
@@ -145,4 +215,36 @@ impl Imu {
 fn quantise(value: f64) -> i16 {
     // `as` saturates and turns NaN into zero.
     value.round() as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_silence_repeat_bias_saturate_or_reverse_the_samples() {
+        let reading = |time_us, value| ImuReading {
+            time_us,
+            linear_acceleration_mm_s2: [value; 3],
+            angular_velocity_mrad_s: [value; 3],
+            attitude_q14: [16_384, 0, 0, 0],
+        };
+        let falsify =
+            |fault: ImuFault, number| fault.falsify(reading(20, 5), Some(reading(10, 3)), number);
+        assert_eq!(falsify(ImuFault::None, 1), Some(reading(20, 5)));
+        assert_eq!(falsify(ImuFault::Silent, 1), None);
+        assert_eq!(falsify(ImuFault::Stuck, 1), Some(reading(20, 3)));
+        let biased = ImuFault::Biased {
+            yaw_rate_mrad_s: 100,
+            forward_mm_s2: i16::MAX,
+        };
+        let sample = falsify(biased, 1).unwrap();
+        assert_eq!(sample.angular_velocity_mrad_s, [5, 5, 105]);
+        assert_eq!(sample.linear_acceleration_mm_s2, [i16::MAX, 5, 5]);
+        let saturated = falsify(ImuFault::Saturated, 1).unwrap();
+        assert_eq!(saturated.angular_velocity_mrad_s, [i16::MAX; 3]);
+        assert_eq!(falsify(ImuFault::Erratic, 2), Some(reading(20, 5)));
+        let reversed = falsify(ImuFault::Erratic, 1).unwrap();
+        assert_eq!(reversed.linear_acceleration_mm_s2, [-5; 3]);
+    }
 }

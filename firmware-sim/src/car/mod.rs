@@ -8,7 +8,7 @@ mod servo;
 mod vehicle;
 
 pub use battery::BatteryParameters;
-pub use imu::{ImuParameters, ImuReading};
+pub use imu::{ImuFault, ImuParameters, ImuReading};
 pub use motor::MotorParameters;
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
 pub use servo::ServoParameters;

@@ -29,6 +29,34 @@ pub enum MotorSensorFault {
     Gone,
     /// Every pulse comes twice.
     Doubled,
+    /// Every other pulse is missing.
+    Halved,
+    /// As many as there should be, at uneven distances.
+    Erratic,
+}
+
+impl MotorSensorFault {
+    /// Which of fourteen half distances end with a pulse when it is erratic:
+    /// seven of them.
+    const UNEVEN: u16 = 0b01_1011_0001_1100;
+
+    /// The distance from one possible pulse to the next, as a part of the real one.
+    const fn distance(self) -> f64 {
+        match self {
+            Self::None | Self::Gone => 1.0,
+            Self::Doubled | Self::Erratic => 0.5,
+            Self::Halved => 2.0,
+        }
+    }
+
+    /// Whether the possible pulse with this number comes.
+    const fn comes(self, number: u64) -> bool {
+        match self {
+            Self::None | Self::Doubled | Self::Halved => true,
+            Self::Gone => false,
+            Self::Erratic => Self::UNEVEN >> (number % 14) & 1 == 1,
+        }
+    }
 }
 
 /// The pulses so far, as the board's counter and capture see them.
@@ -45,6 +73,8 @@ pub struct MotorPulses {
 pub(crate) struct MotorSensor {
     /// Travel since the last pulse, in m.
     remainder_m: f64,
+    /// Pulses that were possible so far.
+    possible: u64,
     pulses: MotorPulses,
 }
 
@@ -63,12 +93,7 @@ impl MotorSensor {
         start_us: u64,
         end_us: u64,
     ) {
-        let distance = p.pulse_distance_um
-            * if fault == MotorSensorFault::Doubled {
-                0.5e-6
-            } else {
-                1e-6
-            };
+        let distance = p.pulse_distance_um * fault.distance() * 1e-6;
         let before = self.remainder_m;
         let travel = travel_m.abs();
         let total = before + travel;
@@ -81,7 +106,8 @@ impl MotorSensor {
         while edge <= edges {
             let share = ((edge * distance - before) / travel).clamp(0.0, 1.0);
             let time_us = start_us + (share * (end_us - start_us) as f64) as u64;
-            if fault != MotorSensorFault::Gone {
+            self.possible += 1;
+            if fault.comes(self.possible) {
                 self.pulses = MotorPulses {
                     count: self.pulses.count.wrapping_add(1),
                     last_us: Some(time_us),
@@ -129,12 +155,15 @@ mod tests {
     }
 
     #[test]
-    fn faults_double_or_swallow_the_pulses() {
+    fn faults_double_swallow_or_disorder_the_pulses() {
         assert_eq!(roll(MotorSensorFault::Doubled, 0.4e-3, 5000).count, 1333);
         assert_eq!(
             roll(MotorSensorFault::Gone, 0.4e-3, 5000),
             MotorPulses::default()
         );
+        assert_eq!(roll(MotorSensorFault::Halved, 0.4e-3, 5000).count, 333);
+        let erratic = roll(MotorSensorFault::Erratic, 0.4e-3, 5000).count;
+        assert!(erratic.abs_diff(666) <= 7, "{erratic}");
     }
 
     #[test]

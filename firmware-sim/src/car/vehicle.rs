@@ -137,6 +137,7 @@ pub struct Car {
     servo_target: f64,
     servo_pending: VecDeque<Pending>,
     esc: SpeedController,
+    esc_is_powered: bool,
     esc_pending: VecDeque<Pending>,
     esc_last_pulse_us: u64,
     battery: Battery,
@@ -156,6 +157,7 @@ impl Car {
             servo_target: 0.0,
             servo_pending: VecDeque::new(),
             esc: SpeedController::new(),
+            esc_is_powered: true,
             esc_pending: VecDeque::new(),
             esc_last_pulse_us: 0,
             battery: Battery::default(),
@@ -194,6 +196,21 @@ impl Car {
         self.sensor_fault = fault;
     }
 
+    /// Switches the ESC's own supply: without, the motor is free, and afterwards
+    /// it has to be shown neutral for its arming time again.
+    pub fn set_esc_power(&mut self, on: bool) {
+        self.esc_is_powered = on;
+        if !on {
+            self.esc = SpeedController::new();
+            self.esc_pending.clear();
+        }
+    }
+
+    /// Draws charge from the battery, in Ah; a negative charge puts it back.
+    pub fn drain_battery(&mut self, charge_ah: f64) {
+        self.battery.drain(charge_ah);
+    }
+
     /// Gives one servo frame: both pulses start at the car's present time.
     /// Zero is no pulse.
     pub fn apply_pulses(&mut self, servo_us: u16, esc_us: u16) {
@@ -203,7 +220,7 @@ impl Car {
                 pulse_us: servo_us,
             });
         }
-        if esc_us != 0 {
+        if esc_us != 0 && self.esc_is_powered {
             self.esc_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.motor.dead_time_us,
                 pulse_us: esc_us,

@@ -1,0 +1,52 @@
+//! A number that names everything that happened in a drive.
+
+use crate::sight::Sight;
+
+/// FNV-1a over words.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Digest(u64);
+
+impl Default for Digest {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Digest {
+    fn word(&mut self, word: u64) {
+        self.0 = (self.0 ^ word).wrapping_mul(0x0000_0100_0000_01b3);
+        self.0 ^= self.0 >> 29;
+    }
+
+    fn text(&mut self, text: &str) {
+        for byte in text.bytes() {
+            self.word(byte.into());
+        }
+    }
+
+    /// Takes in what was new in a step.
+    pub(crate) fn sight(&mut self, sight: &Sight<'_>) {
+        for pulse in sight.pulses {
+            self.word(pulse.time_us);
+            self.word(u64::from(pulse.servo_us) << 16 | u64::from(pulse.esc_us));
+        }
+        for heard in sight.heard {
+            self.word(heard.time_us);
+        }
+        if let Some(tick) = sight.tick {
+            self.word(sight.now_us);
+            self.word(tick.events.len() as u64);
+            let output = &tick.output;
+            self.text(output.mode.name());
+            self.text(output.reason.map_or("", |reason| reason.name()));
+            self.word(output.actuation.speed.to_bits());
+            self.word(output.actuation.steering.to_bits());
+            self.word(sight.truth.x.to_bits());
+            self.word(sight.truth.y.to_bits());
+        }
+    }
+
+    pub(crate) const fn value(self) -> u64 {
+        self.0
+    }
+}

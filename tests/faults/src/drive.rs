@@ -1,0 +1,471 @@
+//! One drive: world, network, port and daemon in step, and everybody watching.
+
+use singletrack_control::Request;
+use singletrack_protocol::{Decoder, ResetCause, ToBoard};
+use singletrack_record::TickRecord;
+use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
+use singletrackd::config::Config;
+
+use crate::{
+    Trouble,
+    daemon::Daemon,
+    digest::Digest,
+    invariant::{self, Invariant},
+    network::Network,
+    port::Port,
+    random::{Random, Stream},
+    schedule::{Fault, Kind, Schedule, Wish},
+    setting,
+    sight::{Seen, Sight, Stated},
+    stage,
+    tamper::Tamper,
+};
+
+/// How often the host looks for bytes and packets, in µs: as often as USB does.
+const LOOK_US: u64 = 1_000;
+
+/// A native board has no watchdog of its own: it bites after so long, in µs.
+const WATCHDOG_US: u64 = 64_000;
+
+/// What a drive came to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ending {
+    /// Names everything that happened: the same schedule has the same one.
+    pub digest: u64,
+    /// What was broken, if anything was.
+    pub violation: Option<Violation>,
+    /// For how long the car was driven, in ms.
+    pub driven_ms: u32,
+}
+
+/// Something that must always hold, and did not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// Which invariant.
+    pub invariant: &'static str,
+    /// When, in µs since everything was switched on.
+    pub time_us: u64,
+    /// What was found.
+    pub what: String,
+}
+
+/// Drives a schedule to its end, or to the first violation.
+///
+/// # Errors
+///
+/// What can't be set up.
+pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<Ending, Trouble> {
+    let mut drive = Drive::new(schedule)?;
+    let end_us = u64::from(schedule.end_ms) * 1_000;
+    while drive.now_us < end_us {
+        drive.step(end_us, tamper)?;
+        if let Some(violation) = drive.violation.take() {
+            return Ok(drive.ending(Some(violation)));
+        }
+    }
+    Ok(drive.ending(None))
+}
+
+struct Drive<'a> {
+    schedule: &'a Schedule,
+    config: Config,
+    stated: Stated,
+    now_us: u64,
+    world: World,
+    network: Network,
+    port: Port,
+    daemon: Option<Daemon>,
+    daemon_since_us: Option<u64>,
+    daemons: u16,
+    paused: bool,
+    wall_ns: u64,
+    random: Random,
+    next_ask: usize,
+    /// Requests that were taken and that no tick has heard of yet.
+    asked: Vec<Request>,
+    /// In the order in which they began.
+    faults: Vec<Fault>,
+    begun: Vec<Fault>,
+    opens_us: Option<u64>,
+    bites_us: Option<u64>,
+    tick_us: u64,
+    /// Its next tick comes before it takes in what has arrived.
+    ticks_first: bool,
+    seen: Option<Seen>,
+    invariants: Vec<Box<dyn Invariant>>,
+    violation: Option<Violation>,
+    digest: Digest,
+    driven_ms: u32,
+    board_since_us: Option<u64>,
+    was_running: bool,
+    resets: u64,
+    pulses: u64,
+    written: Decoder,
+    buffers: Buffers,
+}
+
+#[derive(Default)]
+struct Buffers {
+    bytes: Vec<u8>,
+    chunk: Vec<u8>,
+    heard: Vec<Heard>,
+    pulses: Vec<PulseRecord>,
+    written: Vec<ToBoard>,
+}
+
+impl<'a> Drive<'a> {
+    fn new(schedule: &'a Schedule) -> Result<Self, Trouble> {
+        let config = setting::config(&schedule.situation)?;
+        let world =
+            World::new(setting::simulation(schedule)).map_err(|error| Trouble::Setting {
+                what: "the simulation",
+                reason: error.to_string(),
+            })?;
+        let mut drive = Self {
+            stated: Stated::new(&schedule.situation, &config).map_err(Trouble::Config)?,
+            config,
+            now_us: 0,
+            world,
+            network: Network::new(schedule.seed),
+            port: Port::new(schedule.situation.queue_shows),
+            daemon: None,
+            daemon_since_us: None,
+            daemons: 0,
+            paused: false,
+            wall_ns: 1_700_000_000_000_000_000 ^ schedule.seed,
+            random: Random::new(schedule.seed, Stream::Host),
+            next_ask: 0,
+            asked: Vec::new(),
+            faults: Vec::new(),
+            begun: Vec::new(),
+            opens_us: None,
+            bites_us: None,
+            tick_us: 0,
+            ticks_first: false,
+            seen: None,
+            invariants: invariant::all(),
+            violation: None,
+            digest: Digest::default(),
+            driven_ms: 0,
+            board_since_us: None,
+            was_running: false,
+            resets: 0,
+            pulses: 0,
+            written: Decoder::new(),
+            buffers: Buffers::default(),
+            schedule,
+        };
+        drive.start_daemon()?;
+        Ok(drive)
+    }
+
+    fn ending(&self, violation: Option<Violation>) -> Ending {
+        Ending {
+            digest: self.digest.value(),
+            violation,
+            driven_ms: self.driven_ms,
+        }
+    }
+
+    /// Lets time pass until something is due, and does it.
+    fn step(&mut self, end_us: u64, tamper: &mut dyn Tamper) -> Result<(), Trouble> {
+        let mut next_us = (self.now_us / LOOK_US + 1) * LOOK_US;
+        if self.is_awake() {
+            next_us = next_us.min(self.tick_us.max(self.now_us + 1));
+        }
+        self.now_us = next_us.min(end_us);
+        self.world.advance_to(self.now_us);
+        self.change_faults()?;
+        self.ask();
+        let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
+        let has_read = self.receive();
+        let tick = first.unwrap_or_else(|| self.tick());
+        self.watch(has_read, tick, tamper);
+        Ok(())
+    }
+
+    fn is_awake(&self) -> bool {
+        self.daemon.is_some() && !self.paused
+    }
+
+    fn suffers(&self, kind: Kind) -> bool {
+        self.faults.iter().any(|fault| fault.kind == kind)
+    }
+
+    /// Faults end and begin, and what follows from it happens.
+    fn change_faults(&mut self) -> Result<(), Trouble> {
+        self.begun.clear();
+        let now_us = self.now_us;
+        let us = |ms: u32| u64::from(ms) * 1_000;
+        let mut changed = false;
+        let mut index = 0;
+        while let Some(fault) = self.faults.get(index).copied() {
+            if us(fault.end_ms()) > now_us {
+                index += 1;
+                continue;
+            }
+            self.faults.remove(index);
+            changed = true;
+            stage::end(&mut self.world, &fault);
+            self.network.changes(fault.kind);
+            if fault.kind == Kind::CameraServerRestart {
+                self.network.restart_server(&self.world);
+            }
+        }
+        for fault in &self.schedule.faults {
+            // Every full millisecond is a step.
+            if us(fault.at_ms) == now_us {
+                changed = true;
+                stage::begin(&mut self.world, fault);
+                self.network.changes(fault.kind);
+                if fault.kind == Kind::BoardHang && self.world.board().is_running() {
+                    self.bites_us.get_or_insert(now_us + WATCHDOG_US);
+                }
+                self.begun.push(*fault);
+                if !fault.kind.is_momentary() && fault.for_ms > 0 {
+                    self.faults.push(*fault);
+                }
+            }
+        }
+        if changed {
+            stage::hold(&mut self.world, &self.schedule.situation, &self.faults);
+            self.host_faults()?;
+        }
+        if self.schedule.situation.board == BoardKind::Native
+            && self.bites_us.is_some_and(|us| us <= now_us)
+        {
+            self.bites_us = None;
+            self.world.reset_board(ResetCause::Watchdog);
+        }
+        Ok(())
+    }
+
+    fn host_faults(&mut self) -> Result<(), Trouble> {
+        let unplugged = self.suffers(Kind::LineUnplugged);
+        if unplugged == self.port.is_plugged() {
+            self.port.set_plugged(!unplugged);
+            // The reader tries again every 50 to 400 ms.
+            self.opens_us =
+                (!unplugged).then(|| self.now_us + u64::from(self.random.between(1, 400)) * 1_000);
+        }
+        let killed = self.suffers(Kind::DaemonKilled);
+        if killed && self.daemon.is_some() {
+            self.daemon = None;
+            self.daemon_since_us = None;
+            self.seen = None;
+            self.asked.clear();
+        } else if !killed && self.daemon.is_none() {
+            self.start_daemon()?;
+        }
+        let was_paused = self.paused;
+        self.paused = self.suffers(Kind::DaemonPaused);
+        if was_paused && !self.paused {
+            self.wake();
+        }
+        Ok(())
+    }
+
+    fn start_daemon(&mut self) -> Result<(), Trouble> {
+        self.daemons += 1;
+        let step_ns: u64 = self
+            .faults
+            .iter()
+            .filter(|fault| fault.kind == Kind::WallClockStep)
+            .map(|fault| u64::from(fault.severity) * 86_400_000_000_000)
+            .sum();
+        let wall_ns = self.wall_ns + self.now_us * 1_000 + step_ns;
+        let process = u64::from(self.random.between(300, 32_767));
+        let daemon = Daemon::start(&self.config, wall_ns ^ process, self.daemons, self.now_us)?;
+        self.tick_us = daemon.next_tick_us();
+        self.daemon = Some(daemon);
+        self.daemon_since_us = Some(self.now_us);
+        self.seen = None;
+        self.opens_us = Some(self.now_us + u64::from(self.random.between(0, 20)) * 1_000);
+        Ok(())
+    }
+
+    /// After a pause the control thread's deadline has passed: it wakes at once,
+    /// before the others or after them.
+    fn wake(&mut self) {
+        self.tick_us = self.tick_us.min(self.now_us);
+        self.ticks_first = self.random.happens(500);
+    }
+
+    /// People ask; a daemon that does not run hears nothing, one that is paused
+    /// hears later.
+    fn ask(&mut self) {
+        if self.paused {
+            return;
+        }
+        while let Some(ask) = self.schedule.asks.get(self.next_ask)
+            && u64::from(ask.at_ms) * 1_000 <= self.now_us
+        {
+            self.next_ask += 1;
+            let request = match ask.wish {
+                Wish::Arm => Request::Arm,
+                Wish::Disarm => Request::Disarm,
+                Wish::Stop => Request::EmergencyStop,
+            };
+            if let Some(daemon) = &mut self.daemon
+                && daemon.ask(request)
+            {
+                self.asked.push(request);
+            }
+        }
+    }
+
+    /// Bytes and datagrams reach the host, and the daemon if it is awake.
+    fn receive(&mut self) -> bool {
+        let now_us = self.now_us;
+        let client = self.daemon.as_ref().map(|daemon| daemon.address);
+        self.network.take(&mut self.world, client, &self.faults);
+        self.network.deliver(now_us, self.daemon.is_some());
+        let bytes = &mut self.buffers.bytes;
+        bytes.clear();
+        self.world.host_read(bytes);
+        self.port.receive(bytes);
+        if self.paused {
+            return false;
+        }
+        let Some(daemon) = &mut self.daemon else {
+            return false;
+        };
+        if self.opens_us.is_some_and(|us| us <= now_us)
+            && self.port.is_plugged()
+            && !daemon.has_port()
+        {
+            self.opens_us = None;
+            daemon.open_port(&mut self.port);
+            if self.schedule.situation.reset_on_open {
+                self.world.reset_board(ResetCause::External);
+            }
+        }
+        let has_read = daemon.read_port(now_us, &mut self.port, &mut self.buffers.chunk);
+        while let Some(packet) = self.network.read() {
+            daemon.receive(now_us, packet.source, &packet.bytes);
+            if let Some(exposure) = packet.exposure {
+                let newer = self
+                    .seen
+                    .is_none_or(|seen| exposure.exposed_us >= seen.exposure.exposed_us);
+                if newer {
+                    self.seen = Some(Seen {
+                        exposure,
+                        received_us: now_us,
+                    });
+                }
+            }
+        }
+        let (world, faults) = (&mut self.world, &self.faults);
+        daemon.talk(now_us, |from, bytes| {
+            let off = |fault: &Fault| fault.kind == Kind::CameraServerRestart;
+            if !faults.iter().any(off) {
+                world.handle_datagram(from, bytes);
+            }
+        });
+        has_read
+    }
+
+    fn tick(&mut self) -> Option<TickRecord> {
+        if self.paused || self.now_us < self.tick_us {
+            return None;
+        }
+        let daemon = self.daemon.as_mut()?;
+        self.port.set_queued(self.world.wire().bytes_to_board());
+        let record = daemon.tick(self.now_us);
+        self.tick_us = daemon.next_tick_us();
+        for fault in &self.faults {
+            if fault.kind == Kind::TicksLate {
+                self.tick_us += u64::from(self.random.between(0, fault.severity * 50));
+            }
+        }
+        record
+    }
+
+    /// Everybody looks.
+    fn watch(&mut self, has_read: bool, mut tick: Option<TickRecord>, tamper: &mut dyn Tamper) {
+        let now_us = self.now_us;
+        self.write(tamper);
+        let Buffers {
+            heard,
+            pulses,
+            written,
+            ..
+        } = &mut self.buffers;
+        let board = self.world.board_mut();
+        heard.clear();
+        heard.extend(core::iter::from_fn(|| board.next_heard()));
+        let is_running = board.is_running();
+        if board.resets() != self.resets || is_running != self.was_running {
+            self.resets = board.resets();
+            self.was_running = is_running;
+            self.board_since_us = is_running.then_some(now_us);
+            self.bites_us = self.bites_us.filter(|_| is_running);
+        }
+        let log = board.pulses();
+        let new = log.total() - self.pulses;
+        self.pulses = log.total();
+        pulses.clear();
+        pulses.extend(log.iter().rev().take(new as usize));
+        pulses.reverse();
+        for pulse in &mut *pulses {
+            tamper.pulse(pulse);
+        }
+        if let Some(tick) = &mut tick {
+            tamper.tick(tick);
+        }
+        let sight = Sight {
+            now_us,
+            stated: &self.stated,
+            truth: self.world.truth(),
+            pulses,
+            heard,
+            board_since_us: self.board_since_us,
+            board_mode: self.world.board().telemetry().map(|record| record.mode),
+            tick: tick.as_ref(),
+            written,
+            has_read,
+            daemon_since_us: self.daemon_since_us,
+            seen: self.seen,
+            faults: &self.faults,
+            begun: &self.begun,
+            asked: &self.asked,
+        };
+        let has_ticked = sight.tick.is_some();
+        self.digest.sight(&sight);
+        for pulse in sight.pulses {
+            self.driven_ms += 20 * u32::from(self.stated.drives(pulse));
+        }
+        for invariant in &mut self.invariants {
+            if let Err(what) = invariant.look(&sight) {
+                self.violation = Some(Violation {
+                    invariant: invariant.name(),
+                    time_us: now_us,
+                    what,
+                });
+                return;
+            }
+        }
+        if has_ticked {
+            self.asked.clear();
+        }
+    }
+
+    /// What the daemon wrote goes on the line.
+    fn write(&mut self, tamper: &mut dyn Tamper) {
+        let Buffers { bytes, written, .. } = &mut self.buffers;
+        bytes.clear();
+        written.clear();
+        self.port.take_written(bytes);
+        for &byte in &*bytes {
+            if let Some(Ok(packet)) = self.written.push(byte)
+                && let Ok(message) = ToBoard::decode(packet)
+            {
+                written.push(message);
+            }
+        }
+        tamper.to_board(self.now_us, bytes);
+        if !bytes.is_empty() {
+            self.world.host_write(bytes);
+        }
+    }
+}

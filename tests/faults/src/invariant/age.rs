@@ -1,0 +1,186 @@
+//! How old what a pulse rests on may be.
+
+use singletrack_control::Mode;
+use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
+
+use super::{Invariant, SERVO_US, Verdict};
+use crate::sight::{Seen, Sight};
+
+/// The supervising interrupt's period, in µs.
+const SUPERVISOR_US: u64 = 1_000;
+
+/// What clocks may make of a time of 100 ms, at 0.5 %, in µs.
+const SKEW_US: u64 = 500;
+
+/// `command-age`: a pulse that drives begins no later than 95 ms, one servo
+/// period and one period of the supervisor after the telemetry that the newest
+/// command rests on, by the board's clock.
+#[derive(Default)]
+pub(super) struct CommandAge {
+    newest_us: Option<u32>,
+    board_since_us: Option<u64>,
+}
+
+impl Invariant for CommandAge {
+    fn name(&self) -> &'static str {
+        "command-age"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if sight.board_since_us != self.board_since_us {
+            self.board_since_us = sight.board_since_us;
+            self.newest_us = None;
+        }
+        for heard in sight.heard {
+            let ToBoard::Drive(drive) = heard.message else {
+                continue;
+            };
+            let age = |us: u32| heard.board_time_us.wrapping_sub(us);
+            let is_newer = self
+                .newest_us
+                .is_none_or(|newest| age(drive.telemetry_time_us) < age(newest));
+            if is_newer && age(drive.telemetry_time_us) < u32::MAX / 2 {
+                self.newest_us = Some(drive.telemetry_time_us);
+            }
+        }
+        let limit_us = u64::from(COMMAND_TIME_TO_LIVE_US) + SERVO_US + SUPERVISOR_US;
+        for pulse in sight.pulses {
+            if !sight.stated.drives(pulse) || sight.board_since_us.is_none() {
+                continue;
+            }
+            let Some(newest_us) = self.newest_us else {
+                return Err(format!("ESC pulse {} µs without a command", pulse.esc_us));
+            };
+            let age_us = pulse.board_time_us.wrapping_sub(newest_us);
+            // A command that came while the pulse was going on is from the future.
+            if age_us < u32::MAX / 2 && u64::from(age_us) > limit_us {
+                return Err(format!(
+                    "ESC pulse {} µs rests on a command that is {} ms old, {} allowed",
+                    pulse.esc_us,
+                    age_us / 1_000,
+                    limit_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `host-silence`: neutral within 120 ms of the host's last command, whatever has
+/// silenced it: a pause, its end, a line that is stuck or pulled.
+///
+/// The command can't be newer than the telemetry that it rests on.
+#[derive(Default)]
+pub(super) struct HostSilence {
+    written_us: Option<u64>,
+}
+
+const HOST_SILENCE_US: u64 = 120_000;
+
+impl Invariant for HostSilence {
+    fn name(&self) -> &'static str {
+        "host-silence"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let commands = |message: &ToBoard| matches!(message, ToBoard::Drive(_));
+        if sight.written.iter().any(commands) {
+            self.written_us = Some(sight.now_us);
+        }
+        for pulse in sight.pulses {
+            if !sight.stated.drives(pulse) {
+                continue;
+            }
+            let after_us = pulse.time_us.saturating_sub(self.written_us.unwrap_or(0));
+            if after_us > HOST_SILENCE_US {
+                return Err(format!(
+                    "ESC pulse {} µs {} ms after the host's last command",
+                    pulse.esc_us,
+                    after_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the host may be wrong about the moment of an exposure, and the board
+/// about that of its telemetry, in µs: half a round trip each, and the rounding
+/// to milliseconds.
+const CLOCKS_US: u64 = 4_000;
+
+/// `pose-age`: no pulse drives when the newest pose that has reached the host was
+/// exposed longer ago than the board is configured to allow, plus a servo period.
+///
+/// A pose whose server's clock has just been stepped counts from its arrival:
+/// nobody can know better.
+#[derive(Default)]
+pub(super) struct PoseAge {
+    newest: Option<Seen>,
+}
+
+impl Invariant for PoseAge {
+    fn name(&self) -> &'static str {
+        "pose-age"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        // Also those of a daemon that is no more: its last command may be in force.
+        self.newest = sight.seen.or(self.newest);
+        let limit_us = u64::from(sight.stated.board.max_pose_age_ms) * 1_000
+            + SERVO_US
+            + SUPERVISOR_US
+            + CLOCKS_US
+            + 10 * SKEW_US;
+        for pulse in sight.pulses {
+            if !sight.stated.drives(pulse) {
+                continue;
+            }
+            let since_us = self.newest.map_or(0, |seen| seen.since_us());
+            let age_us = pulse.time_us.saturating_sub(since_us);
+            if age_us > limit_us {
+                return Err(format!(
+                    "ESC pulse {} µs rests on a pose that is {} ms old, {} allowed",
+                    pulse.esc_us,
+                    age_us / 1_000,
+                    limit_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `host-hold`: the host follows its reference no longer than the configured time
+/// after the exposure of the newest pose that has reached it, and slows down no
+/// longer than the one configured for that.
+#[derive(Default)]
+pub(super) struct HostHold;
+
+impl Invariant for HostHold {
+    fn name(&self) -> &'static str {
+        "host-hold"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let Some(tick) = sight.tick else {
+            return Ok(());
+        };
+        let mode = tick.output.mode;
+        let limit_us = match mode {
+            Mode::Driving => sight.stated.hold_us,
+            Mode::Slowing => sight.stated.blind_us,
+            _ => return Ok(()),
+        } + CLOCKS_US;
+        let since_us = sight.seen.map_or(0, |seen| seen.since_us());
+        let age_us = sight.now_us.saturating_sub(since_us);
+        if age_us > limit_us {
+            return Err(format!(
+                "{mode} on a pose that is {} ms old, {} allowed",
+                age_us / 1_000,
+                limit_us / 1_000
+            ));
+        }
+        Ok(())
+    }
+}

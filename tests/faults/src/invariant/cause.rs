@@ -1,0 +1,240 @@
+//! Neutral within the stated time after each cause.
+
+use singletrack_control::{Event, Mode, Request};
+
+use super::{Invariant, SERVO_US, Verdict};
+use crate::{
+    schedule::{Kind, Target},
+    sight::Sight,
+};
+
+/// Nothing of the daemon's is obeyed for longer: see `host-silence`.
+const HOST_SILENCE_US: u64 = 120_000;
+
+/// `emergency-stop`: neutral within 50 ms of the tick that hears of an emergency
+/// stop (the line's 10 ms at most, the board's 31 ms of `unarmed-drive`), and
+/// within 120 ms when something is wrong with line or board.
+#[derive(Default)]
+pub(super) struct EmergencyStop {
+    asked_us: Option<u64>,
+    troubled: bool,
+}
+
+const EMERGENCY_STOP_US: u64 = 50_000;
+
+impl Invariant for EmergencyStop {
+    fn name(&self) -> &'static str {
+        "emergency-stop"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let asked = sight.tick.is_some_and(|tick| {
+            tick.events
+                .contains(&Event::Request(Request::EmergencyStop))
+        });
+        if asked && self.asked_us.is_none() {
+            self.asked_us = Some(sight.now_us);
+            self.troubled = false;
+        }
+        let troubles = |target| matches!(target, Target::Line | Target::Board);
+        self.troubled |= sight
+            .faults
+            .iter()
+            .any(|fault| troubles(fault.kind.target()));
+        // A command after the stop is another drive, which somebody asked for.
+        if sight
+            .tick
+            .is_some_and(|tick| tick.output.mode.is_underway())
+        {
+            self.asked_us = None;
+        }
+        let Some(asked_us) = self.asked_us else {
+            return Ok(());
+        };
+        let limit_us = if self.troubled {
+            HOST_SILENCE_US
+        } else {
+            EMERGENCY_STOP_US
+        };
+        for pulse in sight.pulses {
+            let after_us = pulse.time_us.saturating_sub(asked_us);
+            if sight.stated.drives(pulse) && after_us > limit_us {
+                return Err(format!(
+                    "ESC pulse {} µs {} ms after an emergency stop, {} allowed",
+                    pulse.esc_us,
+                    after_us / 1_000,
+                    limit_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `disarm`: neutral within the time configured for slowing down, and the host's
+/// silence, of the tick that hears of a request to disarm.
+#[derive(Default)]
+pub(super) struct Disarm {
+    asked_us: Option<u64>,
+}
+
+impl Invariant for Disarm {
+    fn name(&self) -> &'static str {
+        "disarm"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if let Some(tick) = sight.tick {
+            let asked = tick.events.contains(&Event::Request(Request::Disarm));
+            if asked && tick.output.mode.is_underway() {
+                self.asked_us.get_or_insert(sight.now_us);
+            } else if matches!(tick.output.mode, Mode::Arming | Mode::Driving) {
+                self.asked_us = None;
+            }
+        }
+        let Some(asked_us) = self.asked_us else {
+            return Ok(());
+        };
+        // The tick that ends the ramp may be a period late.
+        let limit_us = sight.stated.stop_timeout_us + 10_000 + HOST_SILENCE_US;
+        for pulse in sight.pulses {
+            let after_us = pulse.time_us.saturating_sub(asked_us);
+            if sight.stated.drives(pulse) && after_us > limit_us {
+                return Err(format!(
+                    "ESC pulse {} µs {} ms after a request to disarm, {} allowed",
+                    pulse.esc_us,
+                    after_us / 1_000,
+                    limit_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `main-loop`: neutral within 45 ms of the board's main loop hanging (20 ms until
+/// the supervisor is sure, 1 ms until it has acted, 20 ms until the next pulse),
+/// until the board starts anew.
+#[derive(Default)]
+pub(super) struct MainLoop {
+    hung_us: Option<u64>,
+    board_since_us: Option<u64>,
+}
+
+const MAIN_LOOP_US: u64 = 45_000;
+
+impl Invariant for MainLoop {
+    fn name(&self) -> &'static str {
+        "main-loop"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if sight.board_since_us != self.board_since_us {
+            self.board_since_us = sight.board_since_us;
+            self.hung_us = None;
+        }
+        let hangs = sight
+            .begun
+            .iter()
+            .any(|fault| fault.kind == Kind::BoardHang);
+        if hangs && self.board_since_us.is_some() {
+            self.hung_us.get_or_insert(sight.now_us);
+        }
+        let Some(hung_us) = self.hung_us else {
+            return Ok(());
+        };
+        for pulse in sight.pulses {
+            let after_us = pulse.time_us.saturating_sub(hung_us);
+            if sight.stated.drives(pulse) && after_us > MAIN_LOOP_US {
+                return Err(format!(
+                    "ESC pulse {} µs {} ms after the main loop hung",
+                    pulse.esc_us,
+                    after_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `motor-pulses`: without a pulse of the motor its ESC is driven beyond the
+/// deadband for no more than 150 ms, one servo period and one round of the main
+/// loop; pauses of less than 150 ms do not begin it anew.
+#[derive(Default)]
+pub(super) struct MotorPulses {
+    driven_us: u64,
+    last_driven_us: u64,
+}
+
+/// The board's patience, with no pulse.
+const PATIENCE_US: u64 = 150_000;
+
+impl Invariant for MotorPulses {
+    fn name(&self) -> &'static str {
+        "motor-pulses"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let esc = &sight.stated.board.esc;
+        if !sight.rules(Kind::PulsesGone) {
+            self.driven_us = 0;
+            return Ok(());
+        }
+        for pulse in sight.pulses {
+            if pulse.time_us.saturating_sub(self.last_driven_us) >= PATIENCE_US {
+                self.driven_us = 0;
+            }
+            if pulse.esc_us > esc.neutral_us + esc.deadband_us {
+                self.last_driven_us = pulse.time_us;
+                self.driven_us += SERVO_US;
+            }
+            // 10 ms: a round of the main loop; 20 ms: the frame that was going on.
+            if self.driven_us > PATIENCE_US + 2 * SERVO_US + 10_000 {
+                return Err(format!(
+                    "ESC pulse {} µs, driven for {} ms without a motor pulse",
+                    pulse.esc_us,
+                    self.driven_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `imu-silence`: the host follows its reference no longer than the configured
+/// time after the last sample of the IMU that was taken.
+///
+/// Counted from the moment that samples stop: the last one is 10 ms old then at
+/// most, and never younger than that moment.
+#[derive(Default)]
+pub(super) struct ImuSilence {
+    silent_us: Option<u64>,
+}
+
+impl Invariant for ImuSilence {
+    fn name(&self) -> &'static str {
+        "imu-silence"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if sight.rules(Kind::ImuSilent) {
+            self.silent_us.get_or_insert(sight.now_us);
+        } else {
+            self.silent_us = None;
+        }
+        let (Some(silent_us), Some(tick)) = (self.silent_us, sight.tick) else {
+            return Ok(());
+        };
+        // 1.2 ms under way to the board, and what the board's clock may be off.
+        let limit_us = sight.stated.imu_silence_us + 5_000;
+        let after_us = sight.now_us.saturating_sub(silent_us);
+        if tick.output.mode == Mode::Driving && after_us > limit_us {
+            return Err(format!(
+                "driving {} ms after the IMU fell silent, {} allowed",
+                after_us / 1_000,
+                limit_us / 1_000
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,96 @@
+//! Where the car really is.
+
+use singletrack_control::{Mode, Position};
+
+use super::{Invariant, Verdict};
+use crate::sight::Sight;
+
+/// `fence`: the true centre of mass gets no farther beyond the fence than a car
+/// that is told to stop in time rolls on.
+///
+/// The pilot begins to stop when the straight way ahead that it needs (reaction,
+/// `stop_deceleration`, what it may have gone unseen) leaves the fence. The car
+/// may need more, by
+///
+/// - what it rolls farther than that: a motor in neutral does not brake, so that
+///   the car slows down by friction alone, 0.8 m/s² and 1/s times its speed;
+/// - the time until the last command is no longer obeyed, 120 ms, if the daemon
+///   is silenced just then;
+/// - how far a bend takes it off the straight way, d²/2R over the distance d of
+///   the stop, with R from the largest steering angle or lateral acceleration;
+/// - 0.1 m, by which the estimate may be off under all faults that are no lies.
+///
+/// While the cameras tell of a car where there is none, and for the rest of a
+/// drive that has heard them do so, nobody can know.
+#[derive(Default)]
+pub(super) struct Fence {
+    /// The largest speed of late, m/s; the one of the crossing once outside.
+    speed: f64,
+    deceived: bool,
+    lied_us: u64,
+}
+
+/// What the simulated car rolls out with: see `MotorParameters`.
+const FRICTION: f64 = 0.8;
+const VISCOUS: f64 = 1.0;
+
+/// The limits' defaults.
+const MIN_RADIUS: f64 = 0.26 / 0.483;
+const LATERAL: f64 = 2.0;
+
+const SILENCE_S: f64 = 0.12;
+const ESTIMATE_M: f64 = 0.1;
+
+/// The estimate of a car that stands forgets a lie in so long, in µs.
+const MEMORY_US: u64 = 3_000_000;
+
+/// How far the car rolls from `speed`: the integral of v dv / (f + k v).
+fn rolls_m(speed: f64) -> f64 {
+    speed / VISCOUS - FRICTION / (VISCOUS * VISCOUS) * (1.0 + VISCOUS * speed / FRICTION).ln()
+}
+
+fn allowed_m(speed: f64, deceleration: f64) -> f64 {
+    let expected = 0.5 * speed * speed / deceleration;
+    let rolls = rolls_m(speed).max(expected);
+    let distance = rolls + SILENCE_S * speed;
+    let radius = MIN_RADIUS.max(speed * speed / LATERAL);
+    rolls - expected + SILENCE_S * speed + 0.5 * distance * distance / radius + ESTIMATE_M
+}
+
+impl Invariant for Fence {
+    fn name(&self) -> &'static str {
+        "fence"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if sight.seen.is_some_and(|seen| seen.exposure.lie) {
+            self.deceived = true;
+            self.lied_us = sight.now_us;
+        }
+        let Some(tick) = sight.tick else {
+            return Ok(());
+        };
+        if tick.output.mode == Mode::Arming && sight.now_us > self.lied_us + MEMORY_US {
+            self.deceived = false;
+        }
+        let truth = &sight.truth;
+        let clearance = sight
+            .stated
+            .fence
+            .clearance(&Position::new(truth.x, truth.y));
+        if clearance >= 0.0 {
+            let slower = self.speed - 2.0 * sight.stated.period_s;
+            self.speed = truth.speed.abs().max(slower);
+            return Ok(());
+        }
+        self.speed = self.speed.max(truth.speed.abs());
+        let allowed = allowed_m(self.speed, sight.stated.stop_deceleration);
+        if -clearance > allowed && !self.deceived {
+            return Err(format!(
+                "{:.3} m beyond the fence, {allowed:.3} allowed from {:.2} m/s",
+                -clearance, self.speed
+            ));
+        }
+        Ok(())
+    }
+}

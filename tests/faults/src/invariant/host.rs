@@ -1,0 +1,200 @@
+//! What the host says, whether it is obeyed or not.
+
+use singletrack_control::{Mode, Output};
+use singletrack_protocol::ToBoard;
+
+use super::{Invariant, Verdict};
+use crate::sight::Sight;
+
+/// Half a step of the wire: 1 mm/s, 0.1 mrad.
+const SPEED_STEP: f64 = 0.000_5;
+const STEERING_STEP: f64 = 0.000_05;
+
+/// `command-limits`: every command is within the configured speed and steering
+/// angle, to half a step of the wire.
+#[derive(Default)]
+pub(super) struct CommandLimits;
+
+impl Invariant for CommandLimits {
+    fn name(&self) -> &'static str {
+        "command-limits"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let stated = sight.stated;
+        for message in sight.written {
+            let ToBoard::Drive(drive) = message else {
+                continue;
+            };
+            let speed = f64::from(drive.speed_mm_s) * 1e-3;
+            let steering = f64::from(drive.steering_100urad) * 1e-4;
+            if speed > stated.max_speed + SPEED_STEP
+                || speed < -stated.max_reverse_speed - SPEED_STEP
+            {
+                return Err(format!("a command of {speed} m/s"));
+            }
+            if steering.abs() > stated.max_steering + STEERING_STEP {
+                return Err(format!("a command of {steering} rad"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `command-rate`: from one command to the next, the speed of G changes by no
+/// more than the configured acceleration (or the deceleration of a stop) allows
+/// in a period, and the steering by no more than its rate does. A drive begins
+/// at standstill.
+#[derive(Default)]
+pub(super) struct CommandRate {
+    last: Option<(f64, f64)>,
+}
+
+impl Invariant for CommandRate {
+    fn name(&self) -> &'static str {
+        "command-rate"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let Some(tick) = sight.tick else {
+            return Ok(());
+        };
+        if tick.output.command.is_none() {
+            self.last = None;
+            return Ok(());
+        }
+        let actuation = tick.output.actuation;
+        let stated = sight.stated;
+        let (speed, steering) = self.last.unwrap_or((0.0, actuation.steering));
+        let most = stated.max_acceleration.max(stated.stop_deceleration) * stated.period_s;
+        let change = (actuation.speed - speed).abs();
+        if change > most + 1e-9 {
+            return Err(format!(
+                "speed commanded from {speed} to {} m/s in a period, {most} allowed",
+                actuation.speed
+            ));
+        }
+        let most = stated.max_steering_rate * stated.period_s;
+        let change = (actuation.steering - steering).abs();
+        if change > most + 1e-9 {
+            return Err(format!(
+                "steering commanded from {steering} to {} rad in a period, {most} allowed",
+                actuation.steering
+            ));
+        }
+        self.last = Some((actuation.speed, actuation.steering));
+        Ok(())
+    }
+}
+
+/// `mode-and-reason`: a car that does not drive says why not, one that drives
+/// has no reason not to, and commands belong to modes in which the car is
+/// underway.
+#[derive(Default)]
+pub(super) struct ModeAndReason;
+
+impl Invariant for ModeAndReason {
+    fn name(&self) -> &'static str {
+        "mode-and-reason"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let Some(tick) = sight.tick else {
+            return Ok(());
+        };
+        let Output {
+            mode,
+            reason,
+            command,
+            ..
+        } = tick.output;
+        let right = match mode {
+            Mode::Driving | Mode::Arming => reason.is_none(),
+            // Why the last drive ended, if there was one.
+            Mode::Ready => true,
+            _ => reason.is_some(),
+        };
+        if !right {
+            return Err(format!("mode {mode} with reason {reason:?}"));
+        }
+        if command.is_some() && !mode.commands() {
+            return Err(format!("a command in mode {mode}"));
+        }
+        if mode == Mode::Driving && command.is_none() {
+            return Err("driving without a command".to_owned());
+        }
+        Ok(())
+    }
+}
+
+/// `finite`: nothing that the pilot puts out is without a number.
+#[derive(Default)]
+pub(super) struct Finite;
+
+impl Invariant for Finite {
+    fn name(&self) -> &'static str {
+        "finite"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let Some(tick) = sight.tick else {
+            return Ok(());
+        };
+        let output = &tick.output;
+        let mut values = vec![
+            output.actuation.speed,
+            output.actuation.steering,
+            output.actuation.steering_rate,
+        ];
+        values.extend(output.drive_time);
+        if let Some(estimate) = &output.estimate {
+            values.extend([
+                estimate.position.x,
+                estimate.position.y,
+                estimate.yaw,
+                estimate.yaw_rate,
+                estimate.sideslip,
+                estimate.speed,
+            ]);
+        }
+        if let Some(point) = &output.point {
+            values.extend([point.x, point.y]);
+        }
+        if let Some(velocity) = &output.point_velocity {
+            values.extend([velocity.x, velocity.y]);
+        }
+        if let Some(command) = &output.command {
+            values.extend([command.rear_speed, command.steering]);
+        }
+        match values.iter().find(|value| !value.is_finite()) {
+            Some(value) => Err(format!("{value} in {output:?}")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// `no-queue`: no more than two commands are written to a board from which
+/// nothing comes.
+#[derive(Default)]
+pub(super) struct NoQueue {
+    unheard: u32,
+}
+
+impl Invariant for NoQueue {
+    fn name(&self) -> &'static str {
+        "no-queue"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        if sight.has_read {
+            self.unheard = 0;
+        }
+        for message in sight.written {
+            self.unheard += u32::from(matches!(message, ToBoard::Drive(_)));
+        }
+        if self.unheard > 2 {
+            return Err(format!("{} commands into silence", self.unheard));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,54 @@
+//! What must hold at every step, whatever goes wrong.
+
+mod age;
+mod authority;
+mod cause;
+mod fence;
+mod host;
+mod pulse;
+
+use crate::sight::Sight;
+
+/// What a step was found to break.
+pub(crate) type Verdict = Result<(), String>;
+
+/// Something that must always hold.
+pub(crate) trait Invariant {
+    /// Its name in a violation.
+    fn name(&self) -> &'static str;
+
+    /// Looks at a step; the error says what is wrong, with values.
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict;
+}
+
+/// One servo period on the board's clock, in µs: what has been decided is on the
+/// pin by then.
+const SERVO_US: u64 = 20_000;
+
+/// Everything that must hold, for one drive.
+pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
+    vec![
+        Box::<pulse::Limits>::default(),
+        Box::<pulse::ServoSlew>::default(),
+        Box::<pulse::EscSlew>::default(),
+        Box::<pulse::NeutralFirst>::default(),
+        Box::<authority::Unarmed>::default(),
+        Box::<authority::Unasked>::default(),
+        Box::<authority::Latched>::default(),
+        Box::<age::CommandAge>::default(),
+        Box::<age::HostSilence>::default(),
+        Box::<age::PoseAge>::default(),
+        Box::<age::HostHold>::default(),
+        Box::<cause::EmergencyStop>::default(),
+        Box::<cause::Disarm>::default(),
+        Box::<cause::MainLoop>::default(),
+        Box::<cause::MotorPulses>::default(),
+        Box::<cause::ImuSilence>::default(),
+        Box::<fence::Fence>::default(),
+        Box::<host::CommandLimits>::default(),
+        Box::<host::CommandRate>::default(),
+        Box::<host::ModeAndReason>::default(),
+        Box::<host::Finite>::default(),
+        Box::<host::NoQueue>::default(),
+    ]
+}

@@ -1,0 +1,156 @@
+//! The pulses themselves.
+
+use singletrack_sim::PulseRecord;
+
+use super::{Invariant, SERVO_US, Verdict};
+use crate::sight::{Sight, Stated, TOLERANCE_US};
+
+/// `pulse-limits`: every pulse is absent or within the configured limits, and
+/// none drives backward, which no configuration here allows.
+///
+/// What a reset cuts may be shorter.
+#[derive(Default)]
+pub(super) struct Limits;
+
+impl Invariant for Limits {
+    fn name(&self) -> &'static str {
+        "pulse-limits"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let (servo, esc) = (&sight.stated.board.servo, &sight.stated.board.esc);
+        for pulse in sight.pulses {
+            for (name, us, least, most) in [
+                ("servo", pulse.servo_us, servo.min_us, servo.max_us),
+                ("ESC", pulse.esc_us, esc.min_us, esc.max_us),
+            ] {
+                let least = if pulse.cut { 0 } else { least - TOLERANCE_US };
+                if us != 0 && !(least..=most + TOLERANCE_US).contains(&us) {
+                    return Err(format!("{name} pulse {us} µs, allowed {least} to {most}"));
+                }
+            }
+            if pulse.esc_us < esc.neutral_us && sight.stated.drives(pulse) {
+                return Err(format!("ESC pulse {} µs drives backward", pulse.esc_us));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The board's main loop runs at least every 10 ms, so that the pulses of two
+/// frames may be up to one period and that apart, in µs.
+const POLL_US: u64 = 10_000;
+
+/// How much a pulse may change from one frame to the next.
+fn slew_us(per_20ms: u16, before: &PulseRecord, after: &PulseRecord) -> u16 {
+    let apart_us = u64::from(after.board_time_us.wrapping_sub(before.board_time_us));
+    let us = u64::from(per_20ms) * (apart_us + POLL_US) / SERVO_US;
+    u16::try_from(us)
+        .unwrap_or(u16::MAX)
+        .saturating_add(2 * TOLERANCE_US)
+}
+
+/// `servo-slew`: from one frame to the next the servo's pulse changes by no more
+/// than configured for the time between them and one round of the main loop.
+/// The first pulse after a silence goes where it likes.
+#[derive(Default)]
+pub(super) struct ServoSlew {
+    last: Option<PulseRecord>,
+}
+
+impl Invariant for ServoSlew {
+    fn name(&self) -> &'static str {
+        "servo-slew"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        for pulse in sight.pulses {
+            let last = self.last.replace(*pulse);
+            let Some(last) = last.filter(|last| last.servo_us != 0 && pulse.servo_us != 0) else {
+                continue;
+            };
+            let most = slew_us(sight.stated.board.servo.slew_us_per_20ms, &last, pulse);
+            let change = pulse.servo_us.abs_diff(last.servo_us);
+            if change > most && !pulse.cut {
+                return Err(format!(
+                    "servo pulse from {} to {} µs, at most {most} µs allowed",
+                    last.servo_us, pulse.servo_us
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `esc-slew`: away from neutral the ESC's pulse changes by no more than
+/// configured; towards it, and to the brake, at once.
+#[derive(Default)]
+pub(super) struct EscSlew {
+    last: Option<PulseRecord>,
+}
+
+impl EscSlew {
+    fn beyond(stated: &Stated, pulse: &PulseRecord) -> u16 {
+        pulse.esc_us.saturating_sub(stated.board.esc.neutral_us)
+    }
+}
+
+impl Invariant for EscSlew {
+    fn name(&self) -> &'static str {
+        "esc-slew"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        for pulse in sight.pulses {
+            let last = self.last.replace(*pulse);
+            let Some(last) = last else { continue };
+            let (from, to) = (
+                Self::beyond(sight.stated, &last),
+                Self::beyond(sight.stated, pulse),
+            );
+            let most = slew_us(sight.stated.board.esc.slew_us_per_20ms, &last, pulse);
+            if to.saturating_sub(from) > most {
+                return Err(format!(
+                    "ESC pulse from {} to {} µs, at most {most} µs more allowed",
+                    last.esc_us, pulse.esc_us
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `neutral-first`: no pulse drives in the first two seconds after the board has
+/// started, in which the ESC arms. (By the board's clock, which may be 0.5 %
+/// fast.)
+#[derive(Default)]
+pub(super) struct NeutralFirst;
+
+const NEUTRAL_FIRST_US: u64 = 1_990_000;
+
+impl Invariant for NeutralFirst {
+    fn name(&self) -> &'static str {
+        "neutral-first"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        for pulse in sight.pulses {
+            if !sight.stated.drives(pulse) {
+                continue;
+            }
+            // Without a start the pulses are none of this board's doing.
+            let Some(since_us) = sight.board_since_us else {
+                continue;
+            };
+            let age_us = pulse.time_us.saturating_sub(since_us);
+            if pulse.time_us >= since_us && age_us < NEUTRAL_FIRST_US {
+                return Err(format!(
+                    "ESC pulse {} µs {} ms after the board started",
+                    pulse.esc_us,
+                    age_us / 1_000
+                ));
+            }
+        }
+        Ok(())
+    }
+}

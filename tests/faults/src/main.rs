@@ -1,0 +1,192 @@
+//! `cargo faults`: see the library's documentation.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+    process::ExitCode,
+    thread,
+};
+
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_faults::{
+    Campaign, Failure, Outcome, Trouble, Untampered, attempt,
+    schedule::{Schedule, ScheduleError},
+    shrink,
+};
+use singletrack_sim::BoardKind;
+
+/// Random schedules of faults, in virtual time, against everything that drives the car.
+#[derive(Debug, Parser)]
+#[command(name = "cargo faults", disable_version_flag = true)]
+struct Options {
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    first_seed: u64,
+
+    /// How many seeds, from the first on
+    #[arg(long, value_name = "M", default_value_t = 100)]
+    count: u64,
+
+    /// What runs on the board: its code, or the Arduino's image on a simulated processor
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
+    board: BoardKind,
+
+    /// On how many threads; makes no difference to the outcome [default: one a core]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+
+    /// Drives this one schedule instead: a file, or its text with ";" between the entries
+    #[arg(long, value_name = "SCHEDULE")]
+    replay: Option<String>,
+
+    /// Prints the schedules without driving them
+    #[arg(long)]
+    print: bool,
+
+    /// Leaves schedules that fail as they are
+    #[arg(long)]
+    no_shrink: bool,
+}
+
+/// Shrinking takes its time: of many failures the first ones are looked at.
+const SHRUNK: usize = 5;
+
+#[derive(Debug, thiserror::Error)]
+enum Error {
+    #[error(transparent)]
+    Trouble(#[from] Trouble),
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
+    #[error("{path}: {source}")]
+    Read { path: String, source: io::Error },
+    #[error("standard output: {0}")]
+    Write(#[from] io::Error),
+}
+
+fn main() -> ExitCode {
+    match run(&Options::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(options: &Options) -> Result<bool, Error> {
+    let out = &mut io::stdout().lock();
+    if options.print {
+        for number in 0..options.count {
+            let seed = options.first_seed.wrapping_add(number);
+            writeln!(out, "{}", Schedule::generate(seed, options.board))?;
+        }
+        return Ok(true);
+    }
+    // What a drive panics with is told with its schedule.
+    std::panic::set_hook(Box::new(|_| {}));
+    let (count, outcome) = match &options.replay {
+        Some(text) => (1, replay(text)?),
+        None => (options.count, campaign(options)?),
+    };
+    for (index, failure) in outcome.failures.iter().enumerate() {
+        tell(out, failure)?;
+        if index < SHRUNK && !options.no_shrink && options.replay.is_none() {
+            let (schedule, violation) =
+                shrink(&failure.schedule, &failure.violation, || Untampered)?;
+            writeln!(out, "shrunk, it still breaks {}:", violation.invariant)?;
+            writeln!(out, "{schedule}")?;
+            writeln!(
+                out,
+                "{} at {} ms: {}",
+                violation.invariant,
+                violation.time_us / 1_000,
+                violation.what
+            )?;
+            writeln!(
+                out,
+                "    cargo faults --replay '{}'\n",
+                schedule.in_one_line()
+            )?;
+        }
+    }
+    writeln!(
+        out,
+        "the car was driven for {:.0} s of {:.0} s",
+        outcome.driven_s, outcome.simulated_s
+    )?;
+    writeln!(
+        out,
+        "{count} schedules, {} violations",
+        outcome.failures.len()
+    )?;
+    Ok(outcome.failures.is_empty())
+}
+
+fn tell(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
+    let Failure {
+        schedule,
+        violation,
+    } = failure;
+    writeln!(
+        out,
+        "seed {} breaks {} at {} ms: {}",
+        schedule.seed,
+        violation.invariant,
+        violation.time_us / 1_000,
+        violation.what
+    )?;
+    writeln!(out, "{schedule}")?;
+    let board = schedule.situation.board;
+    writeln!(
+        out,
+        "    cargo faults --first-seed {} --count 1 --board {board}\n",
+        schedule.seed
+    )
+}
+
+fn campaign(options: &Options) -> Result<Outcome, Trouble> {
+    let threads = options
+        .threads
+        .or_else(|| thread::available_parallelism().ok().map(usize::from));
+    // Hidden when standard error is no terminal.
+    let bar = ProgressBar::new(options.count);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} schedules, {eta} left") {
+        bar.set_style(style);
+    }
+    let outcome = Campaign {
+        first_seed: options.first_seed,
+        count: options.count,
+        board: options.board,
+        threads: threads.unwrap_or(1),
+    }
+    .run(&|| bar.inc(1));
+    bar.finish_and_clear();
+    outcome
+}
+
+fn replay(text: &str) -> Result<Outcome, Error> {
+    let text = if Path::new(text).exists() {
+        std::fs::read_to_string(text).map_err(|source| Error::Read {
+            path: text.to_owned(),
+            source,
+        })?
+    } else {
+        text.to_owned()
+    };
+    let schedule: Schedule = text.parse()?;
+    let ending = attempt(&schedule, &mut Untampered)?;
+    Ok(Outcome {
+        driven_s: f64::from(ending.driven_ms) * 1e-3,
+        simulated_s: f64::from(schedule.end_ms) * 1e-3,
+        failures: ending
+            .violation
+            .map(|violation| Failure {
+                schedule,
+                violation,
+            })
+            .into_iter()
+            .collect(),
+    })
+}

@@ -1,0 +1,494 @@
+//! The network between the cameras' server and the host, and what it does to
+//! datagrams.
+
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BinaryHeap, VecDeque},
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+};
+
+use singletrack_mocap::{
+    codec::{
+        BitstreamVersion, CameraTicks, Echo, Frame, FrameFlags, RigidBody, RigidBodyDefinition,
+        ServerMessage,
+    },
+    encode::{self, Dataset, FrameContent},
+};
+use singletrack_sim::{CameraFrame, Datagram, Destination, TICKS_PER_SECOND, World};
+
+use crate::{
+    random::{Random, Stream},
+    schedule::{Fault, Kind},
+    stage,
+};
+
+/// The server, as the daemon is configured.
+const SERVER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_510);
+
+/// Somebody else.
+const STRANGER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(127, 0, 0, 66)), 1_510);
+
+/// What the kernel keeps for a socket that nobody reads: 208 KiB, in which a small
+/// datagram takes about a kilobyte. What comes on top is lost.
+const UNREAD: usize = 208;
+
+/// The clock of the server is mapped by echoes, 700 ms apart: a step may be felt
+/// for so long, with one of them lost, in µs.
+const CLOCK_MEMORY_US: u64 = 3_000_000;
+
+/// An id that no body has.
+const NOBODY: i32 = 99;
+
+/// A pose of the car that was sent, true or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Exposure {
+    /// Simulation time of mid-exposure, in µs.
+    pub(crate) exposed_us: u64,
+    /// Whether the frame's clock can be believed.
+    pub(crate) honest_clock: bool,
+    /// Whether the pose is another than the car's.
+    pub(crate) lie: bool,
+}
+
+/// A datagram for the host.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Packet {
+    pub(crate) source: SocketAddr,
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) exposure: Option<Exposure>,
+}
+
+/// A frame while it is being falsified.
+struct Content {
+    number: i32,
+    ticks: CameraTicks,
+    flags: FrameFlags,
+    bodies: Vec<RigidBody>,
+    car: Option<RigidBody>,
+    exposure: Exposure,
+    delay_us: u64,
+    lost: bool,
+}
+
+/// The network.
+#[derive(Debug)]
+pub(crate) struct Network {
+    random: Random,
+    frames: BTreeMap<i32, CameraFrame>,
+    under_way: BinaryHeap<Reverse<(u64, u64)>>,
+    packets: BTreeMap<u64, Packet>,
+    sent: u64,
+    /// Arrived, and not read by the daemon yet.
+    unread: VecDeque<Packet>,
+    /// The car's last pose that was not falsified.
+    last_car: Option<RigidBody>,
+    /// What a server that was restarted counts from.
+    first_number: i32,
+    first_ticks: u64,
+    /// Until when a step of the server's clock may be felt.
+    clock_suspect_until_us: u64,
+    /// The next frame says that the models changed.
+    announce: bool,
+    /// The other body has had the car's name: who has heard of it may hold to it.
+    renamed: bool,
+    buffer: Vec<u8>,
+}
+
+impl Network {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self {
+            random: Random::new(seed, Stream::Network),
+            frames: BTreeMap::new(),
+            under_way: BinaryHeap::new(),
+            packets: BTreeMap::new(),
+            sent: 0,
+            unread: VecDeque::new(),
+            last_car: None,
+            first_number: 0,
+            first_ticks: 0,
+            clock_suspect_until_us: 0,
+            announce: false,
+            renamed: false,
+            buffer: vec![0; 4_096],
+        }
+    }
+
+    /// A fault begins or ends.
+    pub(crate) const fn changes(&mut self, kind: Kind) {
+        if matches!(kind, Kind::CameraRenamed) {
+            self.announce = true;
+            self.renamed = true;
+        }
+    }
+
+    /// The server has come back, with clock and numbers from the beginning.
+    pub(crate) fn restart_server(&mut self, world: &World) {
+        let now_us = world.now_us();
+        self.first_ticks = world
+            .cameras()
+            .ticks(now_us)
+            .saturating_sub(TICKS_PER_SECOND);
+        self.first_number = i32::try_from(world.cameras().counters().exposed).unwrap_or(0);
+        self.clock_suspect_until_us = now_us + CLOCK_MEMORY_US;
+    }
+
+    /// Takes what the server sends to `client`.
+    pub(crate) fn take(&mut self, world: &mut World, client: Option<SocketAddr>, faults: &[Fault]) {
+        let now_us = world.now_us();
+        while let Some(frame) = world.poll_camera_frame() {
+            self.frames.insert(frame.number, frame);
+        }
+        while let Some(datagram) = world.poll_datagram() {
+            let off = is_active(faults, Kind::CameraServerRestart);
+            if off || Some(datagram.to) != client.map(Destination::Client) {
+                continue;
+            }
+            if datagram.is_frame {
+                self.frame(now_us, &datagram, faults);
+            } else {
+                let bytes = self.answer(world, &datagram, faults);
+                self.send(
+                    now_us,
+                    Packet {
+                        source: SERVER,
+                        bytes,
+                        exposure: None,
+                    },
+                );
+            }
+        }
+        // None of these will be asked for any more.
+        while self.frames.len() > 64 {
+            self.frames.pop_first();
+        }
+    }
+
+    /// Lets arrive what is due; without a daemon nobody listens.
+    pub(crate) fn deliver(&mut self, now_us: u64, is_open: bool) {
+        while let Some(&Reverse((due_us, number))) = self.under_way.peek()
+            && due_us <= now_us
+        {
+            self.under_way.pop();
+            if let Some(packet) = self.packets.remove(&number)
+                && is_open
+                && self.unread.len() < UNREAD
+            {
+                self.unread.push_back(packet);
+            }
+        }
+        if !is_open {
+            self.unread.clear();
+        }
+    }
+
+    /// The next datagram that has arrived.
+    pub(crate) fn read(&mut self) -> Option<Packet> {
+        self.unread.pop_front()
+    }
+
+    fn send(&mut self, due_us: u64, packet: Packet) {
+        self.sent += 1;
+        self.under_way.push(Reverse((due_us, self.sent)));
+        self.packets.insert(self.sent, packet);
+    }
+
+    fn ticks(&self, ticks: u64, faults: &[Fault]) -> u64 {
+        if ticks == 0 {
+            return 0;
+        }
+        let mut ticks = ticks.saturating_sub(self.first_ticks);
+        for fault in faults {
+            let step = u64::from(fault.severity) * (TICKS_PER_SECOND / 1_000);
+            match fault.kind {
+                Kind::CameraClockBackward => ticks = ticks.saturating_sub(step),
+                Kind::CameraClockForward => ticks += step,
+                _ => {}
+            }
+        }
+        ticks
+    }
+
+    /// What is not a frame.
+    fn answer(&mut self, world: &World, datagram: &Datagram, faults: &[Fault]) -> Vec<u8> {
+        let version = BitstreamVersion::V4_1;
+        let encoded = match ServerMessage::decode(&datagram.bytes, version) {
+            Ok(ServerMessage::Echo(echo)) => {
+                let echo = Echo {
+                    server_ticks: self.ticks(echo.server_ticks, faults),
+                    ..echo
+                };
+                encode::echo_response(echo, &mut self.buffer).ok()
+            }
+            Ok(ServerMessage::ModelDefinitions(_)) if is_active(faults, Kind::CameraRenamed) => {
+                let cameras = world.cameras().parameters();
+                let (car, other) = (&cameras.car, cameras.decoys.first());
+                let body = |name, id| {
+                    Dataset::rigid_body(RigidBodyDefinition {
+                        name,
+                        id,
+                        parent_id: -1,
+                        offset_m: [0.0; 3],
+                    })
+                };
+                let other = other.map_or(("other", NOBODY), |body| (body.name.as_str(), body.id));
+                let swapped = [body(&car.name, other.1), body(other.0, car.id)];
+                encode::model_definitions(version, &swapped, &mut self.buffer).ok()
+            }
+            _ => None,
+        };
+        match encoded.and_then(|length| self.buffer.get(..length)) {
+            Some(bytes) => bytes.to_vec(),
+            None => datagram.bytes.clone(),
+        }
+    }
+
+    fn frame(&mut self, now_us: u64, datagram: &Datagram, faults: &[Fault]) {
+        let Ok(ServerMessage::Frame(decoded)) =
+            ServerMessage::decode(&datagram.bytes, BitstreamVersion::V4_1)
+        else {
+            return;
+        };
+        let Some(sent) = self.frames.get(&decoded.number).cloned() else {
+            return;
+        };
+        let mut content = self.content(now_us, &decoded, sent, faults);
+        if content.car.is_some() && !faults.iter().any(|fault| fault.kind.is_lie()) {
+            self.last_car = content.car;
+        }
+        for fault in faults {
+            self.falsify(now_us, &mut content, fault);
+        }
+        if !content.lost
+            && let Some(bytes) = self.encode(&content)
+        {
+            self.send_frame(now_us, &content, bytes, faults);
+        }
+    }
+
+    fn content(
+        &mut self,
+        now_us: u64,
+        decoded: &Frame<'_>,
+        sent: CameraFrame,
+        faults: &[Fault],
+    ) -> Content {
+        let stepped = |fault: &Fault| {
+            matches!(
+                fault.kind,
+                Kind::CameraClockBackward | Kind::CameraClockForward
+            )
+        };
+        if faults.iter().any(stepped) {
+            self.clock_suspect_until_us = now_us + CLOCK_MEMORY_US;
+        }
+        let mut flags = decoded.flags;
+        if core::mem::take(&mut self.announce) {
+            flags = FrameFlags(flags.0 | FrameFlags::MODELS_CHANGED.0);
+        }
+        let mut bodies = sent.bodies;
+        let car = bodies.pop().filter(|_| sent.car_tracked);
+        Content {
+            number: decoded.number.wrapping_sub(self.first_number),
+            ticks: CameraTicks {
+                mid_exposure: self.ticks(sent.ticks.mid_exposure, faults),
+                received: self.ticks(sent.ticks.received, faults),
+                transmit: self.ticks(sent.ticks.transmit, faults),
+            },
+            flags,
+            bodies,
+            car,
+            exposure: Exposure {
+                exposed_us: sent.exposed_us,
+                honest_clock: now_us >= self.clock_suspect_until_us,
+                lie: false,
+            },
+            delay_us: 0,
+            lost: false,
+        }
+    }
+
+    fn falsify(&mut self, now_us: u64, content: &mut Content, fault: &Fault) {
+        let s = fault.severity;
+        let metres = s as f32 * 1e-3;
+        match fault.kind {
+            Kind::CameraUntracked => {
+                content.car = self.last_car.map(|car| car.with_tracking_valid(false));
+            }
+            Kind::CameraAbsent => content.car = None,
+            Kind::CameraSilent => content.lost |= self.random.happens(s),
+            Kind::CameraHidden => {
+                if let Some(car) = &mut content.car {
+                    car.id = NOBODY;
+                }
+            }
+            Kind::CameraFrozen => {
+                if let (Some(car), Some(last)) = (&mut content.car, self.last_car) {
+                    *car = RigidBody { id: car.id, ..last };
+                    content.exposure.lie = true;
+                }
+            }
+            Kind::CameraJump => {
+                move_by(&mut content.car, metres);
+                content.exposure.lie = true;
+            }
+            Kind::CameraJumping => {
+                if content.number % 3 == 0 {
+                    move_by(&mut content.car, metres);
+                    content.exposure.lie = true;
+                }
+            }
+            Kind::CameraSwapped => {
+                if let (Some(car), Some(other)) = (&mut content.car, content.bodies.first_mut()) {
+                    core::mem::swap(&mut car.id, &mut other.id);
+                }
+                content.exposure.lie = true;
+            }
+            Kind::CameraRenamed => content.exposure.lie = true,
+            Kind::CameraFlip => {
+                turn_by(&mut content.car, metres * core::f32::consts::PI);
+                content.exposure.lie = true;
+            }
+            Kind::CameraLate => content.delay_us += u64::from(s) * 500,
+            Kind::CameraReordered => {
+                content.delay_us += u64::from(self.random.between(0, s * 250));
+            }
+            Kind::CameraDuplicated => {
+                if let Some(bytes) = self.encode(content) {
+                    let later_us = u64::from(self.random.between(0, s * 1_000));
+                    let due_us = now_us + content.delay_us + later_us;
+                    self.send_as(SERVER, due_us, bytes, None);
+                }
+            }
+            Kind::CameraNotANumber => {
+                if let Some(car) = &mut content.car {
+                    car.position_m = [f32::NAN; 3];
+                    car.orientation_xyzw = [f32::NAN; 4];
+                }
+            }
+            Kind::CameraInfinite => {
+                if let Some(car) = &mut content.car {
+                    let [x, _, _] = &mut car.position_m;
+                    *x = f32::INFINITY;
+                }
+            }
+            Kind::CameraDuplicateId => {
+                let mut other = content.car;
+                move_by(&mut other, metres);
+                content.bodies.extend(other);
+            }
+            Kind::CameraSpoofed => {
+                let mut spoofed = content.car;
+                core::mem::swap(&mut spoofed, &mut content.car);
+                move_by(&mut content.car, metres);
+                let bytes = self.encode(content);
+                content.car = spoofed;
+                if let Some(bytes) = bytes {
+                    self.send_as(STRANGER, now_us, bytes, None);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn encode(&mut self, content: &Content) -> Option<Vec<u8>> {
+        let mut bodies = content.bodies.clone();
+        bodies.extend(content.car);
+        let length = encode::frame(
+            BitstreamVersion::V4_1,
+            &FrameContent {
+                number: content.number,
+                rigid_bodies: &bodies,
+                timestamp_s: content.ticks.mid_exposure as f64 / TICKS_PER_SECOND as f64,
+                ticks: content.ticks,
+                flags: content.flags,
+                ..FrameContent::default()
+            },
+            &mut self.buffer,
+        );
+        Some(self.buffer.get(..length.ok()?)?.to_vec())
+    }
+
+    fn send_frame(&mut self, now_us: u64, content: &Content, mut bytes: Vec<u8>, faults: &[Fault]) {
+        let mut exposure = self.shows_a_car(content).then_some(content.exposure);
+        for fault in faults {
+            if fault.kind == Kind::CameraMalformed && self.random.happens(fault.severity) {
+                self.damage(&mut bytes);
+                // It may still say something.
+                exposure = exposure.map(|exposure| Exposure {
+                    honest_clock: false,
+                    lie: true,
+                    ..exposure
+                });
+            }
+        }
+        self.send_as(SERVER, now_us + content.delay_us, bytes, exposure);
+    }
+
+    fn send_as(
+        &mut self,
+        source: SocketAddr,
+        due_us: u64,
+        bytes: Vec<u8>,
+        exposure: Option<Exposure>,
+    ) {
+        self.send(
+            due_us,
+            Packet {
+                source,
+                bytes,
+                exposure,
+            },
+        );
+    }
+
+    /// Whether a client may find a pose of the car in it: of exactly one body with
+    /// an id that the car has, or that it was said to have.
+    fn shows_a_car(&self, content: &Content) -> bool {
+        let bodies = || content.bodies.iter().chain(&content.car);
+        bodies().any(|body| {
+            let finite = body.position_m.iter().chain(&body.orientation_xyzw);
+            let named = stage::CAR_IDS.contains(&body.id)
+                || (self.renamed && content.bodies.first().is_some_and(|b| b.id == body.id));
+            named
+                && body.tracking_valid()
+                && finite.copied().all(f32::is_finite)
+                && bodies().filter(|other| other.id == body.id).count() == 1
+        })
+    }
+
+    /// Cuts it short, or changes some bytes.
+    fn damage(&mut self, bytes: &mut Vec<u8>) {
+        let last = u32::try_from(bytes.len()).unwrap_or(0).saturating_sub(1);
+        if self.random.happens(500) {
+            bytes.truncate(self.random.between(0, last) as usize);
+            return;
+        }
+        for _ in 0..self.random.between(1, 4) {
+            let index = self.random.between(0, last) as usize;
+            if let Some(byte) = bytes.get_mut(index) {
+                *byte ^= 1 << self.random.between(0, 7);
+            }
+        }
+    }
+}
+
+fn is_active(faults: &[Fault], kind: Kind) -> bool {
+    faults.iter().any(|fault| fault.kind == kind)
+}
+
+fn move_by(body: &mut Option<RigidBody>, metres: f32) {
+    if let Some(body) = body {
+        let [x, _, _] = &mut body.position_m;
+        *x += metres;
+    }
+}
+
+/// Turns a body about the vertical, which is y on the wire.
+fn turn_by(body: &mut Option<RigidBody>, angle: f32) {
+    if let Some(body) = body {
+        let (sin, cos) = (f64::from(angle) / 2.0).sin_cos();
+        let (s, c) = (sin as f32, cos as f32);
+        let [x, y, z, w] = body.orientation_xyzw;
+        body.orientation_xyzw = [c * x + s * z, c * y + s * w, c * z - s * x, c * w - s * y];
+    }
+}

@@ -1,0 +1,109 @@
+//! The daemon's serial port as the kernel has it: it is plugged in or not, takes
+//! frames whole, and keeps what nobody reads.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use singletrack_protocol::{Drive, Message, frame_length};
+use singletrackd::{controller::Sent, serial_port::Line};
+
+/// A device whose queue shows takes nothing while more than this waits: the
+/// daemon looks, see `singletrackd::serial_port`.
+const MOST_QUEUED: usize = frame_length(Drive::PAYLOAD_LENGTH);
+
+/// What Linux keeps for a reader that does not read: the line discipline's 4095
+/// bytes and the 64 KiB of the buffers before it. What comes on top is lost.
+const UNREAD: usize = 4_095 + 65_536;
+
+#[derive(Debug, Default)]
+struct State {
+    plugged: bool,
+    queue_shows: bool,
+    /// Bytes that wait to leave, when the world was last asked.
+    queued: usize,
+    written: Vec<u8>,
+}
+
+/// The port.
+#[derive(Debug)]
+pub(crate) struct Port {
+    state: Arc<Mutex<State>>,
+    unread: VecDeque<u8>,
+}
+
+/// The half that the control thread writes.
+#[derive(Debug)]
+pub(crate) struct WriteHalf(Arc<Mutex<State>>);
+
+fn lock(state: &Arc<Mutex<State>>) -> MutexGuard<'_, State> {
+    // One thread has both ends.
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Port {
+    pub(crate) fn new(queue_shows: bool) -> Self {
+        let state = State {
+            plugged: true,
+            queue_shows,
+            ..State::default()
+        };
+        Self {
+            state: Arc::new(Mutex::new(state)),
+            unread: VecDeque::new(),
+        }
+    }
+
+    /// Opens it, as the daemon does: what waits there belongs to a connection
+    /// of before.
+    pub(crate) fn open(&mut self) -> WriteHalf {
+        self.unread.clear();
+        WriteHalf(Arc::clone(&self.state))
+    }
+
+    pub(crate) fn set_plugged(&mut self, plugged: bool) {
+        lock(&self.state).plugged = plugged;
+        if !plugged {
+            self.unread.clear();
+        }
+    }
+
+    pub(crate) fn is_plugged(&self) -> bool {
+        lock(&self.state).plugged
+    }
+
+    pub(crate) fn set_queued(&self, bytes: usize) {
+        lock(&self.state).queued = bytes;
+    }
+
+    /// What the daemon has written since the last time.
+    pub(crate) fn take_written(&self, into: &mut Vec<u8>) {
+        into.append(&mut lock(&self.state).written);
+    }
+
+    /// Bytes have come from the board.
+    pub(crate) fn receive(&mut self, bytes: &[u8]) {
+        let room = UNREAD.saturating_sub(self.unread.len());
+        self.unread.extend(bytes.iter().take(room));
+    }
+
+    /// What one read of at most `most` bytes gives.
+    pub(crate) fn read(&mut self, most: usize, into: &mut Vec<u8>) {
+        let count = most.min(self.unread.len());
+        into.clear();
+        into.extend(self.unread.drain(..count));
+    }
+}
+
+impl Line for WriteHalf {
+    fn write_frame(&mut self, frame: &[u8]) -> Sent {
+        let mut state = lock(&self.0);
+        if !state.plugged || (state.queue_shows && state.queued > MOST_QUEUED) {
+            return Sent::Dropped;
+        }
+        state.queued += frame.len();
+        state.written.extend_from_slice(frame);
+        Sent::Whole
+    }
+}

@@ -1,0 +1,154 @@
+//! Schedules from seeds.
+
+use singletrack_sim::BoardKind;
+
+use super::{Ask, Fault, Kind, ReferenceKind, Schedule, Situation, Wish};
+use crate::random::{Random, Stream};
+
+/// Board, ESC and estimator are ready by then: the first request to arm.
+const FIRST_ARM_MS: u32 = 3_200;
+
+/// Faults may begin before the car can drive.
+const FIRST_FAULT_MS: u32 = 500;
+
+/// Time of a drive after the first request: the simulated processor is slow.
+const NATIVE_MS: [u32; 2] = [10_000, 25_000];
+const UNO_MS: [u32; 2] = [4_000, 7_000];
+
+impl Default for Situation {
+    /// Nothing out of the ordinary.
+    fn default() -> Self {
+        Self {
+            board: BoardKind::Native,
+            reference: ReferenceKind::Circle,
+            speed_mm_s: 500,
+            coast: false,
+            brake: false,
+            stop_input: false,
+            reset_on_open: false,
+            queue_shows: false,
+            fence_mm: 2_000,
+            camera_latency_ms: 8,
+            serial_delay_us: 0,
+            board_skew_ppm: 3_000,
+            board_clock_ms: 0,
+        }
+    }
+}
+
+impl Schedule {
+    /// The schedule of a seed.
+    #[must_use]
+    pub fn generate(seed: u64, board: BoardKind) -> Self {
+        let random = &mut Random::new(seed, Stream::Schedule);
+        let situation = situation(random, board);
+        let [shortest, longest] = match board {
+            BoardKind::Native => NATIVE_MS,
+            BoardKind::Uno => UNO_MS,
+        };
+        let end_ms = FIRST_ARM_MS + random.between(shortest, longest);
+        let count = random.between(1, 6);
+        let mut faults: Vec<Fault> = (0..count).map(|_| fault(random, end_ms)).collect();
+        faults.sort_by_key(|fault| fault.at_ms);
+        let asks = asks(random, end_ms, &faults);
+        Self {
+            seed,
+            situation,
+            end_ms,
+            asks,
+            faults,
+        }
+    }
+}
+
+fn situation(random: &mut Random, board: BoardKind) -> Situation {
+    Situation {
+        board,
+        reference: random.choose(
+            ReferenceKind::Circle,
+            &[ReferenceKind::Eight, ReferenceKind::Steps],
+        ),
+        speed_mm_s: random.between(300, 1_500),
+        coast: random.happens(500),
+        brake: random.happens(500),
+        stop_input: random.happens(500),
+        reset_on_open: random.happens(250),
+        queue_shows: random.happens(500),
+        fence_mm: random.spread(300, 3_000),
+        camera_latency_ms: random.between(3, 25),
+        serial_delay_us: random.between(0, 8_000),
+        board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
+        board_clock_ms: match board {
+            // Its clock wraps every 4,295 s: sometimes in the middle of a drive.
+            BoardKind::Native if random.happens(250) => random.between(4_270_000, 4_294_000),
+            BoardKind::Native => random.between(0, 4_294_000),
+            // The image's begins at zero.
+            BoardKind::Uno => 0,
+        },
+    }
+}
+
+fn fault(random: &mut Random, end_ms: u32) -> Fault {
+    let kind = random.choose(Kind::CameraUntracked, Kind::ALL.get(1..).unwrap_or(&[]));
+    let early = random.happens(100);
+    let at_ms = if early {
+        random.between(FIRST_FAULT_MS, FIRST_ARM_MS)
+    } else {
+        random.between(FIRST_ARM_MS, end_ms)
+    };
+    let for_ms = match kind {
+        _ if kind.is_momentary() => 0,
+        Kind::DaemonPaused => random.spread(20, 6_000),
+        Kind::DaemonKilled => random.spread(300, 3_000),
+        _ => random.spread(20, 4_000),
+    };
+    Fault {
+        kind,
+        at_ms,
+        for_ms,
+        severity: if random.happens(300) {
+            Fault::WORST
+        } else {
+            random.spread(10, Fault::WORST)
+        },
+    }
+}
+
+/// A person who wants the car to drive asks now and then, mostly after something
+/// went wrong, but also just when it does.
+fn asks(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<Ask> {
+    let mut asks = vec![Ask {
+        wish: Wish::Arm,
+        at_ms: FIRST_ARM_MS,
+    }];
+    let mut at_ms = FIRST_ARM_MS;
+    loop {
+        at_ms += random.spread(100, 4_000);
+        if at_ms >= end_ms {
+            break;
+        }
+        asks.push(Ask {
+            wish: random.choose(
+                Wish::Arm,
+                &[Wish::Arm, Wish::Arm, Wish::Arm, Wish::Arm, Wish::Disarm],
+            ),
+            at_ms,
+        });
+    }
+    for fault in faults {
+        if random.happens(300) {
+            asks.push(Ask {
+                wish: Wish::Arm,
+                at_ms: fault.at_ms + random.between(0, fault.for_ms),
+            });
+        }
+    }
+    if random.happens(250) {
+        asks.push(Ask {
+            wish: Wish::Stop,
+            at_ms: random.between(FIRST_ARM_MS, end_ms),
+        });
+    }
+    asks.sort_by_key(|ask| ask.at_ms);
+    asks
+}

@@ -1,0 +1,202 @@
+//! Schedules as text: one entry a line, or all in one with `;` between.
+
+use core::fmt;
+use std::str::FromStr;
+
+use super::{Ask, Fault, Kind, ReferenceKind, Schedule, Situation, Wish};
+
+/// Why a text is no schedule.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScheduleError {
+    /// An entry that is none.
+    #[error("{entry:?} is no entry of a schedule: write {expected}")]
+    Entry {
+        /// What was written.
+        entry: String,
+        /// What could be.
+        expected: &'static str,
+    },
+    /// An entry that has to be there.
+    #[error("the schedule has no {0}")]
+    Missing(&'static str),
+}
+
+const EXPECTED: &str = "seed N, board native|uno, reference circle|eight|steps, a key of the \
+                        situation and its value, end_ms N, ask arm|disarm|stop at MS, or fault \
+                        KIND at MS for MS severity 1..1000";
+
+impl fmt::Display for Schedule {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let s = &self.situation;
+        writeln!(out, "seed {}", self.seed)?;
+        writeln!(out, "board {}", s.board)?;
+        writeln!(out, "reference {}", s.reference.name())?;
+        writeln!(out, "speed_mm_s {}", s.speed_mm_s)?;
+        for (key, value) in [
+            ("coast", s.coast),
+            ("brake", s.brake),
+            ("stop_input", s.stop_input),
+            ("reset_on_open", s.reset_on_open),
+            ("queue_shows", s.queue_shows),
+        ] {
+            writeln!(out, "{key} {value}")?;
+        }
+        writeln!(out, "fence_mm {}", s.fence_mm)?;
+        writeln!(out, "camera_latency_ms {}", s.camera_latency_ms)?;
+        writeln!(out, "serial_delay_us {}", s.serial_delay_us)?;
+        writeln!(out, "board_skew_ppm {}", s.board_skew_ppm)?;
+        writeln!(out, "board_clock_ms {}", s.board_clock_ms)?;
+        writeln!(out, "end_ms {}", self.end_ms)?;
+        for ask in &self.asks {
+            writeln!(out, "{ask}")?;
+        }
+        for fault in &self.faults {
+            writeln!(out, "{fault}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Ask {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "ask {} at {}", self.wish.name(), self.at_ms)
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "fault {} at {} for {} severity {}",
+            self.kind.name(),
+            self.at_ms,
+            self.for_ms,
+            self.severity
+        )
+    }
+}
+
+impl Schedule {
+    /// All of it in one line.
+    #[must_use]
+    pub fn in_one_line(&self) -> String {
+        self.to_string().trim_end().replace('\n', "; ")
+    }
+}
+
+impl FromStr for Schedule {
+    type Err = ScheduleError;
+
+    fn from_str(text: &str) -> Result<Self, ScheduleError> {
+        let mut draft = Draft::default();
+        for line in text.lines() {
+            // A line may end with a remark.
+            let line = line.split('#').next().unwrap_or_default();
+            for entry in line.split(';').map(str::trim) {
+                if !entry.is_empty() {
+                    draft.take(entry).ok_or_else(|| ScheduleError::Entry {
+                        entry: entry.to_owned(),
+                        expected: EXPECTED,
+                    })?;
+                }
+            }
+        }
+        draft.finish()
+    }
+}
+
+#[derive(Default)]
+struct Draft {
+    seed: Option<u64>,
+    end_ms: Option<u32>,
+    situation: Situation,
+    asks: Vec<Ask>,
+    faults: Vec<Fault>,
+}
+
+impl Draft {
+    fn take(&mut self, entry: &str) -> Option<()> {
+        let words: Vec<&str> = entry.split_whitespace().collect();
+        let s = &mut self.situation;
+        match words.as_slice() {
+            ["seed", n] => self.seed = Some(n.parse().ok()?),
+            ["end_ms", n] => self.end_ms = Some(n.parse().ok()?),
+            ["board", kind] => s.board = kind.parse().ok()?,
+            ["reference", name] => s.reference = ReferenceKind::named(name)?,
+            ["speed_mm_s", n] => s.speed_mm_s = n.parse().ok()?,
+            ["coast", yes] => s.coast = yes.parse().ok()?,
+            ["brake", yes] => s.brake = yes.parse().ok()?,
+            ["stop_input", yes] => s.stop_input = yes.parse().ok()?,
+            ["reset_on_open", yes] => s.reset_on_open = yes.parse().ok()?,
+            ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
+            ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
+            ["camera_latency_ms", n] => s.camera_latency_ms = n.parse().ok()?,
+            ["serial_delay_us", n] => s.serial_delay_us = n.parse().ok()?,
+            ["board_skew_ppm", n] => s.board_skew_ppm = n.parse().ok()?,
+            ["board_clock_ms", n] => s.board_clock_ms = n.parse().ok()?,
+            ["ask", wish, "at", at] => self.asks.push(Ask {
+                wish: Wish::named(wish)?,
+                at_ms: at.parse().ok()?,
+            }),
+            [
+                "fault",
+                kind,
+                "at",
+                at,
+                "for",
+                duration,
+                "severity",
+                severity,
+            ] => self.faults.push(Fault {
+                kind: *Kind::ALL.iter().find(|known| known.name() == *kind)?,
+                at_ms: at.parse().ok()?,
+                for_ms: duration.parse().ok()?,
+                severity: severity.parse().ok().filter(|s| (1..=1_000).contains(s))?,
+            }),
+            _ => return None,
+        }
+        Some(())
+    }
+
+    fn finish(self) -> Result<Schedule, ScheduleError> {
+        Ok(Schedule {
+            seed: self.seed.ok_or(ScheduleError::Missing("seed"))?,
+            situation: self.situation,
+            end_ms: self.end_ms.ok_or(ScheduleError::Missing("end_ms"))?,
+            asks: self.asks,
+            faults: self.faults,
+        })
+    }
+}
+
+impl ReferenceKind {
+    const ALL: [Self; 3] = [Self::Circle, Self::Eight, Self::Steps];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Circle => "circle",
+            Self::Eight => "eight",
+            Self::Steps => "steps",
+        }
+    }
+
+    fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+impl Wish {
+    const ALL: [Self; 3] = [Self::Arm, Self::Disarm, Self::Stop];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Arm => "arm",
+            Self::Disarm => "disarm",
+            Self::Stop => "stop",
+        }
+    }
+
+    fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|wish| wish.name() == name)
+    }
+}

@@ -1,0 +1,163 @@
+//! From a situation to the world and the daemon's configuration.
+
+use singletrack_sim::{
+    BoardParameters, CameraParameters, CarParameters, SimulationConfig, StartPose, WireFaults,
+    WireParameters, default_board_configuration,
+};
+use singletrackd::config::{BoardSection, Config, FailsafeKind};
+
+use crate::{
+    Trouble,
+    schedule::{ReferenceKind, Schedule, Situation},
+};
+
+/// The daemon's configuration, as text: whatever it does not say is as shipped.
+///
+/// # Errors
+///
+/// What the daemon would say of it.
+pub(crate) fn config(situation: &Situation) -> Result<Config, Trouble> {
+    let speed = f64::from(situation.speed_mm_s) * 1e-3;
+    let marker_loss = if situation.coast { "coast" } else { "hold" };
+    let (outer_loop, reference) = match situation.reference {
+        ReferenceKind::Circle => {
+            let radius = radius(speed);
+            (
+                "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true",
+                format!(
+                    "kind = \"circle\"\nradius_m = {radius}\nangular_velocity_rad_s = {}",
+                    speed / radius
+                ),
+            )
+        }
+        ReferenceKind::Eight => {
+            // The fastest and the most curved place of a lemniscate are not the
+            // same; with this length both stay within what the tyres hold.
+            let length = 1.5 * radius(speed);
+            (
+                "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true",
+                format!(
+                    "kind = \"figure-of-eight\"\nhalf_length_m = {length}\nhalf_width_m = {}\n\
+                     angular_velocity_rad_s = {}",
+                    0.5 * length,
+                    speed / (1.5 * length)
+                ),
+            )
+        }
+        ReferenceKind::Steps => (
+            "kind = \"open-loop\"",
+            format!(
+                "kind = \"velocity-steps\"\nsteps = [{}]",
+                [(1.0, 0.0), (0.8, 0.6), (0.0, 1.0), (-0.8, 0.6), (-1.0, 0.0)]
+                    .map(|(x, y)| format!(
+                        "{{ duration_s = 1.2, v_x_m_s = {}, v_y_m_s = {} }}",
+                        x * speed,
+                        y * speed
+                    ))
+                    .join(", ")
+            ),
+        ),
+    };
+    let h = reach(situation) + f64::from(situation.fence_mm) * 1e-3;
+    let text = format!(
+        "[serial]\nport = \"simulated\"\n\
+         [motion_capture]\nserver = \"127.0.0.1\"\nrigid_body = \"car\"\nup_axis = \"y\"\n\
+         [law]\nkind = \"front-point\"\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.1368\n\
+         [outer_loop]\n{outer_loop}\n\
+         [reference]\n{reference}\n\
+         [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
+         [estimator]\nmarker_loss = \"{marker_loss}\"\n\
+         {BOARD}"
+    );
+    let mut config = Config::from_toml(&text).map_err(Trouble::Config)?;
+    config.board = BoardSection {
+        failsafe: if situation.brake {
+            FailsafeKind::Brake
+        } else {
+            FailsafeKind::Coast
+        },
+        stop_input: situation.stop_input,
+        ..BoardSection::from(&default_board_configuration())
+    };
+    config.validate().map_err(Trouble::Config)?;
+    Ok(config)
+}
+
+/// Calibration has no default; this one is replaced by the simulated car's.
+const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\
+                     max_us = 1920\n\
+                     [board.esc]\nneutral_us = 1500\ndeadband_us = 30\nmin_us = 1200\n\
+                     max_us = 1700\nbrake_us = 1350\n\
+                     [board.speed]\npulse_distance_um = 3000\nfeed_forward_us_per_m_s = 80\n\
+                     proportional_us_per_m_s = 80\nintegral_us_per_m = 250\n\
+                     integral_limit_us = 60\nmax_forward_mm_s = 1500\n";
+
+/// A circle on which the tyres hold with a margin: 1.5 m/s² of 2.45.
+fn radius(speed: f64) -> f64 {
+    (speed * speed / 1.5).max(0.8)
+}
+
+/// How far P goes from the origin, in m.
+fn reach(situation: &Situation) -> f64 {
+    let speed = f64::from(situation.speed_mm_s) * 1e-3;
+    match situation.reference {
+        ReferenceKind::Circle => radius(speed),
+        ReferenceKind::Eight => 1.5 * radius(speed),
+        // With 1.2 s for each step.
+        ReferenceKind::Steps => 1.2 * 2.2 * speed,
+    }
+}
+
+/// What is simulated.
+pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
+    let situation = &schedule.situation;
+    SimulationConfig {
+        seed: schedule.seed,
+        car: CarParameters {
+            start: start(situation),
+            ..CarParameters::default()
+        },
+        board: BoardParameters {
+            kind: situation.board,
+            clock_skew_ppm: situation.board_skew_ppm,
+            clock_offset_us: situation.board_clock_ms.wrapping_mul(1_000),
+            ..BoardParameters::default()
+        },
+        wire: WireParameters {
+            faults: wire_faults(situation),
+            ..WireParameters::default()
+        },
+        cameras: CameraParameters {
+            latency_us: u64::from(situation.camera_latency_ms) * 1_000,
+            ..CameraParameters::default()
+        },
+        ..SimulationConfig::default()
+    }
+}
+
+/// The line when nothing is wrong with it.
+pub(crate) fn wire_faults(situation: &Situation) -> WireFaults {
+    WireFaults {
+        delay_us: u64::from(situation.serial_delay_us),
+        ..WireFaults::default()
+    }
+}
+
+/// With P near where the reference begins, and the car nearly along it.
+fn start(situation: &Situation) -> StartPose {
+    const REACH_M: f64 = 0.1368 + 0.35;
+    let speed = f64::from(situation.speed_mm_s) * 1e-3;
+    match situation.reference {
+        ReferenceKind::Circle => StartPose {
+            x_m: radius(speed),
+            y_m: -REACH_M,
+            yaw_rad: core::f64::consts::FRAC_PI_2,
+        },
+        ReferenceKind::Eight => StartPose {
+            x_m: -REACH_M,
+            y_m: 0.0,
+            yaw_rad: 0.5,
+        },
+        ReferenceKind::Steps => StartPose::default(),
+    }
+}

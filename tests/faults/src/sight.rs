@@ -1,0 +1,140 @@
+//! What an invariant may look at: the world as it really is, and what the host
+//! did.
+
+use singletrack_control::{Fence, Request};
+use singletrack_protocol::{BoardMode, Configuration, ToBoard};
+use singletrack_record::TickRecord;
+use singletrack_sim::{Heard, PulseRecord, Truth};
+use singletrackd::config::{Config, ConfigError};
+
+use crate::{
+    network::Exposure,
+    schedule::{Fault, Kind, Situation},
+};
+
+/// What the configuration promises, in the units of the invariants.
+#[derive(Clone, Debug)]
+pub(crate) struct Stated {
+    pub(crate) situation: Situation,
+    pub(crate) board: Configuration,
+    pub(crate) hold_us: u64,
+    /// A pose this old ends even slowing down.
+    pub(crate) blind_us: u64,
+    pub(crate) imu_silence_us: u64,
+    pub(crate) stop_timeout_us: u64,
+    pub(crate) max_speed: f64,
+    pub(crate) max_reverse_speed: f64,
+    pub(crate) max_acceleration: f64,
+    pub(crate) stop_deceleration: f64,
+    pub(crate) max_steering: f64,
+    pub(crate) max_steering_rate: f64,
+    pub(crate) period_s: f64,
+    pub(crate) fence: Fence,
+}
+
+impl Stated {
+    pub(crate) fn new(situation: &Situation, config: &Config) -> Result<Self, ConfigError> {
+        let us = |ms: u32| u64::from(ms) * 1_000;
+        let limits = &config.limits;
+        Ok(Self {
+            situation: *situation,
+            board: config.board.configuration(),
+            hold_us: us(config.supervisor.hold_ms),
+            blind_us: us(config.supervisor.blind_ms),
+            imu_silence_us: us(config.supervisor.imu_silence_ms),
+            stop_timeout_us: us(config.supervisor.stop_timeout_ms),
+            max_speed: limits.max_speed_m_s,
+            max_reverse_speed: limits.max_reverse_speed_m_s,
+            max_acceleration: limits.max_acceleration_m_s2,
+            stop_deceleration: config.control.stop_deceleration_m_s2,
+            max_steering: limits.max_steering_rad,
+            max_steering_rate: limits.max_steering_rate_rad_s,
+            period_s: f64::from(config.control.period_ms) * 1e-3,
+            fence: config.fence.fence()?,
+        })
+    }
+
+    /// Whether the ESC's pulse drives the motor: neither neutral, nor absent, nor
+    /// the brake of a board that brakes by itself. What a reset cut short drives
+    /// only if it is longer than neutral all the same.
+    pub(crate) fn drives(&self, pulse: &PulseRecord) -> bool {
+        let esc = &self.board.esc;
+        let brakes = self.situation.brake && pulse.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US;
+        let short = pulse.cut && pulse.esc_us < esc.neutral_us;
+        pulse.esc_us != 0
+            && pulse.esc_us.abs_diff(esc.neutral_us) > TOLERANCE_US
+            && !brakes
+            && !short
+    }
+}
+
+/// What the width of a pulse may be off by, in µs: the rounding of a measured one.
+pub(crate) const TOLERANCE_US: u16 = 1;
+
+/// A pose that has reached the daemon.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    pub(crate) exposure: Exposure,
+    pub(crate) received_us: u64,
+}
+
+impl Seen {
+    /// Since when it is at least as old as the daemon can know.
+    pub(crate) const fn since_us(&self) -> u64 {
+        if self.exposure.honest_clock {
+            self.exposure.exposed_us
+        } else {
+            self.received_us
+        }
+    }
+}
+
+/// One step of a drive.
+#[derive(Debug)]
+pub(crate) struct Sight<'a> {
+    /// Simulation time, in µs.
+    pub(crate) now_us: u64,
+    pub(crate) stated: &'a Stated,
+    /// What is really so.
+    pub(crate) truth: Truth,
+    /// The pulses that were new.
+    pub(crate) pulses: &'a [PulseRecord],
+    /// What has reached the board.
+    pub(crate) heard: &'a [Heard],
+    /// When the board's code began to run; none while it does not.
+    pub(crate) board_since_us: Option<u64>,
+    /// What the board last said of itself.
+    pub(crate) board_mode: Option<BoardMode>,
+    /// The daemon's tick, if there was one.
+    pub(crate) tick: Option<&'a TickRecord>,
+    /// What the daemon wrote.
+    pub(crate) written: &'a [ToBoard],
+    /// Whether the daemon has read bytes of the board.
+    pub(crate) has_read: bool,
+    /// When the daemon that runs was started.
+    pub(crate) daemon_since_us: Option<u64>,
+    /// The newest pose that has reached it.
+    pub(crate) seen: Option<Seen>,
+    /// The faults in force.
+    pub(crate) faults: &'a [Fault],
+    /// Those that have just begun.
+    pub(crate) begun: &'a [Fault],
+    /// The requests that were taken since the last tick but one: this one must
+    /// know of them.
+    pub(crate) asked: &'a [Request],
+}
+
+impl Sight<'_> {
+    pub(crate) fn suffers(&self, kind: Kind) -> bool {
+        self.faults.iter().any(|fault| fault.kind == kind)
+    }
+
+    /// Whether it is in force: of faults with the same subject the one that began
+    /// last is.
+    pub(crate) fn rules(&self, kind: Kind) -> bool {
+        let mut rivals = self.faults.iter().rev();
+        rivals
+            .find(|fault| fault.kind.subject() == kind.subject())
+            .is_some_and(|fault| fault.kind == kind)
+    }
+}

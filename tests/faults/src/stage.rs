@@ -1,0 +1,96 @@
+//! What the faults do to the world itself: line, board, sensors, supply.
+
+use singletrack_protocol::ResetCause;
+use singletrack_sim::{Hang, ImuFault, MotorSensorFault, NatNetServer, WireFaults, World};
+
+use crate::{
+    schedule::{Fault, Kind, Situation},
+    setting,
+};
+
+/// The car's own streaming id, and another one.
+pub(crate) const CAR_IDS: [i32; 2] = [CAR_ID, OTHER_CAR_ID];
+const CAR_ID: i32 = 11;
+const OTHER_CAR_ID: i32 = 12;
+
+/// Charge that takes a volt off the battery, in Ah: see its parameters.
+const AH_PER_VOLT: f64 = 2.0;
+
+/// A fault begins.
+pub(crate) fn begin(world: &mut World, fault: &Fault) {
+    match fault.kind {
+        Kind::BoardPowerOn => world.reset_board(ResetCause::PowerOn),
+        Kind::BoardReset => world.reset_board(ResetCause::External),
+        Kind::BoardBrownOut => world.reset_board(ResetCause::BrownOut),
+        Kind::BoardWatchdog => world.reset_board(ResetCause::Watchdog),
+        Kind::BoardHang if world.board().is_running() => world.board_mut().hang(Hang::MainLoop),
+        Kind::CameraModelChange => world.set_car_body_id(OTHER_CAR_ID),
+        Kind::BatteryLow => world.car_mut().drain_battery(charge_ah(fault)),
+        _ => {}
+    }
+}
+
+/// A fault ends.
+pub(crate) fn end(world: &mut World, fault: &Fault) {
+    match fault.kind {
+        Kind::CameraModelChange => world.set_car_body_id(CAR_ID),
+        Kind::CameraServerRestart => {
+            let parameters = *world.natnet().parameters();
+            *world.natnet_mut() = NatNetServer::new(parameters);
+        }
+        Kind::BatteryLow => world.car_mut().drain_battery(-charge_ah(fault)),
+        _ => {}
+    }
+}
+
+fn charge_ah(fault: &Fault) -> f64 {
+    AH_PER_VOLT * f64::from(fault.severity) / 250.0
+}
+
+/// What lasts, with these faults in force. Of two that break the same thing in
+/// two ways, the one that began last has it.
+pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
+    let is = |kind| faults.iter().any(|fault| fault.kind == kind);
+    let mut wire = setting::wire_faults(situation);
+    let mut imu = ImuFault::None;
+    let mut motor = MotorSensorFault::None;
+    for fault in faults {
+        let s = fault.severity;
+        match fault.kind {
+            Kind::LineDrop => wire.drop = f64::from(s) / 5_000.0,
+            Kind::LineCorrupt => wire.corrupt = f64::from(s) / 5_000.0,
+            Kind::LineDelay => wire.delay_us += u64::from(s) * 200,
+            Kind::LineStuck => {
+                wire = WireFaults {
+                    stuck: true,
+                    ..wire
+                };
+            }
+            Kind::ImuSilent => imu = ImuFault::Silent,
+            Kind::ImuStuck => imu = ImuFault::Stuck,
+            Kind::ImuBiased => {
+                let bias = i16::try_from(s).unwrap_or(i16::MAX);
+                imu = ImuFault::Biased {
+                    yaw_rate_mrad_s: bias,
+                    forward_mm_s2: bias,
+                };
+            }
+            Kind::ImuSaturated => imu = ImuFault::Saturated,
+            Kind::ImuErratic => imu = ImuFault::Erratic,
+            Kind::PulsesGone => motor = MotorSensorFault::Gone,
+            Kind::PulsesDoubled => motor = MotorSensorFault::Doubled,
+            Kind::PulsesHalved => motor = MotorSensorFault::Halved,
+            Kind::PulsesErratic => motor = MotorSensorFault::Erratic,
+            _ => {}
+        }
+    }
+    *world.wire_mut().faults_mut() = wire;
+    world.set_wire_connected(!is(Kind::LineUnplugged));
+    world.set_board_power(!is(Kind::BoardOff));
+    world.set_imu_fault(imu);
+    world.car_mut().set_motor_sensor_fault(motor);
+    world.car_mut().set_esc_power(!is(Kind::EscOff));
+    world
+        .board_mut()
+        .set_stop_input_open(is(Kind::StopInputOpen));
+}
