@@ -47,7 +47,8 @@ const MESSAGE: usize = 2_048;
 /// # Panics
 ///
 /// When what is accepted is not valid, does not survive being written and read,
-/// or can't be given to controller, link and cameras; when what is refused is
+/// can't be given to controller, link and cameras, or is a reference that is
+/// anywhere not finite; when what is refused is
 /// refused without a word, or with more than the text deserves.
 ///
 /// Returns how many texts were tried.
@@ -87,7 +88,19 @@ fn check_accepted(config: &Config) {
         read.as_ref().is_ok_and(|read| read == config),
         "{read:?} instead of {config:?}"
     );
-    assert!(config.pilot().is_ok(), "not for the controller");
+    let pilot = config.pilot().expect("what is valid is for the controller");
+    for time_s in [0.0, 0.01, 1.0, 1_000.0] {
+        let point = pilot.reference.at(time_s);
+        let position = point.position.map(|position| [position.x, position.y]);
+        let numbers = [
+            position.unwrap_or_default(),
+            [point.velocity.x, point.velocity.y],
+        ];
+        assert!(
+            numbers.iter().flatten().all(|number| number.is_finite()),
+            "{point:?} is not finite"
+        );
+    }
     assert!(Session::new(config.link(1)).is_ok(), "not for the link");
     let cameras = config.motion_capture.session();
     assert!(

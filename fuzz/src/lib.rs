@@ -18,6 +18,7 @@
 mod board_bytes;
 mod choices;
 mod configuration;
+mod control_line;
 mod frame;
 mod host_bytes;
 mod natnet_packets;
@@ -27,6 +28,7 @@ pub mod seeds;
 
 pub use board_bytes::board_bytes;
 pub use configuration::configuration;
+pub use control_line::control_line;
 pub use host_bytes::host_bytes;
 pub use natnet_packets::natnet_packets;
 
@@ -40,7 +42,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 4] = [
+pub const TARGETS: [Target; 5] = [
     Target {
         name: "board_bytes",
         run: board_bytes,
@@ -56,5 +58,9 @@ pub const TARGETS: [Target; 4] = [
     Target {
         name: "configuration",
         run: configuration,
+    },
+    Target {
+        name: "control_line",
+        run: control_line,
     },
 ];

@@ -30,6 +30,7 @@ pub fn seeds(target: &str) -> Vec<Seed> {
         "host_bytes" => serial(&to_host(), 1..6, HOST_COURSES),
         "natnet_packets" => natnet(),
         "configuration" => configuration(),
+        "control_line" => control_line(),
         _ => vec![],
     }
 }
@@ -407,6 +408,49 @@ fn configuration() -> Vec<Seed> {
     for line in (0..128).step_by(6) {
         let value = line / 6;
         seeds.push(seed(format!("line-{line}"), [1, 1, line, value, 0, line]));
+    }
+    seeds
+}
+
+/// The lines of the protocol's description, and objects that nearly are some.
+fn control_line() -> Vec<Seed> {
+    let lines = [
+        ("status", r#"{"version":1,"command":"status"}"#),
+        ("arm", r#"{"version":1,"command":"arm"}"#),
+        ("disarm", r#"{"version":1,"command":"disarm"}"#),
+        ("stop", r#"{"command":"stop","version":1}"#),
+        (
+            "watch",
+            r#"{"version":1,"command":"watch","topics":["tick","log"]}"#,
+        ),
+        (
+            "set-reference",
+            r#"{"version":1,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
+        ),
+        (
+            "setpoint",
+            r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
+        ),
+        (
+            "setpoint-too-large",
+            r#"{"version":1,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
+        ),
+        ("version", r#"{"version":2,"command":"status"}"#),
+        ("escape", r#"{"version":1,"command":"\u0073tatus"}"#),
+        ("twice", r#"{"version":1,"version":1,"command":"arm"}"#),
+        ("nested", "[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[["),
+        ("empty", ""),
+        ("no-object", "arm"),
+    ];
+    let mut seeds: Vec<_> = lines
+        .map(|(name, line)| seed(format!("line-{name}"), [b"\0", line.as_bytes()].concat()))
+        .to_vec();
+    // Key and value; then the same of the next key.
+    for command in 6..13 {
+        for key in [2, 4] {
+            let bytes = [1, 1, 1, command, key, 13, key + 1, 18];
+            seeds.push(seed(format!("object-{command}-{key}"), bytes));
+        }
     }
     seeds
 }

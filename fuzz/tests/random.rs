@@ -38,4 +38,13 @@ proptest! {
         data.insert(0, changes.into());
         singletrack_fuzz::configuration(&data);
     }
+
+    #[test]
+    fn any_line_of_a_client_is_a_command_or_is_refused_with_a_word(
+        object: bool,
+        mut data in vec(any::<u8>(), 0..60),
+    ) {
+        data.insert(0, object.into());
+        singletrack_fuzz::control_line(&data);
+    }
 }

@@ -1,0 +1,168 @@
+//! Lines that a client of the control socket sends.
+
+use singletrackd::Command;
+
+use crate::choices::Choices;
+
+/// When the line is read, in ns of `CLOCK_MONOTONIC`.
+const NOW_NS: u64 = 1_000_000_000_000;
+
+/// How long an answer about a mistake may be, beside the line that it quotes.
+const ANSWER: usize = 1_024;
+
+/// Keys of a line, and one that is none.
+const KEYS: [&str; 9] = [
+    "version",
+    "command",
+    "topics",
+    "reference",
+    "velocity_m_s",
+    "position_m",
+    "time_ns",
+    "kind",
+    "surplus",
+];
+
+/// Values that are right at some keys.
+const VALUES: [&str; 24] = [
+    "1",
+    "2",
+    "0",
+    "-1",
+    "null",
+    "true",
+    "\"status\"",
+    "\"arm\"",
+    "\"disarm\"",
+    "\"stop\"",
+    "\"watch\"",
+    "\"set-reference\"",
+    "\"setpoint\"",
+    "[0.5,-0.5]",
+    "[1e308,1e308]",
+    "[\"tick\",\"log\"]",
+    "[]",
+    "{}",
+    "{\"kind\":\"circle\",\"radius_m\":1.0,\"angular_velocity_rad_s\":0.5}",
+    "{\"kind\":\"external\"}",
+    "{\"kind\":\"waypoints\",\"file\":\"nowhere\"}",
+    "{\"kind\":\"velocity-steps\",\"steps\":[{\"duration_s\":1,\"v_x_m_s\":1,\"v_y_m_s\":0}]}",
+    "18446744073709551615",
+    "1000000000001",
+];
+
+/// Lines that a client of the control socket sends.
+///
+/// The first byte says what is made of the rest: the line itself, or an object of
+/// known keys with values of all kinds.
+///
+/// # Panics
+///
+/// When a set-point is accepted that is not finite, or made in the future; when a
+/// command is read from a line that does not hold its word, or of another version;
+/// when a line is refused without a word, or with more than it deserves.
+///
+/// Returns how many lines were read.
+pub fn control_line(data: &[u8]) -> u64 {
+    let mut choices = Choices::new(data);
+    if choices.byte() & 1 == 0 {
+        check(choices.rest());
+    } else {
+        check(object(&mut choices).as_bytes());
+    }
+    1
+}
+
+fn object(choices: &mut Choices<'_>) -> String {
+    let mut entries = Vec::new();
+    if choices.flag() {
+        entries.push("\"version\":1".to_owned());
+    }
+    while !choices.is_empty() && entries.len() < 16 {
+        let key = choices.one_of(KEYS);
+        let value = match choices.byte() {
+            byte @ 0..=200 => VALUES[usize::from(byte) % VALUES.len()].to_owned(),
+            201..=220 => choices.u64().to_string(),
+            221..=240 => format!("[{:?},{:?}]", choices.f64(), choices.f64()),
+            _ => String::from_utf8_lossy(choices.bytes()).into_owned(),
+        };
+        entries.push(format!("\"{key}\":{value}"));
+    }
+    format!("{{{}}}\n", entries.join(","))
+}
+
+fn check(line: &[u8]) {
+    match Command::parse(line, NOW_NS) {
+        Ok(command) => check_accepted(&command, line),
+        Err(error) => {
+            assert!(!error.trim().is_empty(), "refused without a word");
+            assert!(
+                error.len() <= ANSWER + 8 * line.len(),
+                "{} bytes about {}",
+                error.len(),
+                line.len()
+            );
+        }
+    }
+}
+
+fn check_accepted(command: &Command, line: &[u8]) {
+    // Nobody arms a car by accident: the words must be there. (A word may be
+    // written with escapes, too.)
+    let text = core::str::from_utf8(line).expect("JSON is UTF-8");
+    assert!(text.contains('1'), "another version is obeyed: {text}");
+    let word = match command {
+        Command::Ask(question) => match question {
+            singletrackd::Question::Status => "status",
+            singletrackd::Question::Arm => "arm",
+            singletrackd::Question::Disarm => "disarm",
+            singletrackd::Question::Stop => "stop",
+        },
+        Command::SetReference(_) => "set-reference",
+        Command::Setpoint(_) => "setpoint",
+        Command::Watch { .. } => "watch",
+    };
+    assert!(
+        text.contains(word) || text.contains('\\'),
+        "{word} is read from {text}"
+    );
+    if let Command::Setpoint(setpoint) = command {
+        let position = setpoint.position.map(|position| [position.x, position.y]);
+        let numbers = [
+            position.unwrap_or_default(),
+            [setpoint.velocity.x, setpoint.velocity.y],
+        ];
+        assert!(
+            numbers.iter().flatten().all(|number| number.is_finite()),
+            "{setpoint:?} is not finite"
+        );
+        assert!(setpoint.time.0 <= NOW_NS, "made in the future");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Choices, Command, NOW_NS, object};
+
+    fn parse(data: &[u8]) -> Result<Command, String> {
+        Command::parse(object(&mut Choices::new(data)).as_bytes(), NOW_NS)
+    }
+
+    #[test]
+    fn objects_of_choices_are_commands_of_every_kind() {
+        assert!(matches!(parse(&[1, 1, 6]), Ok(Command::Ask(_))));
+        assert!(matches!(
+            parse(&[1, 1, 10, 2, 15]),
+            Ok(Command::Watch { .. })
+        ));
+        assert!(matches!(
+            parse(&[1, 1, 11, 3, 18]),
+            Ok(Command::SetReference(_))
+        ));
+        assert!(matches!(
+            parse(&[1, 1, 12, 4, 13]),
+            Ok(Command::Setpoint(_))
+        ));
+        assert!(parse(&[0, 1, 6]).is_err());
+    }
+}
