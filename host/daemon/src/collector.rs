@@ -40,6 +40,8 @@ pub(crate) struct Latest {
     pub(crate) board: Option<(BoardMode, StopCause)>,
     pub(crate) board_status: Option<Status>,
     pub(crate) tally: Tally,
+    /// Why the record has ended before the daemon did.
+    pub(crate) record_error: Option<String>,
 }
 
 /// What everybody but the control thread may look at.
@@ -181,7 +183,8 @@ impl Collector {
         if let Some(record) = &mut self.record
             && !record.push(entry)
         {
-            if self.record_dropped == 0 {
+            // Of a record that has ended it is known why.
+            if self.record_dropped == 0 && self.board.latest().record_error.is_none() {
                 tracing::warn!(
                     time_ns = monotonic_ns(),
                     "the record is incomplete: the disk does not keep up"

@@ -17,7 +17,7 @@ use singletrack_control::{Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
 use singletrack_record::RecorderThread;
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 
 use crate::{
     clock::wall_ns,
@@ -110,6 +110,7 @@ impl View {
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),
+            record_error: latest.record_error.clone(),
         }
     }
 }
@@ -126,6 +127,8 @@ pub struct Daemon {
     collector_stop: Arc<AtomicBool>,
     collector: Option<JoinHandle<()>>,
     recorder: Option<Recording>,
+    /// The path of a record that could not be written to the end.
+    broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
 }
 
@@ -230,6 +233,7 @@ impl Daemon {
             collector_stop: Arc::new(AtomicBool::new(false)),
             collector: None,
             recorder,
+            broken_record: None,
             socket: None,
         };
 
@@ -388,6 +392,28 @@ impl Daemon {
         self.view.requests.push(ControlRequest::Abort)
     }
 
+    /// Looks whether the record is still written; logs it once when it is not,
+    /// and the drive goes on without.
+    pub fn look_after_record(&mut self) {
+        let has_ended = |recording: &mut Recording| !recording.thread.is_writing();
+        let Some(Recording { thread, path }) = self.recorder.take_if(has_ended) else {
+            return;
+        };
+        let reason = match thread.finish() {
+            Ok(_) => "its thread has ended".to_owned(),
+            Err(error) => recording::with_causes(&error),
+        };
+        error!("nothing is recorded any more: {reason}");
+        self.view.board.latest().record_error = Some(reason);
+        self.broken_record = Some(path);
+    }
+
+    /// Why nothing is recorded any more; none while all is well.
+    #[must_use]
+    pub fn record_error(&self) -> Option<String> {
+        self.view.board.latest().record_error.clone()
+    }
+
     /// How many ticks the control thread has done.
     #[must_use]
     pub fn ticks(&self) -> u64 {
@@ -439,13 +465,7 @@ impl Daemon {
                 warn!("the collector's thread has panicked");
             }
         }
-        let (record, record_error) = match self.recorder.take() {
-            None => (None, None),
-            Some(Recording { thread, path }) => match thread.finish() {
-                Ok(finished) => (Some(finished.path), None),
-                Err(error) => (Some(path), Some(error.to_string())),
-            },
-        };
+        let (record, record_error) = self.end_record();
         let counters = control.inspect_err(|_| {
             // There will be no summary to say so.
             if let Some(error) = &record_error {
@@ -466,6 +486,20 @@ impl Daemon {
             record,
             record_error,
         })
+    }
+
+    /// The record's path, and what is wrong with it.
+    fn end_record(&mut self) -> (Option<PathBuf>, Option<String>) {
+        match self.recorder.take() {
+            None => (
+                self.broken_record.take(),
+                self.view.board.latest().record_error.clone(),
+            ),
+            Some(Recording { thread, path }) => match thread.finish() {
+                Ok(finished) => (Some(finished.path), None),
+                Err(error) => (Some(path), Some(recording::with_causes(&error))),
+            },
+        }
     }
 
     /// Has the control thread stop the car, and waits for it.

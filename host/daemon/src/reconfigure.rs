@@ -165,10 +165,10 @@ impl Reconfigurer {
     /// The configuration in force with another reference.
     pub(crate) fn set_reference(&self, reference: ReferenceSection) -> Result<u32, ChangeError> {
         self.change("set-reference", |in_force| {
-            if let ReferenceSection::Waypoints { file } = &reference {
-                if !file.is_absolute() {
-                    return Err(ChangeError::RelativePath(file.clone()));
-                }
+            if let ReferenceSection::Waypoints { file } = &reference
+                && !file.is_absolute()
+            {
+                return Err(ChangeError::RelativePath(file.clone()));
             }
             let config = Config {
                 reference,

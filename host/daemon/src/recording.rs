@@ -2,6 +2,7 @@
 
 use std::{
     collections::BTreeMap,
+    error::Error,
     fs, io,
     path::{Path, PathBuf},
 };
@@ -77,6 +78,21 @@ pub(crate) fn start(
     let (input, output) = feed(CAPACITY);
     let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
     Ok(Some((thread, input, path)))
+}
+
+/// An error with what is behind it: that a disk is full is known to the last in
+/// the chain alone.
+pub(crate) fn with_causes(error: &RecordError) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let word = error.to_string();
+        if !text.contains(&word) {
+            text += &format!(": {word}");
+        }
+        cause = error.source();
+    }
+    text
 }
 
 /// A name that no record has: two daemons may start in the same second.

@@ -80,6 +80,7 @@ impl Service {
 
     /// Tells the manager what has changed, and that the controller ticks.
     fn report(&mut self) {
+        self.daemon.look_after_record();
         let ticks = self.daemon.ticks();
         if ticks == 0 {
             return;
@@ -117,6 +118,9 @@ impl Service {
         }) = last_change
         {
             status += &format!("; {by} refused: {error}");
+        }
+        if let Some(error) = self.daemon.record_error() {
+            status += &format!("; nothing is recorded: {error}");
         }
         status
     }

@@ -28,6 +28,8 @@ pub struct Snapshot {
     pub realtime: RealTimeStatus,
     /// Which configuration is in force.
     pub configuration: ConfigurationView,
+    /// Why the record has ended although the daemon has not, such as a full disk.
+    pub record_error: Option<String>,
 }
 
 /// What a tick saw and decided, without its events.
@@ -127,6 +129,7 @@ impl Snapshot {
             "figures": self.figures,
             "realtime": self.realtime,
             "configuration": self.configuration,
+            "record_error": self.record_error,
         })
     }
 }

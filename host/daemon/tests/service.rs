@@ -13,7 +13,10 @@ use std::{
     io::{BufRead, BufReader, Write},
     os::{
         linux::net::SocketAddrExt,
-        unix::net::{SocketAddr, UnixDatagram, UnixStream},
+        unix::{
+            net::{SocketAddr, UnixDatagram, UnixStream},
+            process::CommandExt,
+        },
     },
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
@@ -37,6 +40,14 @@ struct Manager {
 impl Manager {
     /// `address`: where it listens, made from a folder's path.
     fn start(address: impl FnOnce(&Path) -> (SocketAddr, String)) -> Self {
+        Self::start_with(address, |_| {})
+    }
+
+    /// The same, with a word about how the daemon is started.
+    fn start_with(
+        address: impl FnOnce(&Path) -> (SocketAddr, String),
+        prepare: impl FnOnce(&mut Command),
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (address, name) = address(folder.path());
         let socket = UnixDatagram::bind_addr(&address).unwrap();
@@ -45,31 +56,25 @@ impl Manager {
             .unwrap();
         let config = folder.path().join("singletrackd.toml");
         fs::write(&config, configuration(folder.path())).unwrap();
-        let daemon = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+        let mut command = Command::new(env!("CARGO_BIN_EXE_singletrackd"));
+        command
             .arg("--config")
             .arg(&config)
             .env("NOTIFY_SOCKET", name)
             .env("WATCHDOG_USEC", WATCHDOG.as_micros().to_string())
             .env_remove("WATCHDOG_PID")
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+            .stderr(Stdio::null());
+        prepare(&mut command);
         Self {
             socket,
-            daemon,
+            daemon: command.spawn().unwrap(),
             folder,
         }
     }
 
     /// By path.
     fn by_path() -> Self {
-        Self::start(|folder| {
-            let path = folder.join("notify");
-            (
-                SocketAddr::from_pathname(&path).unwrap(),
-                path.to_str().unwrap().to_owned(),
-            )
-        })
+        Self::start(path)
     }
 
     /// The next datagram.
@@ -158,6 +163,15 @@ impl Drop for Manager {
     }
 }
 
+/// A socket with a path in a folder, and its name.
+fn path(folder: &Path) -> (SocketAddr, String) {
+    let path = folder.join("notify");
+    (
+        SocketAddr::from_pathname(&path).unwrap(),
+        path.to_str().unwrap().to_owned(),
+    )
+}
+
 /// Of a daemon that has neither board nor cameras.
 fn configuration(folder: &Path) -> String {
     let example = include_str!("../singletrackd.example.toml");
@@ -238,6 +252,47 @@ fn the_control_thread_waits_for_no_page_of_memory() {
     // Some three hundred ticks: every ring is filled around its end.
     manager.signs_of_life(Duration::from_secs(3));
     assert_eq!(faults(), before);
+}
+
+#[test]
+fn a_full_disk_ends_the_record_and_not_the_drive_and_is_told_clearly() {
+    // No file may be longer: to whoever writes it, the disk is full.
+    const LONGEST: libc::rlim_t = 40_000;
+    let mut manager = Manager::start_with(path, |command| {
+        let limit = || {
+            let limit = libc::rlimit {
+                rlim_cur: LONGEST,
+                rlim_max: LONGEST,
+            };
+            // SAFETY: both calls are allowed between fork and exec, and the limit
+            // outlives its call.
+            unsafe {
+                libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+                libc::setrlimit(libc::RLIMIT_FSIZE, &raw const limit);
+            }
+            Ok(())
+        };
+        // SAFETY: see the calls.
+        unsafe { command.pre_exec(limit) };
+    });
+    manager.await_told("READY=1");
+    let mut told = String::new();
+    while !told.contains("nothing is recorded") {
+        told = manager.await_told("STATUS=");
+    }
+    assert!(
+        told.contains(".mcap") && told.contains("File too large"),
+        "{told}"
+    );
+    // It goes on; only its end is no success.
+    manager.await_told("WATCHDOG=1");
+    manager.signal(libc::SIGTERM);
+    let mut status = None;
+    wait_for("the end", || {
+        status = manager.daemon.try_wait().unwrap();
+        status.is_some()
+    });
+    assert_eq!(status.unwrap().code(), Some(1));
 }
 
 #[test]
