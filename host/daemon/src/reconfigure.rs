@@ -14,7 +14,7 @@ use std::{
 
 use rtrb::Consumer;
 use serde::Serialize;
-use singletrack_control::{PilotConfig, Reference};
+use singletrack_control::PilotConfig;
 use singletrack_protocol::Configuration;
 use singletrack_record::{Level, Log};
 use tracing::{info, warn};
@@ -285,7 +285,6 @@ impl Reconfigurer {
     }
 }
 
-fn takes_setpoints(config: &Config) -> bool {
-    // Waypoints that have gone since are no set-points either.
-    matches!(config.reference.reference(), Ok(Reference::External(_)))
+const fn takes_setpoints(config: &Config) -> bool {
+    matches!(config.reference, ReferenceSection::External { .. })
 }

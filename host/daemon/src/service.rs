@@ -1,6 +1,7 @@
 //! The main thread: signals in, the service manager told, until the daemon ends.
 
 use std::{
+    io::{self, IsTerminal},
     path::PathBuf,
     process::ExitCode,
     time::{Duration, Instant},
@@ -36,6 +37,8 @@ pub(crate) struct Service {
     told: Option<String>,
     /// When the first signal to end came.
     ending: Option<Instant>,
+    /// The log was on somebody's screen when it began.
+    has_terminal: bool,
 }
 
 impl Service {
@@ -47,6 +50,7 @@ impl Service {
             manager,
             told: None,
             ending: None,
+            has_terminal: io::stderr().is_terminal(),
         }
     }
 
@@ -65,6 +69,11 @@ impl Service {
             let asked = match signals.wait(LOOK_AROUND) {
                 None => continue,
                 Some(Signal::End(name)) => self.begin_end(name),
+                // Who is there no more does not ask twice: shell and system both say so.
+                Some(Signal::Reload) if self.has_lost_terminal() => match self.ending {
+                    None => self.begin_end("SIGHUP"),
+                    Some(_) => Ok(()),
+                },
                 Some(Signal::Reload) => {
                     self.reload();
                     Ok(())
@@ -137,6 +146,11 @@ impl Service {
         let status = self.status();
         self.manager.ready(&status);
         self.told = Some(status);
+    }
+
+    /// Somebody watched, and has gone.
+    fn has_lost_terminal(&self) -> bool {
+        self.has_terminal && !io::stderr().is_terminal()
     }
 
     /// First the car, then the log.

@@ -7,13 +7,16 @@
 )]
 
 mod common;
+#[path = "common/terminal.rs"]
+mod terminal;
 
 use std::{
-    fs,
+    fs::{self, OpenOptions},
     io::{BufRead, BufReader, Write},
     os::{
         linux::net::SocketAddrExt,
         unix::{
+            fs::OpenOptionsExt,
             net::{SocketAddr, UnixDatagram, UnixStream},
             process::CommandExt,
         },
@@ -26,6 +29,7 @@ use std::{
 use common::wait_for;
 use singletrackd::monotonic_ns;
 use tempfile::TempDir;
+use terminal::Terminal;
 
 /// How long the manager waits for a sign of life.
 const WATCHDOG: Duration = Duration::from_millis(400);
@@ -366,6 +370,26 @@ fn a_configuration_that_is_no_file_is_refused_at_once() {
         error.contains("a pipe, a socket or a device; name a file"),
         "{error}"
     );
+}
+
+#[test]
+fn a_terminal_that_is_closed_ends_the_daemon_and_one_that_is_not_does_not() {
+    let terminal = Terminal::open();
+    let manager = Manager::start_with(path, |command| {
+        let slave = OpenOptions::new()
+            .write(true)
+            .custom_flags(libc::O_NOCTTY)
+            .open(terminal.device())
+            .unwrap();
+        command.stderr(slave);
+    });
+    manager.await_told("READY=1");
+    manager.signal(libc::SIGHUP);
+    manager.await_told("RELOADING=1");
+    drop(terminal);
+    manager.signal(libc::SIGHUP);
+    let told = manager.await_told("STOPPING=1");
+    assert!(told.contains("SIGHUP"), "{told}");
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! A pseudo-terminal in place of the board's port.
 
+#![allow(dead_code, reason = "each test uses its part of it")]
+
 use std::{
     ffi::OsStr,
     os::{fd::OwnedFd, unix::ffi::OsStrExt},
