@@ -112,13 +112,26 @@ impl Client {
         self.ask("stop")
     }
 
-    /// Watches what the board says of itself.
+    /// Watches what the board says of itself, five times a second.
     ///
     /// # Errors
     ///
     /// No answer.
-    pub fn watch_board(mut self) -> Outcome<Watch> {
-        self.send(&json!({ "version": VERSION, "command": "watch", "topics": ["status"] }))?;
+    pub fn watch_board(self) -> Outcome<Watch> {
+        self.watch("status")
+    }
+
+    /// Watches every tick.
+    ///
+    /// # Errors
+    ///
+    /// No answer.
+    pub fn watch_ticks(self) -> Outcome<Watch> {
+        self.watch("tick")
+    }
+
+    fn watch(mut self, topic: &str) -> Outcome<Watch> {
+        self.send(&json!({ "version": VERSION, "command": "watch", "topics": [topic] }))?;
         Answer(self.receive()?).accepted()?;
         Ok(Watch(self))
     }
@@ -228,27 +241,41 @@ impl Status {
     }
 }
 
-/// A stream of what the board says of itself, five times a second.
+/// A stream of what the daemon records.
 #[derive(Debug)]
 pub struct Watch(Client);
 
 impl Watch {
-    /// Waits for the board's next word, and takes a figure from it.
+    /// Waits for the next entry, and takes a figure from it.
     ///
     /// # Errors
     ///
-    /// The board says nothing, or has no such figure.
+    /// Nothing comes, or it has no such figure.
     pub fn next(&mut self, figure: &str) -> Outcome<f64> {
         let entry = self.0.receive()?;
         find(&entry, figure).ok_or_else(|| Failure::new(format!("no {figure} in {entry}")))
     }
+
+    /// Waits for the next entry, and takes those figures from it that it has.
+    ///
+    /// # Errors
+    ///
+    /// Nothing comes.
+    pub fn next_of<const N: usize>(&mut self, figures: [&str; N]) -> Outcome<[Option<f64>; N]> {
+        let entry = self.0.receive()?;
+        Ok(figures.map(|figure| find(&entry, figure)))
+    }
 }
 
-/// The record's entries nest; the name is there once.
+/// The record's entries nest; the name is there once. True is 1, false 0.
 fn find(value: &Value, name: &str) -> Option<f64> {
     let object = value.as_object()?;
+    let figure = |value: &Value| {
+        let truth = value.as_bool().map(|truth| f64::from(u8::from(truth)));
+        value.as_f64().or(truth)
+    };
     object
         .get(name)
-        .and_then(Value::as_f64)
+        .and_then(figure)
         .or_else(|| object.values().find_map(|value| find(value, name)))
 }

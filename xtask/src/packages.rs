@@ -3,7 +3,7 @@
 
 use crate::step::{Failure, cargo, check};
 
-const PACKAGES: [&str; 12] = [
+const PACKAGES: [&str; 13] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
@@ -15,6 +15,7 @@ const PACKAGES: [&str; 12] = [
     "singletrack-sim",
     "singletrack",
     "singletrack-hil",
+    "singletrack-faults",
     "singletrack-fuzz",
 ];
 

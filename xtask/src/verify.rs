@@ -145,6 +145,32 @@ fn program_steps() -> Vec<Step> {
                 ])
             },
         ),
+        Step::cargo(
+            "faults",
+            "random faults in virtual time break nothing that must hold",
+            &[
+                "run",
+                "--release",
+                "--package",
+                "singletrack-faults",
+                "--",
+                "--count",
+                "300",
+            ],
+        ),
+        Step::new("faults-uno", "nor with the Arduino's image", || {
+            with_image(&[
+                "run",
+                "--release",
+                "--package",
+                "singletrack-faults",
+                "--",
+                "--count",
+                "8",
+                "--board",
+                "uno",
+            ])
+        }),
         Step::new(
             "odroid",
             "daemon and tools build for the Odroid, and simulate the same bits there",
