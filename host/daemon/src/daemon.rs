@@ -153,7 +153,7 @@ const OBSERVATIONS: usize = 256;
 /// One is under way at a time.
 const RECONFIGURATIONS: usize = 2;
 /// All of them find room among a tick's events, see `controller::RESERVED`.
-const REQUESTS: usize = 12;
+const REQUESTS: usize = 10;
 const TICKS: usize = 256;
 const REPORTS: usize = 512;
 

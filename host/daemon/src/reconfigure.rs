@@ -76,6 +76,9 @@ pub enum ChangeError {
         if .0.len() == 1 { "that" } else { "those" }
     )]
     Restart(Vec<String>),
+    /// It can't be compared with the one in force.
+    #[error("{0}; every path must be UTF-8")]
+    Path(#[from] toml::ser::Error),
     /// The control thread does not take it over.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -220,7 +223,7 @@ impl Reconfigurer {
             return Err(Stalled.into());
         }
         let config = make(&state.in_force)?;
-        let keys = restart_keys(&state.in_force, &config);
+        let keys = restart_keys(&state.in_force, &config)?;
         if !keys.is_empty() {
             return Err(ChangeError::Restart(keys));
         }

@@ -11,21 +11,23 @@ const SECTIONS: [&str; 4] = ["serial", "motion_capture", "record", "socket"];
 const CONTROL: &str = "control";
 const CONTROL_TAKEN_OVER: [&str; 1] = ["stop_deceleration_m_s2"];
 
-/// The keys in which `new` differs from `old` and which take a restart; those
-/// that a configuration without such a path could not name are left out.
-pub(crate) fn restart_keys(old: &Config, new: &Config) -> Vec<String> {
+/// The keys in which `new` differs from `old` and which take a restart.
+///
+/// # Errors
+///
+/// A path that is not UTF-8, which no file can have named.
+pub(crate) fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
+    let (old, new) = (Table::try_from(old)?, Table::try_from(new)?);
     let mut keys = Vec::new();
-    if let (Ok(old), Ok(new)) = (Table::try_from(old), Table::try_from(new)) {
-        for section in SECTIONS.into_iter().chain([CONTROL]) {
-            differing(section, old.get(section), new.get(section), &mut keys);
-        }
+    for section in SECTIONS.into_iter().chain([CONTROL]) {
+        differing(section, old.get(section), new.get(section), &mut keys);
     }
     keys.retain(|key| {
         CONTROL_TAKEN_OVER
             .iter()
             .all(|name| *key != format!("{CONTROL}.{name}"))
     });
-    keys
+    Ok(keys)
 }
 
 /// Adds the keys below `key` that differ.
@@ -50,20 +52,20 @@ mod tests {
     #[test]
     fn what_takes_a_restart_is_named_and_nothing_else_is() {
         let old = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-        assert_eq!(restart_keys(&old, &old), [""; 0]);
+        assert_eq!(restart_keys(&old, &old).unwrap(), [""; 0]);
 
         let mut new = old.clone();
         new.limits.max_speed_m_s = 1.0;
         new.control.stop_deceleration_m_s2 = 2.5;
         new.supervisor.hold_ms = 200;
-        assert_eq!(restart_keys(&old, &new), [""; 0]);
+        assert_eq!(restart_keys(&old, &new).unwrap(), [""; 0]);
 
         new.serial.port = "/dev/ttyACM1".into();
         new.motion_capture.pose.max_speed_m_s = 6.0;
         new.control.period_ms = 20;
         new.socket.enabled = false;
         assert_eq!(
-            restart_keys(&old, &new),
+            restart_keys(&old, &new).unwrap(),
             [
                 "serial.port",
                 "motion_capture.pose.max_speed_m_s",
