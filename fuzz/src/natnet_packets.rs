@@ -53,9 +53,10 @@ const _: () = assert!(size_of::<Session>() <= 8_192);
 /// # Panics
 ///
 /// When a pose is believed that is not finite, not in its ranges, captured after
-/// it was received, of a body that is not the bound one or not tracked, or
-/// farther from the last one than the body can move; when a frame is believed
-/// that is not newer than the last, or that comes before the server was greeted;
+/// it was received or before the last one, of a body that is not the bound one or
+/// not tracked, or farther from the last one than the body can move; when a frame
+/// is believed that is not newer than the last, or that comes before the server
+/// was greeted;
 /// when a stranger's datagram changes anything but the count of those; when the
 /// session sends what is no message, elsewhere than to its server, or without
 /// end; when it wants to be woken in the past; when the counts don't add up.
@@ -455,6 +456,11 @@ impl Bench {
             return;
         };
         if !pose.reacquired {
+            let backward_ns = last.capture_time_ns.saturating_sub(pose.capture_time_ns);
+            assert!(
+                backward_ns <= last.capture_uncertainty_ns + pose.capture_uncertainty_ns,
+                "captured {backward_ns} ns before the last one"
+            );
             let elapsed_s = pose.capture_time_ns.saturating_sub(last.capture_time_ns) as f64 * 1e-9;
             let distance_m = [
                 pose.x_m - last.x_m,

@@ -90,6 +90,15 @@ impl Gate {
 
     /// Whether a body that was at `from` can be at `to`.
     fn follows(&self, from: &Pose, to: &Pose) -> Result<(), RejectReason> {
+        // One pose of long ago would make the next one plausible wherever it is:
+        // the body would have had so much time to get there.
+        let backward_ns = from.capture_time_ns.saturating_sub(to.capture_time_ns);
+        let uncertainty_ns = from
+            .capture_uncertainty_ns
+            .saturating_add(to.capture_uncertainty_ns);
+        if backward_ns > uncertainty_ns {
+            return Err(RejectReason::CaptureTime);
+        }
         let elapsed_ns = to.capture_time_ns.saturating_sub(from.capture_time_ns);
         let elapsed_s = elapsed_ns as f64 * 1e-9;
         let [dx, dy, dz] = [to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m];

@@ -108,7 +108,8 @@ pub enum RejectReason {
     DuplicateId,
     /// The markers fit the model badly.
     MeanError,
-    /// The frame has no usable time, or one after its reception.
+    /// The frame has no usable time, one after its reception, or one before the
+    /// last pose's.
     CaptureTime,
     /// The body would have moved faster than it can.
     Jump,

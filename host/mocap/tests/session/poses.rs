@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use singletrack_mocap::codec::RigidBody;
 use singletrack_mocap::{Pose, PoseState, RejectReason, UpAxis};
 
-use crate::world::{CAR, Frame, MS, UNICAST, World, car_at, car_heading, config};
+use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config};
 
 const LEVEL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
@@ -142,6 +142,19 @@ fn a_jump_faster_than_the_car_is_rejected() {
     assert_rejected(car_at(0.11, 0.0), RejectReason::Jump);
     let mut world = world_with_car();
     valid(world.next_state(&Frame::new(1, &[car_at(0.09, 0.0)])));
+}
+
+#[test]
+fn a_pose_captured_long_before_the_last_one_is_rejected_and_opens_no_gate_for_a_jump() {
+    let mut world = world_with_car();
+    let mut old = Frame::at_rest(1);
+    old.age_ns = 600 * S;
+    let state = world.next_state(&old);
+    assert_eq!(state, PoseState::Rejected(RejectReason::CaptureTime));
+    // Not where a car can be that has had ten minutes to get there.
+    let state = world.next_state(&Frame::new(2, &[car_at(3.0, 0.0)]));
+    assert_eq!(state, PoseState::Rejected(RejectReason::Jump));
+    valid(world.next_state(&Frame::at_rest(3)));
 }
 
 #[test]

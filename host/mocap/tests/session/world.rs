@@ -245,9 +245,9 @@ impl World {
         outcome
     }
 
-    /// A frame captured 8 ms and sent 0.1 ms before `now`, as the server encodes it.
+    /// A frame sent 0.1 ms before `now`, as the server encodes it.
     pub(crate) fn encode(&self, frame: &Frame) -> Vec<u8> {
-        let capture_ns = self.now_ns - 8 * MS;
+        let capture_ns = self.now_ns - frame.age_ns;
         let transmit = self.server.ticks_at(self.now_ns - 100_000);
         let content = FrameContent {
             number: frame.number,
@@ -299,6 +299,8 @@ pub(crate) struct Frame {
     pub(crate) bodies: Vec<RigidBody>,
     pub(crate) flags: FrameFlags,
     pub(crate) has_mid_exposure: bool,
+    /// How long ago it was captured.
+    pub(crate) age_ns: u64,
 }
 
 impl Frame {
@@ -308,6 +310,7 @@ impl Frame {
             bodies: bodies.to_vec(),
             flags: FrameFlags::default(),
             has_mid_exposure: true,
+            age_ns: 8 * MS,
         }
     }
 
