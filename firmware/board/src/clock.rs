@@ -78,7 +78,7 @@ impl<const PERIOD_US: u32> Ticker<PERIOD_US> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Stopwatch, Ticker, age_us};
+    use super::{HALF_TURN_US, Stopwatch, Ticker, age_us};
 
     #[test]
     fn an_age_is_right_across_the_wrap_and_the_future_has_none() {
@@ -88,11 +88,21 @@ mod tests {
     }
 
     #[test]
-    fn a_stopwatch_stops_at_the_end_of_its_scale() {
-        let mut watch = Stopwatch::started();
-        watch.advance(u32::MAX);
-        watch.advance(10);
-        assert_eq!(watch.elapsed_us(), u32::MAX);
+    fn half_a_turn_ago_may_as_well_be_the_future_and_has_no_age() {
+        assert_eq!(age_us(HALF_TURN_US - 1, 0), Some(HALF_TURN_US - 1));
+        assert_eq!(age_us(HALF_TURN_US, 0), None);
+    }
+
+    #[test]
+    fn a_stopwatch_that_has_run_for_long_never_reads_short_again() {
+        for long_us in [HALF_TURN_US, HALF_TURN_US + 1, u32::MAX] {
+            let mut watch = Stopwatch::started();
+            watch.advance(long_us);
+            for elapsed_us in [10, HALF_TURN_US, u32::MAX] {
+                watch.advance(elapsed_us);
+                assert_eq!(watch.elapsed_us(), long_us);
+            }
+        }
     }
 
     #[test]
@@ -106,5 +116,14 @@ mod tests {
         assert!(ticker.advance(35));
         assert!(!ticker.advance(9));
         assert!(ticker.advance(1));
+    }
+
+    #[test]
+    fn a_ticker_fires_once_however_many_periods_it_was_late() {
+        for late_us in [0, 10, 20, 30, 1_000] {
+            let mut ticker = Ticker::<10>::new();
+            assert!(ticker.advance(late_us));
+            assert!(!ticker.advance(0), "{late_us}");
+        }
     }
 }

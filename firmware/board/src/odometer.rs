@@ -218,6 +218,57 @@ mod tests {
     }
 
     #[test]
+    fn the_first_pulse_after_a_reading_of_zero_gives_no_speed_to_the_microsecond() {
+        for (silent_us, silent_mm_s, next_mm_s) in
+            [(499_999, 10, 9), (500_000, 0, 0), (500_001, 0, 0)]
+        {
+            let mut odometer = Odometer::new();
+            run(&mut odometer, 0, 5_000, 100_000);
+            let pulse = |pulses: u16, last_edge_us| MotorPulses {
+                count: 65_530_u16.wrapping_add(pulses),
+                last_edge_us,
+            };
+            odometer.observe(100_000 + silent_us, silent_us, pulse(20, 100_000), false);
+            odometer.measure(PULSE_UM);
+            assert_eq!(odometer.speed_mm_s(), silent_mm_s, "{silent_us}");
+            let edge_us = 105_000 + silent_us;
+            odometer.observe(edge_us, 5_000, pulse(21, edge_us), false);
+            odometer.measure(PULSE_UM);
+            assert_eq!(odometer.speed_mm_s(), next_mm_s, "{silent_us}");
+        }
+    }
+
+    #[test]
+    fn the_pulses_of_a_late_measurement_give_their_mean_speed() {
+        for (pulses, span_us) in [
+            (64, 9_767),
+            (65, 19_999),
+            (640, 1_999_999),
+            (40_000, 9_999_999),
+        ] {
+            let mut odometer = Odometer::new();
+            let mut measure = |count, last_edge_us| {
+                let pulses = MotorPulses {
+                    count,
+                    last_edge_us,
+                };
+                odometer.observe(last_edge_us, 0, pulses, false);
+                odometer.measure(PULSE_UM);
+                odometer.speed_mm_s()
+            };
+            measure(7, 0);
+            // The very first pulse only begins the interval.
+            measure(8, 1_000);
+            let measured = measure(8_u16.wrapping_add(pulses), 1_000 + span_us);
+            let exact = f64::from(PULSE_UM) * 1_000.0 * f64::from(pulses) / f64::from(span_us);
+            let error = exact - f64::from(measured);
+            // 64 pulses are what the product has room for without halving.
+            let tolerance = if pulses <= 64 { 1.0 } else { exact / 50.0 };
+            assert!(error.abs() < tolerance, "{pulses}: {measured} for {exact}");
+        }
+    }
+
+    #[test]
     fn impossible_pulses_saturate() {
         let mut odometer = Odometer::new();
         for count in [0, 40_000, 14_464] {

@@ -121,6 +121,30 @@ mod tests {
     }
 
     #[test]
+    fn the_pulse_is_right_to_a_microsecond_for_any_gain_and_angle() {
+        for gain_us_per_rad in (-3_000..=3_000).step_by(17) {
+            let calibration = ServoCalibration {
+                centre_us: 1_500,
+                gain_us_per_rad,
+                min_us: 800,
+                max_us: 2_200,
+                ..CALIBRATION
+            };
+            for angle_100urad in (i16::MIN..=i16::MAX).step_by(487) {
+                let exact =
+                    1_500.0 + f64::from(gain_us_per_rad) * f64::from(angle_100urad) / 10_000.0;
+                let error =
+                    f64::from(pulse_us(&calibration, angle_100urad)) - exact.clamp(800.0, 2_200.0);
+                // Half a microsecond of rounding, and the scaled gain's own.
+                assert!(
+                    error.abs() <= 0.5 + 1.0,
+                    "{gain_us_per_rad}, {angle_100urad}: {error}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn the_servo_is_silent_then_centred_then_slews() {
         let mut steering = Steering::new();
         steering.steer(&CALIBRATION, 0);

@@ -82,6 +82,21 @@ fn another_neutral_pulse_is_held_for_two_seconds_too() {
 }
 
 #[test]
+fn another_neutral_pulse_after_a_failsafe_is_held_for_two_seconds_too() {
+    let mut rig = Rig::armed_with(configuration());
+    rig.drive(0, 0);
+    rig.run(TTL + 1);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    let mut other = configuration();
+    other.esc.neutral_us = 1_520;
+    assert_eq!(rig.configure(other), Ok(()));
+    rig.run(1_999 * MS);
+    assert_eq!(rig.arm(), Err(RefusalReason::NotYetNeutral));
+    rig.run(MS);
+    assert_eq!(rig.arm(), Ok(()));
+}
+
+#[test]
 fn arming_names_the_configuration_that_is_in_force() {
     let mut rig = Rig::ready_with(configuration());
     let right = rig.arm_request();

@@ -174,6 +174,23 @@ fn the_pose_goes_on_ageing_behind_an_accepted_command() {
 }
 
 #[test]
+fn whichever_ends_first_is_told_and_both_at_once_are_a_late_command() {
+    let ttl_ms = (TTL / MS) as u16;
+    for (pose_left_ms, cause) in [
+        (ttl_ms - 1, StopCause::PoseTooOld),
+        (ttl_ms, StopCause::CommandTimeout),
+        (ttl_ms + 1, StopCause::CommandTimeout),
+    ] {
+        let mut rig = Rig::driving_with(configuration());
+        let mut command = rig.command(1_000, 0);
+        command.pose_age_ms = 900 - pose_left_ms;
+        rig.send(command);
+        rig.run(TTL + 1);
+        assert_eq!(rig.board.stop_cause(), cause, "{pose_left_ms}");
+    }
+}
+
+#[test]
 fn a_host_that_goes_on_commanding_from_one_old_pose_is_stopped_at_the_limit() {
     for limit_ms in [1, 50, 200, 900, 1_000] {
         let configuration = Configuration {

@@ -195,6 +195,39 @@ fn an_imu_sample_is_fresh_once_then_repeated_then_silent() {
 }
 
 #[test]
+fn every_new_sample_is_fresh_and_takes_the_place_of_the_one_before() {
+    // The first one was taken at time zero, which tells it from no other.
+    let mut rig = Rig::starting_at(0);
+    for time_us in [0, 40_000, 80_000] {
+        rig.inputs.imu = Some(ImuSample {
+            time_us,
+            angular_velocity_mrad_s: [(time_us / MS) as i16, 0, 0],
+            ..ImuSample::default()
+        });
+        let mut fresh = 0;
+        while rig.now < time_us + 40 * MS {
+            rig.run(10 * MS);
+            let telemetry = rig.telemetry();
+            fresh += u32::from(telemetry.imu == ImuState::Fresh);
+            assert_ne!(telemetry.imu, ImuState::Silent);
+            assert_eq!(
+                telemetry.angular_velocity_mrad_s[0],
+                (time_us / MS) as i16,
+                "{time_us}"
+            );
+        }
+        assert_eq!(fresh, 1, "{time_us}");
+    }
+}
+
+#[test]
+fn a_cause_of_the_reset_that_became_known_late_is_reported() {
+    let mut rig = Rig::new();
+    rig.board.set_reset_cause(ResetCause::BrownOut);
+    assert_eq!(rig.status().reset_cause, ResetCause::BrownOut);
+}
+
+#[test]
 fn a_sample_in_a_record_that_the_line_did_not_take_stays_fresh() {
     let mut rig = Rig::new();
     rig.run(100 * MS);

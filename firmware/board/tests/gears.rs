@@ -1,0 +1,194 @@
+//! The way into reverse and back.
+
+mod rig;
+
+use rig::{MS, NEUTRAL, Rig, configuration};
+use singletrack_protocol::{BoardMode, Configuration, EscCalibration, FailsafeAction, SpeedLoop};
+
+fn with_reverse() -> Configuration {
+    let speed = SpeedLoop {
+        max_reverse_mm_s: 500,
+        ..configuration().speed
+    };
+    Configuration {
+        speed,
+        ..configuration()
+    }
+}
+
+/// Rolling backwards at 0.3 m/s, as commanded.
+fn reversing_with(configuration: Configuration) -> Rig {
+    let mut rig = Rig::armed_with(configuration);
+    // From a standing start: neutral for 200 ms, then reverse.
+    rig.drive_for(230 * MS, -300, 0);
+    rig.pulse_period_us = Some(16_667);
+    rig.drive_for(300 * MS, -300, 0);
+    assert!(rig.outputs.esc_us < NEUTRAL - 20);
+    assert!(rig.telemetry().motor_speed_mm_s < -250);
+    rig
+}
+
+/// The distinct pulses of the ESC with how long each kind was shown, in ms:
+/// -1 for a pulse beyond the deadband below neutral, 0 within, 1 above.
+fn phases(rig: &mut Rig, duration_ms: u32, speed_mm_s: i16) -> Vec<(i8, u32)> {
+    let mut phases: Vec<(i8, u32)> = Vec::new();
+    for ms in 0..duration_ms {
+        if ms % 10 == 0 {
+            rig.drive(speed_mm_s, 0);
+        }
+        rig.run(MS);
+        let kind = match rig.outputs.esc_us {
+            ..1_480 => -1,
+            1_480..=1_520 => 0,
+            _ => 1,
+        };
+        match phases.last_mut() {
+            Some((last, time)) if *last == kind => *time += 1,
+            _ => phases.push((kind, 1)),
+        }
+    }
+    phases
+}
+
+#[test]
+fn into_reverse_goes_by_brake_standstill_and_neutral() {
+    let mut rig = Rig::driving_with(with_reverse());
+    // The wheels stop soon after the brake is on.
+    let rolling = phases(&mut rig, 100, -300);
+    rig.pulse_period_us = None;
+    let standing = phases(&mut rig, 420, -300);
+    rig.pulse_period_us = Some(16_667);
+    let reversing = phases(&mut rig, 300, -300);
+    assert!(rolling.iter().all(|&(kind, _)| kind != 1), "{rolling:?}");
+    let [(-1, braked), (0, paused), ..] = standing[..] else {
+        panic!("{standing:?}")
+    };
+    assert!(braked >= 100, "{standing:?}");
+    assert!(paused >= 200, "{standing:?}");
+    assert_eq!(reversing.last().map(|phase| phase.0), Some(-1));
+    assert!(rig.telemetry().motor_speed_mm_s < -250);
+    // And back: neutral while it rolls backwards, then forward.
+    let rolling = phases(&mut rig, 200, 300);
+    assert!(matches!(rolling[..], [(0, _)]), "{rolling:?}");
+    rig.pulse_period_us = None;
+    let still = phases(&mut rig, 250, 300);
+    rig.pulse_period_us = Some(16_667);
+    assert!(matches!(still[..], [(0, 130..), (1, _)]), "{still:?}");
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+}
+
+#[test]
+fn braking_on_the_way_into_reverse_is_limited_too() {
+    let mut rig = Rig::driving_with(with_reverse());
+    // The wheels never stop, as they would if the brake pulse drove backwards.
+    let all = phases(&mut rig, 3_000, -300);
+    let braked: u32 = all
+        .iter()
+        .filter(|&&(kind, _)| kind == -1)
+        .map(|&(_, time)| time)
+        .sum();
+    assert!(braked <= 500, "{all:?}");
+    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+}
+
+#[test]
+fn an_esc_that_has_just_braked_is_not_given_the_brake_pulse_again() {
+    for braked_ms in [50, 300] {
+        let mut rig = Rig::driving_with(with_reverse());
+        phases(&mut rig, braked_ms, -300);
+        rig.pulse_period_us = None;
+        rig.disarm();
+        rig.run(200 * MS);
+        assert_eq!(rig.arm(), Ok(()));
+        let again = phases(&mut rig, 150, -300);
+        assert!(matches!(again[..], [(0, 150)]), "{braked_ms}: {again:?}");
+    }
+}
+
+#[test]
+fn from_a_standing_start_the_brake_pulse_is_not_given() {
+    let mut rig = Rig::armed_with(with_reverse());
+    let start = phases(&mut rig, 190, -300);
+    assert!(matches!(start[..], [(0, 190)]), "{start:?}");
+}
+
+#[test]
+fn a_speed_of_zero_neither_brakes_nor_changes_gear() {
+    let mut rig = Rig::driving_with(with_reverse());
+    for _ in 0..100 {
+        rig.drive_for(10 * MS, 0, 0);
+        assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    }
+    let onwards = phases(&mut rig, 60, 1_000);
+    assert!(matches!(onwards[..], [(0, ..=25), (1, _)]), "{onwards:?}");
+}
+
+#[test]
+fn a_change_of_mind_on_the_way_into_reverse_drives_forward_without_delay() {
+    // While it brakes, and in the neutral after that.
+    for (reverse_ms, now) in [(100, -1), (300, 0)] {
+        let mut rig = Rig::driving_with(with_reverse());
+        rig.pulse_period_us = None;
+        let way = phases(&mut rig, reverse_ms, -300);
+        assert_eq!(way.last().map(|phase| phase.0), Some(now), "{way:?}");
+        let back = phases(&mut rig, 100, 500);
+        assert!(matches!(back[..], [(0, ..=25), (1, _)]), "{back:?}");
+    }
+}
+
+#[test]
+fn a_stop_on_the_way_into_reverse_goes_on_braking() {
+    let mut rig = Rig::driving_with(Configuration {
+        failsafe: FailsafeAction::Brake,
+        ..with_reverse()
+    });
+    phases(&mut rig, 100, -300);
+    rig.emergency_stop();
+    assert_eq!(rig.outputs.esc_us, configuration().esc.brake_us);
+    rig.run(500 * MS);
+    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+}
+
+#[test]
+fn reverse_outlasts_a_standstill() {
+    let mut rig = reversing_with(with_reverse());
+    rig.pulse_period_us = None;
+    for _ in 0..50 {
+        rig.drive_for(10 * MS, 0, 0);
+        assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    }
+    let onwards = phases(&mut rig, 60, -300);
+    assert!(matches!(onwards[..], [(0, ..=25), (-1, _)]), "{onwards:?}");
+}
+
+#[test]
+fn reverse_outlasts_disarming_and_so_does_the_sign_of_the_speed() {
+    let mut rig = reversing_with(with_reverse());
+    rig.disarm();
+    rig.run(100 * MS);
+    assert!(rig.telemetry().motor_speed_mm_s < -250);
+    rig.pulse_period_us = None;
+    rig.run(200 * MS);
+    assert_eq!(rig.arm(), Ok(()));
+    let onwards = phases(&mut rig, 60, -300);
+    assert!(matches!(onwards[..], [(0, ..=25), (-1, _)]), "{onwards:?}");
+}
+
+#[test]
+fn the_throttle_in_reverse_ends_at_the_limit_of_reverse() {
+    for (min_us, max_us) in [(1_460, 1_800), (1_400, 1_540)] {
+        let mut configuration = with_reverse();
+        configuration.esc = EscCalibration {
+            min_us,
+            max_us,
+            brake_us: 1_470,
+            ..configuration.esc
+        };
+        let mut rig = Rig::armed_with(configuration);
+        rig.drive_for(230 * MS, -500, 0);
+        // Hardly moving: the loop asks for more than there is.
+        rig.pulse_period_us = Some(100_000);
+        rig.drive_for(3_000 * MS, -500, 0);
+        assert_eq!(rig.outputs.esc_us, min_us);
+    }
+}
