@@ -25,7 +25,7 @@ use tracing_subscriber::EnvFilter;
 /// It arms when asked on its control socket, or with --arm. SIGTERM and SIGINT
 /// slow the car down, disarm the board and end; a second one disarms at once.
 /// SIGHUP reads the configuration anew while the car does not drive; if the terminal
-/// has been closed, it ends.
+/// that it was started from has been closed, it ends.
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Arguments {

@@ -1,12 +1,12 @@
 //! The main thread: signals in, the service manager told, until the daemon ends.
 
 use std::{
-    io::{self, IsTerminal},
     path::PathBuf,
     process::ExitCode,
     time::{Duration, Instant},
 };
 
+use rustix::fs::{Mode, OFlags, open};
 use singletrackd::{
     Daemon, Stalled, monotonic_ns,
     notify::{ServiceManager, Watchdog},
@@ -37,7 +37,7 @@ pub(crate) struct Service {
     told: Option<String>,
     /// When the first signal to end came.
     ending: Option<Instant>,
-    /// The log was on somebody's screen when it began.
+    /// It was started from a terminal.
     has_terminal: bool,
 }
 
@@ -50,7 +50,7 @@ impl Service {
             manager,
             told: None,
             ending: None,
-            has_terminal: io::stderr().is_terminal(),
+            has_terminal: has_terminal(),
         }
     }
 
@@ -148,9 +148,9 @@ impl Service {
         self.told = Some(status);
     }
 
-    /// Somebody watched, and has gone.
+    /// Whoever started it has gone: the window is closed, the connection broken.
     fn has_lost_terminal(&self) -> bool {
-        self.has_terminal && !io::stderr().is_terminal()
+        self.has_terminal && !has_terminal()
     }
 
     /// First the car, then the log.
@@ -194,4 +194,10 @@ impl Service {
             }
         }
     }
+}
+
+/// Whether this process belongs to a terminal that has not hung up.
+fn has_terminal() -> bool {
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    open("/dev/tty", flags, Mode::empty()).is_ok()
 }

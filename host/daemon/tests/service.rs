@@ -11,12 +11,13 @@ mod common;
 mod terminal;
 
 use std::{
-    fs::{self, OpenOptions},
+    ffi::CString,
+    fs,
     io::{BufRead, BufReader, Write},
     os::{
         linux::net::SocketAddrExt,
         unix::{
-            fs::OpenOptionsExt,
+            ffi::OsStrExt,
             net::{SocketAddr, UnixDatagram, UnixStream},
             process::CommandExt,
         },
@@ -375,19 +376,29 @@ fn a_configuration_that_is_no_file_is_refused_at_once() {
 #[test]
 fn a_terminal_that_is_closed_ends_the_daemon_and_one_that_is_not_does_not() {
     let terminal = Terminal::open();
+    let device = CString::new(terminal.device().as_os_str().as_bytes()).unwrap();
     let manager = Manager::start_with(path, |command| {
-        let slave = OpenOptions::new()
-            .write(true)
-            .custom_flags(libc::O_NOCTTY)
-            .open(terminal.device())
-            .unwrap();
-        command.stderr(slave);
+        // The first terminal that the leader of a session opens is the session's.
+        let take_terminal = move || {
+            // SAFETY: both calls are allowed between fork and exec, and the name
+            // outlives its call.
+            let opened = unsafe {
+                libc::setsid();
+                libc::open(device.as_ptr(), libc::O_RDWR)
+            };
+            if opened == -1 {
+                return Err(std::io::Error::last_os_error());
+            }
+            Ok(())
+        };
+        // SAFETY: see the calls.
+        unsafe { command.pre_exec(take_terminal) };
     });
     manager.await_told("READY=1");
     manager.signal(libc::SIGHUP);
     manager.await_told("RELOADING=1");
+    // The system sends the signal.
     drop(terminal);
-    manager.signal(libc::SIGHUP);
     let told = manager.await_told("STOPPING=1");
     assert!(told.contains("SIGHUP"), "{told}");
 }
