@@ -138,3 +138,68 @@ impl Sight<'_> {
             .is_some_and(|fault| fault.kind == kind)
     }
 }
+
+/// Sights made up for the tests of invariants that no planted bug reaches: others
+/// find what would lead there before.
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+pub(crate) mod scene {
+    use singletrack_sim::PulseRecord;
+
+    use super::{Exposure, Seen, Sight, Situation, Stated, Truth};
+    use crate::setting;
+
+    /// A moment in which a car is driven as it should be.
+    pub(crate) struct Scene {
+        pub(crate) stated: Stated,
+        pub(crate) pulses: Vec<PulseRecord>,
+        pub(crate) truth: Truth,
+    }
+
+    impl Scene {
+        pub(crate) fn new() -> Self {
+            let situation = Situation::default();
+            let config = setting::config(&situation).unwrap();
+            Self {
+                stated: Stated::new(&situation, &config).unwrap(),
+                pulses: vec![PulseRecord {
+                    time_us: 5_000_000,
+                    board_time_us: 5_000_000,
+                    servo_us: 1_500,
+                    esc_us: 1_560,
+                    cut: false,
+                }],
+                truth: Truth::default(),
+            }
+        }
+
+        /// With a pose that is so old.
+        pub(crate) fn sight(&self, pose_age_us: u64) -> Sight<'_> {
+            let now_us = 5_000_000;
+            Sight {
+                now_us,
+                stated: &self.stated,
+                truth: self.truth,
+                pulses: &self.pulses,
+                heard: &[],
+                board_since_us: Some(65_000),
+                board_mode: None,
+                tick: None,
+                written: &[],
+                has_read: true,
+                daemon_since_us: Some(0),
+                seen: Some(Seen {
+                    exposure: Exposure {
+                        exposed_us: now_us - pose_age_us,
+                        honest_clock: true,
+                        lie: false,
+                    },
+                    received_us: now_us,
+                }),
+                faults: &[],
+                begun: &[],
+                asked: &[],
+            }
+        }
+    }
+}

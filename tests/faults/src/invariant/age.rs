@@ -184,3 +184,23 @@ impl Invariant for HostHold {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sight::scene::Scene;
+
+    #[test]
+    fn a_pulse_on_a_pose_beyond_the_boards_limit_is_found() {
+        let scene = Scene::new();
+        assert_eq!(PoseAge::default().look(&scene.sight(950_000)), Ok(()));
+        let old = PoseAge::default().look(&scene.sight(985_000));
+        assert!(old.is_err_and(|what| what.contains("985 ms old, 980 allowed")));
+        // Nobody can know when the server's clock has been stepped.
+        let mut stepped = scene.sight(985_000);
+        if let Some(seen) = &mut stepped.seen {
+            seen.exposure.honest_clock = false;
+        }
+        assert_eq!(PoseAge::default().look(&stepped), Ok(()));
+    }
+}

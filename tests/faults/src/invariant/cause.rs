@@ -238,3 +238,21 @@ impl Invariant for ImuSilence {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sight::scene::Scene;
+
+    #[test]
+    fn a_pulse_long_after_a_request_to_disarm_is_found() {
+        let scene = Scene::new();
+        let sight = scene.sight(0);
+        let asked = |ms_ago: u64| Disarm {
+            asked_us: Some(sight.now_us - ms_ago * 1_000),
+        };
+        assert_eq!(asked(1_620).look(&sight), Ok(()));
+        let late = asked(1_640).look(&sight);
+        assert!(late.is_err_and(|what| what.contains("1640 ms after a request to disarm")));
+    }
+}

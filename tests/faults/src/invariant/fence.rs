@@ -94,3 +94,27 @@ impl Invariant for Fence {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_car_rolls_out_over_the_distance_that_friction_gives() {
+        // By small steps.
+        let (mut v, mut way, dt) = (1.5, 0.0, 1e-5);
+        while v > 0.0 {
+            way += v * dt;
+            v -= (FRICTION + VISCOUS * v) * dt;
+        }
+        assert!((rolls_m(1.5) - way).abs() < 1e-3, "{way}");
+    }
+
+    #[test]
+    fn what_is_allowed_beyond_the_fence_grows_with_speed_from_the_estimates_error() {
+        assert_eq!(allowed_m(0.0, 2.4), ESTIMATE_M);
+        let allowed = [0.3, 0.5, 1.0, 1.5].map(|speed| allowed_m(speed, 2.4));
+        assert!(allowed.is_sorted(), "{allowed:?}");
+        assert!(allowed[0] < 0.2 && allowed[3] < 0.9, "{allowed:?}");
+    }
+}

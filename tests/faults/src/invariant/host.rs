@@ -31,10 +31,10 @@ impl Invariant for CommandLimits {
             if speed > stated.max_speed + SPEED_STEP
                 || speed < -stated.max_reverse_speed - SPEED_STEP
             {
-                return Err(format!("a command of {speed} m/s"));
+                return Err(format!("a command of {speed:.3} m/s"));
             }
             if steering.abs() > stated.max_steering + STEERING_STEP {
-                return Err(format!("a command of {steering} rad"));
+                return Err(format!("a command of {steering:.4} rad"));
             }
         }
         Ok(())
@@ -196,5 +196,62 @@ impl Invariant for NoQueue {
             return Err(format!("{} commands into silence", self.unheard));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::{Drive, Sequence};
+
+    use super::*;
+    use crate::sight::scene::Scene;
+
+    fn drive(speed_mm_s: i16, steering_100urad: i16) -> ToBoard {
+        ToBoard::Drive(Drive {
+            sequence: Sequence(1),
+            speed_mm_s,
+            steering_100urad,
+            telemetry_time_us: 0,
+            pose_age_ms: 0,
+        })
+    }
+
+    #[test]
+    fn commands_beyond_the_limits_are_found() {
+        let scene = Scene::new();
+        for (message, found) in [
+            (drive(1_500, 4_500), None),
+            (drive(0, -4_500), None),
+            (drive(1_501, 0), Some("1.501 m/s")),
+            (drive(-1, 0), Some("-0.001 m/s")),
+            (drive(0, 4_501), Some("0.4501 rad")),
+        ] {
+            let written = [message];
+            let mut sight = scene.sight(0);
+            sight.written = &written;
+            let verdict = CommandLimits.look(&sight);
+            match found {
+                None => assert_eq!(verdict, Ok(())),
+                Some(part) => assert!(verdict.is_err_and(|what| what.contains(part))),
+            }
+        }
+    }
+
+    #[test]
+    fn a_third_command_into_silence_is_found() {
+        let scene = Scene::new();
+        let written = [drive(500, 0)];
+        let mut invariant = NoQueue::default();
+        let mut look = |has_read| {
+            let mut sight = scene.sight(0);
+            sight.written = &written;
+            sight.has_read = has_read;
+            invariant.look(&sight)
+        };
+        assert_eq!(
+            [true, false, true, false].map(&mut look),
+            [Ok(()), Ok(()), Ok(()), Ok(())]
+        );
+        assert!(look(false).is_err());
     }
 }

@@ -1,0 +1,327 @@
+//! Planted bugs are found, named, shrunk, and found again.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+use singletrack_control::Mode;
+use singletrack_faults::{Tamper, Violation, attempt, schedule::Schedule, shrink};
+use singletrack_protocol::{Arm, Decoder, Drive, ToBoard};
+use singletrack_record::TickRecord;
+use singletrack_sim::{PulseRecord, default_board_configuration};
+
+const NEUTRAL_US: u16 = 1_500;
+
+/// A drive round the circle; what goes wrong is added.
+fn schedule(more: &str) -> Schedule {
+    format!("seed 5; end_ms 9000; ask arm at 3200; {more}")
+        .parse()
+        .unwrap()
+}
+
+fn violation(more: &str, mut tamper: impl Tamper) -> Violation {
+    let ending = attempt(&schedule(more), &mut tamper).unwrap();
+    ending
+        .violation
+        .unwrap_or_else(|| panic!("nothing was violated: {more}"))
+}
+
+/// Nothing is violated without the bug.
+fn is_sound(more: &str) {
+    struct Sound;
+    impl Tamper for Sound {}
+    let ending = attempt(&schedule(more), &mut Sound).unwrap();
+    assert_eq!(ending.violation, None, "{more}");
+    assert!(ending.driven_ms > 500, "{more}");
+}
+
+/// Changes pulses.
+struct Pulses<F>(F);
+
+impl<F: FnMut(&mut PulseRecord)> Tamper for Pulses<F> {
+    fn pulse(&mut self, pulse: &mut PulseRecord) {
+        (self.0)(pulse);
+    }
+}
+
+/// Changes ticks.
+struct Ticks<F>(F);
+
+impl<F: FnMut(&mut TickRecord)> Tamper for Ticks<F> {
+    fn tick(&mut self, tick: &mut TickRecord) {
+        (self.0)(tick);
+    }
+}
+
+/// A board whose pulses outlive their reason by `longer_us`.
+fn outliving(longer_us: u64) -> impl Tamper {
+    let mut last = (0, NEUTRAL_US);
+    Pulses(move |pulse: &mut PulseRecord| {
+        let (driven_us, esc_us) = last;
+        if pulse.esc_us > NEUTRAL_US {
+            last = (pulse.time_us, pulse.esc_us);
+        } else if pulse.time_us <= driven_us + longer_us {
+            pulse.esc_us = esc_us;
+        }
+    })
+}
+
+/// From 6 s on.
+fn from_6_s(mut change: impl FnMut(&mut PulseRecord)) -> impl Tamper {
+    Pulses(move |pulse: &mut PulseRecord| {
+        if pulse.time_us > 6_000_000 {
+            change(pulse);
+        }
+    })
+}
+
+/// Ticks that drive, from 6 s on (a tick every 10 ms).
+fn driving_from_6_s(mut change: impl FnMut(&mut TickRecord)) -> impl Tamper {
+    Ticks(move |tick: &mut TickRecord| {
+        if tick.index > 600 && tick.output.mode.commands() {
+            change(tick);
+        }
+    })
+}
+
+#[test]
+fn pulses_beyond_limits_and_slew_are_found() {
+    let beyond = violation("", from_6_s(|pulse| pulse.esc_us += 200));
+    assert_eq!(beyond.invariant, "pulse-limits");
+    let reverse = violation("", from_6_s(|pulse| pulse.esc_us = 1_400));
+    assert_eq!(reverse.invariant, "pulse-limits");
+    let steered = violation("", from_6_s(|pulse| pulse.servo_us = 1_900));
+    assert_eq!(steered.invariant, "servo-slew");
+    let full = violation("", from_6_s(|pulse| pulse.esc_us = 1_700));
+    assert_eq!(full.invariant, "esc-slew");
+}
+
+#[test]
+fn a_board_that_drives_before_the_esc_is_armed_or_without_being_asked_is_found() {
+    let creeping = |from_us: u64| {
+        let mut esc_us = NEUTRAL_US;
+        Pulses(move |pulse: &mut PulseRecord| {
+            if pulse.time_us > from_us && esc_us < 1_650 {
+                esc_us += 30;
+                pulse.esc_us = esc_us;
+            }
+        })
+    };
+    assert_eq!(violation("", creeping(500_000)).invariant, "neutral-first");
+    assert_eq!(
+        violation("", creeping(2_500_000)).invariant,
+        "unarmed-drive"
+    );
+}
+
+#[test]
+fn a_longer_time_to_live_is_found_and_shrunk_to_what_shows_it() {
+    // Of these, one silences the host.
+    let more = "speed_mm_s 800; fault imu-biased at 3500 for 300 severity 40; \
+                fault battery-low at 4000 for 900 severity 20; \
+                fault daemon-paused at 6000 for 900 severity 500; \
+                fault camera-duplicated at 6500 for 900 severity 100; ask arm at 8500";
+    is_sound(more);
+    let schedule = schedule(more);
+    let found = violation(more, outliving(60_000));
+    assert_eq!(found.invariant, "command-age");
+    let (small, again) = shrink(&schedule, &found, || outliving(60_000)).unwrap();
+    assert_eq!(again.invariant, found.invariant);
+    assert_eq!(small.faults.len(), 1, "{small}");
+    assert!(small.faults[0].for_ms < 200, "{small}");
+    assert_eq!(small.asks.len(), 1, "{small}");
+    assert_eq!(small.situation.speed_mm_s, 500, "{small}");
+    // From its text it does the same.
+    let read: Schedule = small.in_one_line().parse().unwrap();
+    let replayed = attempt(&read, &mut outliving(60_000)).unwrap();
+    assert_eq!(replayed.violation, Some(again));
+}
+
+/// A line that says the last command again and again, with a younger age.
+#[derive(Default)]
+struct Repeats {
+    decoder: Decoder,
+    last: Option<(u64, Drive)>,
+}
+
+impl Tamper for Repeats {
+    fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        for &byte in &*bytes {
+            if let Some(Ok(packet)) = self.decoder.push(byte)
+                && let Ok(ToBoard::Drive(drive)) = ToBoard::decode(packet)
+            {
+                self.last = Some((now_us, drive));
+            }
+        }
+        if let Some((then_us, drive)) = &mut self.last
+            && now_us >= *then_us + 20_000
+        {
+            drive.telemetry_time_us = drive.telemetry_time_us.wrapping_add(20_000);
+            drive.sequence = drive.sequence.next();
+            *then_us = now_us;
+            bytes.extend(ToBoard::from(*drive).encode().as_bytes());
+        }
+    }
+}
+
+#[test]
+fn an_old_command_that_is_said_again_as_a_new_one_is_found() {
+    let more = "fault daemon-killed at 6000 for 1500 severity 1";
+    is_sound(more);
+    assert_eq!(
+        violation(more, Repeats::default()).invariant,
+        "host-silence"
+    );
+}
+
+/// A line that arms and drives by itself.
+struct Eager {
+    since_us: u64,
+    sequence: u8,
+}
+
+impl Tamper for Eager {
+    fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        // A native board's clock is 0.3 % fast, and started 65 ms after the rest.
+        let since_start = now_us.saturating_sub(65_000);
+        let telemetry_time_us = (since_start + since_start * 3 / 1_000) as u32 - 5_000;
+        if now_us < 2_800_000 || now_us < self.since_us + 20_000 {
+            return;
+        }
+        self.since_us = now_us;
+        self.sequence = self.sequence.wrapping_add(1);
+        let sequence = singletrack_protocol::Sequence(self.sequence);
+        let arm = Arm {
+            request: singletrack_protocol::Sequence(7),
+            configuration_hash: default_board_configuration().hash(),
+            telemetry_time_us,
+        };
+        let drive = Drive {
+            sequence,
+            speed_mm_s: 500,
+            steering_100urad: 0,
+            telemetry_time_us,
+            pose_age_ms: 5,
+        };
+        bytes.extend(ToBoard::from(arm).encode().as_bytes());
+        bytes.extend(ToBoard::from(drive).encode().as_bytes());
+    }
+}
+
+#[test]
+fn a_line_that_arms_and_drives_by_itself_is_found() {
+    let eager = Eager {
+        since_us: 0,
+        sequence: 0,
+    };
+    let found = violation("", eager);
+    assert_eq!(found.invariant, "host-silence");
+    // Before anybody asked.
+    assert!(found.time_us < 3_200_000, "{found:?}");
+}
+
+/// A line that loses requests to stop.
+#[derive(Default)]
+struct Deaf;
+
+impl Tamper for Deaf {
+    fn to_board(&mut self, _: u64, bytes: &mut Vec<u8>) {
+        let frames = bytes.split_inclusive(|&byte| byte == 0);
+        let kept = frames.filter(|frame| {
+            let mut decoder = Decoder::new();
+            !frame.iter().any(|&byte| {
+                matches!(
+                    decoder.push(byte),
+                    Some(Ok(packet)) if matches!(ToBoard::decode(packet), Ok(ToBoard::EmergencyStop(_)))
+                )
+            })
+        });
+        *bytes = kept.flatten().copied().collect();
+    }
+}
+
+#[test]
+fn an_emergency_stop_that_does_not_get_through_is_found() {
+    is_sound("ask stop at 6000");
+    assert_eq!(
+        violation("ask stop at 6000", Deaf).invariant,
+        "emergency-stop"
+    );
+}
+
+#[test]
+fn a_board_that_drives_on_after_its_stop_its_hang_or_without_pulses_is_found() {
+    for (more, longer_us, invariant) in [
+        ("ask stop at 6000", 41_000, "latched-stop"),
+        (
+            "stop_input true; fault stop-input-open at 6000 for 900 severity 1",
+            81_000,
+            "unarmed-drive",
+        ),
+        (
+            "fault board-hang at 6000 for 0 severity 1",
+            60_000,
+            "main-loop",
+        ),
+        (
+            "fault pulses-gone at 6000 for 900 severity 1",
+            200_000,
+            "motor-pulses",
+        ),
+    ] {
+        is_sound(more);
+        let found = violation(more, outliving(longer_us));
+        assert_eq!(found.invariant, invariant, "{more}: {}", found.what);
+    }
+}
+
+#[test]
+fn a_pilot_that_sets_out_or_goes_on_by_itself_is_found() {
+    let sets_out = Ticks(|tick: &mut TickRecord| {
+        if tick.index > 280 && tick.output.mode == Mode::Ready {
+            tick.output.mode = Mode::Arming;
+        }
+    });
+    assert_eq!(violation("", sets_out).invariant, "unasked-drive");
+    let goes_on = || {
+        driving_from_6_s(|tick| {
+            tick.output.mode = Mode::Driving;
+            tick.output.reason = None;
+        })
+    };
+    for (more, invariant) in [
+        ("ask disarm at 6500", "unasked-drive"),
+        (
+            "fault camera-silent at 6500 for 900 severity 1000",
+            "host-hold",
+        ),
+        ("fault imu-silent at 6500 for 900 severity 1", "imu-silence"),
+    ] {
+        is_sound(more);
+        let found = violation(more, goes_on());
+        assert_eq!(found.invariant, invariant, "{more}: {}", found.what);
+    }
+}
+
+#[test]
+fn a_pilot_that_jumps_contradicts_itself_or_has_no_numbers_is_found() {
+    let jumps = driving_from_6_s(|tick| {
+        if tick.index == 650 {
+            tick.output.actuation.steering += 0.1;
+        }
+    });
+    assert_eq!(violation("", jumps).invariant, "command-rate");
+    let contradicts = driving_from_6_s(|tick| tick.output.mode = Mode::Stopping);
+    assert_eq!(violation("", contradicts).invariant, "mode-and-reason");
+    let no_number = driving_from_6_s(|tick| tick.output.drive_time = Some(f64::NAN));
+    assert_eq!(violation("", no_number).invariant, "finite");
+}
+
+#[test]
+fn a_panic_is_a_violation_with_its_message() {
+    let found = violation("", from_6_s(|_| panic!("out of cheese")));
+    assert_eq!(found.invariant, "panic");
+    assert_eq!(found.what, "out of cheese");
+}

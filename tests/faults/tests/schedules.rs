@@ -1,0 +1,100 @@
+//! Schedules: from seeds, as text, and driven again.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use proptest::prelude::*;
+use singletrack_faults::{
+    Campaign, Untampered, drive,
+    schedule::{Kind, Schedule, Wish},
+};
+use singletrack_sim::BoardKind;
+
+proptest! {
+    #[test]
+    fn a_schedule_is_read_as_it_is_written(seed: u64) {
+        let schedule = Schedule::generate(seed, BoardKind::Native);
+        prop_assert_eq!(&schedule.to_string().parse::<Schedule>().unwrap(), &schedule);
+        prop_assert_eq!(&schedule.in_one_line().parse::<Schedule>().unwrap(), &schedule);
+    }
+
+    #[test]
+    fn a_schedule_keeps_to_its_bounds(seed: u64) {
+        let schedule = Schedule::generate(seed, BoardKind::Native);
+        prop_assert!((1..=6).contains(&schedule.faults.len()));
+        prop_assert!(schedule.asks.iter().any(|ask| ask.wish == Wish::Arm));
+        prop_assert!(schedule.asks.is_sorted_by_key(|ask| ask.at_ms));
+        for fault in &schedule.faults {
+            prop_assert!((1..=1_000).contains(&fault.severity), "{fault}");
+            prop_assert!(fault.at_ms <= schedule.end_ms, "{fault}");
+        }
+    }
+}
+
+#[test]
+fn every_kind_of_fault_comes_up_within_a_thousand_seeds() {
+    let seeds = 0..1_000;
+    let schedules: Vec<_> = seeds
+        .map(|seed| Schedule::generate(seed, BoardKind::Native))
+        .collect();
+    for kind in Kind::ALL {
+        let faults = schedules.iter().flat_map(|schedule| &schedule.faults);
+        let count = faults.filter(|fault| fault.kind == *kind).count();
+        assert!(count >= 20, "{}: {count}", kind.name());
+    }
+}
+
+#[test]
+fn what_is_no_entry_is_named_with_what_could_be() {
+    let error = |text: &str| text.parse::<Schedule>().unwrap_err().to_string();
+    for bad in [
+        "fault camera-lost at 5 for 5 severity 5",
+        "fault line-drop at 5 for 5 severity 0",
+        "ask arm 5",
+        "speed_mm_s fast",
+        "speed 5",
+    ] {
+        let message = error(bad);
+        assert!(message.contains(bad), "{message}");
+        assert!(message.contains("fault KIND at MS"), "{message}");
+    }
+    assert!(error("seed 5").contains("no end_ms"));
+    assert!(error("end_ms 5 # and so on").contains("no seed"));
+}
+
+#[test]
+fn the_same_schedule_gives_the_same_bits_and_another_seed_others() {
+    let digest = |seed| {
+        let mut schedule = Schedule::generate(seed, BoardKind::Native);
+        schedule.end_ms = schedule.end_ms.min(6_000);
+        drive(&schedule, &mut Untampered).unwrap()
+    };
+    for seed in [3, 4] {
+        assert_eq!(digest(seed), digest(seed));
+    }
+    assert_ne!(digest(3).digest, digest(4).digest);
+}
+
+#[test]
+fn the_wall_clock_is_noticed_by_nobody() {
+    let text = "seed 7; end_ms 8000; ask arm at 3200";
+    let plain: Schedule = text.parse().unwrap();
+    let stepped = format!("{text}; fault wall-clock-step at 4000 for 2000 severity 1000");
+    let stepped: Schedule = stepped.parse().unwrap();
+    let ending = drive(&plain, &mut Untampered).unwrap();
+    assert!(ending.driven_ms > 4_000, "{ending:?}");
+    assert_eq!(ending, drive(&stepped, &mut Untampered).unwrap());
+}
+
+#[test]
+fn the_number_of_threads_makes_no_difference_and_nothing_is_violated() {
+    let campaign = |threads| Campaign {
+        first_seed: 500,
+        count: 12,
+        board: BoardKind::Native,
+        threads,
+    };
+    let one = campaign(1).run(&|| ()).unwrap();
+    assert_eq!(one, campaign(3).run(&|| ()).unwrap());
+    assert_eq!(one.failures, []);
+    assert!(one.driven_s > 30.0, "{}", one.driven_s);
+}
