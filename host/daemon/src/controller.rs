@@ -159,14 +159,7 @@ impl Controller {
 
     /// Somebody says where P should be. Only the newest of a tick counts.
     pub fn setpoint(&mut self, setpoint: Setpoint) {
-        let last = self.events.iter_mut().rev().find_map(|event| match event {
-            Event::Setpoint(last) => Some(last),
-            _ => None,
-        });
-        match last {
-            Some(last) => *last = setpoint,
-            None => self.push(Event::Setpoint(setpoint)),
-        }
+        self.push(Event::Setpoint(setpoint));
     }
 
     /// Another configuration for pilot and board, with a number for the record.
@@ -285,17 +278,66 @@ impl Queue<'_> {
     fn push(&mut self, event: Event) {
         let room = match event {
             Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
-            Event::Link(_)
-            | Event::Request(_)
-            | Event::ArmRefused
-            | Event::Health(_)
-            | Event::Line(_)
-            | Event::RealTime(_)
-            | Event::Setpoint(_)
-            | Event::Reconfigured(_) => MAX_EVENTS,
+            // However many came while nobody looked, the last one is how it is.
+            Event::Health(_) | Event::Line(_) | Event::RealTime(_) | Event::Setpoint(_) => {
+                if self.take_place_of_last(event) {
+                    return;
+                }
+                MAX_EVENTS - RESERVED
+            }
+            Event::Link(_) | Event::Request(_) | Event::ArmRefused | Event::Reconfigured(_) => {
+                self.drop_repeated_link(event);
+                if self.events.is_full() {
+                    self.drop_oldest_sample();
+                }
+                MAX_EVENTS
+            }
         };
         if self.events.len() >= room || self.events.push(event).is_err() {
             *self.dropped = self.dropped.saturating_add(1);
+        }
+    }
+
+    /// A link that is told to be as it was already: the later word counts.
+    fn drop_repeated_link(&mut self, event: Event) {
+        let mut links = self.events.iter().enumerate().rev();
+        let last = links.find(|(_, other)| matches!(other, Event::Link(_)));
+        if let Some((index, last)) = last
+            && *last == event
+        {
+            self.events.remove(index);
+        }
+    }
+
+    fn drop_oldest_sample(&mut self) {
+        let oldest = self.events.iter().position(|event| {
+            matches!(
+                event,
+                Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_)
+            )
+        });
+        if let Some(oldest) = oldest {
+            self.events.remove(oldest);
+            *self.dropped = self.dropped.saturating_add(1);
+        }
+    }
+
+    /// Puts a state where the last one of its kind is. Not beyond a change of the
+    /// link or of the configuration: what came before that may not hold after it.
+    fn take_place_of_last(&mut self, event: Event) -> bool {
+        let kind = core::mem::discriminant(&event);
+        let place = self
+            .events
+            .iter_mut()
+            .rev()
+            .take_while(|other| !matches!(other, Event::Link(_) | Event::Reconfigured(_)))
+            .find(|other| core::mem::discriminant(&**other) == kind);
+        match place {
+            Some(place) => {
+                *place = event;
+                true
+            }
+            None => false,
         }
     }
 

@@ -13,7 +13,7 @@ mod outside;
 
 use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
 use singletrack_control::{
-    Event, Mode, Pilot, Position, Reason, Request, Setpoint, Time, Velocity,
+    Event, Mode, Pilot, Position, RealTimeState, Reason, Request, Setpoint, Time, Velocity,
 };
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};
@@ -147,20 +147,28 @@ fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
     assert!(control.is_done());
 }
 
-#[test]
-fn a_flood_of_samples_leaves_room_for_a_stop() {
+fn controller() -> Controller {
     let config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    let mut controller = Controller::new(
+    Controller::new(
         LinkSession::new(config.link(7)).unwrap(),
         Pilot::new(config.pilot().unwrap()),
-    );
-    for frame_number in 0..1_000 {
+    )
+}
+
+fn observe(controller: &mut Controller, times: i32) {
+    for frame_number in 0..times {
         controller.observed(&Observation {
             frame_number,
             receive_time_ns: 1,
             state: PoseState::Absent,
         });
     }
+}
+
+#[test]
+fn a_flood_of_samples_leaves_room_for_a_stop() {
+    let mut controller = controller();
+    observe(&mut controller, 1_000);
     controller.request(Request::EmergencyStop);
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(tick.dropped_events > 0);
@@ -169,6 +177,51 @@ fn a_flood_of_samples_leaves_room_for_a_stop() {
             .contains(&Event::Request(Request::EmergencyStop))
     );
     assert_eq!(tick.output.mode, Mode::Fault);
+}
+
+#[test]
+fn after_a_long_pause_a_stop_is_heard_whatever_else_has_piled_up() {
+    let mut controller = controller();
+    observe(&mut controller, 1_000);
+    for _ in 0..100 {
+        controller.real_time(RealTimeState {
+            fifo: true,
+            memory_locked: true,
+        });
+        controller.port_closed(Time(1), &mut |_| {});
+    }
+    for _ in 0..12 {
+        controller.request(Request::Arm);
+    }
+    controller.request(Request::EmergencyStop);
+    let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
+    assert!(
+        tick.events
+            .contains(&Event::Request(Request::EmergencyStop))
+    );
+    assert_eq!(tick.output.mode, Mode::Fault);
+}
+
+#[test]
+fn of_many_set_points_in_a_tick_only_the_newest_is_told() {
+    let mut controller = controller();
+    for ms in 0..1_000 {
+        controller.setpoint(Setpoint {
+            time: Time(ms),
+            position: None,
+            velocity: Velocity::zeros(),
+        });
+    }
+    let tick = controller.tick(Time(1_000), &mut |_| Sent::Whole, &mut |_| {});
+    let told: Vec<_> = tick
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Setpoint(setpoint) => Some(setpoint.time.0),
+            _ => None,
+        })
+        .collect();
+    assert_eq!((told, tick.dropped_events), (vec![999], 0));
 }
 
 /// Runs `ticks` ticks from `index` on; the modes that they ended in, each once.
