@@ -3,218 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
+mod bench;
+
+use bench::{AT_START, Bench, Pose, TICK_NS, config};
 use singletrack_control::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, External, Fence,
-    FrontPointLaw, InertialSample, Limits, LinkState, Mode, Output, Pilot, PilotConfig,
-    PoseMissing, PoseSample, Position, ProportionalLoop, RealTimeState, Reason, Reference, Request,
-    Setpoint, SupervisorConfig, Time, TrackingLoop, Underway, VehicleParameters, Velocity,
-    VelocityStep, VelocitySteps, WatchConfig, direction,
+    BoardRequest, BoardSample, BoardState, Circle, Event, External, InertialSample, Limits,
+    LinkState, Mode, Pilot, PilotConfig, PoseSample, Position, Reason, Reference, Request,
+    Setpoint, Time, Underway, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
 };
-
-const TICK_NS: u64 = 10_000_000;
-
-/// What is told once, before anything drives.
-const AT_START: [Event; 3] = [
-    Event::RealTime(RealTimeState {
-        fifo: false,
-        memory_locked: false,
-    }),
-    Event::Link(LinkState::Ready),
-    Event::Health(BoardHealth {
-        battery_mv: 7_400,
-        stop_input_open: false,
-    }),
-];
-
-/// A kinematic car with perfect sensors, and the pilot that drives it.
-struct Bench {
-    pilot: Pilot,
-    tick: u64,
-    position: Position,
-    yaw: f64,
-    speed: f64,
-    steering: f64,
-    board: BoardState,
-    link: bool,
-    imu: bool,
-    pose: Pose,
-    /// Pulses told for each that there was.
-    pulses: f64,
-    gyro_bias: f64,
-    noisy: bool,
-    /// The yaw rate that the IMU hangs at.
-    stuck: Option<f64>,
-    /// Events of the next tick.
-    extra: Vec<Event>,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum Pose {
-    Seen,
-    Missing,
-    Jumped,
-}
-
-fn config() -> PilotConfig {
-    let vehicle = VehicleParameters::paper();
-    PilotConfig {
-        law: FrontPointLaw::new(vehicle.front_axle_distance_m, 0.35, vehicle.wheelbase_m())
-            .unwrap(),
-        tracking: TrackingLoop::Proportional(ProportionalLoop {
-            gain: Velocity::new(1.0, 1.0),
-            feed_forward: true,
-        }),
-        reference: Reference::VelocitySteps(
-            VelocitySteps::new(&[VelocityStep {
-                duration: 5.0,
-                velocity: Velocity::new(0.5, 0.1),
-            }])
-            .unwrap(),
-        ),
-        limits: Limits::paper(),
-        estimator: EstimatorConfig::for_vehicle(&vehicle),
-        supervisor: SupervisorConfig::paper(),
-        watch: WatchConfig::paper(),
-        fence: Fence::rectangle(Position::origin(), Velocity::new(20.0, 20.0), 0.0).unwrap(),
-        stop_deceleration: 1.5,
-        period: 0.01,
-    }
-}
-
-impl Bench {
-    fn new() -> Self {
-        Self::with(config())
-    }
-
-    fn with(config: PilotConfig) -> Self {
-        Self {
-            pilot: Pilot::new(config),
-            tick: 1000,
-            position: Position::origin(),
-            yaw: 0.0,
-            speed: 0.0,
-            steering: 0.0,
-            board: BoardState::Neutral,
-            link: true,
-            imu: true,
-            pose: Pose::Seen,
-            pulses: 1.0,
-            gyro_bias: 0.0,
-            noisy: true,
-            stuck: None,
-            extra: Vec::new(),
-        }
-    }
-
-    fn now(&self) -> Time {
-        Time(self.tick * TICK_NS)
-    }
-
-    fn step_with(&mut self, request: Option<Request>) -> Output {
-        self.tick += 1;
-        let wheelbase = VehicleParameters::paper().wheelbase_m();
-        let yaw_rate = self.speed * self.steering.tan() / wheelbase;
-        let sideslip = (0.1232 / wheelbase * self.steering.tan()).atan();
-        self.yaw += yaw_rate * 0.01;
-        self.position += self.speed * 0.01 * direction(self.yaw + sideslip);
-
-        let now = self.now();
-        let mut events = Vec::new();
-        if self.tick == 1001 {
-            events.extend(AT_START);
-        }
-        // A sensor has noise.
-        let noise = if self.tick.is_multiple_of(2) {
-            1e-3
-        } else {
-            -1e-3
-        };
-        if self.link {
-            events.push(Event::Board(BoardSample {
-                time: now,
-                inertial: self.imu.then_some(InertialSample {
-                    time: now,
-                    yaw_rate: self.stuck.unwrap_or(yaw_rate + noise + self.gyro_bias),
-                    forward_acceleration: 0.0,
-                    left_acceleration: self.stuck.unwrap_or(self.speed * yaw_rate),
-                }),
-                motor_speed: self.pulses * self.speed,
-                state: self.board,
-            }));
-        }
-        events.push(match self.pose {
-            Pose::Seen | Pose::Jumped => Event::Pose(PoseSample {
-                capture: now,
-                receive: now,
-                frame: i32::try_from(self.tick).unwrap(),
-                position: if self.pose == Pose::Jumped {
-                    self.position + Velocity::new(0.5, 0.0)
-                } else {
-                    self.position
-                },
-                yaw: self.yaw,
-            }),
-            Pose::Missing => Event::PoseMissing(PoseMissing::Untracked),
-        });
-        events.extend(request.map(Event::Request));
-        events.append(&mut self.extra);
-        let output = self.pilot.step(now, &events);
-        if let Some(command) = output.command {
-            self.speed = command.rear_speed;
-            self.steering = command.steering;
-            self.board = BoardState::Driving;
-        }
-        match output.request {
-            Some(BoardRequest::Arm) => self.board = BoardState::Armed,
-            Some(BoardRequest::Disarm) => {
-                self.board = BoardState::Neutral;
-                self.speed = 0.0;
-            }
-            Some(BoardRequest::EmergencyStop) => {
-                self.board = BoardState::EmergencyStopped;
-                self.speed = 0.0;
-            }
-            None => {}
-        }
-        output
-    }
-
-    fn step(&mut self) -> Output {
-        self.step_with(None)
-    }
-
-    fn run(&mut self, ticks: u32) -> Output {
-        for _ in 1..ticks {
-            self.step();
-        }
-        self.step()
-    }
-
-    fn drive(&mut self) {
-        assert_eq!(self.run(100).mode, Mode::Ready);
-        self.step_with(Some(Request::Arm));
-        let output = self.run(3);
-        assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
-        self.run(100);
-        assert!(self.speed > 0.3);
-    }
-
-    /// Runs until the pilot no longer drives or stops; returns the last output
-    /// and the seconds that it took to stand.
-    fn run_until_idle(&mut self) -> (Output, f64) {
-        let mut stood = None;
-        for tick in 0..1_000 {
-            let output = self.step();
-            if self.speed == 0.0 && stood.is_none() {
-                stood = Some(f64::from(tick) * 0.01);
-            }
-            if !output.mode.commands() {
-                return (output, stood.unwrap_or(f64::INFINITY));
-            }
-        }
-        panic!("never stopped");
-    }
-}
 
 #[test]
 fn it_drives_only_after_an_explicit_request() {
@@ -294,6 +90,7 @@ fn a_stop_stays_told_until_the_next_drive() {
         (output.mode, output.reason),
         (Mode::Ready, Some(Reason::Requested))
     );
+    assert_eq!(bench.pilot.reason(), Some(Reason::Requested));
     bench.step_with(Some(Request::Arm));
     let output = bench.run(3);
     assert_eq!((output.mode, output.reason), (Mode::Driving, None));
@@ -440,45 +237,6 @@ fn a_fast_car_may_hold_a_pose_for_less_long() {
     // 0.15 m at 1.5 m/s are 0.1 s; at 0.4 m/s the 0.3 s come first.
     assert!((9..=11).contains(&held_for(1.5)), "{}", held_for(1.5));
     assert!((28..=30).contains(&held_for(0.4)), "{}", held_for(0.4));
-}
-
-/// Where the car stood when it had stopped before a fence at this x.
-fn stops_before(x: f64, velocity: f64) -> (Output, f64) {
-    let corners = [(-5.0, -5.0), (x, -5.0), (x, 5.0), (-5.0, 5.0)];
-    let mut bench = Bench::with(PilotConfig {
-        fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
-        reference: Reference::VelocitySteps(
-            VelocitySteps::new(&[VelocityStep {
-                duration: 60.0,
-                velocity: Velocity::new(velocity, 0.0),
-            }])
-            .unwrap(),
-        ),
-        ..config()
-    });
-    bench.drive();
-    let (output, _) = bench.run_until_idle();
-    (output, bench.position.x)
-}
-
-#[test]
-fn a_car_stops_inside_its_fence_from_any_speed() {
-    for velocity in [0.4, 0.8, 1.5] {
-        let (output, x) = stops_before(4.0, velocity);
-        assert_eq!(output.reason, Some(Reason::OutsideFence));
-        assert!((3.7..4.0).contains(&x), "{velocity} m/s: {x}");
-    }
-}
-
-#[test]
-fn a_car_outside_its_fence_is_not_armed() {
-    let mut bench = Bench::new();
-    bench.position = Position::new(10.5, 0.0);
-    let output = bench.run(100);
-    assert_eq!(
-        (output.mode, output.reason),
-        (Mode::Idle, Some(Reason::OutsideFence))
-    );
 }
 
 #[test]
@@ -772,4 +530,36 @@ fn a_board_that_is_armed_from_before_is_not_driven_but_disarmed_on_request() {
     );
     let output = bench.step_with(Some(Request::Disarm));
     assert_eq!(output.request, Some(BoardRequest::Disarm));
+}
+
+#[test]
+fn a_car_that_was_carried_away_while_it_stood_is_found_again() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.position = Position::new(2.0, -1.0);
+    bench.run(100);
+    let output = bench.step();
+    assert_eq!((output.mode, output.reason), (Mode::Ready, None));
+    let estimate = output.estimate.unwrap();
+    assert!((estimate.position - bench.position).norm() < 0.01);
+}
+
+#[test]
+fn the_board_is_told_the_speed_of_the_rear_axle() {
+    let vehicle = VehicleParameters::paper();
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5).unwrap()),
+        ..config()
+    });
+    bench.position = Position::new(0.75, -0.3);
+    bench.yaw = 1.4;
+    bench.drive();
+    let output = bench.run(1_000);
+    let command = output.command.unwrap();
+    assert!(command.steering > 0.2, "it does not turn");
+    // G and the rear axle turn about one point, which lies beside the rear axle.
+    let yaw_rate = command.rear_speed * command.steering.tan() / vehicle.wheelbase_m();
+    let sideways = vehicle.rear_axle_distance_m * yaw_rate;
+    let speed = command.rear_speed.hypot(sideways);
+    assert!((speed - output.actuation.speed).abs() < 0.002, "{speed}");
 }

@@ -258,6 +258,17 @@ impl Bench {
         bench
     }
 
+    /// After a drive that was ended by request, with nothing wrong.
+    fn driven() -> Self {
+        let mut bench = Self::driving();
+        bench.ask(Request::Disarm);
+        bench.conditions = Self::new().conditions;
+        assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+        bench.supervisor.handle_board(BoardState::Neutral);
+        assert_eq!(bench.step(), (Mode::Ready, Some(Reason::Requested), None));
+        bench
+    }
+
     /// What a trouble before makes of one now.
     fn then(&mut self, trouble: fn(&mut Self)) -> (Mode, Option<Reason>, Option<BoardRequest>) {
         trouble(self);
@@ -327,6 +338,29 @@ fn everything_that_goes_wrong_stops_a_drive_by_name_and_for_good() {
                 assert_eq!(bench.step(), (Mode::Ready, Some(reason), None), "{name}");
             }
         }
+    }
+}
+
+#[test]
+fn why_a_drive_ended_stays_told_only_while_nothing_but_settling_is_missing() {
+    for (name, reason, trouble) in TROUBLES.into_iter().chain(STANDING_TROUBLES) {
+        let mut bench = Bench::driven();
+        let settles = matches!(
+            reason,
+            Reason::Moving | Reason::ImuNotStill | Reason::EstimateUnsettled | Reason::BoardArmed
+        );
+        let told = if settles { Reason::Requested } else { reason };
+        assert_eq!(
+            bench.then(trouble),
+            (Mode::Idle, Some(told), None),
+            "{name}"
+        );
+        // Whoever asks is told what is missing.
+        assert_eq!(
+            bench.ask(Request::Arm),
+            (Mode::Idle, Some(reason), None),
+            "{name}"
+        );
     }
 }
 
@@ -459,6 +493,19 @@ fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
 }
 
 #[test]
+fn a_blind_car_slows_to_the_end_of_its_budget_and_then_stops_for_good() {
+    let mut bench = Bench::slowing();
+    bench.pose_age_ms = 600;
+    bench.conditions.blind_distance = 0.45;
+    assert_eq!(bench.step().0, Mode::Slowing);
+    bench.conditions.blind_distance = 0.451;
+    assert_eq!(
+        bench.step(),
+        (Mode::Stopping, Some(Reason::BlindTooFar), None)
+    );
+}
+
+#[test]
 fn a_slowing_car_that_has_come_to_rest_stays() {
     let mut bench = Bench::slowing();
     bench.conditions.commanded_speed = 0.0;
@@ -498,6 +545,8 @@ fn a_stopping_car_that_is_seen_is_disarmed_when_it_stands() {
     for _ in 0..100 {
         assert_eq!(bench.step().0, Mode::Stopping, "it rolls");
     }
+    bench.conditions.motor_speed = -0.03;
+    assert_eq!(bench.step().0, Mode::Stopping, "it still rolls");
     bench.conditions.motor_speed = 0.029;
     assert_eq!(
         bench.step(),
@@ -530,14 +579,20 @@ fn a_stopping_car_that_is_not_seen_is_disarmed_a_tenth_of_a_second_after_it_was_
 fn a_stop_that_takes_too_long_ends_in_a_disarm() {
     let mut bench = Bench::driving();
     bench.ask(Request::Disarm);
-    let mut ticks = 0;
-    while bench.supervisor.mode() == Mode::Stopping {
-        ticks += 1;
-        let (_, _, request) = bench.step();
-        let ended = bench.supervisor.mode() == Mode::Idle;
-        assert_eq!(request, ended.then_some(BoardRequest::Disarm));
+    for _ in 0..150 {
+        assert_eq!(
+            bench.step(),
+            (Mode::Stopping, Some(Reason::Requested), None)
+        );
     }
-    assert_eq!(ticks, 151);
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::Requested),
+            Some(BoardRequest::Disarm)
+        )
+    );
 }
 
 #[test]
@@ -605,6 +660,24 @@ fn a_battery_is_not_looked_at_when_its_limits_are_zero() {
         ..HEALTHY
     });
     assert_eq!(bench.step().0, Mode::Ready);
+}
+
+/// Whoever reads status, log and record knows them by these.
+#[test]
+fn the_words_for_the_modes_stay_what_they_are() {
+    assert_eq!(
+        Mode::ALL.map(Mode::name),
+        [
+            "disconnected",
+            "idle",
+            "ready",
+            "arming",
+            "driving",
+            "slowing",
+            "stopping",
+            "fault"
+        ]
+    );
 }
 
 #[test]

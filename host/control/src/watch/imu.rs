@@ -123,10 +123,10 @@ mod tests {
     fn a_gyro_bias_beyond_the_limit_is_implausible() {
         let watch = after([]);
         for (bias, expected) in [
-            (0.19, ImuVerdict::Good),
-            (-0.19, ImuVerdict::Good),
-            (0.21, ImuVerdict::Implausible),
-            (-0.21, ImuVerdict::Implausible),
+            (0.2, ImuVerdict::Good),
+            (-0.2, ImuVerdict::Good),
+            (0.201, ImuVerdict::Implausible),
+            (-0.201, ImuVerdict::Implausible),
         ] {
             assert_eq!(watch.verdict(bias, &WatchConfig::paper()), expected);
         }

@@ -180,18 +180,45 @@ mod tests {
 
     #[test]
     fn a_gap_between_poses_is_no_span() {
+        // Beyond 100 ms nothing is known of the way between.
+        for (apart_ms, mismatched) in [(100, true), (101, false), (110, false)] {
+            let mut watch = SpeedWatch::default();
+            for pose in 0..20_u64 {
+                watch.motor(1.0);
+                watch.pose(
+                    Time(pose * apart_ms * 1_000_000),
+                    Position::origin(),
+                    0.0,
+                    &WatchConfig::paper(),
+                );
+            }
+            assert_eq!(watch.is_mismatched(), mismatched, "{apart_ms} ms");
+        }
+    }
+
+    #[test]
+    fn cameras_alone_contradict_nobody() {
         let mut watch = SpeedWatch::default();
-        for pose in 0..20_u64 {
-            watch.motor(1.0);
-            // 110 ms apart: nothing is known of the way between.
+        for tick in 0..100_u64 {
             watch.pose(
-                Time(pose * 110_000_000),
+                Time(tick * 10_000_000),
                 Position::origin(),
                 0.0,
                 &WatchConfig::paper(),
             );
         }
         assert!(!watch.is_mismatched());
+    }
+
+    #[test]
+    fn a_reset_forgets_everything_that_was_noticed() {
+        let mut watch = after_a_second(0.4, 0.8);
+        for _ in 0..5 {
+            watch.tick(2.0, 1.5, &WatchConfig::paper());
+        }
+        assert!(watch.is_mismatched() && watch.is_overspeed());
+        watch.reset();
+        assert!(!watch.is_mismatched() && !watch.is_overspeed());
     }
 
     #[test]
@@ -207,5 +234,18 @@ mod tests {
             watch.tick(1.8, 1.5, &WatchConfig::paper());
             assert!(!watch.is_overspeed());
         }
+    }
+
+    #[test]
+    fn a_car_at_the_margin_is_not_too_fast() {
+        let config = WatchConfig {
+            overspeed_margin: 0.5,
+            ..WatchConfig::paper()
+        };
+        let mut watch = SpeedWatch::default();
+        for _ in 0..10 {
+            watch.tick(2.0, 1.5, &config);
+        }
+        assert!(!watch.is_overspeed());
     }
 }

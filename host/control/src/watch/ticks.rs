@@ -70,6 +70,24 @@ mod tests {
     }
 
     #[test]
+    fn as_many_ticks_as_allowed_may_be_missed_at_once() {
+        let config = WatchConfig {
+            max_gap: 1.0,
+            ..WatchConfig::paper()
+        };
+        for (missed, late) in [(20, false), (21, true)] {
+            let mut watch = TickWatch::default();
+            watch.tick(Time(1_000_000_000), 0.01, &config);
+            watch.tick(
+                Time(1_000_000_000 + (missed + 1) * 10_000_000),
+                0.01,
+                &config,
+            );
+            assert_eq!(watch.is_late(&config), late, "{missed}");
+        }
+    }
+
+    #[test]
     fn jitter_is_never_late_however_long_it_lasts() {
         assert!(!late((0..10_000).map(|i| if i % 2 == 0 { 6 } else { 14 })).contains(&true));
     }

@@ -1,0 +1,135 @@
+//! The pilot inside its fence, or not.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+mod bench;
+
+use bench::{Bench, Pose, config};
+use singletrack_control::{
+    Circle, Fence, Mode, PilotConfig, Position, Reason, Reference, Velocity, VelocityStep,
+    VelocitySteps, direction,
+};
+
+/// 0.1 s until it brakes, then 1.5 m/s².
+fn way_of_a_stop(speed: f64) -> f64 {
+    0.1 * speed + speed * speed / 3.0
+}
+
+/// Straight on at `speed` (m/s), with a fence across the way at x = 4 m.
+fn towards_the_fence(speed: f64) -> Bench {
+    let corners = [(-5.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-5.0, 5.0)];
+    let mut bench = Bench::with(PilotConfig {
+        fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
+        reference: Reference::VelocitySteps(
+            VelocitySteps::new(&[VelocityStep {
+                duration: 60.0,
+                velocity: Velocity::new(speed, 0.0),
+            }])
+            .unwrap(),
+        ),
+        ..config()
+    });
+    bench.drive();
+    bench
+}
+
+#[test]
+fn a_car_stops_inside_its_fence_from_any_speed() {
+    for speed in [0.4, 0.8, 1.5] {
+        let mut bench = towards_the_fence(speed);
+        let (output, _) = bench.run_until_idle();
+        assert_eq!(output.reason, Some(Reason::OutsideFence));
+        let x = bench.position.x;
+        assert!((3.7..4.0).contains(&x), "{speed} m/s: {x}");
+    }
+}
+
+#[test]
+fn a_stop_begins_where_reaction_and_braking_reach_the_fence() {
+    for speed in [0.4, 0.8, 1.5] {
+        let mut bench = towards_the_fence(speed);
+        let mut ticks = 0;
+        while bench.step().mode == Mode::Driving {
+            ticks += 1;
+            assert!(ticks < 2_000);
+        }
+        let way = way_of_a_stop(speed);
+        let left = 4.0 - bench.position.x;
+        assert!((left - way).abs() < 0.03, "{speed} m/s: {left} for {way}");
+    }
+}
+
+#[test]
+fn a_car_that_goes_blind_stops_inside_its_fence_all_the_same() {
+    for speed in [0.4, 0.8, 1.5] {
+        // Just before it would begin to stop: what it goes while the pose is held,
+        // and is not seen to go, would lead it out.
+        let blind_from = 4.0 - way_of_a_stop(speed) - 0.06;
+        let mut bench = towards_the_fence(speed);
+        while bench.position.x < blind_from {
+            assert_eq!(bench.step().mode, Mode::Driving);
+        }
+        bench.pose = Pose::Missing;
+        bench.run_until_idle();
+        assert!(
+            bench.position.x < 4.0,
+            "{speed} m/s, blind from {blind_from}: {}",
+            bench.position.x
+        );
+    }
+}
+
+/// Two rounds of a circle inside a fence of 16 sides at a distance of
+/// `room` (m) from its centre, from a good start; and the farthest from the centre
+/// that the car ever was about to go straight on.
+fn rounds(room: f64) -> (Mode, f64) {
+    let corner = room / (core::f64::consts::PI / 16.0).cos();
+    let corners: Vec<_> = (0..16)
+        .map(|index| {
+            Position::origin()
+                + corner * direction(core::f64::consts::TAU / 16.0 * f64::from(index))
+        })
+        .collect();
+    let mut bench = Bench::with(PilotConfig {
+        fence: Fence::new(&corners, 0.0).unwrap(),
+        reference: Reference::Circle(Circle::new(Position::origin(), 1.0, 0.8).unwrap()),
+        ..config()
+    });
+    bench.position = Position::new(0.75, -0.3);
+    bench.yaw = 1.4;
+    bench.drive();
+    let mut before = bench.position;
+    let mut farthest: f64 = 0.0;
+    for _ in 0..1_600 {
+        let mode = bench.step().mode;
+        if mode != Mode::Driving {
+            return (mode, farthest);
+        }
+        // Where it goes, by where it went.
+        let speed = (bench.position - before).norm() / 0.01;
+        let course = (bench.position - before).normalize();
+        before = bench.position;
+        let end = bench.position + way_of_a_stop(speed) * course;
+        farthest = farthest.max(end.coords.norm());
+    }
+    (Mode::Driving, farthest)
+}
+
+#[test]
+fn in_a_bend_the_car_is_taken_to_go_on_where_it_goes_and_not_where_it_points() {
+    let (mode, farthest) = rounds(3.0);
+    assert_eq!(mode, Mode::Driving);
+    assert_eq!(rounds(farthest + 0.01).0, Mode::Driving);
+    assert_eq!(rounds(farthest - 0.01).0, Mode::Stopping);
+}
+
+#[test]
+fn a_car_outside_its_fence_is_not_armed() {
+    let mut bench = Bench::new();
+    bench.position = Position::new(10.5, 0.0);
+    let output = bench.run(100);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Idle, Some(Reason::OutsideFence))
+    );
+}
