@@ -2,6 +2,7 @@
 
 use std::{
     any::Any,
+    collections::{BTreeMap, BTreeSet},
     panic::{self, AssertUnwindSafe},
     sync::{
         Mutex, PoisonError,
@@ -12,7 +13,7 @@ use std::{
 
 use singletrack_sim::BoardKind;
 
-use crate::{Trouble, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper};
+use crate::{Ending, Trouble, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper};
 
 /// What is done.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +46,8 @@ pub struct Outcome {
     pub driven_s: f64,
     /// For how long they lasted, in s of their own time.
     pub simulated_s: f64,
+    /// In how many of them each of the host's reasons not to drive came up.
+    pub reasons: BTreeMap<&'static str, u64>,
 }
 
 /// Every so many schedules one is driven twice: both must be the same.
@@ -86,34 +89,42 @@ impl Campaign {
         results.sort_by_key(|(number, _)| *number);
         let mut outcome = Outcome::default();
         for (_, result) in results {
-            let (failure, driven_ms, lasted_ms) = result?;
-            outcome.failures.extend(failure);
-            outcome.driven_s += f64::from(driven_ms) * 1e-3;
-            outcome.simulated_s += f64::from(lasted_ms) * 1e-3;
+            let (schedule, ending) = result?;
+            outcome.add(schedule, ending);
         }
         Ok(outcome)
     }
 
-    fn one(&self, seed: u64) -> Result<(Option<Failure>, u32, u32), Trouble> {
+    fn one(&self, seed: u64) -> Result<(Schedule, Ending), Trouble> {
         let schedule = Schedule::generate(seed, self.board);
-        let lasts_ms = schedule.end_ms;
-        let ending = attempt(&schedule, &mut Untampered)?;
-        let mut violation = ending.violation;
-        if violation.is_none() && seed.is_multiple_of(REPEATED) {
+        let mut ending = attempt(&schedule, &mut Untampered)?;
+        if ending.violation.is_none() && seed.is_multiple_of(REPEATED) {
             let again = attempt(&schedule, &mut Untampered)?;
             if again.digest != ending.digest {
-                violation = Some(Violation {
+                ending.violation = Some(Violation {
                     invariant: "repeatable",
-                    time_us: u64::from(lasts_ms) * 1_000,
+                    time_us: u64::from(schedule.end_ms) * 1_000,
                     what: format!("{:016x} and {:016x}", ending.digest, again.digest),
                 });
             }
         }
-        let failure = violation.map(|violation| Failure {
-            schedule,
-            violation,
-        });
-        Ok((failure, ending.driven_ms, lasts_ms))
+        Ok((schedule, ending))
+    }
+}
+
+impl Outcome {
+    /// Adds what a schedule came to.
+    pub fn add(&mut self, schedule: Schedule, ending: Ending) {
+        self.driven_s += f64::from(ending.driven_ms) * 1e-3;
+        self.simulated_s += f64::from(schedule.end_ms) * 1e-3;
+        for reason in ending.reasons {
+            *self.reasons.entry(reason).or_default() += 1;
+        }
+        self.failures
+            .extend(ending.violation.map(|violation| Failure {
+                schedule,
+                violation,
+            }));
     }
 }
 
@@ -122,10 +133,11 @@ impl Campaign {
 /// # Errors
 ///
 /// What can't be set up.
-pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<crate::Ending, Trouble> {
+pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<Ending, Trouble> {
     panic::catch_unwind(AssertUnwindSafe(|| drive(schedule, tamper))).unwrap_or_else(|payload| {
-        Ok(crate::Ending {
+        Ok(Ending {
             digest: 0,
+            reasons: BTreeSet::new(),
             violation: Some(Violation {
                 invariant: "panic",
                 time_us: 0,

@@ -1,6 +1,8 @@
 //! One drive: world, network, port and daemon in step, and everybody watching.
 
-use singletrack_control::Request;
+use std::collections::BTreeSet;
+
+use singletrack_control::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
@@ -36,6 +38,8 @@ pub struct Ending {
     pub violation: Option<Violation>,
     /// For how long the car was driven, in ms.
     pub driven_ms: u32,
+    /// The host's reasons not to drive that came up, by name.
+    pub reasons: BTreeSet<&'static str>,
 }
 
 /// Something that must always hold, and did not.
@@ -96,6 +100,7 @@ struct Drive<'a> {
     violation: Option<Violation>,
     digest: Digest,
     driven_ms: u32,
+    reasons: BTreeSet<&'static str>,
     board_since_us: Option<u64>,
     was_running: bool,
     resets: u64,
@@ -147,6 +152,7 @@ impl<'a> Drive<'a> {
             violation: None,
             digest: Digest::default(),
             driven_ms: 0,
+            reasons: BTreeSet::new(),
             board_since_us: None,
             was_running: false,
             resets: 0,
@@ -164,6 +170,7 @@ impl<'a> Drive<'a> {
             digest: self.digest.value(),
             violation,
             driven_ms: self.driven_ms,
+            reasons: self.reasons.clone(),
         }
     }
 
@@ -431,6 +438,8 @@ impl<'a> Drive<'a> {
             asked: &self.asked,
         };
         let has_ticked = sight.tick.is_some();
+        let reason = sight.tick.and_then(|tick| tick.output.reason);
+        self.reasons.extend(reason.map(Reason::name));
         self.digest.sight(&sight);
         for pulse in sight.pulses {
             self.driven_ms += 20 * u32::from(self.stated.drives(pulse));

@@ -111,6 +111,11 @@ fn run(options: &Options) -> Result<bool, Error> {
             )?;
         }
     }
+    let reasons = outcome.reasons.iter();
+    let reasons: Vec<_> = reasons
+        .map(|(reason, count)| format!("{reason} {count}"))
+        .collect();
+    writeln!(out, "reasons not to drive: {}", reasons.join(", "))?;
     writeln!(
         out,
         "the car was driven for {:.0} s of {:.0} s",
@@ -177,16 +182,7 @@ fn replay(text: &str) -> Result<Outcome, Error> {
     };
     let schedule: Schedule = text.parse()?;
     let ending = attempt(&schedule, &mut Untampered)?;
-    Ok(Outcome {
-        driven_s: f64::from(ending.driven_ms) * 1e-3,
-        simulated_s: f64::from(schedule.end_ms) * 1e-3,
-        failures: ending
-            .violation
-            .map(|violation| Failure {
-                schedule,
-                violation,
-            })
-            .into_iter()
-            .collect(),
-    })
+    let mut outcome = Outcome::default();
+    outcome.add(schedule, ending);
+    Ok(outcome)
 }

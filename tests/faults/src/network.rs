@@ -331,11 +331,9 @@ impl Network {
                 move_by(&mut content.car, metres);
                 content.exposure.lie = true;
             }
-            Kind::CameraJumping => {
-                if content.number % 3 == 0 {
-                    move_by(&mut content.car, metres);
-                    content.exposure.lie = true;
-                }
+            Kind::CameraJumping if content.number % 3 == 0 => {
+                move_by(&mut content.car, metres);
+                content.exposure.lie = true;
             }
             Kind::CameraSwapped => {
                 if let (Some(car), Some(other)) = (&mut content.car, content.bodies.first_mut()) {

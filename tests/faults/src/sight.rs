@@ -21,6 +21,7 @@ pub(crate) struct Stated {
     /// A pose this old ends even slowing down.
     pub(crate) blind_us: u64,
     pub(crate) imu_silence_us: u64,
+    pub(crate) stuck_samples: u32,
     pub(crate) stop_timeout_us: u64,
     pub(crate) max_speed: f64,
     pub(crate) max_reverse_speed: f64,
@@ -42,6 +43,7 @@ impl Stated {
             hold_us: us(config.supervisor.hold_ms),
             blind_us: us(config.supervisor.blind_ms),
             imu_silence_us: us(config.supervisor.imu_silence_ms),
+            stuck_samples: config.watch.stuck_samples,
             stop_timeout_us: us(config.supervisor.stop_timeout_ms),
             max_speed: limits.max_speed_m_s,
             max_reverse_speed: limits.max_reverse_speed_m_s,

@@ -298,6 +298,7 @@ fn a_pilot_that_sets_out_or_goes_on_by_itself_is_found() {
             "host-hold",
         ),
         ("fault imu-silent at 6500 for 900 severity 1", "imu-silence"),
+        ("fault imu-stuck at 6500 for 900 severity 1", "imu-stuck"),
     ] {
         is_sound(more);
         let found = violation(more, goes_on());

@@ -6,14 +6,15 @@ use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
 use super::{Invariant, SERVO_US, Verdict};
 use crate::sight::{Seen, Sight};
 
-/// The supervising interrupt's period, in µs.
-const SUPERVISOR_US: u64 = 1_000;
+/// The supervising interrupt's period, in µs, and as much by which its clock may
+/// be behind.
+const SUPERVISOR_US: u64 = 2_000;
 
 /// What clocks may make of a time of 100 ms, at 0.5 %, in µs.
 const SKEW_US: u64 = 500;
 
 /// `command-age`: a pulse that drives begins no later than 95 ms, one servo
-/// period and one period of the supervisor after the telemetry that the newest
+/// period and 2 ms of the supervisor (its period, and its clock's) after the telemetry that the newest
 /// command rests on, by the board's clock.
 #[derive(Default)]
 pub(super) struct CommandAge {
@@ -194,10 +195,10 @@ mod tests {
     fn a_pulse_on_a_pose_beyond_the_boards_limit_is_found() {
         let scene = Scene::new();
         assert_eq!(PoseAge::default().look(&scene.sight(950_000)), Ok(()));
-        let old = PoseAge::default().look(&scene.sight(985_000));
-        assert!(old.is_err_and(|what| what.contains("985 ms old, 980 allowed")));
+        let old = PoseAge::default().look(&scene.sight(986_000));
+        assert!(old.is_err_and(|what| what.contains("986 ms old, 981 allowed")));
         // Nobody can know when the server's clock has been stepped.
-        let mut stepped = scene.sight(985_000);
+        let mut stepped = scene.sight(986_000);
         if let Some(seen) = &mut stepped.seen {
             seen.exposure.honest_clock = false;
         }

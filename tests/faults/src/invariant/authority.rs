@@ -12,6 +12,10 @@ use crate::{schedule::Kind, sight::Sight};
 /// that may be 0.5 % slow, stated as 45 ms.
 const WITHDRAWAL_US: u64 = 45_000;
 
+/// How long a command is in force by our reckoning: the image's clock is up to a
+/// millisecond behind the one that it is judged by, and so is its polling.
+const IN_FORCE_US: u32 = COMMAND_TIME_TO_LIVE_US + 2_000;
+
 /// `unarmed-drive`: a pulse drives only if the board has been sent a request to
 /// arm, after it and not too long ago a command, and since then nothing that
 /// takes the right away: disarm, emergency stop, another session's greeting, a
@@ -52,7 +56,7 @@ impl Unarmed {
             ToBoard::Disarm(_) => self.withdraw(time_us, "the board was told to disarm"),
             ToBoard::EmergencyStop(_) => self.withdraw(time_us, "the board was told to stop"),
             ToBoard::Drive(drive) if self.armed => {
-                if board_time_us.wrapping_sub(drive.telemetry_time_us) <= COMMAND_TIME_TO_LIVE_US {
+                if board_time_us.wrapping_sub(drive.telemetry_time_us) <= IN_FORCE_US {
                     self.command_us = Some(drive.telemetry_time_us);
                 }
             }
@@ -81,7 +85,7 @@ impl Invariant for Unarmed {
         for pulse in sight.pulses {
             if let Some(command_us) = self.command_us {
                 let age_us = pulse.board_time_us.wrapping_sub(command_us);
-                if age_us < u32::MAX / 2 && age_us > COMMAND_TIME_TO_LIVE_US {
+                if age_us < u32::MAX / 2 && age_us > IN_FORCE_US {
                     self.withdraw(pulse.time_us, "the last command had run out");
                 }
             }

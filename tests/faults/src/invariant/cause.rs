@@ -1,6 +1,7 @@
 //! Neutral within the stated time after each cause.
 
 use singletrack_control::{Event, Mode, Request};
+use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{
@@ -225,12 +226,59 @@ impl Invariant for ImuSilence {
         let (Some(silent_us), Some(tick)) = (self.silent_us, sight.tick) else {
             return Ok(());
         };
-        // 1.2 ms under way to the board, and what the board's clock may be off.
-        let limit_us = sight.stated.imu_silence_us + 5_000;
+        // 1.2 ms under way to the board, and what the board's clock may be off. The
+        // image asks the sensor every 10 ms and dates a sample by its answer.
+        let asked_us = match sight.stated.situation.board {
+            BoardKind::Native => 0,
+            BoardKind::Uno => 10_000,
+        };
+        let limit_us = sight.stated.imu_silence_us + 5_000 + asked_us;
         let after_us = sight.now_us.saturating_sub(silent_us);
         if tick.output.mode == Mode::Driving && after_us > limit_us {
             return Err(format!(
                 "driving {} ms after the IMU fell silent, {} allowed",
+                after_us / 1_000,
+                limit_us / 1_000
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `imu-stuck`: the host follows its reference no longer than it takes to tell
+/// that the IMU repeats itself: the configured number of samples and one, 30 ms
+/// until the last of them has been told and heard, as long as nothing else holds
+/// samples up.
+#[derive(Default)]
+pub(super) struct ImuStuck {
+    stuck_us: Option<u64>,
+}
+
+const IMU_PERIOD_US: u64 = 10_000;
+
+impl Invariant for ImuStuck {
+    fn name(&self) -> &'static str {
+        "imu-stuck"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let undisturbed = sight.faults.iter().all(|fault| {
+            fault.kind == Kind::ImuStuck || matches!(fault.kind.target(), Target::Cameras)
+        });
+        if sight.rules(Kind::ImuStuck) && undisturbed {
+            self.stuck_us.get_or_insert(sight.now_us);
+        } else {
+            self.stuck_us = None;
+        }
+        let (Some(stuck_us), Some(tick)) = (self.stuck_us, sight.tick) else {
+            return Ok(());
+        };
+        let samples = u64::from(sight.stated.stuck_samples) + 1;
+        let limit_us = samples * IMU_PERIOD_US + 30_000;
+        let after_us = sight.now_us.saturating_sub(stuck_us);
+        if tick.output.mode == Mode::Driving && samples > 1 && after_us > limit_us {
+            return Err(format!(
+                "driving {} ms after the IMU began to repeat itself, {} allowed",
                 after_us / 1_000,
                 limit_us / 1_000
             ));

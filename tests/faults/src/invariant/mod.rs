@@ -44,6 +44,7 @@ pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
         Box::<cause::MainLoop>::default(),
         Box::<cause::MotorPulses>::default(),
         Box::<cause::ImuSilence>::default(),
+        Box::<cause::ImuStuck>::default(),
         Box::<fence::Fence>::default(),
         Box::<host::CommandLimits>::default(),
         Box::<host::CommandRate>::default(),

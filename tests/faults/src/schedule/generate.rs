@@ -13,7 +13,7 @@ const FIRST_FAULT_MS: u32 = 500;
 
 /// Time of a drive after the first request: the simulated processor is slow.
 const NATIVE_MS: [u32; 2] = [10_000, 25_000];
-const UNO_MS: [u32; 2] = [4_000, 7_000];
+const UNO_MS: [u32; 2] = [8_000, 16_000];
 
 impl Default for Situation {
     /// Nothing out of the ordinary.
