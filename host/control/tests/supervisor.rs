@@ -446,6 +446,13 @@ fn a_link_that_is_lost_forgets_what_the_board_said_of_itself() {
 }
 
 #[test]
+fn a_link_that_says_again_that_it_is_ready_forgets_nothing() {
+    let mut bench = Bench::driving();
+    bench.supervisor.handle_link(LinkState::Ready);
+    assert_eq!(bench.step(), (Mode::Driving, None, None));
+}
+
+#[test]
 fn a_battery_or_a_line_at_its_limit_is_good_enough() {
     let mut bench = Bench::new();
     bench.supervisor.handle_health(BoardHealth {
