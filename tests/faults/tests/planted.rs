@@ -186,7 +186,8 @@ impl Tamper for Eager {
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         // A native board's clock is 0.3 % fast, and started 65 ms after the rest.
         let since_start = now_us.saturating_sub(65_000);
-        let telemetry_time_us = (since_start + since_start * 3 / 1_000) as u32 - 5_000;
+        let telemetry_time_us =
+            ((since_start + since_start * 3 / 1_000) as u32).wrapping_sub(5_000);
         if now_us < 2_800_000 || now_us < self.since_us + 20_000 {
             return;
         }

@@ -89,12 +89,12 @@ fn the_wall_clock_is_noticed_by_nobody() {
 fn the_number_of_threads_makes_no_difference_and_nothing_is_violated() {
     let campaign = |threads| Campaign {
         first_seed: 500,
-        count: 12,
+        count: 6,
         board: BoardKind::Native,
         threads,
     };
     let one = campaign(1).run(&|| ()).unwrap();
     assert_eq!(one, campaign(3).run(&|| ()).unwrap());
     assert_eq!(one.failures, []);
-    assert!(one.driven_s > 30.0, "{}", one.driven_s);
+    assert!(one.driven_s > 15.0, "{}", one.driven_s);
 }
