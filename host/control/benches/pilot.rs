@@ -28,6 +28,7 @@ fn pilot() -> Option<Pilot> {
             ..WatchConfig::paper()
         },
         fence: Fence::rectangle(Position::origin(), Velocity::new(4.0, 4.0), 0.0).ok()?,
+        braking: 1.5,
         stop_deceleration: 1.5,
         period: 0.01,
     }))

@@ -4,7 +4,7 @@
 //! speed, acceleration, steering angle and rate, no reverse unless enabled, and
 //! a way round when P should move where the car does not point.
 
-use libm::{fabs, sqrt, tan};
+use libm::{atan, fabs, sqrt, tan};
 
 use crate::{FrontPointLaw, Motion, Singularity, Velocity, angle_between, direction};
 
@@ -47,6 +47,13 @@ impl Limits {
             creep_speed: 0.3,
             standstill_speed: 0.02,
         }
+    }
+
+    /// The steering angle at which the acceleration to the side reaches its limit,
+    /// at this speed (m/s).
+    #[must_use]
+    pub fn steering_at(&self, speed: f64) -> f64 {
+        atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed))
     }
 
     /// The speed at which the acceleration to the side reaches its limit, with
@@ -198,6 +205,12 @@ impl LimitedLaw {
         Ok(self.apply(speed, rate, period))
     }
 
+    /// Keeps the speed that the next step starts from, and what it was told last,
+    /// at `most` m/s in either direction.
+    pub const fn cap_speed(&mut self, most: f64) {
+        self.actuation.speed = self.actuation.speed.clamp(-most, most);
+    }
+
     /// One step of `period` seconds that slows down, wheels held.
     pub fn slow_down(&mut self, deceleration: f64, period: f64) -> Actuation {
         let change = deceleration * period;
@@ -273,6 +286,13 @@ impl LimitedLaw {
         let steering = (self.actuation.steering + rate * period)
             .clamp(-limits.max_steering, limits.max_steering);
         let change = limits.max_acceleration * period;
+        // A car that can't slow down as fast as the wheels turn in, turns them in
+        // as fast as it slows down.
+        let slowest = (fabs(self.actuation.speed) - change).max(0.0);
+        let widest = limits
+            .steering_at(slowest)
+            .max(fabs(self.actuation.steering));
+        let steering = steering.clamp(-widest, widest);
         let in_bend = limits.speed_in_bend(steering);
         let speed = speed
             .clamp(-limits.max_reverse_speed, limits.max_speed)
@@ -426,11 +446,28 @@ mod tests {
             let lateral = now.speed * now.speed * libm::tan(now.steering.abs()) / 0.26;
             largest = largest.max(lateral);
         }
-        assert!(largest < 2.2, "{largest}");
+        assert!(largest <= 2.0 + 1e-9, "{largest}");
         assert!(law.actuation().steering > 0.3);
         assert_eq!(limits.speed_in_bend(0.0), f64::INFINITY);
         let at_limit = limits.speed_in_bend(-0.45);
         assert!((at_limit - (2.0 * 0.26 / libm::tan(0.45)).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn wheels_that_turn_in_quickly_keep_to_the_acceleration_to_the_side() {
+        let mut law = limited(Limits::paper());
+        for _ in 0..200 {
+            law.step(&standing(0.0), 1.5, &Velocity::new(1.5, 0.0), PERIOD)
+                .unwrap();
+        }
+        assert_eq!(law.actuation().speed, 1.5);
+        for _ in 0..100 {
+            let wanted = 1.5 * direction(core::f64::consts::FRAC_PI_4);
+            let now = law.step(&standing(0.0), 1.5, &wanted, PERIOD).unwrap();
+            let lateral = now.speed * now.speed * libm::tan(now.steering.abs()) / 0.26;
+            assert!(lateral <= 2.0 + 1e-9, "{lateral}");
+        }
+        assert!(law.actuation().steering > 0.4);
     }
 
     #[test]

@@ -175,6 +175,9 @@ pub enum LinkState {
     VersionDiffers,
     /// The board does not take its configuration.
     ConfigurationRefused,
+    /// The board does not take its configuration because an emergency stop is
+    /// latched until it is reset.
+    EmergencyStopped,
     /// The board answers, has the configuration and reports.
     Ready,
 }

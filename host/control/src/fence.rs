@@ -107,19 +107,19 @@ impl Fence {
         &self.corners
     }
 
-    /// How far a point is inside, in m; negative outside. Only inside does it
-    /// take the margin off.
+    /// How far a point is inside the fence less its margin, in m; negative outside.
     #[must_use]
     pub fn clearance(&self, point: &Position) -> f64 {
         let distance = self
             .sides()
             .map(|(_, from, to)| distance_to_side(point, &from, &to))
             .fold(f64::INFINITY, f64::min);
-        if self.encloses(point) {
-            distance - self.margin
+        let inside = if self.encloses(point) {
+            distance
         } else {
             -distance
-        }
+        };
+        inside - self.margin
     }
 
     /// Whether the straight way from `point` along `way` (m) stays inside.
@@ -251,7 +251,15 @@ mod tests {
         let with_margin =
             Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.2).unwrap();
         assert!((with_margin.clearance(&Position::origin()) - 0.8).abs() < 1e-12);
-        assert!(with_margin.clearance(&Position::new(0.9, 0.0)) < 0.0);
+        // From inside the margin across the fence and beyond, from any side.
+        for distance in [0.81, 0.9, 1.0, 1.1] {
+            for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
+                let point = distance * Position::new(x, y);
+                let found = with_margin.clearance(&point);
+                assert!((found - (0.8 - distance)).abs() < 1e-12, "{point}: {found}");
+                assert!(!with_margin.contains_way(&point, &Velocity::zeros()));
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! The whole controller as one value.
 
-use libm::{copysign, cos, fabs};
+use core::f64::consts::PI;
+
+use libm::{copysign, cos, fabs, sin};
 
 use crate::{
     Actuation, BoardRequest, BoardSample, Conditions, Estimate, Estimator, EstimatorConfig, Event,
@@ -29,6 +31,9 @@ pub struct PilotConfig {
     pub watch: WatchConfig,
     /// Where the car may be.
     pub fence: Fence,
+    /// The deceleration that the car really has when it is told to stop, m/s²: a
+    /// motor at neutral may brake less than `stop_deceleration` asks for.
+    pub braking: f64,
     /// Deceleration of a stop, m/s².
     pub stop_deceleration: f64,
     /// The control period, s.
@@ -83,6 +88,9 @@ pub struct Underway(pub Mode);
 /// From the decision to stop until the car begins to, s: a tick, the board, the
 /// motor's lag.
 const REACTION: f64 = 0.1;
+
+/// Above this speed yaw rate and speed tell the bend, m/s.
+const BENDS_FROM: f64 = 0.1;
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
@@ -265,6 +273,7 @@ impl Pilot {
             estimate.yaw,
             self.law.actuation().steering,
         );
+        let before = self.law.actuation().speed;
         let reference = self.config.reference.at(time);
         let velocity = self.config.tracking.velocity(&reference, &point);
         let actuation = self
@@ -276,6 +285,13 @@ impl Pilot {
                 self.config.period,
             )
             .map_err(|_| Reason::LawSingular)?;
+        // A blind car has no business speeding up.
+        let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
+            self.law.cap_speed(fabs(before));
+            self.law.actuation()
+        } else {
+            actuation
+        };
         output.drive_time = Some(time);
         output.reference = Some(reference);
         output.point_velocity = Some(velocity);
@@ -326,13 +342,31 @@ impl Pilot {
     }
 
     /// Whether the car is inside the fence, and would be after a stop that begins
-    /// now, from wherever it may have got to since it was last seen.
+    /// now, from wherever it may have got to since it was last seen. It goes on
+    /// along its bend: the wheels are held.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
-        let braking = 0.5 * pace * pace / self.config.stop_deceleration;
+        let braking = 0.5 * pace * pace / self.config.braking;
         let ahead = self.blind.distance() + pace * REACTION + braking;
-        let course = direction(estimate.yaw + estimate.sideslip);
-        let way = copysign(ahead, estimate.speed) * course;
-        self.config.fence.contains_way(&estimate.position, &way)
+        let curvature = if fabs(estimate.speed) > BENDS_FROM {
+            estimate.yaw_rate / estimate.speed
+        } else {
+            0.0
+        };
+        let way = |distance: f64| {
+            let distance = copysign(distance, estimate.speed);
+            // The chord of an arc that turns by this much.
+            let turn = (curvature * distance).clamp(-PI, PI);
+            let chord = if turn == 0.0 {
+                distance
+            } else {
+                distance * sin(0.5 * turn) / (0.5 * turn)
+            };
+            chord * direction(estimate.yaw + estimate.sideslip + 0.5 * turn)
+        };
+        let (half, whole) = (way(0.5 * ahead), way(ahead));
+        let fence = &self.config.fence;
+        fence.contains_way(&estimate.position, &half)
+            && fence.contains_way(&(estimate.position + half), &(whole - half))
     }
 
     fn handle_board(&mut self, sample: &BoardSample) {

@@ -79,9 +79,9 @@ fn a_car_that_goes_blind_stops_inside_its_fence_all_the_same() {
     }
 }
 
-/// Two rounds of a circle inside a fence of 16 sides at a distance of
-/// `room` (m) from its centre, from a good start; and the farthest from the centre
-/// that the car ever was about to go straight on.
+/// Two rounds of a circle inside a fence of 16 sides at a distance of `room` (m)
+/// from its centre, from a good start; and how far from the centre the car ever
+/// was, on a circle of its own.
 fn rounds(room: f64) -> (Mode, f64) {
     let corner = room / (core::f64::consts::PI / 16.0).cos();
     let corners: Vec<_> = (0..16)
@@ -98,28 +98,23 @@ fn rounds(room: f64) -> (Mode, f64) {
     bench.position = Position::new(0.75, -0.3);
     bench.yaw = 1.4;
     bench.drive();
-    let mut before = bench.position;
     let mut farthest: f64 = 0.0;
     for _ in 0..1_600 {
         let mode = bench.step().mode;
         if mode != Mode::Driving {
             return (mode, farthest);
         }
-        // Where it goes, by where it went.
-        let speed = (bench.position - before).norm() / 0.01;
-        let course = (bench.position - before).normalize();
-        before = bench.position;
-        let end = bench.position + way_of_a_stop(speed) * course;
-        farthest = farthest.max(end.coords.norm());
+        farthest = farthest.max(bench.position.coords.norm());
     }
     (Mode::Driving, farthest)
 }
 
+/// Straight on from a circle of 0.75 m, the way of a stop would end 0.15 m outside.
 #[test]
-fn in_a_bend_the_car_is_taken_to_go_on_where_it_goes_and_not_where_it_points() {
+fn in_a_bend_the_car_is_taken_to_go_on_along_it() {
     let (mode, farthest) = rounds(3.0);
     assert_eq!(mode, Mode::Driving);
-    assert_eq!(rounds(farthest + 0.01).0, Mode::Driving);
+    assert_eq!(rounds(farthest + 0.02).0, Mode::Driving);
     assert_eq!(rounds(farthest - 0.01).0, Mode::Stopping);
 }
 

@@ -205,6 +205,7 @@ fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
     bench.step();
     assert_eq!(bench.steering, steering, "the wheels are held");
     bench.pose = Pose::Seen;
+    assert_eq!(bench.run(2).mode, Mode::Slowing);
     let output = bench.step();
     assert_eq!((output.mode, output.reason), (Mode::Driving, None));
     // No jump: the speed rises as fast as it may.
@@ -213,6 +214,25 @@ fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
     assert!(bench.speed > before && bench.speed <= before + 0.0201);
     // The reference has gone on meanwhile.
     assert!(output.drive_time > slowing.drive_time);
+}
+
+#[test]
+fn a_blind_car_does_not_speed_up() {
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.step_with(Some(Request::Arm));
+    bench.run(12);
+    bench.pose = Pose::Missing;
+    bench.run(6);
+    let speed = bench.speed;
+    assert!(speed > 0.1 && speed < 0.4, "{speed}");
+    for _ in 0..20 {
+        assert_eq!(bench.step().mode, Mode::Driving);
+        assert!(bench.speed <= speed, "{} of {speed}", bench.speed);
+    }
+    bench.pose = Pose::Seen;
+    bench.run(2);
+    assert!(bench.speed > speed);
 }
 
 #[test]

@@ -17,6 +17,8 @@ const HEALTHY: BoardHealth = BoardHealth {
 struct Bench {
     supervisor: Supervisor,
     conditions: Conditions,
+    /// What the board tells at every tick, once it is connected.
+    health: Option<BoardHealth>,
     /// Age of the last accepted pose, in ms.
     pose_age_ms: u64,
     imu_age_ms: u64,
@@ -28,16 +30,20 @@ type Trouble = (&'static str, Reason, fn(&mut Bench));
 /// What is wrong at any time.
 const TROUBLES: [Trouble; 15] = [
     ("an open stop switch", Reason::StopInputOpen, |bench| {
-        bench.supervisor.handle_health(BoardHealth {
+        bench.health = Some(BoardHealth {
             stop_input_open: true,
             ..HEALTHY
         });
     }),
     ("an empty battery", Reason::BatteryLow, |bench| {
-        bench.supervisor.handle_health(BoardHealth {
+        let empty = BoardHealth {
             battery_mv: 6_399,
             ..HEALTHY
-        });
+        };
+        bench.health = Some(empty);
+        // With that of the next tick, the third in a row.
+        bench.supervisor.handle_health(empty);
+        bench.supervisor.handle_health(empty);
     }),
     (
         "damage on the way to the host",
@@ -127,7 +133,7 @@ const STANDING_TROUBLES: [Trouble; 8] = [
         "a battery that would end a drive soon",
         Reason::BatteryLow,
         |bench| {
-            bench.supervisor.handle_health(BoardHealth {
+            bench.health = Some(BoardHealth {
                 battery_mv: 6_799,
                 ..HEALTHY
             });
@@ -190,6 +196,7 @@ impl Bench {
                 setpoint_stale: false,
                 reference_finished: false,
             },
+            health: None,
             pose_age_ms: 10,
             imu_age_ms: 10,
         }
@@ -202,11 +209,14 @@ impl Bench {
         });
         self.supervisor.handle_link(LinkState::Ready);
         self.supervisor.handle_board(BoardState::Neutral);
-        self.supervisor.handle_health(HEALTHY);
+        self.health = Some(HEALTHY);
     }
 
     fn step(&mut self) -> (Mode, Option<Reason>, Option<BoardRequest>) {
         let now = Time(self.conditions.now.0 + TICK_NS);
+        if let Some(health) = self.health {
+            self.supervisor.handle_health(health);
+        }
         let ago = |ms: u64| {
             ms.checked_mul(1_000_000)
                 .and_then(|ns| now.0.checked_sub(ns))
@@ -435,6 +445,7 @@ fn a_link_that_is_lost_forgets_what_the_board_said_of_itself() {
         to_board: Some(0.9),
     });
     assert_eq!(bench.step().1, Some(Reason::LineNoisy));
+    bench.health = None;
     bench.supervisor.handle_link(LinkState::Down);
     assert_eq!(bench.step().0, Mode::Disconnected);
     bench.supervisor.handle_link(LinkState::Ready);
@@ -453,23 +464,52 @@ fn a_link_that_says_again_that_it_is_ready_forgets_nothing() {
 }
 
 #[test]
+fn a_board_that_no_longer_tells_its_health_ends_the_drive_within_a_second() {
+    let mut bench = Bench::driving();
+    bench.health = None;
+    for tick in 0..100 {
+        assert_eq!(bench.step().0, Mode::Driving, "{tick}");
+    }
+    assert_eq!(
+        bench.step(),
+        (Mode::Stopping, Some(Reason::BatteryUnknown), None)
+    );
+}
+
+fn battery(battery_mv: u16) -> Option<BoardHealth> {
+    Some(BoardHealth {
+        battery_mv,
+        ..HEALTHY
+    })
+}
+
+#[test]
+fn a_battery_that_sags_for_two_reports_drives_on() {
+    let mut bench = Bench::driving();
+    for battery_mv in [6_399, 6_399, 6_400, 6_399, 6_399] {
+        bench.health = battery(battery_mv);
+        assert_eq!(bench.step().0, Mode::Driving);
+    }
+    assert_eq!(
+        bench.step(),
+        (Mode::Stopping, Some(Reason::BatteryLow), None)
+    );
+}
+
+#[test]
 fn a_battery_or_a_line_at_its_limit_is_good_enough() {
     let mut bench = Bench::new();
-    bench.supervisor.handle_health(BoardHealth {
-        battery_mv: 6_800,
-        ..HEALTHY
-    });
+    bench.health = battery(6_800);
     bench.supervisor.handle_line(LineHealth {
         to_host: Some(0.5),
         to_board: Some(0.5),
     });
     assert_eq!(bench.step().0, Mode::Ready);
     let mut bench = Bench::driving();
-    bench.supervisor.handle_health(BoardHealth {
-        battery_mv: 6_400,
-        ..HEALTHY
-    });
-    assert_eq!(bench.step().0, Mode::Driving);
+    bench.health = battery(6_400);
+    for _ in 0..10 {
+        assert_eq!(bench.step().0, Mode::Driving);
+    }
 }
 
 #[test]
@@ -493,6 +533,15 @@ fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
         assert_eq!(bench.step().0, Mode::Slowing, "{age_ms} ms");
     }
     bench.pose_age_ms = 50;
+    for _ in 0..2 {
+        // One pose may be of anything.
+        bench.conditions.poses += 1;
+        assert_eq!(
+            bench.step(),
+            (Mode::Slowing, Some(Reason::PoseTooOld), None)
+        );
+    }
+    bench.conditions.poses += 1;
     assert_eq!(bench.step(), (Mode::Driving, None, None));
     // Nothing of it is told after the drive.
     bench.ask(Request::Disarm);
@@ -513,12 +562,56 @@ fn a_blind_car_slows_to_the_end_of_its_budget_and_then_stops_for_good() {
 }
 
 #[test]
-fn a_slowing_car_that_has_come_to_rest_stays() {
+fn a_slowing_car_that_has_come_to_rest_waits_for_the_end_of_its_budget() {
     let mut bench = Bench::slowing();
     bench.conditions.commanded_speed = 0.0;
+    bench.pose_age_ms = 600;
+    assert_eq!(bench.step().0, Mode::Slowing);
+    bench.pose_age_ms = 601;
     assert_eq!(
         bench.step(),
         (Mode::Stopping, Some(Reason::PoseTooOld), None)
+    );
+}
+
+#[test]
+fn an_estimate_that_began_anew_while_the_car_slowed_down_is_believed_after_some_poses() {
+    let mut bench = Bench::slowing();
+    bench.pose_age_ms = 10;
+    for (poses, mode) in [(1, Mode::Slowing), (2, Mode::Slowing), (3, Mode::Driving)] {
+        bench.conditions.poses = poses;
+        assert_eq!(bench.step().0, mode, "{poses}");
+    }
+}
+
+#[test]
+fn an_emergency_stop_before_does_not_clear_a_fault_of_the_law() {
+    let mut bench = Bench::driving();
+    bench.ask(Request::EmergencyStop);
+    bench.supervisor.handle_board(BoardState::EmergencyStopped);
+    assert_eq!(bench.step().0, Mode::Fault);
+    bench.supervisor.handle_board(BoardState::Neutral);
+    bench.conditions = Bench::new().conditions;
+    bench.step();
+    bench.ask(Request::Arm);
+    bench.supervisor.handle_board(BoardState::Armed);
+    assert_eq!(bench.step().0, Mode::Driving);
+    let now = bench.conditions.now;
+    bench.supervisor.fault(Reason::LawSingular, now);
+    bench.supervisor.handle_board(BoardState::Neutral);
+    for _ in 0..100 {
+        assert_eq!(bench.step(), (Mode::Fault, Some(Reason::LawSingular), None));
+    }
+    assert_eq!(bench.ask(Request::Disarm).0, Mode::Idle);
+}
+
+#[test]
+fn a_configuration_refused_over_an_emergency_stop_is_told_as_that() {
+    let mut bench = Bench::new();
+    bench.supervisor.handle_link(LinkState::EmergencyStopped);
+    assert_eq!(
+        bench.step(),
+        (Mode::Disconnected, Some(Reason::EmergencyStop), None)
     );
 }
 
@@ -662,11 +755,10 @@ fn a_battery_is_not_looked_at_when_its_limits_are_zero() {
         ..SupervisorConfig::paper()
     });
     bench.connect();
-    bench.supervisor.handle_health(BoardHealth {
-        battery_mv: 0,
-        ..HEALTHY
-    });
-    assert_eq!(bench.step().0, Mode::Ready);
+    bench.health = battery(0);
+    for _ in 0..10 {
+        assert_eq!(bench.step().0, Mode::Ready);
+    }
 }
 
 /// Whoever reads status, log and record knows them by these.

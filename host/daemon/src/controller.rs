@@ -10,7 +10,7 @@ use singletrack_control::{
 };
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_protocol::{BoardMode, Configuration, Request as BoardRequestKind};
+use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 
 /// How many events a tick can take: a stall of 300 ms at 100 Hz of poses and
 /// telemetry.
@@ -347,6 +347,10 @@ impl Queue<'_> {
             LinkEvent::Telemetry(record) => self.push(Event::Board(board_sample(record))),
             LinkEvent::ConfigurationAccepted { .. } => self.push(Event::Link(LinkState::Ready)),
             LinkEvent::VersionMismatch(_) => self.push(Event::Link(LinkState::VersionDiffers)),
+            LinkEvent::ConfigurationRefused {
+                reason: RefusalReason::EmergencyStopLatched,
+                ..
+            } => self.push(Event::Link(LinkState::EmergencyStopped)),
             LinkEvent::ConfigurationRefused { .. } => {
                 self.push(Event::Link(LinkState::ConfigurationRefused));
             }

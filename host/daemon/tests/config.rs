@@ -98,4 +98,3 @@ fn a_loop_that_is_opened_for_a_while_may_keep_its_gains() {
     let config = Config::from_toml(&text).unwrap();
     assert_eq!(config.outer_loop, OuterLoopSection::OpenLoop {});
 }
-

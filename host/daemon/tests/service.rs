@@ -305,7 +305,7 @@ fn a_configuration_is_read_anew_and_comes_into_force() {
     let manager = Manager::by_path();
     manager.await_told("READY=1");
     let before_us = monotonic_ns() / 1_000;
-    let changed = configuration(manager.folder.path()).replace("radius_m = 1.0", "radius_m = 0.9");
+    let changed = configuration(manager.folder.path()).replace("radius_m = 0.6", "radius_m = 0.9");
     let (reloading, ready) = manager.reload(&changed);
     let time_us: u64 = reloading
         .strip_prefix("RELOADING=1\nMONOTONIC_USEC=")
@@ -323,7 +323,7 @@ fn a_configuration_that_can_not_come_into_force_changes_nothing_and_is_told_why(
     manager.await_told("READY=1");
     let good = configuration(manager.folder.path());
     for (changed, why) in [
-        (good.replace("radius_m = 1.0", "radius_m = -1.0"), "radius"),
+        (good.replace("radius_m = 0.6", "radius_m = -1.0"), "radius"),
         (
             good.replace("[reference]", "[reference"),
             "singletrackd.toml",

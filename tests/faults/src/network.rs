@@ -354,7 +354,9 @@ impl Network {
                 if let Some(bytes) = self.encode(content) {
                     let later_us = u64::from(self.random.between(0, s * 1_000));
                     let due_us = now_us + content.delay_us + later_us;
-                    self.send_as(SERVER, due_us, bytes, None);
+                    // It may be there before the first, when that is late.
+                    let exposure = self.shows_a_car(content).then_some(content.exposure);
+                    self.send_as(SERVER, due_us, bytes, exposure);
                 }
             }
             Kind::CameraNotANumber => {

@@ -27,6 +27,8 @@ pub(crate) struct Stated {
     pub(crate) max_reverse_speed: f64,
     pub(crate) max_acceleration: f64,
     pub(crate) stop_deceleration: f64,
+    /// What the fence counts on, m/s².
+    pub(crate) braking: f64,
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
     pub(crate) period_s: f64,
@@ -49,6 +51,7 @@ impl Stated {
             max_reverse_speed: limits.max_reverse_speed_m_s,
             max_acceleration: limits.max_acceleration_m_s2,
             stop_deceleration: config.control.stop_deceleration_m_s2,
+            braking: config.fence.braking_m_s2,
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
             period_s: f64::from(config.control.period_ms) * 1e-3,

@@ -68,6 +68,23 @@ pub struct Conditions {
 /// commands, and the last pose behind them does not get younger.
 const REST: f64 = 0.1;
 
+/// A board that has not told its health for so long is not known to be well, s:
+/// five of its reports.
+const HEALTH_SILENCE: f64 = 1.0;
+
+/// So many reports in a row make a low battery, 0.6 s: it sags when the car
+/// starts off.
+const BATTERY_LOW_REPORTS: u32 = 3;
+
+/// So many poses must have come before a car that slows down drives on: one alone
+/// may be of anything.
+const POSES_TO_GO_ON: u32 = 3;
+
+/// The battery's voltage, in V.
+fn volts(health: &BoardHealth) -> f64 {
+    f64::from(health.battery_mv) / 1_000.0
+}
+
 /// The pilot's modes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
@@ -82,8 +99,15 @@ pub struct Supervisor {
     link: LinkState,
     board: Option<BoardState>,
     health: Option<BoardHealth>,
+    /// Whether the board has told its health since the last tick, and when it did.
+    health_heard: bool,
+    health_time: Time,
+    /// Reports in a row of a battery too low to drive with.
+    battery_low: u32,
     line: Option<LineHealth>,
     real_time: Option<RealTimeState>,
+    /// Poses accepted when the car began to slow down.
+    poses_before: u32,
     untrustworthy: bool,
     /// The board has been seen to latch the emergency stop.
     latched: bool,
@@ -107,8 +131,12 @@ impl Supervisor {
             link: LinkState::Down,
             board: None,
             health: None,
+            health_heard: false,
+            health_time: Time(0),
+            battery_low: 0,
             line: None,
             real_time: None,
+            poses_before: 0,
             untrustworthy: false,
             latched: false,
             arm_requested: false,
@@ -154,8 +182,14 @@ impl Supervisor {
     }
 
     /// Takes note of what the board says of itself.
-    pub const fn handle_health(&mut self, health: BoardHealth) {
+    pub fn handle_health(&mut self, health: BoardHealth) {
         self.health = Some(health);
+        self.health_heard = true;
+        self.battery_low = if volts(&health) < self.config.min_battery {
+            self.battery_low.saturating_add(1)
+        } else {
+            0
+        };
     }
 
     /// Takes note of how well frames cross the line.
@@ -210,6 +244,9 @@ impl Supervisor {
         let emergency = core::mem::take(&mut self.emergency_requested);
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
+        if core::mem::take(&mut self.health_heard) {
+            self.health_time = now;
+        }
 
         if emergency {
             // Even without a link: it is repeated until the board confirms it.
@@ -224,6 +261,7 @@ impl Supervisor {
             LinkState::Down => Some(Reason::LinkDown),
             LinkState::VersionDiffers => Some(Reason::VersionDiffers),
             LinkState::ConfigurationRefused => Some(Reason::ConfigurationRefused),
+            LinkState::EmergencyStopped => Some(Reason::EmergencyStop),
             LinkState::Ready => None,
         };
         if unlinked.is_some() {
@@ -246,6 +284,7 @@ impl Supervisor {
         let board_was_reset =
             self.latched && matches!(self.board, Some(BoardState::Booting | BoardState::Neutral));
         if (stop && !latched) || board_was_reset {
+            self.latched = false;
             self.enter(Mode::Idle, self.reason, now);
             return stop.then_some(BoardRequest::Disarm);
         }
@@ -254,6 +293,7 @@ impl Supervisor {
 
     /// Stops at once: the controller has no answer.
     pub fn fault(&mut self, reason: Reason, now: Time) -> BoardRequest {
+        self.latched = false;
         self.enter(Mode::Fault, Some(reason), now);
         BoardRequest::Disarm
     }
@@ -298,7 +338,7 @@ impl Supervisor {
         }
         let standing = conditions.motor_speed.abs() < self.config.standing_speed
             && conditions.speed.abs() < self.config.standing_speed;
-        self.unfit(self.config.arm_battery)
+        self.unfit_to_start(conditions.now)
             .or_else(|| self.senseless(conditions))
             .or_else(|| self.unseen(conditions, self.config.fresh))
             .or_else(|| {
@@ -310,16 +350,26 @@ impl Supervisor {
             .or_else(|| self.astray(conditions))
     }
 
-    /// What board, line and computer lack, with a battery of `least` volts.
-    fn unfit(&self, least: f64) -> Option<Reason> {
+    /// What board, line and computer lack for a drive to begin.
+    fn unfit_to_start(&self, now: Time) -> Option<Reason> {
+        let low = |health: BoardHealth| volts(&health) < self.config.arm_battery;
+        self.unfit(now).or_else(|| {
+            let low = self.health.is_some_and(low);
+            low.then_some(Reason::BatteryLow)
+        })
+    }
+
+    /// What they lack for a drive to go on.
+    fn unfit(&self, now: Time) -> Option<Reason> {
         let config = &self.config;
-        let Some(health) = self.health else {
+        let heard = now.seconds_since(self.health_time) <= HEALTH_SILENCE;
+        let Some(health) = self.health.filter(|_| heard) else {
             return Some(Reason::BatteryUnknown);
         };
         if health.stop_input_open {
             return Some(Reason::StopInputOpen);
         }
-        if f64::from(health.battery_mv) < 1_000.0 * least {
+        if self.battery_low >= BATTERY_LOW_REPORTS {
             return Some(Reason::BatteryLow);
         }
         match self.real_time {
@@ -394,7 +444,7 @@ impl Supervisor {
             return self.give_up(Reason::BoardRefused, now);
         }
         let missing = self
-            .unfit(self.config.arm_battery)
+            .unfit_to_start(now)
             .or_else(|| self.senseless(conditions))
             .or_else(|| self.unseen(conditions, self.config.fresh))
             .or_else(|| self.astray(conditions));
@@ -424,7 +474,7 @@ impl Supervisor {
         } else if conditions.reference_finished {
             Some(Reason::ReferenceFinished)
         } else {
-            self.unfit(self.config.min_battery)
+            self.unfit(now)
                 .or_else(|| self.senseless(conditions))
                 .or_else(|| self.unseen(conditions, self.config.blind))
                 .or_else(|| self.astray(conditions))
@@ -434,10 +484,16 @@ impl Supervisor {
                     _ => None,
                 })
         };
-        match reason.or_else(|| self.blind_for_good(conditions)) {
+        let too_far = conditions.blind_distance > self.config.blind_distance;
+        match reason.or(too_far.then_some(Reason::BlindTooFar)) {
             Some(reason) => self.enter(Mode::Stopping, Some(reason), now),
             None => match self.blind(conditions) {
-                Some(reason) => self.enter(Mode::Slowing, Some(reason), now),
+                Some(reason) => {
+                    if self.mode != Mode::Slowing {
+                        self.poses_before = conditions.poses;
+                    }
+                    self.enter(Mode::Slowing, Some(reason), now);
+                }
                 None => self.enter(Mode::Driving, None, now),
             },
         }
@@ -445,7 +501,7 @@ impl Supervisor {
     }
 
     /// Whether the car has not been seen for longer, or farther, than a pose may
-    /// be held. A car that has begun to slow down wants a fresh one.
+    /// be held. A car that has begun to slow down wants fresh ones.
     fn blind(&self, conditions: &Conditions) -> Option<Reason> {
         let slowing = self.mode == Mode::Slowing;
         let limit = if slowing {
@@ -453,19 +509,13 @@ impl Supervisor {
         } else {
             self.config.hold
         };
-        self.unseen(conditions, limit).or_else(|| {
-            let too_far = conditions.blind_distance > self.config.hold_distance;
-            too_far.then_some(Reason::BlindTooFar)
-        })
-    }
-
-    /// Whether a blind car has used up its budget, or has come to rest.
-    fn blind_for_good(&self, conditions: &Conditions) -> Option<Reason> {
-        if conditions.blind_distance > self.config.blind_distance {
-            return Some(Reason::BlindTooFar);
-        }
-        let rests = self.mode == Mode::Slowing && conditions.commanded_speed == 0.0;
-        if rests { self.blind(conditions) } else { None }
+        let too_far = conditions.blind_distance > self.config.hold_distance;
+        // An estimate that began anew counts from zero.
+        let since = conditions.poses.checked_sub(self.poses_before);
+        let returned = since.unwrap_or(conditions.poses) >= POSES_TO_GO_ON;
+        self.unseen(conditions, limit)
+            .or(too_far.then_some(Reason::BlindTooFar))
+            .or(self.reason.filter(|_| slowing && !returned))
     }
 
     fn stopping(&mut self, conditions: &Conditions) -> Option<BoardRequest> {

@@ -44,6 +44,8 @@ pub(crate) struct Bench {
     pub(crate) noisy: bool,
     /// The yaw rate that the IMU hangs at.
     pub(crate) stuck: Option<f64>,
+    /// Five times a second.
+    pub(crate) tells_health: bool,
     /// Events of the next tick.
     pub(crate) extra: Vec<Event>,
 }
@@ -76,6 +78,7 @@ pub(crate) fn config() -> PilotConfig {
         supervisor: SupervisorConfig::paper(),
         watch: WatchConfig::paper(),
         fence: Fence::rectangle(Position::origin(), Velocity::new(20.0, 20.0), 0.0).unwrap(),
+        braking: 1.5,
         stop_deceleration: 1.5,
         period: 0.01,
     }
@@ -102,6 +105,7 @@ impl Bench {
             gyro_bias: 0.0,
             noisy: true,
             stuck: None,
+            tells_health: true,
             extra: Vec::new(),
         }
     }
@@ -129,6 +133,9 @@ impl Bench {
         } else {
             -1e-3
         };
+        if self.link && self.tells_health && self.tick.is_multiple_of(20) {
+            events.push(AT_START[2]);
+        }
         if self.link {
             events.push(Event::Board(BoardSample {
                 time: now,

@@ -5,6 +5,9 @@ use singletrack_control::{Fence, Position};
 
 use super::{ConfigError, check};
 
+/// Of the simulated car, whose motor does not brake at neutral: it rolls out.
+const BRAKING_M_S2: f64 = 1.4;
+
 /// Where the car may be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -13,6 +16,8 @@ pub struct FenceSection {
     pub corners_m: Vec<[f64; 2]>,
     /// Distance that the centre of mass keeps from its sides.
     pub margin_m: f64,
+    /// The deceleration that the car really has when it is told to stop.
+    pub braking_m_s2: f64,
 }
 
 impl Default for FenceSection {
@@ -30,6 +35,7 @@ impl FenceSection {
         Self {
             corners_m: vec![[-h, -h], [h, -h], [h, h], [-h, h]],
             margin_m: 0.0,
+            braking_m_s2: BRAKING_M_S2,
         }
     }
 
@@ -49,6 +55,7 @@ impl FenceSection {
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         check::within("fence.margin_m", self.margin_m, 0.0..=10.0)?;
+        check::positive("fence.braking_m_s2", self.braking_m_s2, 50.0)?;
         for coordinate in self.corners_m.iter().flatten() {
             check::within("fence.corners_m", *coordinate, -1_000.0..=1_000.0)?;
         }

@@ -1,8 +1,9 @@
 //! Files that a person has written: read whole, and refused if they can't be one.
 
 use std::{
-    fs::{self, File},
+    fs::OpenOptions,
     io::{self, Read as _},
+    os::unix::fs::OpenOptionsExt as _,
     path::Path,
 };
 
@@ -16,8 +17,12 @@ const LONGEST: u64 = 1 << 20;
 /// What the system says; or that it is none, is too long, or is no UTF-8, with
 /// what to do about it.
 pub(super) fn read_text(path: &Path) -> io::Result<String> {
-    // Before it is opened: to open a pipe that nobody writes to waits for ever.
-    let metadata = fs::metadata(path)?;
+    // Non-blocking: to open a pipe that nobody writes to would wait for ever.
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(libc::O_NONBLOCK)
+        .open(path)?;
+    let metadata = file.metadata()?;
     if !metadata.is_file() {
         let kind = if metadata.is_dir() {
             "a folder"
@@ -28,9 +33,7 @@ pub(super) fn read_text(path: &Path) -> io::Result<String> {
     }
     let mut bytes = Vec::new();
     // What the system calls a file may still have no end, as in /proc.
-    File::open(path)?
-        .take(LONGEST + 1)
-        .read_to_end(&mut bytes)?;
+    file.take(LONGEST + 1).read_to_end(&mut bytes)?;
     let length = metadata.len().max(bytes.len() as u64);
     if length > LONGEST {
         return Err(io::Error::other(format!(

@@ -225,6 +225,27 @@ impl Config {
                 ),
             ));
         }
+        if self.watch.max_gap_ms < 2 * control.period_ms {
+            return Err(ConfigError::value(
+                "watch.max_gap_ms",
+                self.watch.max_gap_ms,
+                format!(
+                    "every tick would be late: give it two periods, {} ms, or lower control.period_ms",
+                    2 * control.period_ms
+                ),
+            ));
+        }
+        let ticks_per_s = 1_000 / control.period_ms;
+        if self.watch.max_missed_ticks_per_s >= ticks_per_s {
+            return Err(ConfigError::value(
+                "watch.max_missed_ticks_per_s",
+                self.watch.max_missed_ticks_per_s,
+                format!(
+                    "with control.period_ms = {} there are {ticks_per_s} ticks in a second; lower it",
+                    control.period_ms
+                ),
+            ));
+        }
         let grip = self.vehicle.friction * GRAVITY;
         if limits.max_lateral_acceleration_m_s2 > grip {
             return Err(ConfigError::value(
@@ -272,6 +293,7 @@ impl Config {
             supervisor: self.supervisor.config(),
             watch: self.watch.config(),
             fence: self.fence.fence()?,
+            braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             period: check::seconds(self.control.period_ms),
         })

@@ -104,7 +104,8 @@ impl SupervisorSection {
             ("supervisor.hold_ms", self.hold_ms, 20..=900),
             ("supervisor.blind_ms", self.blind_ms, self.hold_ms..=950),
             ("supervisor.fresh_ms", self.fresh_ms, 10..=self.hold_ms),
-            ("supervisor.imu_silence_ms", self.imu_silence_ms, 20..=500),
+            // The estimator bridges 200 ms.
+            ("supervisor.imu_silence_ms", self.imu_silence_ms, 20..=200),
             ("supervisor.arm_timeout_ms", self.arm_timeout_ms, 50..=5_000),
             ("supervisor.settling_poses", self.settling_poses, 1..=10_000),
             (
@@ -167,6 +168,7 @@ impl SupervisorSection {
         [both, max_speed]
             .map(|speed| config.hold.min(config.hold_distance / speed) + speed / deceleration)
             .into_iter()
-            .fold(0.0, f64::max)
+            // A car that has slowed down to a stop waits for so long.
+            .fold(config.blind, f64::max)
     }
 }

@@ -269,6 +269,7 @@ codes! {
         Ready = 2 "ready",
         VersionDiffers = 3 "version-differs",
         ConfigurationRefused = 4 "configuration-refused",
+        EmergencyStopped = 5 "emergency-stopped",
     }
     Request as "REQUEST" {
         Arm = 1 "arm",

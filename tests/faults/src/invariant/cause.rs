@@ -227,12 +227,14 @@ impl Invariant for ImuSilence {
             return Ok(());
         };
         // 1.2 ms under way to the board, and what the board's clock may be off. The
-        // image asks the sensor every 10 ms and dates a sample by its answer.
+        // image asks the sensor every 10 ms and dates a sample by its answer. What
+        // always comes late looks younger by that: nobody can tell it from the clock.
         let asked_us = match sight.stated.situation.board {
             BoardKind::Native => 0,
             BoardKind::Uno => 10_000,
         };
-        let limit_us = sight.stated.imu_silence_us + 5_000 + asked_us;
+        let late_us = u64::from(sight.stated.situation.serial_delay_us);
+        let limit_us = sight.stated.imu_silence_us + 5_000 + asked_us + late_us;
         let after_us = sight.now_us.saturating_sub(silent_us);
         if tick.output.mode == Mode::Driving && after_us > limit_us {
             return Err(format!(

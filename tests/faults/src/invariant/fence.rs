@@ -8,17 +8,17 @@ use crate::sight::Sight;
 /// `fence`: the true centre of mass gets no farther beyond the fence than a car
 /// that is told to stop in time rolls on.
 ///
-/// The pilot begins to stop when the straight way ahead that it needs (reaction,
-/// `stop_deceleration`, what it may have gone unseen) leaves the fence. The car
+/// The pilot begins to stop when the way that it needs, along its bend (reaction,
+/// `fence.braking_m_s2`, what it may have gone unseen), leaves the fence. The car
 /// may need more, by
 ///
 /// - what it rolls farther than that: a motor in neutral does not brake, so that
-///   the car slows down by friction alone, 0.8 m/s² and 1/s times its speed;
+///   the car slows down by friction alone, 0.8 m/s² and 1/s times its speed; with
+///   the default of 1.4 m/s² that is nothing;
 /// - the time until the last command is no longer obeyed, 120 ms, if the daemon
 ///   is silenced just then;
-/// - how far a bend takes it off the straight way, d²/2R over the distance d of
-///   the stop, with R from the largest steering angle or lateral acceleration;
-/// - 0.1 m, by which the estimate may be off under all faults that are no lies.
+/// - 0.1 m, by which the estimate may be off under all faults that are no lies, and
+///   by which a bend that closes or opens meanwhile leads elsewhere.
 ///
 /// While the cameras tell of a car where there is none, and for the rest of a
 /// drive that has heard them do so, nobody can know.
@@ -34,10 +34,6 @@ pub(super) struct Fence {
 const FRICTION: f64 = 0.8;
 const VISCOUS: f64 = 1.0;
 
-/// The limits' defaults.
-const MIN_RADIUS: f64 = 0.26 / 0.483;
-const LATERAL: f64 = 2.0;
-
 const SILENCE_S: f64 = 0.12;
 const ESTIMATE_M: f64 = 0.1;
 
@@ -49,12 +45,9 @@ fn rolls_m(speed: f64) -> f64 {
     speed / VISCOUS - FRICTION / (VISCOUS * VISCOUS) * (1.0 + VISCOUS * speed / FRICTION).ln()
 }
 
-fn allowed_m(speed: f64, deceleration: f64) -> f64 {
-    let expected = 0.5 * speed * speed / deceleration;
-    let rolls = rolls_m(speed).max(expected);
-    let distance = rolls + SILENCE_S * speed;
-    let radius = MIN_RADIUS.max(speed * speed / LATERAL);
-    rolls - expected + SILENCE_S * speed + 0.5 * distance * distance / radius + ESTIMATE_M
+fn allowed_m(speed: f64, braking: f64) -> f64 {
+    let expected = 0.5 * speed * speed / braking;
+    (rolls_m(speed) - expected).max(0.0) + SILENCE_S * speed + ESTIMATE_M
 }
 
 impl Invariant for Fence {
@@ -84,7 +77,7 @@ impl Invariant for Fence {
             return Ok(());
         }
         self.speed = self.speed.max(truth.speed.abs());
-        let allowed = allowed_m(self.speed, sight.stated.stop_deceleration);
+        let allowed = allowed_m(self.speed, sight.stated.braking);
         if -clearance > allowed && !self.deceived {
             return Err(format!(
                 "{:.3} m beyond the fence, {allowed:.3} allowed from {:.2} m/s",
@@ -112,9 +105,11 @@ mod tests {
 
     #[test]
     fn what_is_allowed_beyond_the_fence_grows_with_speed_from_the_estimates_error() {
-        assert_eq!(allowed_m(0.0, 2.4), ESTIMATE_M);
-        let allowed = [0.3, 0.5, 1.0, 1.5].map(|speed| allowed_m(speed, 2.4));
+        assert_eq!(allowed_m(0.0, 1.4), ESTIMATE_M);
+        let allowed = [0.3, 0.5, 1.0, 1.5].map(|speed| allowed_m(speed, 1.4));
         assert!(allowed.is_sorted(), "{allowed:?}");
-        assert!(allowed[0] < 0.2 && allowed[3] < 0.9, "{allowed:?}");
+        assert!(allowed[0] < 0.15 && allowed[3] < 0.3, "{allowed:?}");
+        // A car that brakes less than it is said to gets farther.
+        assert!(allowed_m(0.5, 2.4) > allowed[1] + 0.02);
     }
 }
