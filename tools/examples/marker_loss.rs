@@ -25,9 +25,9 @@ const DRIVES: u64 = 24;
 /// The first loss, in s after the start: on the circle by then.
 const SETTLED: f64 = 8.0;
 
-const SPEEDS: [f64; 4] = [0.4, 0.8, 1.2, 1.4];
+const SPEEDS: [f64; 3] = [0.4, 0.8, 1.2];
 /// How long the markers are lost, in ms; for good at last.
-const LOSSES: [u64; 4] = [100, 200, 500, 3_000];
+const LOSSES: [u64; 3] = [200, 500, 3_000];
 
 /// What the supervisor allows.
 struct Budget {

@@ -1,6 +1,7 @@
 //! The daemon: all threads together.
 
 use std::{
+    fs::File,
     io,
     path::{Path, PathBuf},
     sync::{
@@ -46,7 +47,8 @@ use crate::{
 pub struct StartOptions {
     /// Arms once, as soon as the pilot is ready.
     pub arm: bool,
-    /// Keeps the whole process in memory, if the system allows it.
+    /// Keeps the whole process in memory, and the processors from idling deeply if
+    /// the configuration asks for real time; as far as the system allows it.
     pub lock_memory: bool,
     /// Where the record goes, instead of a new file in the configured folder.
     pub record: Option<PathBuf>,
@@ -130,6 +132,8 @@ pub struct Daemon {
     /// The path of a record that could not be written to the end.
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
+    /// Open, it keeps the processors from idling deeply.
+    _idle: Option<File>,
 }
 
 struct Recording {
@@ -176,6 +180,10 @@ impl Daemon {
             && realtime::lock_memory()
                 .map_err(|refusal| refusals.push(refusal))
                 .is_ok();
+        let asks = options.lock_memory && config.control.realtime_priority > 0;
+        let idle = asks
+            .then(|| realtime::bound_idle().map_err(|refusal| refusals.push(refusal)))
+            .and_then(Result::ok);
         let link = LinkSession::new(config.link(wall_ns() ^ u64::from(std::process::id())))
             .map_err(ConfigError::from)?;
         let controller = Controller::new(link, Pilot::new(config.pilot()?));
@@ -222,6 +230,7 @@ impl Daemon {
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,
+                    idle_bounded: idle.is_some(),
                     refusals,
                 },
             },
@@ -235,6 +244,7 @@ impl Daemon {
             recorder,
             broken_record: None,
             socket: None,
+            _idle: idle,
         };
 
         let collector = Collector {
@@ -335,6 +345,7 @@ impl Daemon {
         info!(
             fifo_priority = status.fifo_priority,
             memory_locked = status.memory_locked,
+            idle_bounded = status.idle_bounded,
             period_ms = config.control.period_ms,
             "control thread runs"
         );

@@ -3,6 +3,10 @@
 //! All of it is best effort: without it the car drives, and everybody is told.
 
 use core::num::NonZeroU64;
+use std::{
+    fs::{File, OpenOptions},
+    io::Write as _,
+};
 
 use rustix::{
     mm::{MlockAllFlags, mlockall},
@@ -20,8 +24,33 @@ pub struct RealTimeStatus {
     pub fifo_priority: Option<u8>,
     /// Whether the process stays in memory.
     pub memory_locked: bool,
+    /// Whether the processors are kept from idling so deeply that waking up takes
+    /// long.
+    pub idle_bounded: bool,
     /// What was not granted, and how to change that.
     pub refusals: Vec<String>,
+}
+
+/// Where Linux takes the longest wake-up that somebody can bear with, in µs, for as
+/// long as it is open.
+const WAKE_UP: &str = "/dev/cpu_dma_latency";
+
+/// Keeps the processors from idling deeply while the file is open: a thread that
+/// sleeps 10 ms at a time is otherwise woken up late by as long as that takes, be
+/// it a governor's saving or a virtual machine's host.
+pub(crate) fn bound_idle() -> Result<File, String> {
+    let refusal = |error| {
+        format!(
+            "the processors may idle deeply: {WAKE_UP}: {error}; let the daemon's group write to it, \
+             as the shipped udev rule does"
+        )
+    };
+    let mut file = OpenOptions::new()
+        .write(true)
+        .open(WAKE_UP)
+        .map_err(refusal)?;
+    file.write_all(&0_i32.to_ne_bytes()).map_err(refusal)?;
+    Ok(file)
 }
 
 /// So much of its stack a control thread may use, in bytes; a tick takes a tenth

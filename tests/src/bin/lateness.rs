@@ -1,6 +1,6 @@
-//! How late the shipped daemon's ticks are, beside what the machine can do:
-//! rounds of a drive and of cyclictest (Debian: rt-tests) take turns, one
-//! processor loaded, the simulator running in both. Ratios count, not times.
+//! How late the shipped daemon's ticks are, beside what the machine can do: while
+//! it drives the simulated car, rounds of its own figures and of cyclictest
+//! (Debian: rt-tests) take turns, one processor loaded. Ratios count, not times.
 //!
 //! ```sh
 //! cargo run --release -p singletrack-hil --bin lateness -- --rounds 4 --seconds 30
@@ -71,7 +71,10 @@ fn measure(options: &Options) -> Outcome {
         eprintln!("round {round} of {}: daemon", options.rounds);
         drive(&mut bench, options.seconds, &mut ours, &mut latency)?;
         eprintln!("round {round} of {}: cyclictest", options.rounds);
+        // The same machine, doing the same.
+        bench.start_driving()?;
         theirs.extend(cyclictest(options.seconds)?);
+        finish(&mut bench)?;
     }
     println!(
         "{:<28} {:>8} {:>8} {:>8} {:>8} {:>8}",
@@ -137,6 +140,10 @@ fn drive(
             latency.extend(captured_ns.map(|ns| ns * 1e-3));
         }
     }
+    finish(bench)
+}
+
+fn finish(bench: &mut Bench) -> Outcome {
     let (status, _) = bench.daemon()?.terminate(Duration::from_secs(3))?;
     ensure!(status.success(), "the daemon ended with {status}");
     bench.wait_until_standing()
