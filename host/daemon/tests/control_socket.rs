@@ -125,12 +125,14 @@ fn nonsense_is_answered_and_the_client_may_go_on() {
         assert_eq!(answer["ok"], false, "{line}");
         assert!(answer["error"].is_string());
     }
+    for length in [4_096, 10_000, 1_000_000] {
+        let answer = client.ask(&"x".repeat(length));
+        assert!(answer["error"].as_str().unwrap().contains("4096"));
+    }
     assert_eq!(
         client.ask(r#"{"version":1,"command":"status"}"#)["ok"],
         true
     );
-    let answer = client.ask(&"x".repeat(10_000));
-    assert!(answer["error"].as_str().unwrap().contains("4096"));
     daemon.stop().unwrap();
 }
 

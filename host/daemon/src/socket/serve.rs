@@ -8,7 +8,10 @@ use singletrack_control::{Mode, Reason, Request};
 use singletrack_record::Topic;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
-    net::{UnixStream, unix::OwnedWriteHalf},
+    net::{
+        UnixStream,
+        unix::{OwnedReadHalf, OwnedWriteHalf},
+    },
     sync::broadcast::error::RecvError,
     task::spawn_blocking,
 };
@@ -62,8 +65,12 @@ pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
             return Ok(());
         }
         if !line.ends_with(b"\n") && count as u64 == LONGEST_LINE {
+            // Answered only after its end: a connection that is closed while its
+            // client still writes loses the answer.
+            skip_line(&mut read).await?;
             let answer = failure(format!("a line is at most {LONGEST_LINE} bytes long"));
-            return send(&mut write, &answer).await;
+            send(&mut write, &answer).await?;
+            continue;
         }
         match Command::parse(&line, monotonic_ns()) {
             Ok(Command::Watch { topics }) => {
@@ -91,6 +98,19 @@ pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
                 }
             }
             Err(error) => send(&mut write, &failure(error)).await?,
+        }
+    }
+}
+
+/// Reads up to the end of the line, or of what there is, and keeps nothing.
+async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
+    loop {
+        let bytes = read.fill_buf().await?;
+        let end = bytes.iter().position(|&byte| byte == b'\n');
+        let count = end.map_or(bytes.len(), |end| end + 1);
+        read.consume(count);
+        if end.is_some() || count == 0 {
+            return Ok(());
         }
     }
 }
