@@ -2,6 +2,8 @@
 
 use std::{io, path::PathBuf};
 
+use crate::EncodeError;
+
 /// A record cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -27,14 +29,12 @@ pub enum RecordError {
         source: Box<mcap::McapError>,
     },
     /// An entry could not be encoded.
-    #[error("cannot encode a message of {topic} for {}: {reason}", path.display())]
+    #[error("{source} for {}", path.display())]
     Encode {
         /// The unfinished file.
         path: PathBuf,
-        /// The topic.
-        topic: &'static str,
-        /// Why it failed.
-        reason: String,
+        /// Which message, and why.
+        source: EncodeError,
     },
     /// The file is something else.
     #[error("{} is not an MCAP file: name a record written by singletrackd, simulate or demo (*.mcap or *.mcap.part)", .0.display())]

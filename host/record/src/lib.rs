@@ -7,6 +7,10 @@
 //! channel; the [`Meta`] is the file's metadata and, for the configuration, its
 //! attachment.
 //!
+//! Beside these, which hold everything, each entry is there as messages of ROS's
+//! standard types as far as there are some for it, under the [`StandardTopic`]s:
+//! general tools then show the car move. An [`Encoder`] makes both.
+//!
 //! - [`Recorder`] writes, [`RecorderThread`] does so behind bounded rings.
 //! - [`Reader`] reads, unfinished files as well.
 //! - [`Entry::write_json`] and [`Entry::values`] show an entry.
@@ -15,6 +19,8 @@
 //! file's log and publish times are the same moments on the wall clock, by the
 //! one mapping taken when the record began: setting the clock changes nothing.
 
+mod channel;
+mod encoder;
 mod entry;
 mod error;
 mod feed;
@@ -23,10 +29,13 @@ mod message;
 mod meta;
 mod reader;
 mod recorder;
+mod standard;
 mod tick;
 mod topic;
 mod value;
 
+pub use channel::Channel;
+pub use encoder::{EncodeError, Encoder, Publication};
 pub use entry::{Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
 pub use error::RecordError;
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
@@ -34,6 +43,7 @@ pub use json::{NotAnEntry, Shown, json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};
 pub use reader::{Ending, Reader};
 pub use recorder::{Finished, Recorder, part_path};
+pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
 pub use topic::{Topic, UnknownTopic};
 pub use value::Value;

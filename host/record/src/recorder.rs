@@ -11,7 +11,7 @@ use std::{
 
 use mcap::{Compression, WriteOptions, Writer, records::MessageHeader};
 
-use crate::{ClockMapping, Entry, Meta, RecordError, Topic};
+use crate::{Channel, Encoder, Entry, Meta, RecordError};
 
 /// The profile that tells readers to expect ROS 2 messages.
 pub(crate) const PROFILE: &str = "ros2";
@@ -35,15 +35,14 @@ pub struct Recorder {
     writer: Writer<BufWriter<File>>,
     /// Another handle of the same file, to sync it.
     file: File,
-    start: ClockMapping,
-    channels: [Channel; Topic::ALL.len()],
-    bytes: Vec<u8>,
+    encoder: Encoder,
+    channels: [WrittenChannel; Channel::COUNT],
     flushed: Instant,
     entries: u64,
 }
 
 #[derive(Clone, Copy, Default)]
-struct Channel {
+struct WrittenChannel {
     id: u16,
     sequence: u32,
 }
@@ -100,17 +99,22 @@ impl Recorder {
             .write_metadata(&meta.to_metadata())
             .map_err(&written)?;
         writer.attach(&meta.to_attachment()).map_err(&written)?;
-        let mut channels = [Channel::default(); Topic::ALL.len()];
-        for (topic, channel) in Topic::ALL.into_iter().zip(&mut channels) {
+        let mut channels = [WrittenChannel::default(); Channel::COUNT];
+        for (channel, written_channel) in Channel::all().zip(&mut channels) {
             let schema = writer
                 .add_schema(
-                    &topic.schema_name(),
-                    "ros2msg",
-                    topic.schema_text().as_bytes(),
+                    &channel.schema_name(),
+                    Channel::SCHEMA_ENCODING,
+                    channel.schema_text().as_bytes(),
                 )
                 .map_err(&written)?;
-            channel.id = writer
-                .add_channel(schema, topic.channel(), "cdr", &BTreeMap::new())
+            written_channel.id = writer
+                .add_channel(
+                    schema,
+                    channel.topic(),
+                    Channel::MESSAGE_ENCODING,
+                    &BTreeMap::new(),
+                )
                 .map_err(&written)?;
         }
         let mut recorder = Self {
@@ -118,9 +122,8 @@ impl Recorder {
             part,
             writer,
             file: handle,
-            start: meta.start,
+            encoder: Encoder::new(meta.start),
             channels,
-            bytes: Vec::with_capacity(4096),
             flushed: Instant::now(),
             entries: 0,
         };
@@ -140,31 +143,29 @@ impl Recorder {
     ///
     /// When the file cannot be written; all later calls fail as well.
     pub fn write(&mut self, entry: &Entry) -> Result<(), RecordError> {
-        let topic = entry.topic();
-        entry
-            .encode(&mut self.bytes)
-            .map_err(|error| RecordError::Encode {
+        let publications = self
+            .encoder
+            .encode(entry)
+            .map_err(|source| RecordError::Encode {
                 path: self.part.clone(),
-                topic: topic.name(),
-                reason: error.to_string(),
+                source,
             })?;
-        let channel = Topic::ALL
-            .into_iter()
-            .zip(&mut self.channels)
-            .find_map(|(known, channel)| (known == topic).then_some(channel));
-        if let Some(channel) = channel {
+        for publication in publications {
+            let Some(channel) = self.channels.get_mut(publication.channel.index()) else {
+                continue;
+            };
             let header = MessageHeader {
                 channel_id: channel.id,
                 sequence: channel.sequence,
-                log_time: self.start.wall_ns_at(entry.time_ns()),
-                publish_time: self.start.wall_ns_at(entry.sample_time_ns()),
+                log_time: publication.log_time_ns,
+                publish_time: publication.publish_time_ns,
             };
             channel.sequence = channel.sequence.wrapping_add(1);
             self.writer
-                .write_to_known_channel(&header, &self.bytes)
+                .write_to_known_channel(&header, publication.bytes)
                 .map_err(write_failure(&self.part))?;
-            self.entries += 1;
         }
+        self.entries += 1;
         if self.flushed.elapsed() >= FLUSH_PERIOD {
             self.flush()?;
         }

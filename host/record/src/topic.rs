@@ -3,6 +3,7 @@
 use std::{fmt, str::FromStr};
 
 use byteorder::LittleEndian;
+use serde::Serialize;
 use singletrack_mocap::PoseState;
 
 use crate::{
@@ -179,6 +180,15 @@ impl FromStr for Topic {
 /// Plain CDR, little-endian, no options: what every ROS 2 message begins with.
 const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
+/// Adds a message to `bytes` as ROS 2 encodes it.
+pub(crate) fn encode(
+    message: &impl Serialize,
+    bytes: &mut Vec<u8>,
+) -> Result<(), cdr_encoding::Error> {
+    bytes.extend_from_slice(&ENCAPSULATION);
+    cdr_encoding::to_writer::<_, LittleEndian, _>(bytes, message)
+}
+
 impl Entry {
     /// What kind of entry it is.
     #[must_use]
@@ -238,11 +248,9 @@ impl Entry {
         });
     }
 
-    /// Replaces `bytes` with its message, encoded.
+    /// Adds its message, encoded, to `bytes`.
     pub(crate) fn encode(&self, bytes: &mut Vec<u8>) -> Result<(), cdr_encoding::Error> {
-        bytes.clear();
-        bytes.extend_from_slice(&ENCAPSULATION);
-        with_entry!(self, message => cdr_encoding::to_writer::<_, LittleEndian, _>(bytes, &message))
+        with_entry!(self, message => encode(&message, bytes))
     }
 
     /// The entry that `bytes` encode.
@@ -285,4 +293,4 @@ fn message<M: Message>(bytes: &[u8]) -> Result<M, String> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

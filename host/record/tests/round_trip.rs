@@ -13,8 +13,8 @@ use std::fs;
 
 use proptest::prelude::*;
 use singletrack_record::{
-    Drops, Ending, Entry, Reader, RecordError, Recorder, RecorderThread, Topic, Value, feed,
-    part_path,
+    Drops, Encoder, Ending, Entry, Reader, RecordError, Recorder, RecorderThread, Topic, Value,
+    feed, part_path,
 };
 
 proptest! {
@@ -135,14 +135,45 @@ fn times_in_the_container_are_on_the_wall_and_do_not_step() {
         .unwrap()
         .map(Result::unwrap)
         .collect();
-    let [message] = &messages[..] else {
-        panic!("{messages:?}");
-    };
-    assert_eq!(message.log_time, start.wall_ns + 250);
-    assert_eq!(message.channel.message_encoding, "cdr");
-    let schema = message.channel.schema.as_ref().unwrap();
-    assert_eq!(schema.name, "singletrack_msgs/msg/Log");
-    assert_eq!(schema.encoding, "ros2msg");
+    let types = ["singletrack_msgs/msg/Log", "rcl_interfaces/msg/Log"];
+    assert_eq!(messages.len(), types.len());
+    for (message, name) in messages.iter().zip(types) {
+        assert_eq!(message.log_time, start.wall_ns + 250);
+        assert_eq!(message.channel.message_encoding, "cdr");
+        let schema = message.channel.schema.as_ref().unwrap();
+        assert_eq!(schema.name, name);
+        assert_eq!(schema.encoding, "ros2msg");
+    }
+}
+
+#[test]
+fn the_file_holds_what_the_encoder_publishes_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let entries: Vec<_> = (0..9).map(common::log).collect();
+    common::record(&path, &entries);
+    let bytes = fs::read(&path).unwrap();
+    let read = mcap::MessageStream::new(&bytes).unwrap().map(|message| {
+        let message = message.unwrap();
+        (
+            message.channel.topic.clone(),
+            (message.log_time, message.publish_time),
+            message.data.into_owned(),
+        )
+    });
+    let mut encoder = Encoder::new(common::meta().start);
+    let mut published = Vec::new();
+    for entry in &entries {
+        published.extend(encoder.encode(entry).unwrap().map(|publication| {
+            (
+                publication.channel.topic().to_owned(),
+                (publication.log_time_ns, publication.publish_time_ns),
+                publication.bytes.to_vec(),
+            )
+        }));
+    }
+    assert_eq!(published.len(), 18);
+    assert_eq!(read.collect::<Vec<_>>(), published);
 }
 
 #[test]

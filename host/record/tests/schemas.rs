@@ -4,23 +4,29 @@
 
 use std::{fs, path::Path};
 
-use singletrack_record::{RECORD_VERSION, Topic};
+use singletrack_record::{Channel, RECORD_VERSION};
 
 /// A test that fails says that the change is wrong, or that `RECORD_VERSION`
-/// has to rise and the files have to be replaced.
+/// has to rise and the files have to be replaced. The layouts of ROS's own
+/// messages are ROS's to change.
 #[test]
 fn the_layouts_are_those_of_this_version() {
     assert_eq!(RECORD_VERSION, 2);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("msg");
-    for topic in Topic::ALL {
-        let name = topic.schema_name();
-        let name = name.rsplit('/').next().unwrap();
-        let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.msg"));
-        fs::write(&now, topic.schema_text()).unwrap();
-        let frozen = fs::read_to_string(folder.join(format!("{name}.msg"))).unwrap_or_default();
+    for channel in Channel::all() {
+        let name = channel.schema_name();
+        let (package, name) = name.split_once("/msg/").unwrap();
+        let file = match package {
+            "singletrack_msgs" => format!("{name}.msg"),
+            standard => format!("{standard}/{name}.msg"),
+        };
+        let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join(&file);
+        fs::create_dir_all(now.parent().unwrap()).unwrap();
+        fs::write(&now, channel.schema_text()).unwrap();
+        let frozen = fs::read_to_string(folder.join(&file)).unwrap_or_default();
         assert!(
-            topic.schema_text() == frozen,
-            "the layout of {name} has changed; it is now as in {}",
+            channel.schema_text() == frozen,
+            "the layout of {file} has changed; it is now as in {}",
             now.display()
         );
     }

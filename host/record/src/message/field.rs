@@ -26,7 +26,8 @@ pub(crate) trait Field: Clone + Serialize + DeserializeOwned {
 #[derive(Default)]
 pub(crate) struct Definition {
     text: String,
-    nested: Vec<(&'static str, String)>,
+    /// The messages within it, by the names they are referred to.
+    nested: Vec<(String, String)>,
 }
 
 impl Definition {
@@ -49,16 +50,27 @@ impl Definition {
 
     /// Adds a field of type `M`, or an array of it.
     pub(crate) fn nested<M: Message>(&mut self, name: &str, array: &str) {
-        self.plain(&format!("{PACKAGE}/{}{array}", M::NAME), name);
-        if self.nested.iter().any(|(known, _)| *known == M::NAME) {
+        self.message(&format!("{PACKAGE}/{}", M::NAME), M::define, name, array);
+    }
+
+    /// Adds a field that is a message of its own, or an array of it.
+    pub(crate) fn message(
+        &mut self,
+        kind: &str,
+        define: impl FnOnce(&mut Self),
+        name: &str,
+        array: &str,
+    ) {
+        self.plain(&format!("{kind}{array}"), name);
+        if self.nested.iter().any(|(known, _)| *known == kind) {
             return;
         }
         let mut inner = Self::default();
-        M::define(&mut inner);
-        self.nested.push((M::NAME, inner.text));
-        for (name, text) in inner.nested {
-            if !self.nested.iter().any(|(known, _)| *known == name) {
-                self.nested.push((name, text));
+        define(&mut inner);
+        self.nested.push((kind.to_owned(), inner.text));
+        for (kind, text) in inner.nested {
+            if !self.nested.iter().any(|(known, _)| *known == kind) {
+                self.nested.push((kind, text));
             }
         }
     }
@@ -66,9 +78,9 @@ impl Definition {
     /// The whole schema.
     pub(crate) fn finish(self) -> String {
         let mut text = self.text;
-        for (name, inner) in self.nested {
+        for (kind, inner) in self.nested {
             text.push_str(&"=".repeat(80));
-            text.push_str(&format!("\nMSG: {PACKAGE}/{name}\n{inner}"));
+            text.push_str(&format!("\nMSG: {kind}\n{inner}"));
         }
         text
     }

@@ -14,6 +14,7 @@ mod pose;
 mod tick;
 
 pub(crate) use board::{StatusMessage, TelemetryMessage};
+pub(crate) use code::Coded;
 pub(crate) use field::Definition;
 pub(crate) use log::{DropsMessage, LogMessage};
 pub(crate) use pose::PoseMessage;
