@@ -9,7 +9,7 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, set_reference, setpoint, simulate,
+    demo, dump, replay, set_reference, setpoint, simulate,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -26,6 +26,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Print a record, or what the daemon sees now.
     Dump(dump::DumpArgs),
+    /// Give the pilot what it saw in a record again, and compare what it does.
+    Replay(replay::ReplayArgs),
     /// Run a scenario in virtual time and print its trajectory.
     Simulate {
         /// The scenario file.
@@ -33,6 +35,9 @@ enum Command {
         /// How to print it.
         #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
         format: SimulateFormat,
+        /// Leave a record, as the daemon does: what the pilot saw and did in every tick.
+        #[arg(long, value_name = "FILE.mcap")]
+        record: Option<PathBuf>,
     },
     /// Ask the daemon how it is doing.
     Status(control::ControlArgs),
@@ -68,6 +73,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
     match &cli.command {
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
+        Command::Replay(args) => Ok(replay::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
@@ -77,9 +83,13 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,
+            record,
         } => {
             let scenario = simulate::Scenario::read(scenario)?;
-            let simulation = simulate::simulate(&scenario)?;
+            let simulation = match record {
+                Some(path) => simulate::simulate_recorded(&scenario, path)?,
+                None => simulate::simulate(&scenario)?,
+            };
             for note in &simulation.notes {
                 eprintln!("singletrack: note: {note}");
             }

@@ -9,8 +9,13 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use singletrack_control::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request, Time};
 use singletrack_link::{Event as LinkEvent, Session as LinkSession, SessionConfig};
 use singletrack_mocap::{Config as MocapConfig, Observation, Outcome, Session as MocapSession};
+use singletrack_record::{DriveWrite, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
-use singletrackd::controller::{Controller, Sent, Tick};
+use singletrackd::{
+    controller::{Controller, Sent, Tick},
+    link_entry, link_phase,
+    serial_port::drive_number,
+};
 
 /// How often the host looks for bytes and packets, in µs: their receive times
 /// are late by up to this.
@@ -82,6 +87,34 @@ pub struct VirtualDrive {
     next_tick_us: u64,
     host_us: u64,
     bytes: Vec<u8>,
+    record: Option<Entries>,
+}
+
+/// What a record of the drive would hold.
+#[derive(Debug, Default)]
+struct Entries {
+    waiting: Vec<Entry>,
+    ticks: u64,
+}
+
+impl Entries {
+    fn tick(&mut self, now: Time, tick: &Tick, drive: Option<DriveWrite>, link: &LinkSession) {
+        self.waiting.push(Entry::Tick(TickRecord {
+            index: self.ticks,
+            // Virtual ticks take no time.
+            scheduled_ns: now.0,
+            start_ns: now.0,
+            finish_ns: now.0,
+            skipped: 0,
+            pilot_time: now,
+            events: tick.events.clone(),
+            events_dropped: tick.dropped_events,
+            output: tick.output,
+            drive,
+            link: link_phase(&link.state()),
+        }));
+        self.ticks += 1;
+    }
 }
 
 impl VirtualDrive {
@@ -107,7 +140,20 @@ impl VirtualDrive {
             next_tick_us: config.period_us,
             host_us: 0,
             bytes: Vec::with_capacity(256),
+            record: None,
         })
+    }
+
+    /// Keeps what a record holds of everything from now on, for
+    /// [`VirtualDrive::entries`]. For a replay it must be from the first tick on.
+    pub fn keep_entries(&mut self) {
+        self.record = Some(Entries::default());
+    }
+
+    /// What was kept since the last time, in order.
+    pub fn entries(&mut self) -> Vec<Entry> {
+        let record = self.record.as_mut();
+        record.map_or_else(Vec::new, |record| core::mem::take(&mut record.waiting))
     }
 
     /// The world.
@@ -160,15 +206,28 @@ impl VirtualDrive {
         self.advance_to(self.next_tick_us, on_link);
         let now = time(self.next_tick_us);
         let truth = self.world.truth();
-        let world = &mut self.world;
+        let (world, record) = (&mut self.world, &mut self.record);
+        let mut drive = None;
         let tick = self.controller.tick(
             now,
             &mut |frame| {
                 world.host_write(frame);
+                if record.is_some()
+                    && let Some(number) = drive_number(frame)
+                {
+                    drive = Some(DriveWrite {
+                        sequence: number.0,
+                        written: true,
+                        time_ns: now.0,
+                    });
+                }
                 Sent::Whole
             },
             on_link,
         );
+        if let Some(record) = record {
+            record.tick(now, &tick, drive, self.controller.session());
+        }
         self.next_tick_us += self.period_us;
         VirtualTick { now, truth, tick }
     }
@@ -204,7 +263,13 @@ impl VirtualDrive {
         self.bytes.clear();
         self.world.host_read(&mut self.bytes);
         if !self.bytes.is_empty() {
-            self.controller.received(now, &self.bytes, on_link);
+            let record = &mut self.record;
+            self.controller.received(now, &self.bytes, &mut |event| {
+                if let Some(record) = record {
+                    record.waiting.extend(link_entry(now.0, event));
+                }
+                on_link(event);
+            });
         }
         while let Some(datagram) = self.world.poll_datagram() {
             if let Destination::Client(address) = datagram.to
@@ -217,7 +282,7 @@ impl VirtualDrive {
                 self.motion_capture
                     .handle_datagram(now.0, source, &datagram.bytes)
             {
-                self.controller.observed(&observation);
+                self.observed(&observation);
             }
         }
         while let Some(datagram) = self.motion_capture.poll_transmit(now.0) {
@@ -225,13 +290,20 @@ impl VirtualDrive {
         }
         while let Some(event) = self.motion_capture.poll_event() {
             if event == singletrack_mocap::Event::Stale {
-                self.controller.observed(&Observation {
+                self.observed(&Observation {
                     frame_number: 0,
                     receive_time_ns: now.0,
                     state: self.motion_capture.pose_state(now.0),
                 });
             }
         }
+    }
+
+    fn observed(&mut self, observation: &Observation) {
+        if let Some(record) = &mut self.record {
+            record.waiting.push(Entry::Pose(*observation));
+        }
+        self.controller.observed(observation);
     }
 }
 

@@ -19,11 +19,12 @@ use singletrack_record::{Entry, FeedInput, Level, Log, TickRecord, Topic};
 use tokio::sync::broadcast;
 
 use crate::{
-    clock::monotonic_ns,
+    clock::{monotonic_ns, wall_ns},
     mocap_receiver::MocapReport,
     report::Report,
     snapshot::TickView,
     summary::Tally,
+    wall_watch::WallWatch,
     words::{loss_name, refusal_name, request_name, restart_name},
 };
 
@@ -72,8 +73,10 @@ pub(crate) struct Collector {
     pub(crate) ticks: Consumer<TickRecord>,
     pub(crate) reports: Consumer<Report>,
     pub(crate) mocap: Consumer<MocapReport>,
-    /// Lines that are in the log already.
-    pub(crate) log: mpsc::Receiver<Log>,
+    /// For the record alone; what of it is to be logged has been.
+    pub(crate) entries: mpsc::Receiver<Entry>,
+    /// Whether somebody sets the clock on the wall.
+    pub(crate) wall: WallWatch,
     pub(crate) board: Arc<Board>,
     pub(crate) record: Option<FeedInput>,
     /// Entries that the record has no room for.
@@ -98,8 +101,16 @@ impl Collector {
     }
 
     fn pass_on(&mut self) {
-        while let Ok(log) = self.log.try_recv() {
-            self.entry(Entry::Log(log));
+        let now_ns = monotonic_ns();
+        if let Some(step) = self.wall.look(now_ns, wall_ns()) {
+            self.log(
+                now_ns,
+                Level::Info,
+                format!("{step}; times in the record go on as before"),
+            );
+        }
+        while let Ok(entry) = self.entries.try_recv() {
+            self.entry(entry);
         }
         while let Ok(report) = self.reports.pop() {
             self.report(report);

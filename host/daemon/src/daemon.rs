@@ -40,6 +40,7 @@ use crate::{
     socket::{BoundSocket, SocketError, SocketThread},
     summary::Summary,
     wake::StopFlag,
+    wall_watch::WallWatch,
 };
 
 /// How the daemon is started, beside its configuration.
@@ -173,8 +174,10 @@ impl Daemon {
     /// # Errors
     ///
     /// What stands in the way, with the fix. Nothing runs then.
-    pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
+    pub fn start(mut config: Config, options: StartOptions) -> Result<Self, StartError> {
         config.validate()?;
+        // Read once, by pilot and record alike.
+        config.reference = config.reference.written_out()?;
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
             && realtime::lock_memory()
@@ -215,7 +218,7 @@ impl Daemon {
 
         let board = Arc::new(Board::new());
         let requests_in = Requests::new(requests_in);
-        let (log_in, log) = mpsc::channel();
+        let (entries_in, entries) = mpsc::channel();
         let mut daemon = Self {
             view: View {
                 board: Arc::clone(&board),
@@ -223,7 +226,7 @@ impl Daemon {
                     config.clone(),
                     requests_in.clone(),
                     reconfigured_out,
-                    log_in,
+                    entries_in,
                 ),
                 requests: requests_in,
                 setpoints: setpoints_in,
@@ -251,7 +254,8 @@ impl Daemon {
             ticks: ticks_out,
             reports: reports_out,
             mocap: mocap_out,
-            log,
+            entries,
+            wall: WallWatch::default(),
             board,
             record,
             record_dropped: 0,

@@ -38,6 +38,7 @@ mod snapshot;
 mod summary;
 mod system;
 mod wake;
+mod wall_watch;
 mod words;
 
 pub use clock::monotonic_ns;
@@ -46,8 +47,8 @@ pub use daemon::{Daemon, StartError, StartOptions, StopError};
 pub use histogram::Percentiles;
 pub use mocap_socket::MocapSocketError;
 pub use realtime::RealTimeStatus;
-pub use recording::RecordingError;
-pub use report::{LineCounters, Report};
+pub use recording::{RecordingError, record_meta};
+pub use report::{LineCounters, Report, link_entry, link_phase};
 pub use requests::Stalled;
 pub use snapshot::{Snapshot, TickView};
 pub use socket::{Command, Question, SOCKET_VERSION, SocketError};

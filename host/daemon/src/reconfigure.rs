@@ -16,7 +16,7 @@ use rtrb::Consumer;
 use serde::Serialize;
 use singletrack_control::PilotConfig;
 use singletrack_protocol::Configuration;
-use singletrack_record::{Level, Log};
+use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
 use tracing::{info, warn};
 
 use crate::{
@@ -115,8 +115,8 @@ pub(crate) struct Reconfigurer(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     requests: Requests,
-    /// Lines for the record.
-    log: mpsc::Sender<Log>,
+    /// For the record.
+    told: mpsc::Sender<Entry>,
     /// Held for as long as a change is under way.
     state: Mutex<State>,
     /// Never held for long.
@@ -138,12 +138,12 @@ impl Reconfigurer {
         config: Config,
         requests: Requests,
         returned: Consumer<Box<Reconfiguration>>,
-        log: mpsc::Sender<Log>,
+        told: mpsc::Sender<Entry>,
     ) -> Self {
         let takes_setpoints = takes_setpoints(&config);
         Self(Arc::new(Shared {
             requests,
-            log,
+            told,
             view: Mutex::new((
                 ConfigurationView {
                     number: 1,
@@ -222,7 +222,8 @@ impl Reconfigurer {
         if state.under_way.is_some() {
             return Err(Stalled.into());
         }
-        let config = make(&state.in_force)?;
+        let mut config = make(&state.in_force)?;
+        config.reference = config.reference.written_out()?;
         let keys = restart_keys(&state.in_force, &config)?;
         if !keys.is_empty() {
             return Err(ChangeError::Restart(keys));
@@ -266,16 +267,30 @@ impl Reconfigurer {
     fn record(&self, by: &'static str, state: &State) {
         let number = state.number;
         info!("{by}: configuration {number} is in force");
-        let text = match state.in_force.to_toml() {
-            Ok(text) => format!("{by}: configuration {number} is in force:\n{text}"),
-            Err(error) => format!("{by}: configuration {number} is in force: {error}"),
+        let time_ns = monotonic_ns();
+        let (level, text) = match state.in_force.to_toml() {
+            Ok(toml) => {
+                // Without a collector there is no record either.
+                let _ = self.0.told.send(Entry::Configuration(ConfigurationRecord {
+                    time_ns,
+                    number,
+                    toml,
+                }));
+                (
+                    Level::Info,
+                    format!("{by}: configuration {number} is in force"),
+                )
+            }
+            Err(error) => (
+                Level::Warning,
+                format!("{by}: configuration {number} is in force and can't be recorded: {error}"),
+            ),
         };
-        // Without a collector there is no record either.
-        let _ = self.0.log.send(Log {
-            time_ns: monotonic_ns(),
-            level: Level::Info,
+        let _ = self.0.told.send(Entry::Log(Log {
+            time_ns,
+            level,
             text,
-        });
+        }));
         let mut view = self.0.view.lock().unwrap_or_else(PoisonError::into_inner);
         view.0.number = number;
         view.1 = takes_setpoints(&state.in_force);

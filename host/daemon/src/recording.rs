@@ -52,7 +52,7 @@ pub(crate) fn start(
     if path.is_none() && !config.record.enabled {
         return Ok(None);
     }
-    let configuration = config.to_toml()?;
+    let meta = record_meta(config, seed, start)?;
     let path = match path {
         Some(path) => path,
         None => {
@@ -64,8 +64,25 @@ pub(crate) fn start(
             free_name(directory, &compact_utc(start.wall_ns))
         }
     };
-    let meta = Meta {
-        configuration,
+    let recorder = Recorder::create(&path, &meta)?;
+    let (input, output) = feed(CAPACITY);
+    let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
+    Ok(Some((thread, input, path)))
+}
+
+/// What a record says of itself when it is made with this configuration, by the
+/// software at hand.
+///
+/// # Errors
+///
+/// A path that is not UTF-8.
+pub fn record_meta(
+    config: &Config,
+    seed: Option<u64>,
+    start: ClockMapping,
+) -> Result<Meta, toml::ser::Error> {
+    Ok(Meta {
+        configuration: config.to_toml()?,
         software: BTreeMap::from([(
             env!("CARGO_PKG_NAME").to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
@@ -73,11 +90,7 @@ pub(crate) fn start(
         protocol_version: singletrack_protocol::VERSION,
         seed,
         start,
-    };
-    let recorder = Recorder::create(&path, &meta)?;
-    let (input, output) = feed(CAPACITY);
-    let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
-    Ok(Some((thread, input, path)))
+    })
 }
 
 /// An error with what is behind it: that a disk is full is known to the last in

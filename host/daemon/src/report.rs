@@ -2,7 +2,7 @@
 
 use singletrack_link::{Counters, Event, State, TimedTelemetry};
 use singletrack_protocol::Status;
-use singletrack_record::{LinkPhase, StatusRecord, TelemetryRecord};
+use singletrack_record::{Entry, LinkPhase, StatusRecord, TelemetryRecord};
 
 /// Beside the ticks, which have a ring of their own.
 #[derive(Clone, Copy, Debug)]
@@ -62,8 +62,19 @@ impl Report {
     }
 }
 
+/// What an event of the link is to a record; none for what is only logged.
+#[must_use]
+pub const fn link_entry(time_ns: u64, event: &Event) -> Option<Entry> {
+    match Report::of(time_ns, event) {
+        Report::Telemetry(record) => Some(Entry::Telemetry(record)),
+        Report::Status(record) => Some(Entry::Status(record)),
+        Report::Link { .. } | Report::Counters(_) => None,
+    }
+}
+
 /// Where the session stands, by name.
-pub(crate) const fn link_phase(state: &State) -> LinkPhase {
+#[must_use]
+pub const fn link_phase(state: &State) -> LinkPhase {
     match state {
         State::Disconnected => LinkPhase::Disconnected,
         State::Greeting { .. } => LinkPhase::Greeting,

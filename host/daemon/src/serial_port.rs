@@ -161,7 +161,8 @@ impl Line for WriteHalf {
 }
 
 /// The number of the drive command that a frame holds, if it holds one.
-pub(crate) fn drive_number(frame: &[u8]) -> Option<Sequence> {
+#[must_use]
+pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
     let mut decoder = Decoder::new();
     frame.iter().find_map(|&byte| {
         let packet = decoder.push(byte)?.ok()?;

@@ -16,7 +16,7 @@ use std::{
 
 use serde_json::{Value, json};
 use singletrack_control::Mode;
-use singletrackd::{Config, Daemon, StartError, StartOptions};
+use singletrackd::{Config, Daemon, StartError, StartOptions, config::ReferenceSection};
 use tempfile::TempDir;
 
 struct Client {
@@ -244,15 +244,23 @@ fn a_reference_is_set_while_the_car_stands_and_the_record_tells_it() {
     let summary = daemon.stop().unwrap();
     let told = singletrack_record::Reader::open(&summary.record.unwrap())
         .unwrap()
-        .only(&[singletrack_record::Topic::Log])
+        .only(&[singletrack_record::Topic::Configuration])
         .map(Result::unwrap)
-        .any(|entry| match entry {
-            singletrack_record::Entry::Log(log) => {
-                log.text.contains("configuration 2 is in force") && log.text.contains("0.8")
+        .map(|entry| match entry {
+            singletrack_record::Entry::Configuration(record) => {
+                let config = Config::from_toml(&record.toml).unwrap();
+                (record.number, config.reference)
             }
-            _ => false,
-        });
-    assert!(told);
+            other => panic!("{other:?}"),
+        })
+        .collect::<Vec<_>>();
+    assert!(
+        matches!(
+            told[..],
+            [(2, ReferenceSection::Circle { radius_m: 0.8, .. })]
+        ),
+        "{told:?}"
+    );
 }
 
 #[test]

@@ -7,7 +7,8 @@ use crate::TickRecord;
 
 /// One line of a record.
 ///
-/// Without an allocation, except in [`Entry::Log`]. All times are nanoseconds on
+/// Without an allocation, except in [`Entry::Log`] and
+/// [`Entry::Configuration`]. All times are nanoseconds on
 /// the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(
@@ -25,6 +26,8 @@ pub enum Entry {
     Pose(Observation),
     /// A line of the log.
     Log(Log),
+    /// The configuration changes.
+    Configuration(ConfigurationRecord),
     /// What the record does not hold.
     Drops(Drops),
 }
@@ -60,6 +63,17 @@ pub struct Log {
     pub level: Level,
     /// What it says.
     pub text: String,
+}
+
+/// Which configuration is in force; that of the start is in the [`crate::Meta`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigurationRecord {
+    /// When that was known, after the tick that took it over.
+    pub time_ns: u64,
+    /// The number that [`singletrack_control::Event::Reconfigured`] names it by.
+    pub number: u32,
+    /// The whole of it, as TOML.
+    pub toml: String,
 }
 
 /// How much a line of the log matters.

@@ -9,8 +9,8 @@ use singletrack_mocap::PoseState;
 use crate::{
     Entry, Value,
     message::{
-        DropsMessage, LogMessage, Message, PoseMessage, Senseless, StatusMessage, TelemetryMessage,
-        TickMessage, schema_name, schema_text,
+        ConfigurationMessage, DropsMessage, LogMessage, Message, PoseMessage, Senseless,
+        StatusMessage, TelemetryMessage, TickMessage, schema_name, schema_text,
     },
     value::{Json, Paths, Values, Visitor},
 };
@@ -28,6 +28,8 @@ pub enum Topic {
     Pose,
     /// [`Entry::Log`].
     Log,
+    /// [`Entry::Configuration`].
+    Configuration,
     /// [`Entry::Drops`].
     Drops,
 }
@@ -54,6 +56,10 @@ macro_rules! with_message {
             }
             Topic::Log => {
                 type $message = LogMessage;
+                $result
+            }
+            Topic::Configuration => {
+                type $message = ConfigurationMessage;
                 $result
             }
             Topic::Drops => {
@@ -88,6 +94,10 @@ macro_rules! with_entry {
                 let $message = LogMessage::from(entry);
                 $result
             }
+            Entry::Configuration(entry) => {
+                let $message = ConfigurationMessage::from(entry);
+                $result
+            }
             Entry::Drops(entry) => {
                 let $message = DropsMessage::from(entry);
                 $result
@@ -98,12 +108,13 @@ macro_rules! with_entry {
 
 impl Topic {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Tick,
         Self::Telemetry,
         Self::Status,
         Self::Pose,
         Self::Log,
+        Self::Configuration,
         Self::Drops,
     ];
 
@@ -116,6 +127,7 @@ impl Topic {
             Self::Status => "status",
             Self::Pose => "pose",
             Self::Log => "log",
+            Self::Configuration => "configuration",
             Self::Drops => "drops",
         }
     }
@@ -129,6 +141,7 @@ impl Topic {
             Self::Status => "/singletrack/status",
             Self::Pose => "/singletrack/pose",
             Self::Log => "/singletrack/log",
+            Self::Configuration => "/singletrack/configuration",
             Self::Drops => "/singletrack/drops",
         }
     }
@@ -163,7 +176,7 @@ impl fmt::Display for Topic {
 
 /// There is no topic of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no topic {0:?}: use tick, telemetry, status, pose, log or drops")]
+#[error("there is no topic {0:?}: use tick, telemetry, status, pose, log, configuration or drops")]
 pub struct UnknownTopic(pub String);
 
 impl FromStr for Topic {
@@ -199,6 +212,7 @@ impl Entry {
             Self::Status(_) => Topic::Status,
             Self::Pose(_) => Topic::Pose,
             Self::Log(_) => Topic::Log,
+            Self::Configuration(_) => Topic::Configuration,
             Self::Drops(_) => Topic::Drops,
         }
     }
@@ -212,6 +226,7 @@ impl Entry {
             Self::Status(record) => record.receive_time_ns,
             Self::Pose(observation) => observation.receive_time_ns,
             Self::Log(log) => log.time_ns,
+            Self::Configuration(configuration) => configuration.time_ns,
             Self::Drops(drops) => drops.time_ns,
         }
     }
@@ -226,7 +241,9 @@ impl Entry {
                 PoseState::Valid(pose) => pose.capture_time_ns,
                 _ => observation.receive_time_ns,
             },
-            Self::Status(_) | Self::Log(_) | Self::Drops(_) => self.time_ns(),
+            Self::Status(_) | Self::Log(_) | Self::Configuration(_) | Self::Drops(_) => {
+                self.time_ns()
+            }
         }
     }
 
@@ -267,6 +284,9 @@ impl Entry {
                     .map_err(|error: Senseless| error.to_string())?,
             ),
             Topic::Log => Self::Log(message::<LogMessage>(bytes)?.into()),
+            Topic::Configuration => {
+                Self::Configuration(message::<ConfigurationMessage>(bytes)?.into())
+            }
             Topic::Drops => Self::Drops(message::<DropsMessage>(bytes)?.into()),
         })
     }

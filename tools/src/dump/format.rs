@@ -68,7 +68,7 @@ fn table_fields(topic: Topic) -> &'static [&'static str] {
             "pose.mean_error_m",
             "pose.capture_time_ns",
         ],
-        Topic::Status | Topic::Log | Topic::Drops => &[],
+        Topic::Status | Topic::Log | Topic::Configuration | Topic::Drops => &[],
     }
 }
 

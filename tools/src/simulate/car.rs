@@ -1,8 +1,10 @@
 //! The whole pilot on the simulated car, board and cameras.
 
+use std::path::Path;
+
 use singletrack_control::{Mode, Position, Reason, Reference, direction};
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
-use singletrackd::config::LawKind;
+use singletrackd::config::{Config, LawKind};
 
 use super::{
     Simulation,
@@ -12,6 +14,7 @@ use super::{
 use crate::{
     simulated::{self, daemon_config},
     virtual_drive::{VirtualDrive, VirtualDriveConfig, VirtualDriveError, VirtualTick},
+    virtual_record::{VirtualRecord, VirtualRecordError},
 };
 
 /// Why a car could not be simulated.
@@ -23,6 +26,9 @@ pub enum CarError {
     /// The drive did not start.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
+    /// There is no record of it.
+    #[error(transparent)]
+    Record(#[from] VirtualRecordError),
 }
 
 /// The parts of a virtual drive of a scenario.
@@ -31,6 +37,11 @@ pub enum CarError {
 ///
 /// What a scenario may ask of the ideal plant but not of the car.
 pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, CarError> {
+    Ok(parts(scenario)?.1)
+}
+
+/// The daemon's configuration for a scenario, and the parts that follow from it.
+fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> {
     if scenario.law.kind != LawKind::FrontPoint {
         return Err(ScenarioError::value(
             "law.kind",
@@ -74,7 +85,11 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
         reference: scenario.reference.clone(),
     });
     config.control.period_ms = scenario.control.period_ms;
-    Ok(VirtualDriveConfig {
+    config.reference = config
+        .reference
+        .written_out()
+        .map_err(ScenarioError::from)?;
+    let drive = VirtualDriveConfig {
         pilot: config.pilot().map_err(ScenarioError::from)?,
         link: config.link(scenario.run.seed),
         motion_capture: config
@@ -83,7 +98,8 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
             .map_err(ScenarioError::from)?,
         period_us: u64::from(scenario.control.period_ms) * 1000,
         simulation,
-    })
+    };
+    Ok((config, drive))
 }
 
 /// Drives a scenario on the simulated car; time zero is its first driving tick.
@@ -91,8 +107,8 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, C
 /// # Errors
 ///
 /// A scenario that the car can't drive, or a car that does not start.
-pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
-    let config = virtual_drive_config(scenario)?;
+pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Simulation, CarError> {
+    let (daemon, config) = parts(scenario)?;
     let period_us = config.period_us;
     let latency_us = config.simulation.cameras.latency_us;
     let under_way = latency_us.div_ceil(period_us);
@@ -108,6 +124,9 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
     }
     let reference = config.pilot.reference.clone();
     let mut drive = VirtualDrive::new(config)?;
+    let mut record = record
+        .map(|path| VirtualRecord::start(path, &mut drive, &daemon, scenario.run.seed))
+        .transpose()?;
     let mut last = drive.start()?;
     let start_us = drive.next_tick_us() - period_us;
     for loss in &scenario.marker_loss {
@@ -125,11 +144,17 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
         Position::new(x, y)
     };
     let mut ended = None;
+    let mut unrecorded = None;
     let rows = (0..=rows)
         .map(|index| {
             let row_us = start_us + index * 1_000_000 / ROWS_PER_SECOND;
             while drive.next_tick_us() <= row_us {
                 last = drive.step(&mut |_| {});
+            }
+            if let Some(record) = &mut record
+                && unrecorded.is_none()
+            {
+                unrecorded = record.write(&mut drive).err();
             }
             let truth = if row_us + period_us == drive.next_tick_us() {
                 last.truth
@@ -149,6 +174,12 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Simulation, CarError> {
             row(scenario, &reference, start, time, &truth, &last)
         })
         .collect();
+    if let Some(error) = unrecorded {
+        return Err(error.into());
+    }
+    if let Some(record) = record {
+        record.finish(&mut drive)?;
+    }
     let mut notes = Vec::new();
     if scenario.control.delay_ticks > 0 || scenario.control.steering == SteeringHold::Step {
         notes.push(

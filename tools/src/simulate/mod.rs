@@ -6,6 +6,8 @@ mod integrator;
 mod row;
 mod scenario;
 
+use std::path::Path;
+
 pub use car::{CarError, virtual_drive_config};
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
@@ -24,6 +26,9 @@ pub enum SimulateError {
     /// On the car.
     #[error(transparent)]
     Car(#[from] CarError),
+    /// What is to be recorded is not there.
+    #[error("there is nothing to record: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
+    NoPilot,
 }
 
 /// What came of a scenario.
@@ -46,6 +51,19 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
             rows: ideal::simulate(scenario)?,
             notes: Vec::new(),
         },
-        PlantKind::Car => car::simulate(scenario)?,
+        PlantKind::Car => car::simulate(scenario, None)?,
     })
+}
+
+/// The same, and a record of what the pilot saw and did at `path`.
+///
+/// # Errors
+///
+/// What [`simulate`] refuses, the ideal plant, which has no pilot, and a file that
+/// exists or can't be written.
+pub fn simulate_recorded(scenario: &Scenario, path: &Path) -> Result<Simulation, SimulateError> {
+    match scenario.plant.kind {
+        PlantKind::Ideal => Err(SimulateError::NoPilot),
+        PlantKind::Car => Ok(car::simulate(scenario, Some(path))?),
+    }
 }

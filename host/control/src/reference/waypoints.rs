@@ -60,6 +60,12 @@ impl Waypoints {
         })
     }
 
+    /// The waypoints, in order.
+    #[must_use]
+    pub fn points(&self) -> &[Waypoint] {
+        &self.points
+    }
+
     /// When the last waypoint is due, in s.
     pub(super) fn duration(&self) -> f64 {
         self.points.last().map_or(0.0, |point| point.time)

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use singletrack_control::{
     Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
+    Waypoint, Waypoints,
 };
 
 use super::{ConfigError, check, kind::Keys, waypoint_file::read_waypoints};
@@ -44,6 +45,12 @@ pub enum ReferenceSection {
         /// names it.
         file: PathBuf,
     },
+    /// The same, written out: what a record holds.
+    #[serde(rename = "waypoints")]
+    WaypointList {
+        /// In order of time.
+        waypoints: Vec<WaypointSection>,
+    },
     /// See [`External`]: set-points from the control socket.
     External {
         /// The car stops when the last set-point is older.
@@ -61,6 +68,18 @@ pub struct StepSection {
     pub v_x_m_s: f64,
     /// Velocity of P along y, in m/s.
     pub v_y_m_s: f64,
+}
+
+/// One waypoint.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WaypointSection {
+    /// When P should be there, in s from the start of the drive.
+    pub t_s: f64,
+    /// Where, in m.
+    pub x_m: f64,
+    /// Where, in m.
+    pub y_m: f64,
 }
 
 /// How long a set-point is in force unless told otherwise.
@@ -82,6 +101,7 @@ struct Section {
     centre_m: Option<[f64; 2]>,
     steps: Option<Vec<StepSection>>,
     file: Option<PathBuf>,
+    waypoints: Option<Vec<WaypointSection>>,
     setpoint_timeout_ms: Option<u32>,
 }
 
@@ -139,8 +159,11 @@ impl TryFrom<Section> for ReferenceSection {
                 )?,
                 centre_m: section.centre_m.take().unwrap_or_default(),
             },
-            Kind::Waypoints => Self::Waypoints {
-                file: keys.need("file", section.file.take())?,
+            Kind::Waypoints => match section.waypoints.take() {
+                Some(waypoints) => Self::WaypointList { waypoints },
+                None => Self::Waypoints {
+                    file: keys.need("file", section.file.take())?,
+                },
             },
             Kind::External => Self::External {
                 setpoint_timeout_ms: section
@@ -159,6 +182,7 @@ impl TryFrom<Section> for ReferenceSection {
         keys.refuse("centre_m", section.centre_m.as_ref())?;
         keys.refuse("steps", section.steps.as_ref())?;
         keys.refuse("file", section.file.as_ref())?;
+        keys.refuse("waypoints", section.waypoints.as_ref())?;
         keys.refuse("setpoint_timeout_ms", section.setpoint_timeout_ms.as_ref())?;
         Ok(reference)
     }
@@ -170,6 +194,26 @@ impl ReferenceSection {
         if let Self::Waypoints { file } = self {
             *file = folder.join(&*file);
         }
+    }
+
+    /// The same reference, with nothing left in other files: those may change.
+    ///
+    /// # Errors
+    ///
+    /// Waypoints that can't be read.
+    pub fn written_out(&self) -> Result<Self, ConfigError> {
+        let Self::Waypoints { file } = self else {
+            return Ok(self.clone());
+        };
+        let waypoints = waypoints_of(file)?;
+        let written_out = |waypoint: &Waypoint| WaypointSection {
+            t_s: waypoint.time,
+            x_m: waypoint.position.x,
+            y_m: waypoint.position.y,
+        };
+        Ok(Self::WaypointList {
+            waypoints: waypoints.points().iter().map(written_out).collect(),
+        })
     }
 
     /// Refuses what no hall holds and no car follows: the reference's points and
@@ -208,7 +252,10 @@ impl ReferenceSection {
                     .iter()
                     .try_for_each(|centre| length("reference.centre_m", *centre))
             }
-            Self::VelocitySteps { .. } | Self::Waypoints { .. } | Self::External { .. } => Ok(()),
+            Self::VelocitySteps { .. }
+            | Self::Waypoints { .. }
+            | Self::WaypointList { .. }
+            | Self::External { .. } => Ok(()),
         }
     }
 
@@ -250,13 +297,16 @@ impl ReferenceSection {
                 *half_width_m,
                 *angular_velocity_rad_s,
             )?),
-            Self::Waypoints { file } => {
-                Reference::Waypoints(read_waypoints(file).map_err(|source| {
-                    ConfigError::Waypoints {
-                        path: file.clone(),
-                        source,
-                    }
-                })?)
+            Self::Waypoints { file } => Reference::Waypoints(waypoints_of(file)?),
+            Self::WaypointList { waypoints } => {
+                let waypoints: Vec<_> = waypoints
+                    .iter()
+                    .map(|waypoint| Waypoint {
+                        time: waypoint.t_s,
+                        position: Position::new(waypoint.x_m, waypoint.y_m),
+                    })
+                    .collect();
+                Reference::Waypoints(Waypoints::new(&waypoints)?)
             }
             Self::External {
                 setpoint_timeout_ms,
@@ -271,4 +321,11 @@ impl ReferenceSection {
             }
         })
     }
+}
+
+fn waypoints_of(file: &Path) -> Result<Waypoints, ConfigError> {
+    read_waypoints(file).map_err(|source| ConfigError::Waypoints {
+        path: file.to_owned(),
+        source,
+    })
 }

@@ -1,7 +1,7 @@
-//! What the daemon says, and what it could not record.
+//! What the daemon says, how it is configured, and what it could not record.
 
 use super::{code::Code, message};
-use crate::{Drops, Level, Log};
+use crate::{ConfigurationRecord, Drops, Level, Log};
 
 message! {
     /// A line of the log.
@@ -12,6 +12,18 @@ message! {
         level: Code<Level>,
         /// What it says.
         text: String,
+    }
+}
+
+message! {
+    /// Another configuration is in force.
+    ConfigurationMessage as "Configuration" {
+        /// When that was known, in ns of the host's monotonic clock.
+        time_ns: u64,
+        /// The number that a tick's event names it by; that of the start has 1.
+        number: u32,
+        /// The whole of it, as TOML.
+        toml: String,
     }
 }
 
@@ -41,6 +53,26 @@ impl From<LogMessage> for Log {
             time_ns: message.time_ns,
             level: message.level.0,
             text: message.text,
+        }
+    }
+}
+
+impl From<&ConfigurationRecord> for ConfigurationMessage {
+    fn from(record: &ConfigurationRecord) -> Self {
+        Self {
+            time_ns: record.time_ns,
+            number: record.number,
+            toml: record.toml.clone(),
+        }
+    }
+}
+
+impl From<ConfigurationMessage> for ConfigurationRecord {
+    fn from(message: ConfigurationMessage) -> Self {
+        Self {
+            time_ns: message.time_ns,
+            number: message.number,
+            toml: message.toml,
         }
     }
 }

@@ -16,7 +16,7 @@ mod tick;
 pub(crate) use board::{StatusMessage, TelemetryMessage};
 pub(crate) use code::Coded;
 pub(crate) use field::Definition;
-pub(crate) use log::{DropsMessage, LogMessage};
+pub(crate) use log::{ConfigurationMessage, DropsMessage, LogMessage};
 pub(crate) use pose::PoseMessage;
 pub(crate) use tick::TickMessage;
 

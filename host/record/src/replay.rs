@@ -1,0 +1,213 @@
+//! Replaying a record: the same inputs through the same controller must give the
+//! same outputs, to the bit.
+
+use std::{collections::BTreeMap, fmt};
+
+use byteorder::LittleEndian;
+use singletrack_control::{Event, Output, Pilot, PilotConfig, Underway};
+
+use crate::{Entry, TickRecord, Value, message::TickMessage};
+
+/// A pilot that is given the ticks of a record again.
+#[derive(Clone, Debug)]
+pub struct Replay {
+    pilot: Pilot,
+    configurations: BTreeMap<u32, PilotConfig>,
+    next: u64,
+}
+
+/// Why a record can't be replayed beyond a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ReplayError {
+    /// What the pilot was told in ticks that are not there nobody knows.
+    #[error(
+        "ticks {first} to {} are not in the record; what follows rests on what they saw",
+        first + count - 1
+    )]
+    Missing {
+        /// The first that is not there.
+        first: u64,
+        /// How many are not.
+        count: u64,
+    },
+    /// A tick comes twice, or after a later one.
+    #[error("tick {found} comes where tick {expected} should be")]
+    OutOfOrder {
+        /// The tick that comes.
+        found: u64,
+        /// The tick that should.
+        expected: u64,
+    },
+    /// It is not known what the pilot changed to.
+    #[error("configuration {0} came into force, and is not in the record")]
+    Configuration(u32),
+    /// The pilot would not change to it.
+    #[error("configuration {number} came into force, and is refused now: {reason}")]
+    Refused {
+        /// Its number.
+        number: u32,
+        /// What the pilot says.
+        reason: Underway,
+    },
+}
+
+impl Replay {
+    /// A pilot as it was at the first tick, with number 1.
+    #[must_use]
+    pub fn new(configuration: PilotConfig) -> Self {
+        Self {
+            pilot: Pilot::new(configuration),
+            configurations: BTreeMap::new(),
+            next: 0,
+        }
+    }
+
+    /// A configuration that came into force later.
+    pub fn configuration(&mut self, number: u32, configuration: PilotConfig) {
+        self.configurations.insert(number, configuration);
+    }
+
+    /// Tells the pilot what it was told in this tick. The first is tick 0, and none
+    /// may be left out.
+    ///
+    /// # Errors
+    ///
+    /// When the pilot can't be told that.
+    pub fn tick(&mut self, recorded: &TickRecord) -> Result<Output, ReplayError> {
+        let (found, expected) = (recorded.index, self.next);
+        if found > expected {
+            return Err(ReplayError::Missing {
+                first: expected,
+                count: found - expected,
+            });
+        }
+        if found < expected {
+            return Err(ReplayError::OutOfOrder { found, expected });
+        }
+        for event in &recorded.events {
+            // It came into force before the pilot heard of anything.
+            if let Event::Reconfigured(number) = *event {
+                let configuration = self.configurations.get(&number);
+                self.pilot
+                    .reconfigure(configuration.ok_or(ReplayError::Configuration(number))?)
+                    .map_err(|reason| ReplayError::Refused { number, reason })?;
+            }
+        }
+        self.next += 1;
+        Ok(self.pilot.step(recorded.pilot_time, &recorded.events))
+    }
+}
+
+/// A field of a tick that came out otherwise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Its path, as of [`crate::Topic::fields`].
+    pub field: String,
+    /// As recorded.
+    pub recorded: Value,
+    /// As it came out.
+    pub replayed: Value,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown = |value: &Value| match value {
+            Value::Absent => "absent".to_owned(),
+            // Of numbers that look the same the bits may differ.
+            Value::Float(value) => format!("{value:?} ({:016x})", value.to_bits()),
+            other => other.to_string(),
+        };
+        let (recorded, replayed) = (shown(&self.recorded), shown(&self.replayed));
+        write!(
+            formatter,
+            "{}: recorded {recorded}, replayed {replayed}",
+            self.field
+        )
+    }
+}
+
+impl TickRecord {
+    /// Whether `output` is what was recorded, to the bit.
+    #[must_use]
+    pub fn is_output(&self, output: &Output) -> bool {
+        let bytes = |output: &Output| {
+            let tick = Self {
+                events: heapless::Vec::new(),
+                output: *output,
+                ..*self
+            };
+            cdr_encoding::to_vec::<_, LittleEndian>(&TickMessage::from(&tick)).ok()
+        };
+        // Equality of numbers does not do: -0 and 0, and what is not a number.
+        matches!((bytes(&self.output), bytes(output)), (Some(a), Some(b)) if a == b)
+    }
+
+    /// Which fields would be others if `output` were.
+    #[must_use]
+    pub fn differences(&self, output: &Output) -> Vec<Difference> {
+        let values = |tick: Self| Entry::Tick(tick).values();
+        let replayed = values(Self {
+            output: *output,
+            ..self.clone()
+        });
+        crate::Topic::Tick
+            .fields()
+            .into_iter()
+            .zip(values(self.clone()).into_iter().zip(replayed))
+            .filter(|(_, (recorded, replayed))| !same(recorded, replayed))
+            .map(|(field, (recorded, replayed))| Difference {
+                field,
+                recorded,
+                replayed,
+            })
+            .collect()
+    }
+}
+
+fn same(one: &Value, other: &Value) -> bool {
+    match (one, other) {
+        (Value::Float(one), Value::Float(other)) => one.to_bits() == other.to_bits(),
+        _ => one == other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+    use super::*;
+    use crate::tick::tests::full;
+
+    #[test]
+    fn a_single_bit_is_a_difference() {
+        let tick = full();
+        assert!(tick.is_output(&tick.output));
+        assert_eq!(tick.differences(&tick.output), []);
+
+        let mut output = tick.output;
+        let estimate = output.estimate.as_mut().unwrap();
+        estimate.yaw = f64::from_bits(estimate.yaw.to_bits() ^ 1);
+        assert!(!tick.is_output(&output));
+        let [difference] = &tick.differences(&output)[..] else {
+            panic!("one field differs");
+        };
+        assert_eq!(
+            difference.to_string(),
+            "estimate.yaw_rad: recorded 0.30000000000000004 (3fd3333333333334), \
+             replayed 0.3000000000000001 (3fd3333333333335)"
+        );
+    }
+
+    #[test]
+    fn zeros_of_two_signs_differ_and_a_nan_is_itself() {
+        let mut tick = full();
+        tick.output.actuation.speed = 0.0;
+        let mut output = tick.output;
+        output.actuation.speed = -0.0;
+        assert!(!tick.is_output(&output));
+        assert_eq!(tick.differences(&output).len(), 1);
+        tick.output.actuation.speed = f64::NAN;
+        assert!(tick.is_output(&tick.output));
+        assert_eq!(tick.differences(&tick.output), []);
+    }
+}

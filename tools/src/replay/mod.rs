@@ -1,0 +1,196 @@
+//! `singletrack replay`: what the pilot saw in a record, given to it again.
+//!
+//! With the configuration that was in force, every output must be the same, to the
+//! bit. With another one, it shows what the pilot would have done at the sight of
+//! the same events: the loop is open, the car of the record goes its way.
+
+mod change;
+mod source;
+mod verdict;
+
+use std::{
+    io::{self, IsTerminal, Write},
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_record::{Ending, Entry, Reader, RecordError, TickRecord, Topic};
+
+pub use change::{Change, ChangeError};
+pub use source::SourceError;
+pub use verdict::{Deviation, Deviations};
+
+/// What `singletrack replay` is asked.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// A record (*.mcap, or *.mcap.part).
+    pub log: PathBuf,
+
+    /// Compare every output bit for bit, and fail at the first difference [default
+    /// without --set].
+    #[arg(long, conflicts_with = "set")]
+    pub verify: bool,
+
+    /// Replay with another configuration, such as `law.point_distance_m=0.4`, and
+    /// tell how the outputs deviate. May be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<Change>,
+}
+
+/// Why a replay failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayFailure {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// It does not say with which configuration it was made.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// It can't be replayed to its end.
+    #[error("{}: {source}{}", path.display(), so_far(*ticks))]
+    Replay {
+        /// The record.
+        path: PathBuf,
+        /// Ticks that were the same.
+        ticks: u64,
+        /// What stands in the way.
+        source: singletrack_record::ReplayError,
+    },
+    /// There is nothing to replay.
+    #[error("{}: the record has no ticks", .0.display())]
+    Empty(PathBuf),
+    /// An output came out otherwise.
+    #[error("{0}")]
+    Differs(Box<str>),
+    /// Standard output.
+    #[error("standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+fn so_far(ticks: u64) -> String {
+    match ticks {
+        0 => String::new(),
+        ticks => format!(" ({ticks} ticks before that are the same)"),
+    }
+}
+
+/// Replays a record and says what came of it.
+///
+/// # Errors
+///
+/// What can't be read or replayed; without `--set`, the first output that differs.
+pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
+    let start = Instant::now();
+    let mut replay = source::pilot(&args.log, &args.set)?;
+    let mut ticks = Reader::open(&args.log)?.only(&[Topic::Tick]);
+    let progress = Progress::new();
+    let mut out = io::stdout().lock();
+    let mut deviations = Deviations::default();
+    let mut span = Span::default();
+    for entry in ticks.by_ref() {
+        let Entry::Tick(tick) = entry? else { continue };
+        let output = replay.tick(&tick).map_err(|source| ReplayFailure::Replay {
+            path: args.log.clone(),
+            ticks: span.ticks,
+            source,
+        })?;
+        if args.set.is_empty() {
+            if !tick.is_output(&output) {
+                progress.done();
+                return Err(ReplayFailure::Differs(verdict::first_difference(
+                    &args.log, &tick, &output, &span,
+                )));
+            }
+        } else {
+            deviations.add(&tick, &output);
+        }
+        span.add(&tick);
+        progress.at(span.ticks);
+    }
+    progress.done();
+    if span.ticks == 0 {
+        return Err(ReplayFailure::Empty(args.log.clone()));
+    }
+    let took = start.elapsed();
+    if args.set.is_empty() {
+        writeln!(
+            out,
+            "{}: {} ticks, every output the same to the bit",
+            args.log.display(),
+            span.ticks
+        )?;
+    } else {
+        deviations.tell(&mut out)?;
+    }
+    writeln!(out, "{}", span.pace(took))?;
+    if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
+        eprintln!("singletrack: {}: {ending}", args.log.display());
+    }
+    Ok(())
+}
+
+/// What has been replayed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Span {
+    ticks: u64,
+    first_ns: u64,
+    last_ns: u64,
+}
+
+impl Span {
+    fn add(&mut self, tick: &TickRecord) {
+        if self.ticks == 0 {
+            self.first_ns = tick.start_ns;
+        }
+        self.ticks += 1;
+        self.last_ns = tick.start_ns;
+    }
+
+    /// From its beginning to `tick`, in s.
+    fn seconds_to(&self, tick: &TickRecord) -> f64 {
+        let first_ns = if self.ticks == 0 {
+            tick.start_ns
+        } else {
+            self.first_ns
+        };
+        tick.start_ns.saturating_sub(first_ns) as f64 * 1e-9
+    }
+
+    fn pace(&self, took: Duration) -> String {
+        let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
+        let took = took.as_secs_f64();
+        format!(
+            "{seconds:.2} s replayed in {took:.3} s: {:.0} times real time",
+            seconds / took
+        )
+    }
+}
+
+/// Hidden when standard error is no terminal.
+struct Progress(ProgressBar);
+
+impl Progress {
+    fn new() -> Self {
+        let bar = if io::stderr().is_terminal() {
+            ProgressBar::new_spinner()
+        } else {
+            ProgressBar::hidden()
+        };
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} ticks replayed") {
+            bar.set_style(style);
+        }
+        Self(bar)
+    }
+
+    fn at(&self, ticks: u64) {
+        if ticks.is_multiple_of(1_000) {
+            self.0.set_position(ticks);
+        }
+    }
+
+    fn done(&self) {
+        self.0.finish_and_clear();
+    }
+}

@@ -1,0 +1,81 @@
+//! The pilot of a record, as it was configured or otherwise.
+
+use std::path::{Path, PathBuf};
+
+use singletrack_control::PilotConfig;
+use singletrack_record::{Entry, Reader, RecordError, Replay, Topic};
+use singletrackd::{Config, ConfigError};
+
+use super::{Change, ChangeError, change};
+
+/// Why there is no pilot.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A change makes no sense.
+    #[error("--set {0}")]
+    Change(#[from] ChangeError),
+    /// The changes and the rest of the configuration do not go together.
+    #[error("with --set, configuration {number} of {}: {source}", path.display())]
+    Changed {
+        /// The record.
+        path: PathBuf,
+        /// Its number; 1 for that of the start.
+        number: u32,
+        /// What the daemon says of it.
+        source: Box<ConfigError>,
+    },
+    /// The configuration in the record is not one of this version.
+    #[error(
+        "configuration {number} of {} is not one that this version of singletrack takes: {source}",
+        path.display()
+    )]
+    Config {
+        /// The record.
+        path: PathBuf,
+        /// Its number; 1 for that of the start.
+        number: u32,
+        /// What the daemon says of it.
+        source: Box<ConfigError>,
+    },
+}
+
+/// A pilot with the configurations of a record, all of them changed by `changes`.
+pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, SourceError> {
+    let mut reader = Reader::open(path)?.only(&[Topic::Configuration]);
+    let start = reader.meta().configuration.clone();
+    let mut replay = Replay::new(configuration(path, 1, &start, changes)?);
+    for entry in reader.by_ref() {
+        if let Entry::Configuration(record) = entry? {
+            let number = record.number;
+            let pilot = configuration(path, number, &record.toml, changes)?;
+            replay.configuration(number, pilot);
+        }
+    }
+    Ok(replay)
+}
+
+fn configuration(
+    path: &Path,
+    number: u32,
+    toml: &str,
+    changes: &[Change],
+) -> Result<PilotConfig, SourceError> {
+    let pilot = |toml: &str| Config::from_toml(toml).and_then(|config| config.pilot());
+    // Whose fault it is shows when it is tried without the changes.
+    let unchanged = pilot(toml).map_err(|source| SourceError::Config {
+        path: path.to_owned(),
+        number,
+        source: Box::new(source),
+    })?;
+    if changes.is_empty() {
+        return Ok(unchanged);
+    }
+    pilot(&change::apply(toml, changes)?).map_err(|source| SourceError::Changed {
+        path: path.to_owned(),
+        number,
+        source: Box::new(source),
+    })
+}
