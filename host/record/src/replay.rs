@@ -173,9 +173,8 @@ fn same(one: &Value, other: &Value) -> bool {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+    #![allow(clippy::panic, reason = "a test may fail")]
 
-    use super::*;
     use crate::tick::tests::full;
 
     #[test]

@@ -128,7 +128,6 @@ impl<'a> Drive<'a> {
             })?;
         let mut drive = Self {
             stated: Stated::new(&schedule.situation, &config).map_err(Trouble::Config)?,
-            config,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -148,7 +147,8 @@ impl<'a> Drive<'a> {
             tick_us: 0,
             ticks_first: false,
             seen: None,
-            invariants: invariant::all(),
+            invariants: invariant::all(config.pilot().map_err(Trouble::Config)?),
+            config,
             violation: None,
             digest: Digest::default(),
             driven_ms: 0,
@@ -429,6 +429,7 @@ impl<'a> Drive<'a> {
             board_since_us: self.board_since_us,
             board_mode: self.world.board().telemetry().map(|record| record.mode),
             tick: tick.as_ref(),
+            is_replayed: tamper.is_replayed(),
             written,
             has_read,
             daemon_since_us: self.daemon_since_us,

@@ -6,6 +6,7 @@
 //! cargo faults --first-seed 1 --count 200 --board uno     the Arduino's image, simulated
 //! cargo faults --replay 'seed 7; end_ms 9000; ask arm at 3200; fault line-stuck at 6000 for 500 severity 1'
 //! cargo faults --first-seed 7 --count 1 --print           the schedule of a seed
+//! cargo faults --first-seed 7 --count 1 --record DIR      leaves what its daemons would record
 //! ```
 //!
 //! The last line is `N schedules, V violations`; any violation makes it fail. It is
@@ -49,6 +50,7 @@ mod invariant;
 mod network;
 mod port;
 mod random;
+mod recording;
 pub mod schedule;
 mod setting;
 mod shrink;
@@ -58,6 +60,7 @@ mod tamper;
 
 pub use campaign::{Campaign, Failure, Outcome, attempt};
 pub use drive::{Ending, Violation, drive};
+pub use recording::{Recording, RecordingError};
 pub use shrink::shrink;
 pub use tamper::{Tamper, Untampered};
 

@@ -2,7 +2,7 @@
 
 use std::{
     io::{self, Write},
-    path::Path,
+    path::{Path, PathBuf},
     process::ExitCode,
     thread,
 };
@@ -10,7 +10,7 @@ use std::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_faults::{
-    Campaign, Failure, Outcome, Trouble, Untampered, attempt,
+    Campaign, Failure, Outcome, Recording, RecordingError, Trouble, Untampered, attempt,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -40,6 +40,11 @@ struct Options {
     #[arg(long, value_name = "SCHEDULE")]
     replay: Option<String>,
 
+    /// Leaves the records of the daemons in this folder, as seed-N.mcap, for
+    /// `singletrack replay` and `singletrack plot`; a schedule at a time
+    #[arg(long, value_name = "DIR")]
+    record: Option<PathBuf>,
+
     /// Prints the schedules without driving them
     #[arg(long)]
     print: bool,
@@ -58,6 +63,8 @@ enum Error {
     Trouble(#[from] Trouble),
     #[error(transparent)]
     Schedule(#[from] ScheduleError),
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     #[error("{path}: {source}")]
     Read { path: String, source: io::Error },
     #[error("standard output: {0}")]
@@ -87,7 +94,12 @@ fn run(options: &Options) -> Result<bool, Error> {
     // What a drive panics with is told with its schedule.
     std::panic::set_hook(Box::new(|_| {}));
     let (count, outcome) = match &options.replay {
-        Some(text) => (1, replay(text)?),
+        Some(text) => {
+            let mut outcome = Outcome::default();
+            one(read(text)?, options, &mut outcome)?;
+            (1, outcome)
+        }
+        None if options.record.is_some() => (options.count, recorded(options)?),
         None => (options.count, campaign(options)?),
     };
     for (index, failure) in outcome.failures.iter().enumerate() {
@@ -171,7 +183,8 @@ fn campaign(options: &Options) -> Result<Outcome, Trouble> {
     outcome
 }
 
-fn replay(text: &str) -> Result<Outcome, Error> {
+/// The schedule in a file, or in the text itself.
+fn read(text: &str) -> Result<Schedule, Error> {
     let text = if Path::new(text).exists() {
         std::fs::read_to_string(text).map_err(|source| Error::Read {
             path: text.to_owned(),
@@ -180,9 +193,30 @@ fn replay(text: &str) -> Result<Outcome, Error> {
     } else {
         text.to_owned()
     };
-    let schedule: Schedule = text.parse()?;
-    let ending = attempt(&schedule, &mut Untampered)?;
+    Ok(text.parse()?)
+}
+
+fn recorded(options: &Options) -> Result<Outcome, Error> {
     let mut outcome = Outcome::default();
-    outcome.add(schedule, ending);
+    for number in 0..options.count {
+        let seed = options.first_seed.wrapping_add(number);
+        one(
+            Schedule::generate(seed, options.board),
+            options,
+            &mut outcome,
+        )?;
+    }
     Ok(outcome)
+}
+
+fn one(schedule: Schedule, options: &Options, outcome: &mut Outcome) -> Result<(), Error> {
+    let mut recording = Recording::default();
+    let ending = attempt(&schedule, &mut recording)?;
+    if let Some(folder) = &options.record {
+        for path in recording.write(folder, &schedule)? {
+            eprintln!("{}", path.display());
+        }
+    }
+    outcome.add(schedule, ending);
+    Ok(())
 }

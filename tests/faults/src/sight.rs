@@ -112,6 +112,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) board_mode: Option<BoardMode>,
     /// The daemon's tick, if there was one.
     pub(crate) tick: Option<&'a TickRecord>,
+    /// Whether what it decided must follow from what it was told.
+    pub(crate) is_replayed: bool,
     /// What the daemon wrote.
     pub(crate) written: &'a [ToBoard],
     /// Whether the daemon has read bytes of the board.
@@ -190,6 +192,7 @@ pub(crate) mod scene {
                 board_since_us: Some(65_000),
                 board_mode: None,
                 tick: None,
+                is_replayed: true,
                 written: &[],
                 has_read: true,
                 daemon_since_us: Some(0),

@@ -19,6 +19,12 @@ pub trait Tamper {
     fn tick(&mut self, tick: &mut TickRecord) {
         let _ = tick;
     }
+
+    /// Whether what a tick decides must follow from what it was told: not if
+    /// [`Tamper::tick`] stands for a pilot that decides otherwise.
+    fn is_replayed(&self) -> bool {
+        true
+    }
 }
 
 /// Nobody tampers.

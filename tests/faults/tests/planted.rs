@@ -6,7 +6,7 @@
     reason = "a test fails by panicking"
 )]
 
-use singletrack_control::Mode;
+use singletrack_control::{Event, Mode};
 use singletrack_faults::{Tamper, Violation, attempt, schedule::Schedule, shrink};
 use singletrack_protocol::{Arm, Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
@@ -46,10 +46,23 @@ impl<F: FnMut(&mut PulseRecord)> Tamper for Pulses<F> {
     }
 }
 
-/// Changes ticks.
+/// Has the pilot do something else.
 struct Ticks<F>(F);
 
 impl<F: FnMut(&mut TickRecord)> Tamper for Ticks<F> {
+    fn tick(&mut self, tick: &mut TickRecord) {
+        (self.0)(tick);
+    }
+
+    fn is_replayed(&self) -> bool {
+        false
+    }
+}
+
+/// Changes what is recorded of ticks.
+struct Records<F>(F);
+
+impl<F: FnMut(&mut TickRecord)> Tamper for Records<F> {
     fn tick(&mut self, tick: &mut TickRecord) {
         (self.0)(tick);
     }
@@ -326,4 +339,42 @@ fn a_panic_is_a_violation_with_its_message() {
     let found = violation("", from_6_s(|_| panic!("out of cheese")));
     assert_eq!(found.invariant, "panic");
     assert_eq!(found.what, "out of cheese");
+}
+
+#[test]
+fn an_output_that_is_another_bit_than_decided_is_found() {
+    let found = violation(
+        "",
+        Records(|tick: &mut TickRecord| {
+            if tick.index == 700
+                && let Some(estimate) = &mut tick.output.estimate
+            {
+                estimate.yaw = f64::from_bits(estimate.yaw.to_bits() ^ 1);
+            }
+        }),
+    );
+    assert_eq!(found.invariant, "replayed");
+    assert!(
+        found.what.starts_with("tick 700: estimate.yaw_rad"),
+        "{}",
+        found.what
+    );
+}
+
+#[test]
+fn an_input_that_is_another_bit_than_told_is_found() {
+    let mut flipped = false;
+    let found = violation(
+        "",
+        Records(|tick: &mut TickRecord| {
+            for event in tick.events.iter_mut().filter(|_| tick.index >= 700) {
+                if let Event::Pose(pose) = event
+                    && !std::mem::replace(&mut flipped, true)
+                {
+                    pose.position.x = f64::from_bits(pose.position.x.to_bits() ^ 1);
+                }
+            }
+        }),
+    );
+    assert_eq!(found.invariant, "replayed");
 }

@@ -6,6 +6,9 @@ mod cause;
 mod fence;
 mod host;
 mod pulse;
+mod replayed;
+
+use singletrack_control::PilotConfig;
 
 use crate::sight::Sight;
 
@@ -25,8 +28,8 @@ pub(crate) trait Invariant {
 /// pin by then.
 const SERVO_US: u64 = 20_000;
 
-/// Everything that must hold, for one drive.
-pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
+/// Everything that must hold, for one drive with this pilot.
+pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
     vec![
         Box::<pulse::Limits>::default(),
         Box::<pulse::ServoSlew>::default(),
@@ -51,5 +54,6 @@ pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
         Box::<host::ModeAndReason>::default(),
         Box::<host::Finite>::default(),
         Box::<host::NoQueue>::default(),
+        Box::new(replayed::Replayed::new(pilot)),
     ]
 }

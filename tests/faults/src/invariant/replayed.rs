@@ -1,0 +1,49 @@
+//! A record of the drive would be worth something.
+
+use singletrack_control::PilotConfig;
+use singletrack_record::Replay;
+
+use super::{Invariant, Verdict};
+use crate::sight::Sight;
+
+/// `replayed`: a pilot that is told what the ticks say it was told decides the
+/// same, to the bit. With a daemon that is started anew it begins anew.
+pub(super) struct Replayed {
+    config: PilotConfig,
+    replay: Replay,
+}
+
+impl Replayed {
+    pub(super) fn new(config: PilotConfig) -> Self {
+        Self {
+            replay: Replay::new(config.clone()),
+            config,
+        }
+    }
+}
+
+impl Invariant for Replayed {
+    fn name(&self) -> &'static str {
+        "replayed"
+    }
+
+    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+        let Some(tick) = sight.tick.filter(|_| sight.is_replayed) else {
+            return Ok(());
+        };
+        if tick.index == 0 {
+            self.replay = Replay::new(self.config.clone());
+        }
+        let output = self
+            .replay
+            .tick(tick)
+            .map_err(|error| format!("tick {}: {error}", tick.index))?;
+        if tick.is_output(&output) {
+            return Ok(());
+        }
+        Err(match tick.differences(&output).first() {
+            Some(difference) => format!("tick {}: {difference}", tick.index),
+            None => format!("tick {} differs", tick.index),
+        })
+    }
+}
