@@ -47,7 +47,7 @@ pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError
             };
             add(StandardTopic::Rosout, log.time_ns, &message, batch)
         }
-        Entry::Status(_) | Entry::Drops(_) => Ok(()),
+        Entry::Status(_) | Entry::Configuration(_) | Entry::Drops(_) => Ok(()),
     }
 }
 

@@ -59,7 +59,7 @@ impl Diagnostics {
                 self.board = Some((record.telemetry.mode, record.telemetry.stop_cause));
                 return Ok(());
             }
-            Entry::Pose(_) | Entry::Log(_) => return Ok(()),
+            Entry::Pose(_) | Entry::Log(_) | Entry::Configuration(_) => return Ok(()),
         }
         let message = DiagnosticArray {
             header: header(entry.time_ns(), "", batch),
