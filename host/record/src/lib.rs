@@ -13,6 +13,7 @@
 //!
 //! - [`Recorder`] writes, [`RecorderThread`] does so behind bounded rings.
 //! - [`Reader`] reads, unfinished files as well.
+//! - [`recover`] makes a complete file of an unfinished or damaged one.
 //! - [`Entry::write_json`] and [`Entry::values`] show an entry.
 //!
 //! Times in the messages are nanoseconds on the host's monotonic clock. The
@@ -20,6 +21,7 @@
 //! one mapping taken when the record began: setting the clock changes nothing.
 
 mod channel;
+mod container;
 mod encoder;
 mod entry;
 mod error;
@@ -29,6 +31,7 @@ mod message;
 mod meta;
 mod reader;
 mod recorder;
+mod recover;
 mod replay;
 mod standard;
 mod tick;
@@ -36,6 +39,7 @@ mod topic;
 mod value;
 
 pub use channel::Channel;
+pub use container::part_path;
 pub use encoder::{EncodeError, Encoder, Publication};
 pub use entry::{ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
 pub use error::RecordError;
@@ -43,7 +47,8 @@ pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use json::{NotAnEntry, Shown, json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};
 pub use reader::{Ending, Reader};
-pub use recorder::{Finished, Recorder, part_path};
+pub use recorder::{Finished, Recorder};
+pub use recover::{Recovery, recover};
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};

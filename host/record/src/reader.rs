@@ -18,8 +18,8 @@ use mcap::{
 
 use crate::{
     Entry, Meta, RecordError, Topic,
+    container::PROFILE,
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
-    recorder::PROFILE,
 };
 
 /// No part of a record is longer than this: a length beyond it is damage, and

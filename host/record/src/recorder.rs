@@ -2,21 +2,13 @@
 
 use std::{
     collections::BTreeMap,
-    ffi::OsString,
-    fs::{self, File},
-    io::{self, BufWriter, Write},
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
-use mcap::{Compression, WriteOptions, Writer, records::MessageHeader};
+use mcap::records::MessageHeader;
 
-use crate::{Channel, Encoder, Entry, Meta, RecordError};
-
-/// The profile that tells readers to expect ROS 2 messages.
-pub(crate) const PROFILE: &str = "ros2";
-/// Who wrote the file. Readers of records look for the first word.
-pub(crate) const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
+use crate::{Channel, Encoder, Entry, Meta, RecordError, container::Container, part_path};
 
 /// No more than this is lost when the process is killed.
 const FLUSH_PERIOD: Duration = Duration::from_secs(1);
@@ -25,16 +17,12 @@ const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 ///
 /// While it does, the file is called `NAME.mcap.part`; [`Recorder::finish`] gives
 /// it its name. A recorder that is dropped or killed leaves the `.part`, which
-/// [`crate::Reader`] reads as far as it goes.
+/// [`crate::Reader`] reads as far as it goes, and [`crate::recover`] completes.
 ///
 /// Every second it flushes and syncs, which may take as long as the disk likes:
 /// it belongs on a thread of its own, such as a [`crate::RecorderThread`].
 pub struct Recorder {
-    path: PathBuf,
-    part: PathBuf,
-    writer: Writer<BufWriter<File>>,
-    /// Another handle of the same file, to sync it.
-    file: File,
+    container: Container,
     encoder: Encoder,
     channels: [WrittenChannel; Channel::COUNT],
     flushed: Instant,
@@ -58,14 +46,6 @@ pub struct Finished {
     pub bytes: u64,
 }
 
-/// What the file at `path` is called until it is finished.
-#[must_use]
-pub fn part_path(path: &Path) -> PathBuf {
-    let mut name = OsString::from(path);
-    name.push(".part");
-    PathBuf::from(name)
-}
-
 impl Recorder {
     /// Starts the record that will be at `path`.
     ///
@@ -73,55 +53,28 @@ impl Recorder {
     ///
     /// When it or its unfinished file exists, or the file cannot be written.
     pub fn create(path: &Path, meta: &Meta) -> Result<Self, RecordError> {
-        let part = part_path(path);
-        if path.exists() {
-            return Err(RecordError::Exists(path.to_owned()));
-        }
-        let file = match File::create_new(&part) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                return Err(RecordError::Exists(part));
-            }
-            result => result.map_err(failure("create", &part))?,
-        };
-        let handle = file.try_clone().map_err(failure("open", &part))?;
-        let written = write_failure(&part);
-        let mut writer = WriteOptions::new()
-            .profile(PROFILE)
-            .library(LIBRARY)
-            .compression(Some(Compression::Zstd))
-            // The thread pool costs milliseconds a chunk.
-            .compression_threads(0)
-            // Otherwise an open chunk makes the whole file unreadable.
-            .disable_seeking(true)
-            .create(BufWriter::new(file))
-            .map_err(&written)?;
-        writer
-            .write_metadata(&meta.to_metadata())
-            .map_err(&written)?;
-        writer.attach(&meta.to_attachment()).map_err(&written)?;
+        let mut container = Container::create(path, part_path(path))?;
         let mut channels = [WrittenChannel::default(); Channel::COUNT];
-        for (channel, written_channel) in Channel::all().zip(&mut channels) {
-            let schema = writer
-                .add_schema(
+        container.write(|writer| {
+            writer.write_metadata(&meta.to_metadata())?;
+            writer.attach(&meta.to_attachment())?;
+            for (channel, written) in Channel::all().zip(&mut channels) {
+                let schema = writer.add_schema(
                     &channel.schema_name(),
                     Channel::SCHEMA_ENCODING,
                     channel.schema_text().as_bytes(),
-                )
-                .map_err(&written)?;
-            written_channel.id = writer
-                .add_channel(
+                )?;
+                written.id = writer.add_channel(
                     schema,
                     channel.topic(),
                     Channel::MESSAGE_ENCODING,
                     &BTreeMap::new(),
-                )
-                .map_err(&written)?;
-        }
+                )?;
+            }
+            Ok(())
+        })?;
         let mut recorder = Self {
-            path: path.to_owned(),
-            part,
-            writer,
-            file: handle,
+            container,
             encoder: Encoder::new(meta.start),
             channels,
             flushed: Instant::now(),
@@ -134,7 +87,7 @@ impl Recorder {
     /// Where the finished record will be.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.path
+        self.container.path()
     }
 
     /// Adds an entry, and flushes if the last flush is a second ago.
@@ -147,7 +100,7 @@ impl Recorder {
             .encoder
             .encode(entry)
             .map_err(|source| RecordError::Encode {
-                path: self.part.clone(),
+                path: self.container.part().to_owned(),
                 source,
             })?;
         for publication in publications {
@@ -161,9 +114,8 @@ impl Recorder {
                 publish_time: publication.publish_time_ns,
             };
             channel.sequence = channel.sequence.wrapping_add(1);
-            self.writer
-                .write_to_known_channel(&header, publication.bytes)
-                .map_err(write_failure(&self.part))?;
+            self.container
+                .write(|writer| writer.write_to_known_channel(&header, publication.bytes))?;
         }
         self.entries += 1;
         if self.flushed.elapsed() >= FLUSH_PERIOD {
@@ -179,8 +131,7 @@ impl Recorder {
     /// When the file cannot be written.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.flushed = Instant::now();
-        self.writer.flush().map_err(write_failure(&self.part))?;
-        self.file.sync_data().map_err(failure("sync", &self.part))
+        self.container.flush()
     }
 
     /// Completes the file and gives it its name.
@@ -189,46 +140,12 @@ impl Recorder {
     ///
     /// When that fails; the unfinished file then stays.
     pub fn finish(self) -> Result<Finished, RecordError> {
-        let Self {
-            path,
-            part,
-            mut writer,
-            file,
-            entries,
-            ..
-        } = self;
-        writer.finish().map_err(write_failure(&part))?;
-        writer
-            .into_inner()
-            .flush()
-            .map_err(failure("write", &part))?;
-        file.sync_all().map_err(failure("sync", &part))?;
-        let bytes = file.metadata().map_err(failure("look at", &part))?.len();
-        if path.exists() {
-            return Err(RecordError::Exists(path));
-        }
-        fs::rename(&part, &path).map_err(failure("rename", &part))?;
+        let path = self.container.path().to_owned();
+        let bytes = self.container.finish()?;
         Ok(Finished {
             path,
-            entries,
+            entries: self.entries,
             bytes,
         })
-    }
-}
-
-fn failure(action: &'static str, path: &Path) -> impl Fn(io::Error) -> RecordError + use<> {
-    let path = path.to_owned();
-    move |source| RecordError::Io {
-        action,
-        path: path.clone(),
-        source,
-    }
-}
-
-fn write_failure(path: &Path) -> impl Fn(mcap::McapError) -> RecordError + use<> {
-    let path = path.to_owned();
-    move |source| RecordError::Write {
-        path: path.clone(),
-        source: Box::new(source),
     }
 }

@@ -1,0 +1,144 @@
+//! The MCAP file of a record while it is written: under another name until it
+//! is complete, and never over another one.
+
+use std::{
+    ffi::OsString,
+    fs::{self, File},
+    io::{self, BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+use mcap::{Compression, McapError, WriteOptions, Writer};
+
+use crate::RecordError;
+
+/// The profile that tells readers to expect ROS 2 messages.
+pub(crate) const PROFILE: &str = "ros2";
+/// What the library in the header of our files begins with.
+pub(crate) const LIBRARY_NAME: &str = "singletrack";
+/// Who wrote the file.
+const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
+
+/// What the file at `path` is called until it is finished.
+#[must_use]
+pub fn part_path(path: &Path) -> PathBuf {
+    with_suffix(path, ".part")
+}
+
+/// A path with something after its name.
+pub(crate) fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+/// A file that is being written.
+pub(crate) struct Container {
+    path: PathBuf,
+    part: PathBuf,
+    writer: Writer<BufWriter<File>>,
+    /// Another handle of the same file, to sync it.
+    file: File,
+}
+
+impl Container {
+    /// Starts the file that will be at `path`, as `part`.
+    pub(crate) fn create(path: &Path, part: PathBuf) -> Result<Self, RecordError> {
+        if path.exists() {
+            return Err(RecordError::Exists(path.to_owned()));
+        }
+        let file = match File::create_new(&part) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                return Err(RecordError::Exists(part));
+            }
+            result => result.map_err(failure("create", &part))?,
+        };
+        let handle = file.try_clone().map_err(failure("open", &part))?;
+        let writer = WriteOptions::new()
+            .profile(PROFILE)
+            .library(LIBRARY)
+            .compression(Some(Compression::Zstd))
+            // The thread pool costs milliseconds a chunk.
+            .compression_threads(0)
+            // Otherwise an open chunk makes the whole file unreadable.
+            .disable_seeking(true)
+            .create(BufWriter::new(file))
+            .map_err(|source| RecordError::Write {
+                path: part.clone(),
+                source: Box::new(source),
+            })?;
+        Ok(Self {
+            path: path.to_owned(),
+            part,
+            writer,
+            file: handle,
+        })
+    }
+
+    /// Where the finished file will be.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where it is meanwhile.
+    pub(crate) fn part(&self) -> &Path {
+        &self.part
+    }
+
+    /// Writes something.
+    pub(crate) fn write<T>(
+        &mut self,
+        write: impl FnOnce(&mut Writer<BufWriter<File>>) -> Result<T, McapError>,
+    ) -> Result<T, RecordError> {
+        write(&mut self.writer).map_err(|source| RecordError::Write {
+            path: self.part.clone(),
+            source: Box::new(source),
+        })
+    }
+
+    /// Makes everything so far survive the end of the process and of the power.
+    pub(crate) fn flush(&mut self) -> Result<(), RecordError> {
+        self.write(Writer::flush)?;
+        self.file.sync_data().map_err(failure("sync", &self.part))
+    }
+
+    /// Completes the file and gives it its name; tells its size.
+    pub(crate) fn finish(mut self) -> Result<u64, RecordError> {
+        self.write(Writer::finish)?;
+        let Self {
+            path,
+            part,
+            writer,
+            file,
+        } = self;
+        writer
+            .into_inner()
+            .flush()
+            .map_err(failure("write", &part))?;
+        file.sync_all().map_err(failure("sync", &part))?;
+        let bytes = file.metadata().map_err(failure("look at", &part))?.len();
+        if path.exists() {
+            return Err(RecordError::Exists(path));
+        }
+        fs::rename(&part, &path).map_err(failure("rename", &part))?;
+        Ok(bytes)
+    }
+
+    /// Removes the file again.
+    pub(crate) fn discard(self) -> Result<(), RecordError> {
+        fs::remove_file(&self.part).map_err(failure("remove", &self.part))
+    }
+}
+
+/// Names the file in what the system says.
+pub(crate) fn failure(
+    action: &'static str,
+    path: &Path,
+) -> impl Fn(io::Error) -> RecordError + use<> {
+    let path = path.to_owned();
+    move |source| RecordError::Io {
+        action,
+        path: path.clone(),
+        source,
+    }
+}

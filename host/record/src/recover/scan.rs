@@ -1,0 +1,148 @@
+//! Walking through an MCAP file that may be cut or damaged anywhere.
+
+use std::{
+    fs::File,
+    io::{self, BufReader, Read, Seek, SeekFrom},
+    ops::RangeInclusive,
+};
+
+use mcap::records::op;
+
+/// Opcode and length of a record.
+const HEAD_LENGTH: u64 = 1 + 8;
+/// What MCAP gives a meaning to. Zero is none: what a file has where nothing was
+/// written.
+const OPCODES: RangeInclusive<u8> = op::HEADER..=op::DATA_END;
+/// No record of ours is longer: a length beyond is damage, and must not be allocated.
+pub(super) const MAX_LENGTH: usize = 16 << 20;
+/// In a chunk compressed with zstd, from its beginning: head, two times, size
+/// and checksum, and then the name of the compression.
+const NAME_OFFSET: u64 = HEAD_LENGTH + 8 + 8 + 8 + 4;
+/// That name, with its length.
+const NAME: [u8; 8] = *b"\x04\0\0\0zstd";
+
+/// The records of a file, one after the other.
+pub(super) struct Scan {
+    file: BufReader<File>,
+    /// Where the next record begins.
+    at: u64,
+    /// Length of the file when it was opened: it may still be growing.
+    length: u64,
+    content: Vec<u8>,
+}
+
+/// What is where a record could begin.
+pub(super) enum Found<'a> {
+    Record {
+        opcode: u8,
+        content: &'a [u8],
+    },
+    /// Something that is not a whole record.
+    Nothing,
+    /// The end of the file.
+    End,
+}
+
+impl Scan {
+    /// The file is at its beginning; its magic is passed over if it is there.
+    pub(super) fn new(file: File) -> io::Result<Self> {
+        let length = file.metadata()?.len();
+        Ok(Self {
+            file: BufReader::with_capacity(64 << 10, file),
+            at: 0,
+            length,
+            content: Vec::new(),
+        })
+    }
+
+    /// How far it is.
+    pub(super) const fn at(&self) -> u64 {
+        self.at
+    }
+
+    /// How long the file is.
+    pub(super) const fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Passes over the magic; false if the file begins otherwise.
+    pub(super) fn magic(&mut self) -> io::Result<bool> {
+        let mut magic = [0; mcap::MAGIC.len()];
+        if self.length < magic.len() as u64 {
+            return Ok(false);
+        }
+        self.file.read_exact(&mut magic)?;
+        self.at = magic.len() as u64;
+        Ok(magic == *mcap::MAGIC)
+    }
+
+    /// The next record. After [`Found::Nothing`], nothing follows without a
+    /// [`Scan::resume`].
+    pub(super) fn next(&mut self) -> io::Result<Found<'_>> {
+        if self.at >= self.length {
+            return Ok(Found::End);
+        }
+        let Some((opcode, length)) = self.head()? else {
+            return Ok(Found::Nothing);
+        };
+        self.content.resize(usize::try_from(length).unwrap_or(0), 0);
+        self.file.read_exact(&mut self.content)?;
+        self.at += HEAD_LENGTH + length;
+        Ok(Found::Record {
+            opcode,
+            content: &self.content,
+        })
+    }
+
+    /// Reads opcode and length of the record that begins here; none if none does.
+    fn head(&mut self) -> io::Result<Option<(u8, u64)>> {
+        let rest = self.length.saturating_sub(self.at);
+        if rest < HEAD_LENGTH {
+            return Ok(None);
+        }
+        let mut opcode = [0; 1];
+        let mut length = [0; 8];
+        self.file.read_exact(&mut opcode)?;
+        self.file.read_exact(&mut length)?;
+        let ([opcode], length) = (opcode, u64::from_le_bytes(length));
+        let whole = OPCODES.contains(&opcode)
+            && length <= MAX_LENGTH as u64
+            && length <= rest.saturating_sub(HEAD_LENGTH);
+        Ok(whole.then_some((opcode, length)))
+    }
+
+    /// Goes on after something damaged that began at `from`: with the next
+    /// record, or else with the next chunk, or else at the end of the file.
+    pub(super) fn resume(&mut self, from: u64) -> io::Result<()> {
+        // Of what was read whole, only the content is damaged.
+        if self.at > from {
+            let next = self.head()?.is_some() || self.at >= self.length;
+            self.file.seek(SeekFrom::Start(self.at))?;
+            if next {
+                return Ok(());
+            }
+        }
+        // The chunk's own head is searched for by the name in it.
+        self.file
+            .seek(SeekFrom::Start((from + 1 + NAME_OFFSET).min(self.length)))?;
+        let mut window = [0; NAME.len()];
+        let mut end = from + 1 + NAME_OFFSET;
+        let mut byte = [0];
+        while end < self.length {
+            self.file.read_exact(&mut byte)?;
+            end += 1;
+            window.rotate_left(1);
+            if let Some(last) = window.last_mut() {
+                [*last] = byte;
+            }
+            let start = (end - NAME_OFFSET).saturating_sub(NAME.len() as u64);
+            if window == NAME && start > from {
+                self.at = start;
+                self.file.seek(SeekFrom::Start(start))?;
+                return Ok(());
+            }
+        }
+        self.at = self.length;
+        Ok(())
+    }
+}

@@ -1,0 +1,297 @@
+//! A record that was cut or damaged gives a complete one with all that is whole.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
+mod common;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::LazyLock,
+};
+
+use proptest::prelude::*;
+use singletrack_record::{
+    Ending, Entry, Reader, RecordError, Recorder, Recovery, part_path, recover,
+};
+use tempfile::TempDir;
+
+const FLUSHES: u64 = 4;
+const ENTRIES_A_FLUSH: u64 = 10;
+
+/// The bytes of a record as a killed process leaves it, and their length after
+/// each flush.
+fn unfinished() -> (Vec<u8>, Vec<usize>) {
+    static UNFINISHED: LazyLock<(Vec<u8>, Vec<usize>)> = LazyLock::new(write_unfinished);
+    UNFINISHED.clone()
+}
+
+fn write_unfinished() -> (Vec<u8>, Vec<usize>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let mut recorder = Recorder::create(&path, &common::meta()).unwrap();
+    let length = || fs::metadata(part_path(&path)).unwrap().len() as usize;
+    let mut lengths = Vec::new();
+    for entry in 0..FLUSHES * ENTRIES_A_FLUSH {
+        recorder.write(&common::log(entry)).unwrap();
+        if (entry + 1) % ENTRIES_A_FLUSH == 0 {
+            recorder.flush().unwrap();
+            lengths.push(length());
+        }
+    }
+    (fs::read(part_path(&path)).unwrap(), lengths)
+}
+
+fn logs(flushes: impl IntoIterator<Item = u64>) -> Vec<Entry> {
+    flushes
+        .into_iter()
+        .flat_map(|flush| flush * ENTRIES_A_FLUSH..(flush + 1) * ENTRIES_A_FLUSH)
+        .map(common::log)
+        .collect()
+}
+
+/// A folder with a record to recover.
+struct Case {
+    folder: TempDir,
+}
+
+impl Case {
+    fn new() -> Self {
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+        }
+    }
+
+    fn input(&self) -> PathBuf {
+        self.folder.path().join("drive.mcap.part")
+    }
+
+    fn output(&self) -> PathBuf {
+        self.folder.path().join("drive.mcap")
+    }
+
+    /// Recovers these bytes. What comes out reads to a proper end.
+    fn recover(&self, bytes: &[u8]) -> Result<(Recovery, Vec<Entry>), RecordError> {
+        fs::write(self.input(), bytes).unwrap();
+        let result = recover(&self.input(), &self.output(), |_, _| {});
+        assert_eq!(fs::read(self.input()).unwrap(), bytes, "the old one stays");
+        match result {
+            Ok(recovery) => {
+                let entries = read_to_its_end(&self.output());
+                assert_eq!(recovery.entries, entries.len() as u64);
+                fs::remove_file(self.output()).unwrap();
+                Ok((recovery, entries))
+            }
+            Err(error) => {
+                let left = fs::read_dir(self.folder.path()).unwrap().count();
+                assert_eq!(left, 1, "nothing but the old one");
+                Err(error)
+            }
+        }
+    }
+}
+
+fn read_to_its_end(path: &Path) -> Vec<Entry> {
+    let mut reader = Reader::open(path).unwrap();
+    let entries = reader.by_ref().map(Result::unwrap).collect();
+    assert_eq!(reader.ending(), Some(Ending::Finished));
+    entries
+}
+
+#[test]
+fn a_killed_record_becomes_a_complete_one_with_an_index() {
+    let case = Case::new();
+    let (bytes, _) = unfinished();
+    fs::write(case.input(), &bytes).unwrap();
+    let mut told = Vec::new();
+    let recovery = recover(&case.input(), &case.output(), |done, of| {
+        told.push((done, of));
+    })
+    .unwrap();
+    assert!(told.is_sorted());
+    assert_eq!(told.last(), Some(&(bytes.len() as u64, bytes.len() as u64)));
+
+    assert_eq!(recovery.entries, 40);
+    // Each line of the log is there for other tools as well.
+    assert_eq!(recovery.messages, 80);
+    let start = common::meta().start;
+    let span = (start.wall_ns_at(0), start.wall_ns_at(39));
+    assert_eq!(recovery.span_ns, Some(span));
+    assert!(!recovery.complete && recovery.cut_bytes == 0 && recovery.damaged_places == 0);
+    assert!(
+        recovery.to_string().contains("saved 40 entries"),
+        "{recovery}"
+    );
+
+    let reader = Reader::open(&case.output()).unwrap();
+    assert_eq!(reader.meta(), &common::meta());
+    assert_eq!(read_to_its_end(&case.output()), logs(0..FLUSHES));
+    let written = fs::read(case.output()).unwrap();
+    assert_eq!(recovery.bytes, written.len() as u64);
+    let summary = mcap::Summary::read(&written).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 80);
+    assert!(!summary.chunk_indexes.is_empty());
+    // Its own metadata and what it lost.
+    assert_eq!(summary.metadata_indexes.len(), 2);
+}
+
+#[test]
+fn a_record_cut_anywhere_gives_at_least_what_its_whole_chunks_hold() {
+    let (bytes, lengths) = unfinished();
+    let case = Case::new();
+    // Every place near the end of a chunk, and one in 17 elsewhere.
+    let near = |cut: usize| lengths.iter().any(|length| length.abs_diff(cut) <= 12);
+    for cut in (0..=bytes.len()).filter(|cut| cut % 17 == 0 || *cut < 12 || near(*cut)) {
+        let whole = lengths.iter().filter(|length| **length <= cut).count() as u64;
+        match case.recover(&bytes[..cut]) {
+            Ok((recovery, entries)) => {
+                assert!(entries.len() as u64 >= whole * ENTRIES_A_FLUSH, "at {cut}");
+                assert_eq!(entries, logs(0..FLUSHES)[..entries.len()], "at {cut}");
+                assert!(!recovery.complete && recovery.damaged_places == 0);
+                assert!(recovery.cut_bytes < cut as u64);
+            }
+            Err(error) => {
+                assert!(
+                    matches!(error, RecordError::Empty { bytes, .. } if bytes == cut as u64),
+                    "at {cut}: {error}"
+                );
+                assert_eq!(whole, 0, "at {cut}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_finished_record_is_taken_over_as_it_is() {
+    let case = Case::new();
+    let path = case.folder.path().join("other.mcap");
+    common::record(&path, &logs(0..2));
+    let bytes = fs::read(&path).unwrap();
+    fs::remove_file(&path).unwrap();
+    let (recovery, entries) = case.recover(&bytes).unwrap();
+    assert!(recovery.nothing_lost());
+    assert!(recovery.to_string().ends_with("lost nothing"));
+    assert_eq!(entries, logs(0..2));
+    // Without its index it has the same entries.
+    let (_, entries) = case.recover(&bytes[..bytes.len() - 100]).unwrap();
+    assert_eq!(entries, logs(0..2));
+}
+
+#[test]
+fn what_was_never_written_at_the_end_costs_nothing_before_it() {
+    let (bytes, lengths) = unfinished();
+    let case = Case::new();
+    let cut = &bytes[..lengths[1] + 40];
+    for tail in [vec![0; 5_000], (0..5_000).map(|byte| byte as u8).collect()] {
+        let (recovery, entries) = case.recover(&[cut, &tail].concat()).unwrap();
+        assert_eq!(entries, logs(0..2));
+        assert_eq!(recovery.cut_bytes, 5_040);
+        assert_eq!(recovery.damaged_places, 0);
+        assert!(recovery.to_string().contains("5040 bytes are not whole"));
+    }
+}
+
+#[test]
+fn a_damaged_chunk_costs_itself_alone() {
+    let (bytes, lengths) = unfinished();
+    let case = Case::new();
+    let mut flipped = bytes.clone();
+    flipped[lengths[0] + 90] ^= 1;
+    let (recovery, entries) = case.recover(&flipped).unwrap();
+    assert_eq!(entries, logs([0, 2, 3]));
+    assert_eq!(recovery.damaged_places, 1);
+    assert!(recovery.damaged_bytes > 0);
+    assert!(recovery.to_string().contains("1 damaged places"));
+
+    // A hole that takes the head and the length with it.
+    let mut hole = bytes.clone();
+    hole[lengths[0] - 20..lengths[0] + 50].fill(0);
+    let (recovery, entries) = case.recover(&hole).unwrap();
+    assert_eq!(entries, logs([0, 2, 3]));
+    assert_eq!(recovery.damaged_places, 1);
+
+    // A length that reaches into what comes after: the chunk itself is whole.
+    let mut longer = bytes;
+    longer[lengths[0] + 2] += 1;
+    let (recovery, entries) = case.recover(&longer).unwrap();
+    assert_eq!(entries, logs(0..FLUSHES));
+    assert!(recovery.damaged_places <= 1);
+}
+
+#[test]
+fn what_holds_no_record_is_refused_in_words_and_leaves_no_file() {
+    let case = Case::new();
+    let empty = case.recover(b"").unwrap_err().to_string();
+    assert!(empty.contains("ends after 0 bytes"), "{empty}");
+    let text = case.recover(b"some notes of mine").unwrap_err();
+    assert!(matches!(text, RecordError::NotMcap(_)), "{text}");
+    let zeros = case.recover(&[0; 4_096]).unwrap_err();
+    assert!(matches!(zeros, RecordError::NotMcap(_)), "{zeros}");
+
+    let mut foreign = Vec::new();
+    let mut writer = mcap::WriteOptions::new()
+        .profile("ros2")
+        .library("rosbag2")
+        .create(std::io::Cursor::new(&mut foreign))
+        .unwrap();
+    writer.finish().unwrap();
+    drop(writer);
+    let foreign = case.recover(&foreign).unwrap_err().to_string();
+    assert!(foreign.contains("of \"rosbag2\""), "{foreign}");
+
+    let gone = case.folder.path().join("gone.mcap.part");
+    let gone = recover(&gone, &case.output(), |_, _| {}).unwrap_err();
+    assert!(gone.to_string().contains("gone.mcap.part"), "{gone}");
+}
+
+#[test]
+fn no_file_is_overwritten() {
+    let case = Case::new();
+    fs::write(case.input(), unfinished().0).unwrap();
+    fs::write(case.output(), "mine").unwrap();
+    let error = recover(&case.input(), &case.output(), |_, _| {}).unwrap_err();
+    assert!(matches!(error, RecordError::Exists(_)), "{error}");
+    assert_eq!(fs::read(case.output()).unwrap(), b"mine");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(128))]
+
+    #[test]
+    fn flipped_bits_never_panic_and_never_invent_an_entry(
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 0..8_u8), 1..6),
+    ) {
+        let (mut bytes, _) = unfinished();
+        for (at, bit) in flips {
+            let at = at.index(bytes.len());
+            bytes[at] ^= 1 << bit;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let (input, output) = (folder.path().join("a.part"), folder.path().join("b"));
+        fs::write(&input, bytes).unwrap();
+        if recover(&input, &output, |_, _| {}).is_ok()
+            // What it says of itself may be what is damaged.
+            && let Ok(reader) = Reader::open(&output)
+        {
+            let whole = logs(0..FLUSHES);
+            for entry in reader {
+                prop_assert!(whole.contains(&entry.unwrap()));
+            }
+        }
+    }
+
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, output) = (folder.path().join("a.part"), folder.path().join("b"));
+        let head = &unfinished().0[..40];
+        fs::write(&input, [head, &bytes].concat()).unwrap();
+        let refused = recover(&input, &output, |_, _| {}).is_err();
+        prop_assert!(refused);
+    }
+}

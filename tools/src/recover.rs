@@ -1,0 +1,91 @@
+//! `singletrack recover`: a complete record of an unfinished or damaged one.
+
+use std::{
+    io::{self, Write},
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_record::{RecordError, Recovery};
+
+/// Options of `singletrack recover`.
+#[derive(Args)]
+pub struct RecoverArgs {
+    /// The record, such as NAME.mcap.part. It stays as it is.
+    record: PathBuf,
+    /// Where the new one goes: NAME.mcap unless told, or NAME.recovered.mcap for a
+    /// record that has that name.
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// Nothing was recovered, or it could not be told.
+#[derive(Debug, thiserror::Error)]
+pub enum RecoverError {
+    /// The record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The output cannot be written.
+    #[error("cannot write to standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// When the record cannot be read, holds nothing, or the new one cannot be
+/// written.
+pub fn run(args: &RecoverArgs) -> Result<(), RecoverError> {
+    let output = match &args.output {
+        Some(output) => output.clone(),
+        None => default_output(&args.record),
+    };
+    let recovery = recover(&args.record, &output)?;
+    let told = writeln!(io::stdout(), "{}: {recovery}", output.display());
+    match told {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => Ok(result?),
+    }
+}
+
+fn recover(record: &Path, output: &Path) -> Result<Recovery, RecordError> {
+    // Hidden when standard error is no terminal.
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {bytes} read") {
+        bar.set_style(style);
+    }
+    let result = singletrack_record::recover(record, output, |done, of| {
+        bar.set_length(of);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    result
+}
+
+/// The name that the record would have got, had it been finished.
+fn default_output(record: &Path) -> PathBuf {
+    match record.extension() {
+        Some(extension) if extension == "part" => record.with_extension(""),
+        _ => record.with_extension("recovered.mcap"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recovered_record_gets_the_name_it_was_meant_to_have() {
+        let name = |record: &str| default_output(Path::new(record));
+        assert_eq!(
+            name("a/drive.mcap.part"),
+            Path::new("a/drive.mcap").to_owned()
+        );
+        assert_eq!(
+            name("a/drive.mcap"),
+            Path::new("a/drive.recovered.mcap").to_owned()
+        );
+    }
+}
