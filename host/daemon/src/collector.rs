@@ -15,7 +15,7 @@ use rtrb::Consumer;
 use singletrack_control::{Mode, Reason};
 use singletrack_link::Event as LinkEvent;
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::{Entry, FeedInput, Level, Log, TickRecord, Topic};
+use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput, Topic};
 use tokio::sync::broadcast;
 
 use crate::{
@@ -70,7 +70,7 @@ impl Board {
 
 /// Everything on the collector's thread.
 pub(crate) struct Collector {
-    pub(crate) ticks: Consumer<TickRecord>,
+    pub(crate) ticks: TickOutput,
     pub(crate) reports: Consumer<Report>,
     pub(crate) mocap: Consumer<MocapReport>,
     /// For the record alone; what of it is to be logged has been.
@@ -121,7 +121,7 @@ impl Collector {
                 MocapReport::Counters(counters) => self.board.latest().tally.mocap(&counters),
             }
         }
-        while let Ok(tick) = self.ticks.pop() {
+        while let Some(tick) = self.ticks.pop() {
             self.mode(tick.start_ns, tick.output.mode, tick.output.reason);
             {
                 let mut latest = self.board.latest();

@@ -7,7 +7,7 @@ use singletrack_control::{Mode, RealTimeState, Request, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::Observation;
 use singletrack_protocol::BoardMode;
-use singletrack_record::{DriveWrite, TickRecord};
+use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
 use crate::{
     alignment::Alignment,
@@ -61,7 +61,7 @@ pub struct Rings<L> {
     /// Configurations on their way back to who made them.
     pub reconfigured: Producer<Box<Reconfiguration>>,
     /// Every tick.
-    pub ticks: Producer<TickRecord>,
+    pub ticks: TickInput,
     /// Everything else.
     pub reports: Producer<Report>,
 }
@@ -248,7 +248,7 @@ impl<L: Line> ControlLoop<L> {
             drive,
             link: link_phase(&controller.session().state()),
         };
-        dropped += u64::from(rings.ticks.push(record).is_err());
+        dropped += u64::from(!rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
         let is_driving = self.is_driving();
         self.slide_ns = self

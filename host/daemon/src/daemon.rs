@@ -17,7 +17,7 @@ use rtrb::RingBuffer;
 use singletrack_control::{Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
-use singletrack_record::RecorderThread;
+use singletrack_record::{RecorderThread, tick_feed};
 use tracing::{error, info, warn};
 
 use crate::{
@@ -212,7 +212,7 @@ impl Daemon {
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
         let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
-        let (ticks, ticks_out) = RingBuffer::new(TICKS);
+        let (ticks, ticks_out) = tick_feed(TICKS);
         let (reports, reports_out) = RingBuffer::new(REPORTS);
         let (mocap_reports, mocap_out) = RingBuffer::new(REPORTS);
 

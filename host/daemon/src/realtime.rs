@@ -82,7 +82,6 @@ pub fn lock_memory() -> Result<(), String> {
 /// to: its stack and the room of these rings. If memory is locked, it is already.
 pub fn touch_memory<L>(rings: &mut Rings<L>) {
     system::touch_stack::<STACK>();
-    system::touch_room(&mut rings.ticks);
     system::touch_room(&mut rings.reports);
     system::touch_room(&mut rings.returned);
     system::touch_room(&mut rings.reconfigured);

@@ -35,6 +35,7 @@ mod recover;
 mod replay;
 mod standard;
 mod tick;
+mod tick_feed;
 mod topic;
 mod value;
 
@@ -52,5 +53,6 @@ pub use recover::{Recovery, recover};
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
+pub use tick_feed::{TickInput, TickOutput, tick_feed};
 pub use topic::{Topic, UnknownTopic};
 pub use value::Value;

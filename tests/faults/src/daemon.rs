@@ -10,7 +10,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use singletrack_control::{Pilot, RealTimeState, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
-use singletrack_record::TickRecord;
+use singletrack_record::{TickOutput, TickRecord, tick_feed};
 use singletrackd::{
     Report,
     config::Config,
@@ -47,7 +47,7 @@ pub(crate) struct Daemon {
     returned: Consumer<WriteHalf>,
     observations: Producer<Observation>,
     requests: Producer<ControlRequest>,
-    ticks: Consumer<TickRecord>,
+    ticks: TickOutput,
     reports: Consumer<Report>,
     cameras: MocapSession,
     is_stale: bool,
@@ -85,7 +85,7 @@ impl Daemon {
         let (_, setpoints) = setpoint_slot();
         let (reconfigured, _) = RingBuffer::new(1);
         // They are fetched after every tick.
-        let (ticks_in, ticks) = RingBuffer::new(2);
+        let (ticks_in, ticks) = tick_feed(2);
         let (reports_in, reports) = RingBuffer::new(256);
         let period_ns = u64::from(config.control.period_ms) * 1_000_000;
         let mut control = ControlLoop::new(
@@ -218,6 +218,6 @@ impl Daemon {
             (scheduled_ns + self.period_ns).saturating_add_signed(self.control.slide_ns());
         while self.returned.pop().is_ok() {}
         while self.reports.pop().is_ok() {}
-        self.ticks.pop().ok()
+        self.ticks.pop()
     }
 }

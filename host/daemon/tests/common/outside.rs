@@ -10,7 +10,7 @@ use singletrack_control::{Mode, Pilot, RealTimeState};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, Session as MocapSession};
 use singletrack_protocol::BoardMode;
-use singletrack_record::TickRecord;
+use singletrack_record::{TickOutput, tick_feed};
 use singletrack_sim::{Destination, SimulationConfig, World};
 use singletrackd::{
     Config, Report,
@@ -44,7 +44,7 @@ pub(crate) struct Outside {
     pub(crate) serial: Producer<SerialEvent<RingLine>>,
     pub(crate) observations: Producer<Observation>,
     line: Consumer<u8>,
-    pub(crate) ticks: Consumer<TickRecord>,
+    pub(crate) ticks: TickOutput,
     pub(crate) reports: Consumer<Report>,
     pub(crate) requests: Producer<ControlRequest>,
     pub(crate) setpoints: SetpointSender,
@@ -128,7 +128,7 @@ impl Outside {
         let sent = self.sent();
         self.world.host_write(&sent);
         while self.reports.pop().is_ok() {}
-        self.ticks.pop().ok().map(|tick| tick.output.mode)
+        self.ticks.pop().map(|tick| tick.output.mode)
     }
 }
 
@@ -150,7 +150,7 @@ pub(crate) fn set_up() -> (ControlLoop<RingLine>, Outside) {
     let (requests_in, requests) = RingBuffer::new(4);
     let (setpoints_in, setpoints) = setpoint_slot();
     let (reconfigured, reconfigured_out) = RingBuffer::new(2);
-    let (ticks_in, ticks) = RingBuffer::new(4);
+    let (ticks_in, ticks) = tick_feed(4);
     let (reports_in, reports) = RingBuffer::new(64);
     serial_in
         .push(SerialEvent::Opened(RingLine(line_in)))
