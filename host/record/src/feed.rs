@@ -150,6 +150,7 @@ fn run(
             return recorder.finish();
         }
         if idle {
+            recorder.flush_if_due()?;
             thread::sleep(IDLE);
         }
     }

@@ -10,8 +10,9 @@ use mcap::records::MessageHeader;
 
 use crate::{Channel, Encoder, Entry, Meta, RecordError, container::Container, part_path};
 
-/// No more than this is lost when the process is killed.
-const FLUSH_PERIOD: Duration = Duration::from_secs(1);
+/// When the process is killed, what came since the last flush is lost. Half of
+/// the second that is promised: the other half is for a slow disk.
+const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 
 /// Writes one record.
 ///
@@ -19,13 +20,14 @@ const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 /// it its name. A recorder that is dropped or killed leaves the `.part`, which
 /// [`crate::Reader`] reads as far as it goes, and [`crate::recover`] completes.
 ///
-/// Every second it flushes and syncs, which may take as long as the disk likes:
+/// Twice a second it flushes and syncs, which may take as long as the disk likes:
 /// it belongs on a thread of its own, such as a [`crate::RecorderThread`].
 pub struct Recorder {
     container: Container,
     encoder: Encoder,
     channels: [WrittenChannel; Channel::COUNT],
     flushed: Instant,
+    unflushed: bool,
     entries: u64,
 }
 
@@ -78,6 +80,7 @@ impl Recorder {
             encoder: Encoder::new(meta.start),
             channels,
             flushed: Instant::now(),
+            unflushed: false,
             entries: 0,
         };
         recorder.flush()?;
@@ -90,7 +93,7 @@ impl Recorder {
         self.container.path()
     }
 
-    /// Adds an entry, and flushes if the last flush is a second ago.
+    /// Adds an entry, and flushes if the last flush is half a second ago.
     ///
     /// # Errors
     ///
@@ -118,7 +121,18 @@ impl Recorder {
                 .write(|writer| writer.write_to_known_channel(&header, publication.bytes))?;
         }
         self.entries += 1;
-        if self.flushed.elapsed() >= FLUSH_PERIOD {
+        self.unflushed = true;
+        self.flush_if_due()
+    }
+
+    /// Flushes if there is something to flush and the last flush is half a second
+    /// ago. For whoever has no entry to write just now.
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be written.
+    pub fn flush_if_due(&mut self) -> Result<(), RecordError> {
+        if self.unflushed && self.flushed.elapsed() >= FLUSH_PERIOD {
             self.flush()?;
         }
         Ok(())
@@ -131,6 +145,7 @@ impl Recorder {
     /// When the file cannot be written.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.flushed = Instant::now();
+        self.unflushed = false;
         self.container.flush()
     }
 

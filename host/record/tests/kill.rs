@@ -1,0 +1,160 @@
+//! A recorder that is killed at any moment leaves all but the last second.
+//!
+//! The test starts itself again as the process to be killed.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
+#[path = "common/drive.rs"]
+mod drive;
+
+use std::{
+    env,
+    io::{self, Read, Write},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use libtest_mimic::{Arguments, Trial};
+use singletrack_record::{
+    Ending, Entry, Reader, RecordError, Recorder, RecorderThread, feed, part_path, recover,
+};
+
+/// The argument that makes the program the one to be killed.
+const RECORD: &str = "record-until-killed";
+const KILLS: u64 = 50;
+const PERIOD: Duration = Duration::from_millis(10);
+/// The first and the last moment to kill.
+const FROM: Duration = Duration::from_millis(300);
+const UNTIL: Duration = Duration::from_millis(5_300);
+const SECOND_NS: u64 = 1_000_000_000;
+
+fn main() {
+    let mut arguments = env::args_os().skip(1);
+    if arguments.next().is_some_and(|argument| argument == RECORD) {
+        record(Path::new(&arguments.next().expect("a path")));
+    }
+    let test = Trial::test(
+        "a_recorder_killed_at_any_moment_loses_a_second_at_most",
+        || {
+            a_recorder_killed_at_any_moment_loses_a_second_at_most();
+            Ok(())
+        },
+    );
+    libtest_mimic::run(&Arguments::from_args(), vec![test]).exit();
+}
+
+/// Records in real time, and tells the time of every tick once it is handed over.
+fn record(path: &Path) -> ! {
+    let (mut input, output) = feed(1_024);
+    let recorder = Recorder::create(path, &drive::meta()).unwrap();
+    let _thread = RecorderThread::start(recorder, vec![output], |_| {}).unwrap();
+    let start = Instant::now();
+    let mut told = io::stdout().lock();
+    for index in 0.. {
+        let time_ns = start.elapsed().as_nanos() as u64;
+        for entry in [
+            Entry::Pose(drive::pose(index, time_ns)),
+            Entry::Telemetry(drive::telemetry(index, time_ns)),
+            Entry::Tick(drive::tick(index, time_ns)),
+        ] {
+            assert!(input.push(entry), "the writer does not keep up");
+        }
+        // The ring holds three seconds: a pipe that nobody reads holds more.
+        told.write_all(&time_ns.to_le_bytes()).unwrap();
+        told.flush().unwrap();
+        thread::sleep(PERIOD);
+    }
+    unreachable!("a lifetime of ticks")
+}
+
+struct Victim {
+    process: Child,
+    path: PathBuf,
+    moment: Duration,
+}
+
+fn a_recorder_killed_at_any_moment_loses_a_second_at_most() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = Instant::now();
+    let mut victims: Vec<_> = (0..KILLS)
+        .map(|index| {
+            let path = folder.path().join(format!("{index}.mcap"));
+            let process = Command::new(env::current_exe().unwrap())
+                .arg(RECORD)
+                .arg(&path)
+                .stdin(Stdio::null())
+                .stdout(Stdio::piped())
+                .spawn()
+                .unwrap();
+            let moment = FROM + (UNTIL - FROM).mul_f64(drive::noise(index, 0) + 0.5);
+            Victim {
+                process,
+                path,
+                moment,
+            }
+        })
+        .collect();
+    victims.sort_by_key(|victim| victim.moment);
+    for victim in &mut victims {
+        thread::sleep(victim.moment.saturating_sub(start.elapsed()));
+        victim.process.kill().unwrap();
+    }
+    let mut saved = 0;
+    let mut worst_ns = 0;
+    for mut victim in victims {
+        let mut told = Vec::new();
+        let mut pipe = victim.process.stdout.take().unwrap();
+        pipe.read_to_end(&mut told).unwrap();
+        let status = victim.process.wait().unwrap();
+        assert_eq!(status.code(), None, "killed, and not before");
+        let pushed = told
+            .chunks_exact(8)
+            .map(|time| u64::from_le_bytes(time.try_into().unwrap()))
+            .collect::<Vec<_>>();
+        let (ticks, lost_ns) = saved_and_lost(&victim.path, &pushed);
+        saved += ticks;
+        worst_ns = worst_ns.max(lost_ns);
+    }
+    assert!(saved > 0, "no victim lived long enough");
+    println!(
+        "{KILLS} kills, {saved} ticks saved, at most {} ms lost",
+        worst_ns / 1_000_000
+    );
+    assert!(
+        worst_ns <= SECOND_NS,
+        "{worst_ns} ns are more than a second"
+    );
+}
+
+/// How many ticks a killed process left, and for how long before its last one
+/// nothing was left.
+fn saved_and_lost(path: &Path, pushed: &[u64]) -> (u64, u64) {
+    let last_pushed = pushed.last().copied().unwrap_or(0);
+    match recover(&part_path(path), path, |_, _| {}) {
+        Ok(_) => {}
+        Err(RecordError::Empty { .. }) => return (0, last_pushed),
+        // Killed before it had begun.
+        Err(error) => {
+            assert!(pushed.is_empty(), "{error}");
+            return (0, 0);
+        }
+    }
+    let mut reader = Reader::open(path).unwrap();
+    let (mut ticks, mut last_read) = (0, 0);
+    for entry in reader.by_ref() {
+        if let Entry::Tick(tick) = entry.unwrap() {
+            assert_eq!(tick, drive::tick(ticks, tick.start_ns));
+            last_read = tick.start_ns;
+            ticks += 1;
+        }
+    }
+    assert_eq!(reader.ending(), Some(Ending::Finished));
+    (ticks, last_pushed.saturating_sub(last_read))
+}
