@@ -9,7 +9,7 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, recover, replay, set_reference, setpoint, simulate,
+    demo, dump, plot, recover, replay, set_reference, setpoint, simulate,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -26,6 +26,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Print a record, or what the daemon sees now.
     Dump(dump::DumpArgs),
+    /// Draw the figures of a recorded drive.
+    Plot(plot::PlotArgs),
     /// Make a complete record of one that was cut or damaged.
     Recover(recover::RecoverArgs),
     /// Give the pilot what it saw in a record again, and compare what it does.
@@ -75,6 +77,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
     match &cli.command {
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
+        Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),
         Command::Replay(args) => Ok(replay::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),

@@ -8,6 +8,8 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
+use singletrack_record::{Ending, Reader};
+
 /// A demo needs the machine's real time for itself.
 static REAL_TIME: Mutex<()> = Mutex::new(());
 
@@ -39,10 +41,28 @@ fn a_demo_in_a_pipe_is_silent_and_leaves_what_it_promises() {
         [
             "demo.mcap",
             "demo.toml",
+            "figures",
+            "report.html",
             "simulation.toml",
-            "summary.json",
-            "trajectory.svg"
-        ]
+            "summary.json"
+        ],
+        "exactly one record among them, and a finished one"
+    );
+    let mut record = Reader::open(&folder.path().join("demo.mcap")).unwrap();
+    assert!(record.by_ref().all(|entry| entry.is_ok()));
+    assert_eq!(record.ending(), Some(Ending::Finished));
+    let trajectory = folder.path().join("figures/trajectory.svg");
+    let trajectory = std::fs::read_to_string(trajectory).unwrap();
+    for curve in ["nominal", "actual", "truth"] {
+        assert!(
+            trajectory.contains(&format!("<path class=\"{curve}\"")),
+            "{curve}"
+        );
+    }
+    let report = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(
+        report.contains("true tracking error"),
+        "the simulation knows"
     );
     let summary = std::fs::read_to_string(folder.path().join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
@@ -80,10 +100,9 @@ fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success());
     assert!(said.contains("pose-too-old"), "{said}");
-    assert!(
-        folder.path().join("summary.json").exists(),
-        "and is reported"
-    );
+    for file in ["summary.json", "report.html", "figures/trajectory.svg"] {
+        assert!(folder.path().join(file).exists(), "{file}: it is reported");
+    }
 }
 
 #[test]

@@ -25,6 +25,7 @@ use singletrack_sim::{
 };
 use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
 
+use crate::plot::{FigureKind, PlotError, REPORT};
 use board_figures::BoardFigures;
 use interrupt::Interrupt;
 use progress::Progress;
@@ -41,7 +42,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     board: BoardKind,
 
-    /// Where the configuration, the record, the figure and the summary go
+    /// Where the configuration, the record, the figures and the summary go
     #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
     out: PathBuf,
 
@@ -96,6 +97,9 @@ pub enum DemoError {
     /// The daemon did not end well.
     #[error("the daemon: {0}")]
     Stop(#[from] StopError),
+    /// There are no figures of the drive.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
     /// The daemon takes no requests.
     #[error("the daemon: {0}")]
     Stalled(#[from] singletrackd::Stalled),
@@ -237,9 +241,10 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         summary,
         board,
     };
+    let plotted = report::plot(args, &driven.truth);
     report::write(args, &driven)?;
     match driven.ended {
-        None => Ok(()),
+        None => Ok(plotted?),
         Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),
         Some(ended) => Err(DemoError::Ended {
             mode: ended.mode,
@@ -256,7 +261,8 @@ const RECORD: &str = "demo.mcap";
 const CONFIGURATION: &str = "demo.toml";
 const SIMULATION: &str = "simulation.toml";
 const SUMMARY: &str = "summary.json";
-const FIGURE: &str = "trajectory.svg";
+/// A folder.
+const FIGURES: &str = "figures";
 
 /// Makes the folder; removes what an earlier demo left there.
 fn prepare(folder: &Path) -> Result<(), DemoError> {
@@ -266,8 +272,9 @@ fn prepare(folder: &Path) -> Result<(), DemoError> {
     };
     std::fs::create_dir_all(folder).map_err(error)?;
     let unfinished = singletrack_record::part_path(Path::new(RECORD));
-    let files = [RECORD, CONFIGURATION, SIMULATION, SUMMARY, FIGURE].map(Path::new);
-    for file in files.into_iter().chain([unfinished.as_path()]) {
+    let files = [RECORD, CONFIGURATION, SIMULATION, SUMMARY, REPORT].map(PathBuf::from);
+    let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
+    for file in files.into_iter().chain([unfinished]).chain(figures) {
         match std::fs::remove_file(folder.join(file)) {
             Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(error(source)),
             _ => {}

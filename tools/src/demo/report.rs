@@ -1,18 +1,21 @@
-//! What the demo leaves behind: a summary, a figure, and a few lines to read.
+//! What the demo leaves behind: a summary, figures, and a few lines to read.
 
-use std::{f64::consts::TAU, io::IsTerminal, path::Path};
+use std::{io::IsTerminal, path::Path};
 
 use serde::Serialize;
 use singletrack_control::Reason;
-use singletrack_sim::LossPattern;
+use singletrack_sim::{LossPattern, TimedTruth};
 use singletrackd::{Percentiles, Summary};
 
 use super::{
-    BoardFigures, CONFIGURATION, DemoArgs, DemoError, Drive, FIGURE, RECORD, SIMULATION, SUMMARY,
+    BoardFigures, CONFIGURATION, DemoArgs, DemoError, Drive, FIGURES, RECORD, SIMULATION, SUMMARY,
     settings, write as write_file,
 };
 use crate::{
-    figure::{Curve, Mark, MarkKind, floor_plan},
+    plot::{
+        self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_figures,
+        write_report,
+    },
     tracking::{Sample, Tracking, last_turn},
 };
 
@@ -63,7 +66,7 @@ struct Milliseconds {
     max: f64,
 }
 
-/// Writes summary and figure, and tells the person.
+/// Writes the summary and tells the person.
 pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
@@ -103,7 +106,6 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
         source: error.into(),
     })?;
     write_file(&args.out.join(SUMMARY), &format!("{json}\n"))?;
-    write_file(&args.out.join(FIGURE), &figure(args, drive, &samples))?;
     // Nobody reads a report that goes into a pipe.
     if std::io::stdout().is_terminal() {
         print(&args.out, drive, tracking.as_ref());
@@ -129,103 +131,38 @@ fn samples(drive: &Drive) -> Vec<Sample> {
         .collect()
 }
 
-/// Reference, P and G, with the spans without markers.
-fn figure(args: &DemoArgs, drive: &Drive, samples: &[Sample]) -> String {
-    let centre: Vec<_> = drive
-        .truth
-        .iter()
-        .filter(|truth| truth.monotonic_ns >= drive.start_ns)
-        .take(samples.len())
-        .map(|truth| [truth.truth.x, truth.truth.y])
-        .collect();
-    // 5 ms a sample are more than a figure shows.
-    let thin = |points: Vec<[f64; 2]>| points.into_iter().step_by(4).collect::<Vec<_>>();
-    let mut curves = vec![
-        Curve {
-            name: Some("reference"),
-            points: circle(),
-            colour: "#999999",
-            width: 2.0,
-            dashed: true,
-        },
-        Curve {
-            name: Some("P"),
-            points: thin(samples.iter().map(|sample| sample.point).collect()),
-            colour: "#c0392b",
-            width: 2.0,
-            dashed: false,
-        },
-        Curve {
-            name: Some("G, centre of mass"),
-            points: thin(centre),
-            colour: "#2c5f8a",
-            width: 1.2,
-            dashed: false,
-        },
-    ];
-    curves.extend(
-        lost_spans(args.loss, samples)
-            .into_iter()
-            .enumerate()
-            .map(|(index, points)| Curve {
-                name: (index == 0).then_some("P while the markers are lost"),
-                points,
-                colour: "#f39c12",
-                width: 5.0,
-                dashed: false,
-            }),
-    );
-    let ends = [
-        (samples.first(), MarkKind::Start, "start"),
-        (samples.last(), MarkKind::End, "end"),
-    ];
-    let marks: Vec<_> = ends
-        .into_iter()
-        .filter_map(|(sample, kind, name)| {
-            Some(Mark {
-                name,
-                point: sample?.point,
-                kind,
-                colour: "#222222",
-            })
-        })
-        .collect();
-    let title = format!(
-        "The paper's circle, {:.0} s{}",
-        drive.duration_s,
-        if args.feed_forward {
-            ", with feed-forward"
-        } else {
-            ""
-        }
-    );
-    floor_plan(&title, &curves, &marks)
-}
-
-/// One turn of the reference.
-fn circle() -> Vec<[f64; 2]> {
-    let turn = TAU / settings::ANGULAR_VELOCITY;
-    (0..=180)
-        .map(|part| settings::reference(turn * f64::from(part) / 180.0))
-        .collect()
-}
-
-/// P in each span in which the cameras lose the markers.
-fn lost_spans(loss: Option<LossPattern>, samples: &[Sample]) -> Vec<Vec<[f64; 2]>> {
-    let Some(loss) = loss else {
-        return Vec::new();
-    };
-    let mut spans = Vec::new();
-    let mut span = Vec::new();
-    for sample in samples {
-        if loss.is_lost((sample.time * 1e6) as u64) {
-            span.push(sample.point);
-        } else if !span.is_empty() {
-            spans.push(std::mem::take(&mut span));
-        }
+/// Writes the figures of the record, with what was really so.
+pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotError> {
+    let mut record = Record::read(&args.out.join(RECORD))?;
+    let (number, drive) = record.choose(None)?;
+    let truth = true_samples(truth, drive);
+    if let Some(drive) = record.recording.drives.get_mut(number - 1) {
+        drive.truth = Some(truth);
     }
-    spans.push(span);
-    spans
+    let (number, drive) = record.choose(Some(number))?;
+    write_figures(drive, &FigureKind::ALL, &args.out.join(FIGURES))?;
+    write_report(&record, number, drive, &args.out)?;
+    Ok(())
+}
+
+/// What was really so while the car drove.
+fn true_samples(truth: &[TimedTruth], drive: &plot::drive::Drive) -> Vec<TruthSample> {
+    truth
+        .iter()
+        .filter(|timed| timed.monotonic_ns >= drive.start_ns)
+        .map(|timed| {
+            let truth = &timed.truth;
+            TruthSample {
+                time: (timed.monotonic_ns - drive.start_ns) as f64 * 1e-9,
+                point: settings::point(truth),
+                steering: truth.steering,
+                speed: truth.speed,
+                sideslip: truth.sideslip,
+                yaw_rate: truth.yaw_rate,
+            }
+        })
+        .take_while(|sample| sample.time <= drive.duration())
+        .collect()
 }
 
 fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
@@ -270,7 +207,8 @@ fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
         );
     }
     println!(
-        "In {}: {FIGURE}, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
+        "In {}: {FIGURES}/, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
         folder.display()
     );
+    println!("Open {}", folder.join(REPORT).display());
 }

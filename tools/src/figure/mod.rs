@@ -1,0 +1,241 @@
+//! Figures for print, described without saying how they are drawn.
+//!
+//! A [`Figure`] is a row of [`Panel`]s under one legend; [`Figure::to_svg`] draws
+//! it. Lengths on the page are in mm. Nothing here knows what a car is.
+
+mod legend;
+mod scale;
+mod svg;
+mod thin;
+
+use std::sync::Arc;
+
+pub use scale::Scale;
+pub(crate) use svg::escaped;
+
+/// Numbers of a curve, shared by all that draw them.
+pub type Column = Arc<[f64]>;
+
+/// A figure: panels side by side under one legend.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// What it shows, in a few words; for whoever can't see it, too.
+    pub title: String,
+    /// What to see in it, in a sentence.
+    pub caption: String,
+    /// How wide it is.
+    pub width: Width,
+    /// The panels, from left to right.
+    pub panels: Vec<Panel>,
+}
+
+/// How wide a figure is in a paper of two columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// One column: 85 mm.
+    Column,
+    /// The whole page: 178 mm.
+    Page,
+}
+
+impl Width {
+    /// In mm.
+    #[must_use]
+    pub const fn mm(self) -> f64 {
+        match self {
+            Self::Column => 85.0,
+            Self::Page => 178.0,
+        }
+    }
+}
+
+/// Two axes and what is drawn between them.
+#[derive(Clone, Debug)]
+pub struct Panel {
+    /// The horizontal axis.
+    pub x: Axis,
+    /// The vertical axis.
+    pub y: Axis,
+    /// Height of the area between the axes, in mm.
+    pub height_mm: f64,
+    /// Whether a unit is as long on both axes.
+    pub equal: bool,
+    /// Spans of the horizontal axis that are shaded.
+    pub spans: Vec<[f64; 2]>,
+    /// What the shading means, for the legend.
+    pub span_name: &'static str,
+    /// Lines, drawn in this order.
+    pub curves: Vec<Curve>,
+    /// Points that matter.
+    pub marks: Vec<Mark>,
+    /// Bars of a histogram.
+    pub bars: Vec<Bar>,
+    /// Values of the horizontal axis with a name.
+    pub rules: Vec<Rule>,
+}
+
+impl Panel {
+    /// Two axes with nothing between them.
+    #[must_use]
+    pub const fn new(x: Axis, y: Axis) -> Self {
+        Self {
+            x,
+            y,
+            height_mm: 42.0,
+            equal: false,
+            spans: Vec::new(),
+            span_name: "",
+            curves: Vec::new(),
+            marks: Vec::new(),
+            bars: Vec::new(),
+            rules: Vec::new(),
+        }
+    }
+
+    /// Whether there is anything to see.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.bars.is_empty() && self.curves.iter().all(Curve::is_empty)
+    }
+}
+
+/// An axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis {
+    /// What is along it.
+    pub quantity: &'static str,
+    /// Its symbol; none if it has no common one.
+    pub symbol: Option<Symbol>,
+    /// Its unit.
+    pub unit: &'static str,
+    /// How values are spread.
+    pub scale: Scale,
+    /// A value that must be on it, such as the zero of a count.
+    pub include: Option<f64>,
+}
+
+impl Axis {
+    /// A linear axis, as long as its data.
+    #[must_use]
+    pub const fn new(quantity: &'static str, symbol: Option<Symbol>, unit: &'static str) -> Self {
+        Self {
+            quantity,
+            symbol,
+            unit,
+            scale: Scale::Linear,
+            include: None,
+        }
+    }
+}
+
+/// A symbol of the paper: a letter with what stands below it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// The letter, in italics.
+    pub letter: &'static str,
+    /// The subscript, upright; may be empty.
+    pub below: &'static str,
+}
+
+impl Symbol {
+    /// A letter and what stands below it.
+    #[must_use]
+    pub const fn new(letter: &'static str, below: &'static str) -> Self {
+        Self { letter, below }
+    }
+}
+
+/// A line through points, interrupted where a coordinate is not a number.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// What it is, for the legend.
+    pub name: &'static str,
+    /// How it looks.
+    pub look: Look,
+    /// Horizontal coordinates.
+    pub x: Column,
+    /// Vertical coordinates.
+    pub y: Column,
+    /// When each point was, for a line that is not over time.
+    pub time: Option<Column>,
+}
+
+impl Curve {
+    /// Whether no point of it can be drawn.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        !self.points().any(|[x, y]| x.is_finite() && y.is_finite())
+    }
+
+    /// Its points, in order.
+    pub fn points(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        self.x.iter().zip(self.y.iter()).map(|(x, y)| [*x, *y])
+    }
+}
+
+/// How a line looks: told apart without colour as well, by grey, width and dashes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// What should be: wide and grey, as in the paper.
+    Nominal,
+    /// What was: thin and black, as in the paper.
+    Actual,
+    /// What a sensor said: thin and light.
+    Measured,
+    /// What was really so, which only a simulation knows: dashed.
+    Truth,
+    /// Where something was missing: a wide band of the shading's colour.
+    Lost,
+}
+
+impl Look {
+    /// Its name in a style sheet.
+    #[must_use]
+    pub const fn class(self) -> &'static str {
+        match self {
+            Self::Nominal => "nominal",
+            Self::Actual => "actual",
+            Self::Measured => "measured",
+            Self::Truth => "truth",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+/// A point that matters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// What it is, for the legend.
+    pub name: &'static str,
+    /// Where.
+    pub point: [f64; 2],
+    /// What it looks like.
+    pub kind: MarkKind,
+}
+
+/// The paper's marks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkKind {
+    /// Where a trajectory starts: a triangle.
+    Start,
+    /// Where it ends: a circle.
+    End,
+}
+
+/// A bar of a histogram, from zero up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bar {
+    /// Where it begins and ends on the horizontal axis.
+    pub span: [f64; 2],
+    /// How high it is.
+    pub height: f64,
+}
+
+/// A named value of the horizontal axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rule {
+    /// What it is, with its value.
+    pub name: String,
+    /// Where.
+    pub value: f64,
+}

@@ -1,0 +1,393 @@
+//! The drives in a record: what every tick of them saw and did, in SI units, over
+//! the time since the first driving tick.
+
+use std::sync::Arc;
+
+use singletrack_control::{Event, Mode, Reason, Time};
+use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord};
+
+use super::{spans::lost_markers, truth::TruthSample};
+use crate::figure::Column;
+
+/// What a record tells of the drives in it.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// The drives, in order.
+    pub drives: Vec<Drive>,
+    /// Whenever the mode or its reason changed.
+    pub changes: Vec<Change>,
+    /// The lines of the log.
+    pub log: Vec<Log>,
+    /// Configurations that came into force after the start.
+    pub configurations: Vec<ConfigurationRecord>,
+    /// The number of the newest that a tick was told of; none for that of the start.
+    configuration: Option<u32>,
+    /// Ticks, driving or not.
+    pub ticks: u64,
+    /// Points of the control grid at which no tick ran.
+    pub skipped: u64,
+    /// Events that ticks could not take in.
+    pub events_dropped: u64,
+    /// Entries that did not reach the record.
+    pub entries_dropped: u64,
+}
+
+/// Another mode, or another reason for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Change {
+    /// When, in ns of the host's monotonic clock.
+    pub time_ns: u64,
+    /// The mode from then on.
+    pub mode: Mode,
+    /// Why.
+    pub reason: Option<Reason>,
+}
+
+/// One drive: from its first driving tick until the car stands, or the record ends.
+#[derive(Clone, Debug)]
+pub struct Drive {
+    /// The pilot's time of the first driving tick, in ns of the host's monotonic
+    /// clock: the zero of all times below.
+    pub start_ns: u64,
+    /// What ticks saw and did, in order; never empty.
+    pub ticks: Vec<TickSample>,
+    /// What the board measured.
+    pub board: Vec<BoardPoint>,
+    /// The number of the configuration in force; none for that of the start.
+    pub configuration: Option<u32>,
+    /// The mode that the drive led to, and why; none if the record ends before.
+    pub ended: Option<(Mode, Option<Reason>)>,
+    /// What was really so, if somebody knows.
+    pub truth: Option<Vec<TruthSample>>,
+}
+
+/// What a tick saw and did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickSample {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// The mode after the tick.
+    pub mode: Mode,
+    /// Whether no new pose came since the tick before.
+    pub held: bool,
+    /// P as estimated, world frame, in m.
+    pub point: [f64; 2],
+    /// Where P should be, in m; not a number for a reference that is a velocity alone.
+    pub reference: [f64; 2],
+    /// How fast P should move by the reference, in m/s.
+    pub reference_velocity: [f64; 2],
+    /// The velocity commanded of P, in m/s.
+    pub point_velocity: [f64; 2],
+    /// Speed of G that was asked for, after limits, in m/s.
+    pub commanded_speed: f64,
+    /// Steering angle that was asked for, after limits, in rad.
+    pub steering: f64,
+    /// Speed of G as estimated, in m/s.
+    pub speed: f64,
+    /// Sideslip as estimated, in rad.
+    pub sideslip: f64,
+    /// Yaw rate as estimated, in rad/s.
+    pub yaw_rate: f64,
+    /// How late the tick began, in s.
+    pub lateness: f64,
+    /// From the mid-exposure of a new pose to the command that rests on it, in s.
+    pub latency: f64,
+    /// Points of the control grid skipped just before it.
+    pub skipped: u32,
+    /// Frames since the tick before that had no valid pose.
+    pub poses_missing: u32,
+}
+
+/// What the board measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoardPoint {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// Speed of the rear axle by the motor's pulses, in m/s.
+    pub motor_speed: f64,
+    /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
+    pub yaw_rate: f64,
+}
+
+/// Ticks farther apart than this were not neighbours, in s: a line between them
+/// would be invented.
+const GAP: f64 = 0.25;
+
+impl Recording {
+    /// Takes in the next entry of the record.
+    pub fn take(&mut self, entry: &Entry) {
+        match entry {
+            Entry::Tick(tick) => self.take_tick(tick),
+            Entry::Log(log) => self.log.push(log.clone()),
+            Entry::Configuration(record) => self.configurations.push(record.clone()),
+            Entry::Drops(Drops { entries, .. }) => self.entries_dropped = *entries,
+            _ => {}
+        }
+    }
+
+    fn take_tick(&mut self, tick: &TickRecord) {
+        let output = &tick.output;
+        self.ticks += 1;
+        self.skipped += u64::from(tick.skipped);
+        self.events_dropped += u64::from(tick.events_dropped);
+        for event in &tick.events {
+            if let Event::Reconfigured(number) = event {
+                self.configuration = Some(*number);
+            }
+        }
+        let (mode, reason) = (output.mode, output.reason);
+        let last = self.changes.last();
+        if last.is_none_or(|last| (last.mode, last.reason) != (mode, reason)) {
+            self.changes.push(Change {
+                time_ns: tick.pilot_time.0,
+                mode,
+                reason,
+            });
+        }
+        if !mode.commands() {
+            if let Some(drive) = self.open_drive() {
+                drive.ended = Some((mode, reason));
+            }
+            return;
+        }
+        if self.open_drive().is_none() {
+            // A record may begin within a drive.
+            let driven_ns = output
+                .drive_time
+                .map_or(0, |time| (time * 1e9).round() as u64);
+            self.drives.push(Drive {
+                start_ns: tick.pilot_time.0.saturating_sub(driven_ns),
+                ticks: Vec::new(),
+                board: Vec::new(),
+                configuration: self.configuration,
+                ended: None,
+                truth: None,
+            });
+        }
+        if let Some(drive) = self.open_drive() {
+            drive.take(tick);
+        }
+    }
+
+    /// The drive that has not ended.
+    fn open_drive(&mut self) -> Option<&mut Drive> {
+        self.drives.last_mut().filter(|drive| drive.ended.is_none())
+    }
+
+    /// The number of the longest drive, from 1; the first of those as long.
+    #[must_use]
+    pub fn longest(&self) -> Option<usize> {
+        (1..)
+            .zip(&self.drives)
+            .reduce(|best, next| {
+                let longer = next.1.duration() > best.1.duration();
+                if longer { next } else { best }
+            })
+            .map(|(number, _)| number)
+    }
+}
+
+impl Drive {
+    fn take(&mut self, tick: &TickRecord) {
+        let output = &tick.output;
+        let missing = tick.events.iter();
+        let missing = missing.filter(|event| matches!(event, Event::PoseMissing(_)));
+        let reference = output.reference;
+        let estimate = output.estimate;
+        let of_estimate = |value: fn(&singletrack_control::Estimate) -> f64| {
+            estimate.as_ref().map_or(f64::NAN, value)
+        };
+        let seconds = |ns: i64| ns as f64 * 1e-9;
+        self.ticks.push(TickSample {
+            time: self.time(tick.pilot_time),
+            mode: output.mode,
+            held: output.held,
+            point: pair(output.point),
+            reference: pair(reference.and_then(|reference| reference.position)),
+            reference_velocity: pair(reference.map(|reference| reference.velocity)),
+            point_velocity: pair(output.point_velocity),
+            commanded_speed: output.actuation.speed,
+            steering: output.actuation.steering,
+            speed: of_estimate(|estimate| estimate.speed),
+            sideslip: of_estimate(|estimate| estimate.sideslip),
+            yaw_rate: of_estimate(|estimate| estimate.yaw_rate),
+            lateness: seconds(tick.lateness_ns()),
+            latency: match tick.capture_to_command_ns() {
+                // In a held tick the pose is an old one.
+                Some(latency) if !output.held => seconds(latency),
+                _ => f64::NAN,
+            },
+            skipped: tick.skipped,
+            poses_missing: u32::try_from(missing.count()).unwrap_or(u32::MAX),
+        });
+        for event in &tick.events {
+            if let Event::Board(sample) = event {
+                self.board.push(BoardPoint {
+                    time: self.time(sample.time),
+                    motor_speed: sample.motor_speed,
+                    yaw_rate: sample.inertial.map_or(f64::NAN, |sample| sample.yaw_rate),
+                });
+            }
+        }
+    }
+
+    fn time(&self, time: Time) -> f64 {
+        time.0.wrapping_sub(self.start_ns) as i64 as f64 * 1e-9
+    }
+
+    /// When its last tick was, in s.
+    #[must_use]
+    pub fn duration(&self) -> f64 {
+        self.ticks.last().map_or(0.0, |tick| tick.time)
+    }
+
+    /// Until when the car followed its reference, in s: then it stopped, if at all.
+    #[must_use]
+    pub fn followed(&self) -> f64 {
+        let driving = self
+            .ticks
+            .iter()
+            .rev()
+            .find(|tick| tick.mode == Mode::Driving);
+        driving.map_or(0.0, |tick| tick.time)
+    }
+
+    /// A number for each tick, with a gap where ticks are missing.
+    #[must_use]
+    pub fn column(&self, value: impl Fn(&TickSample) -> f64) -> Column {
+        self.spread(self.ticks.iter().map(value))
+    }
+
+    /// The same of numbers that are there already, one for each tick.
+    #[must_use]
+    pub fn spread(&self, values: impl IntoIterator<Item = f64>) -> Column {
+        with_gaps(self.ticks.iter().map(|tick| tick.time), values)
+    }
+
+    /// A number for each of the board's samples, with a gap where samples are missing.
+    #[must_use]
+    pub fn board_column(&self, value: impl Fn(&BoardPoint) -> f64) -> Column {
+        let times = self.board.iter().map(|sample| sample.time);
+        with_gaps(times, self.board.iter().map(value))
+    }
+
+    /// A number for each moment of the truth; empty if nobody knows it.
+    #[must_use]
+    pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
+        self.spread_truth(self.truth.iter().flatten().map(value))
+    }
+
+    /// The same of numbers that are there already, one for each moment of the truth.
+    #[must_use]
+    pub fn spread_truth(&self, values: impl IntoIterator<Item = f64>) -> Column {
+        with_gaps(
+            self.truth.iter().flatten().map(|sample| sample.time),
+            values,
+        )
+    }
+
+    /// Where P should be at each tick, in m: the reference, or for a reference that
+    /// is a velocity alone the integral of the velocity that was commanded, from
+    /// where P was at first. Not a number once the car no longer follows.
+    #[must_use]
+    pub fn nominal(&self) -> Vec<[f64; 2]> {
+        if self.has_positions() {
+            return self.ticks.iter().map(|tick| tick.reference).collect();
+        }
+        let mut nominal = [f64::NAN; 2];
+        let mut before: Option<&TickSample> = None;
+        self.ticks
+            .iter()
+            .map(|tick| {
+                if tick.mode != Mode::Driving && tick.mode != Mode::Slowing {
+                    return [f64::NAN; 2];
+                }
+                match before {
+                    None => nominal = tick.point,
+                    Some(before) => {
+                        let elapsed = tick.time - before.time;
+                        for (nominal, velocity) in nominal.iter_mut().zip(before.point_velocity) {
+                            // Nothing is commanded while the car slows down blindly.
+                            *nominal += elapsed * if velocity.is_finite() { velocity } else { 0.0 };
+                        }
+                    }
+                }
+                before = Some(tick);
+                nominal
+            })
+            .collect()
+    }
+
+    /// Whether the reference tells where P should be.
+    #[must_use]
+    pub fn has_positions(&self) -> bool {
+        self.ticks.iter().any(|tick| tick.reference[0].is_finite())
+    }
+
+    /// How far P is from where it should be at each tick, in m.
+    #[must_use]
+    pub fn tracking_error(&self) -> Vec<f64> {
+        let nominal = self.nominal();
+        let pairs = self.ticks.iter().zip(nominal);
+        pairs
+            .map(|(tick, nominal)| distance(tick.point, nominal))
+            .collect()
+    }
+
+    /// How far the true P is from where it should be, at each moment of the truth, in
+    /// m; empty if nobody knows it.
+    #[must_use]
+    pub fn true_errors(&self) -> Vec<f64> {
+        let nominal = self.nominal();
+        let should = |time: f64| {
+            let after = self.ticks.partition_point(|tick| tick.time < time);
+            let before = after.saturating_sub(1);
+            let (one, other) = (self.ticks.get(before)?, self.ticks.get(after)?);
+            let elapsed = other.time - one.time;
+            let part = if elapsed > 0.0 {
+                (time - one.time) / elapsed
+            } else {
+                0.0
+            };
+            let (from, to) = (nominal.get(before)?, nominal.get(after)?);
+            Some([0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis])))
+        };
+        let truth = self.truth.iter().flatten();
+        truth
+            .map(|sample| distance(sample.point, should(sample.time).unwrap_or([f64::NAN; 2])))
+            .collect()
+    }
+
+    /// The spans in which the markers were lost, in s.
+    #[must_use]
+    pub fn lost_markers(&self) -> Vec<[f64; 2]> {
+        lost_markers(&self.ticks)
+    }
+}
+
+/// From one point to another; not a number if one of them is none.
+#[must_use]
+pub fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
+    let ([x, y], [other_x, other_y]) = (one, other);
+    (x - other_x).hypot(y - other_y)
+}
+
+fn pair<V: Into<[f64; 2]>>(vector: Option<V>) -> [f64; 2] {
+    vector.map_or([f64::NAN; 2], Into::into)
+}
+
+fn with_gaps(
+    times: impl IntoIterator<Item = f64>,
+    values: impl IntoIterator<Item = f64>,
+) -> Column {
+    let mut column = Vec::new();
+    let mut before: Option<f64> = None;
+    for (time, value) in times.into_iter().zip(values) {
+        if before.is_some_and(|before| time - before > GAP) {
+            column.push(f64::NAN);
+        }
+        before = Some(time);
+        column.push(value);
+    }
+    Arc::from(column)
+}

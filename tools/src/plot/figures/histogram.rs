@@ -1,0 +1,169 @@
+//! How punctual the controller was.
+
+use crate::{
+    figure::{Axis, Bar, Figure, Panel, Rule, Scale, Width},
+    plot::{drive::Drive, statistics::Distribution},
+};
+
+/// Bars in a linear histogram.
+const BARS: usize = 50;
+/// Bars in every decade of a logarithmic one.
+const BARS_A_DECADE: i32 = 8;
+/// Nothing is told of lateness below, in µs.
+const LEAST_LATENESS: f64 = 1.0;
+
+pub(super) fn latency(drive: &Drive) -> Figure {
+    let values = drive.ticks.iter().map(|tick| tick.latency * 1000.0);
+    let latency = Distribution::of(values);
+    let mut panel = Panel::new(
+        Axis::new("mid-exposure to command", None, "ms"),
+        Axis::new("part of the ticks", None, "%"),
+    );
+    let mut beyond = 0;
+    if let (Some(least), Some(p99), Some(most)) =
+        (latency.least(), latency.quantile(0.99), latency.most())
+    {
+        // A single outlier must not press all others into one bar.
+        let end = if most > p99 + 2.0 * (p99 - least).max(0.1) {
+            p99 + (p99 - least).max(0.1)
+        } else {
+            most
+        };
+        let (bars, outside) = linear(latency.sorted(), least.floor(), end.ceil());
+        (panel.bars, beyond) = (bars, outside);
+        panel.rules = rules(&latency, "ms", 1);
+    }
+    Figure {
+        title: "Latency from capture to command".to_owned(),
+        caption: format!(
+            "From the middle of the cameras' exposure to the drive command that rests on it \
+             leaving for the board, in ticks with a new pose{}.",
+            match beyond {
+                0 => String::new(),
+                count => format!("; {count} more are beyond the axis"),
+            }
+        ),
+        width: Width::Column,
+        panels: vec![panel],
+    }
+}
+
+pub(super) fn lateness(drive: &Drive) -> Figure {
+    let values = drive.ticks.iter().map(|tick| tick.lateness * 1e6);
+    let lateness = Distribution::of(values);
+    let mut panel = Panel::new(
+        Axis {
+            scale: Scale::Log,
+            include: Some(LEAST_LATENESS),
+            ..Axis::new("lateness of a tick", None, "µs")
+        },
+        Axis::new("part of the ticks", None, "%"),
+    );
+    panel.bars = logarithmic(lateness.sorted());
+    panel.rules = rules(&lateness, "µs", 0);
+    for rule in &mut panel.rules {
+        rule.value = rule.value.max(LEAST_LATENESS);
+    }
+    Figure {
+        title: "Lateness of the control ticks".to_owned(),
+        caption: "How much later than scheduled the control thread woke up, on a logarithmic \
+                  axis; what is below 1 µs is in the first bar."
+            .to_owned(),
+        width: Width::Column,
+        panels: vec![panel],
+    }
+}
+
+fn rules(distribution: &Distribution, unit: &str, decimals: usize) -> Vec<Rule> {
+    [("median", 0.5), ("99 %", 0.99)]
+        .into_iter()
+        .filter_map(|(name, part)| {
+            let value = distribution.quantile(part)?;
+            Some(Rule {
+                name: format!("{name}: {value:.decimals$} {unit}"),
+                value,
+            })
+        })
+        .collect()
+}
+
+/// Bars of equal width from `low` to `high`, in % of all values, and how many
+/// values are outside.
+fn linear(sorted: &[f64], low: f64, high: f64) -> (Vec<Bar>, usize) {
+    let high = high.max(low + 1.0);
+    let edge = |index: usize| low + (high - low) * index as f64 / BARS as f64;
+    let bars: Vec<Bar> = (0..BARS)
+        .map(|index| bar(sorted, [edge(index), edge(index + 1)], index + 1 == BARS))
+        .collect();
+    let beyond = sorted.iter().filter(|value| **value > high).count();
+    (bars, beyond)
+}
+
+/// Bars of equal width on a logarithmic axis from [`LEAST_LATENESS`] on, in % of
+/// all values; those below it are in the first.
+fn logarithmic(sorted: &[f64]) -> Vec<Bar> {
+    let Some(most) = sorted.last() else {
+        return Vec::new();
+    };
+    let decades = (most.max(10.0 * LEAST_LATENESS).log10().ceil()) as i32;
+    let bars = decades * BARS_A_DECADE;
+    let edge = |index: i32| 10_f64.powf(f64::from(index) / f64::from(BARS_A_DECADE));
+    (0..bars)
+        .map(|index| {
+            let from = if index == 0 {
+                f64::NEG_INFINITY
+            } else {
+                edge(index)
+            };
+            let bar = bar(sorted, [from, edge(index + 1)], index + 1 == bars);
+            Bar {
+                span: [edge(index), edge(index + 1)],
+                ..bar
+            }
+        })
+        .collect()
+}
+
+/// The bar of the values from the first end up to the second, which the last bar
+/// includes.
+fn bar(sorted: &[f64], [from, to]: [f64; 2], last: bool) -> Bar {
+    let first = sorted.partition_point(|value| *value < from);
+    let end = if last {
+        sorted.partition_point(|value| *value <= to)
+    } else {
+        sorted.partition_point(|value| *value < to)
+    };
+    Bar {
+        span: [from, to],
+        height: 100.0 * end.saturating_sub(first) as f64 / sorted.len().max(1) as f64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_hold_all_values_once() {
+        let values: Vec<f64> = (0..1000)
+            .map(|index| 8.0 + f64::from(index) * 0.004)
+            .collect();
+        let (bars, beyond) = linear(&values, 8.0, 12.0);
+        let all: f64 = bars.iter().map(|bar| bar.height).sum();
+        assert!((all - 100.0).abs() < 1e-9 && beyond == 0, "{all} {beyond}");
+        let (bars, beyond) = linear(&values, 8.0, 10.0);
+        let all: f64 = bars.iter().map(|bar| bar.height).sum();
+        assert!(
+            (all + 0.1 * beyond as f64 - 100.0).abs() < 1e-9,
+            "{all} {beyond}"
+        );
+    }
+
+    #[test]
+    fn lateness_of_nothing_is_in_the_first_bar() {
+        let bars = logarithmic(&[-3.0, 0.0, 0.5, 1000.0]);
+        assert_eq!(bars[0].height, 75.0);
+        assert_eq!(bars[bars.len() - 1].height, 25.0);
+        assert_eq!(bars[bars.len() - 1].span[1], 1000.0);
+    }
+}

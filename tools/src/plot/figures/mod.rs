@@ -1,0 +1,125 @@
+//! The figures of a drive, each as in the paper's experimental section or about
+//! how the controller ran.
+
+mod histogram;
+mod time;
+mod trajectory;
+
+use clap::ValueEnum;
+
+use super::drive::Drive;
+use crate::figure::{Axis, Column, Curve, Figure, Look, Symbol};
+
+/// A figure of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FigureKind {
+    /// Nominal and actual path of P.
+    Trajectory,
+    /// x and y of P over time.
+    Position,
+    /// The velocity commanded of P.
+    CommandedVelocity,
+    /// The steering angle that the law asks for.
+    Steering,
+    /// The speed that the law asks for, and the car's.
+    Speed,
+    /// Sideslip angle and yaw rate.
+    SideslipYawRate,
+    /// Distance of P from where it should be.
+    TrackingError,
+    /// From mid-exposure to the command that rests on it.
+    Latency,
+    /// How late ticks began.
+    Lateness,
+}
+
+impl FigureKind {
+    /// All of them, in the order of a report.
+    pub const ALL: [Self; 9] = [
+        Self::Trajectory,
+        Self::TrackingError,
+        Self::Position,
+        Self::CommandedVelocity,
+        Self::Steering,
+        Self::Speed,
+        Self::SideslipYawRate,
+        Self::Latency,
+        Self::Lateness,
+    ];
+
+    /// Its name, on the command line and of its file.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Trajectory => "trajectory",
+            Self::Position => "position",
+            Self::CommandedVelocity => "commanded-velocity",
+            Self::Steering => "steering",
+            Self::Speed => "speed",
+            Self::SideslipYawRate => "sideslip-yaw-rate",
+            Self::TrackingError => "tracking-error",
+            Self::Latency => "latency",
+            Self::Lateness => "lateness",
+        }
+    }
+
+    /// The name of its file.
+    #[must_use]
+    pub fn file_name(self) -> String {
+        format!("{}.svg", self.name())
+    }
+
+    /// The figure of a drive.
+    ///
+    /// # Errors
+    ///
+    /// What the drive lacks for it.
+    pub fn draw(self, drive: &Drive) -> Result<Figure, &'static str> {
+        let (figure, lacking) = match self {
+            Self::Trajectory => (trajectory::trajectory(drive), "no tick knows where P was"),
+            Self::Position => (time::position(drive), "no tick knows where P was"),
+            Self::CommandedVelocity => (
+                time::commanded_velocity(drive),
+                "no tick commands a velocity of P",
+            ),
+            Self::Steering => (time::steering(drive), "no tick has a steering angle"),
+            Self::Speed => (time::speed(drive), "no tick has a speed"),
+            Self::SideslipYawRate => (
+                time::sideslip_and_yaw_rate(drive),
+                "no tick has an estimate of the state",
+            ),
+            Self::TrackingError => (
+                time::tracking_error(drive),
+                "no tick knows both where P was and where it should be",
+            ),
+            Self::Latency => (
+                histogram::latency(drive),
+                "no command rests on a new pose and was written",
+            ),
+            Self::Lateness => (histogram::lateness(drive), "there are no ticks"),
+        };
+        // The reference alone is not what it is about.
+        let needs_point = matches!(self, Self::Trajectory | Self::Position);
+        let has_point = drive.ticks.iter().any(|tick| tick.point[0].is_finite());
+        let is_empty = figure.panels.iter().all(crate::figure::Panel::is_empty);
+        if is_empty || (needs_point && !has_point) {
+            return Err(lacking);
+        }
+        Ok(figure)
+    }
+}
+
+/// What the shading of every figure means.
+const LOST: &str = "markers lost";
+
+const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
+
+fn curve(name: &'static str, look: Look, x: &Column, y: Column) -> Curve {
+    Curve {
+        name,
+        look,
+        x: x.clone(),
+        y,
+        time: None,
+    }
+}

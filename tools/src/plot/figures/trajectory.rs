@@ -1,0 +1,113 @@
+//! The path of P on the floor.
+
+use super::{LOST, curve};
+use crate::{
+    figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width},
+    plot::drive::Drive,
+};
+
+pub(super) fn trajectory(drive: &Drive) -> Figure {
+    let time = drive.column(|tick| tick.time);
+    let nominal = drive.nominal();
+    let over = |time: &Column, curve: Curve| Curve {
+        time: Some(time.clone()),
+        ..curve
+    };
+    let true_time = drive.truth_column(|sample| sample.time);
+    let curves = vec![
+        lost(drive),
+        over(
+            &time,
+            curve(
+                "nominal",
+                Look::Nominal,
+                &drive.spread(nominal.iter().map(|point| point[0])),
+                drive.spread(nominal.iter().map(|point| point[1])),
+            ),
+        ),
+        over(
+            &time,
+            curve(
+                "actual",
+                Look::Actual,
+                &drive.column(|tick| tick.point[0]),
+                drive.column(|tick| tick.point[1]),
+            ),
+        ),
+        over(
+            &true_time,
+            curve(
+                "true (simulation)",
+                Look::Truth,
+                &drive.truth_column(|sample| sample.point[0]),
+                drive.truth_column(|sample| sample.point[1]),
+            ),
+        ),
+    ];
+    let seen = || {
+        drive
+            .ticks
+            .iter()
+            .map(|tick| tick.point)
+            .filter(|point| point[0].is_finite())
+    };
+    let ends = [
+        ("start", MarkKind::Start, seen().next()),
+        ("end", MarkKind::End, seen().next_back()),
+    ];
+    Figure {
+        title: "Trajectory of P".to_owned(),
+        caption: "Where P should be and where it was on the floor, from the triangle to the \
+                  circle, where the car stopped."
+            .to_owned(),
+        width: Width::Column,
+        panels: vec![Panel {
+            height_mm: 90.0,
+            equal: true,
+            curves,
+            marks: ends
+                .into_iter()
+                .filter_map(|(name, kind, point)| point.map(|point| Mark { name, point, kind }))
+                .collect(),
+            ..Panel::new(
+                Axis::new("", Some(Symbol::new("x", "P")), "m"),
+                Axis::new("", Some(Symbol::new("y", "P")), "m"),
+            )
+        }],
+    }
+}
+
+/// The path while the markers were lost: the true one if somebody knows it, or what
+/// the estimate held and then jumped to.
+fn lost(drive: &Drive) -> Curve {
+    let spans = drive.lost_markers();
+    let true_path = drive
+        .truth
+        .iter()
+        .flatten()
+        .map(|sample| (sample.time, sample.point));
+    let estimated = drive.ticks.iter().map(|tick| (tick.time, tick.point));
+    let path: Vec<(f64, [f64; 2])> = if drive.truth.is_some() {
+        true_path.collect()
+    } else {
+        estimated.collect()
+    };
+    let mut points = Vec::new();
+    for [from, to] in spans {
+        let first = path.partition_point(|(time, _)| *time < from);
+        let end = path.partition_point(|(time, _)| *time <= to);
+        // With the last point that was seen.
+        points.extend(path.iter().take(end).skip(first.saturating_sub(1)));
+        points.push((to, [f64::NAN; 2]));
+    }
+    let column = |axis: usize| {
+        points
+            .iter()
+            .map(|(_, point)| point[axis])
+            .collect::<Column>()
+    };
+    Curve {
+        time: Some(points.iter().map(|(time, _)| *time).collect()),
+        ..curve(LOST, Look::Lost, &column(0), column(1))
+    }
+}

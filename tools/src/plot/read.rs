@@ -1,0 +1,112 @@
+//! Reading a record, however it ended.
+
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_record::{Ending, Meta, Reader, RecordError, Topic, part_path};
+
+use super::{
+    PlotError,
+    drive::{Drive, Recording},
+};
+
+/// A record that has been read.
+#[derive(Clone, Debug)]
+pub struct Record {
+    /// The file that was read.
+    pub path: PathBuf,
+    /// What it says of itself.
+    pub meta: Meta,
+    /// The drives in it.
+    pub recording: Recording,
+    /// What whoever reads the figures must know: that it is unfinished, or damaged.
+    pub notes: Vec<String>,
+}
+
+/// How often progress is shown, in entries.
+const STEP: u64 = 1_000;
+
+impl Record {
+    /// Reads a record; if it is still unfinished, the file that holds it until then.
+    /// Shows progress on a terminal.
+    ///
+    /// # Errors
+    ///
+    /// When nothing of it can be read.
+    pub fn read(path: &Path) -> Result<Self, PlotError> {
+        let part = part_path(path);
+        let path = if !path.exists() && part.exists() {
+            &part
+        } else {
+            path
+        };
+        let mut reader = Reader::open(path)?.only(&[
+            Topic::Tick,
+            Topic::Log,
+            Topic::Configuration,
+            Topic::Drops,
+        ]);
+        let meta = reader.meta().clone();
+        let progress = progress(path);
+        let mut recording = Recording::default();
+        let mut notes = Vec::new();
+        let mut entries = 0;
+        for entry in reader.by_ref() {
+            match entry {
+                Ok(entry) => recording.take(&entry),
+                // What was read before the damage is good.
+                Err(error @ RecordError::Damaged { .. }) if entries > 0 => {
+                    notes.push(error.to_string());
+                    break;
+                }
+                Err(error) => return Err(error.into()),
+            }
+            entries += 1;
+            if entries % STEP == 0 {
+                progress.set_position(entries);
+            }
+        }
+        progress.finish_and_clear();
+        if let Some(ending @ Ending::Unfinished { .. }) = reader.ending() {
+            notes.push(ending.to_string());
+        }
+        if recording.entries_dropped > 0 {
+            notes.push(format!(
+                "{} entries did not reach the record: the disk was too slow",
+                recording.entries_dropped
+            ));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            meta,
+            recording,
+            notes,
+        })
+    }
+}
+
+impl Record {
+    /// The configuration that a drive was driven with, as TOML; none if the record
+    /// does not hold it.
+    #[must_use]
+    pub fn configuration(&self, drive: &Drive) -> Option<&str> {
+        match drive.configuration {
+            None => Some(&self.meta.configuration),
+            Some(number) => {
+                let mut all = self.recording.configurations.iter();
+                let record = all.find(|record| record.number == number)?;
+                Some(&record.toml)
+            }
+        }
+    }
+}
+
+/// Hidden when standard error is no terminal.
+fn progress(path: &Path) -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}: {human_pos} entries") {
+        bar.set_style(style);
+    }
+    bar.set_message(format!("reading {}", path.display()));
+    bar
+}

@@ -1,0 +1,214 @@
+//! The numbers of a report, as its script reads them.
+
+use std::collections::HashMap;
+
+use serde::Serialize;
+
+use crate::{
+    figure::{Axis, Column, Figure, MarkKind, Panel},
+    plot::figures::FigureKind,
+};
+
+/// What the script reads.
+#[derive(Serialize)]
+struct Data {
+    /// The end of the time axis, in s.
+    end: f64,
+    /// Each the base 64 of 32-bit floats, little-endian.
+    columns: Vec<String>,
+    figures: Vec<FigureData>,
+}
+
+#[derive(Serialize)]
+struct FigureData {
+    id: &'static str,
+    title: String,
+    caption: String,
+    panels: Vec<PanelData>,
+}
+
+#[derive(Serialize)]
+struct PanelData {
+    x: AxisData,
+    y: AxisData,
+    equal: bool,
+    spans: Vec<[f64; 2]>,
+    span: &'static str,
+    curves: Vec<CurveData>,
+    marks: Vec<MarkData>,
+}
+
+#[derive(Serialize)]
+struct AxisData {
+    quantity: &'static str,
+    letter: &'static str,
+    below: &'static str,
+    unit: &'static str,
+    include: Option<f64>,
+}
+
+/// Columns by their number.
+#[derive(Serialize)]
+struct CurveData {
+    name: &'static str,
+    look: &'static str,
+    x: usize,
+    y: usize,
+    time: usize,
+}
+
+#[derive(Serialize)]
+struct MarkData {
+    kind: &'static str,
+    point: [f64; 2],
+}
+
+/// Whether the script draws a figure: histograms stay pictures.
+pub(super) fn is_interactive(figure: &Figure) -> bool {
+    figure.panels.iter().all(|panel| panel.bars.is_empty())
+}
+
+/// The JSON of the figures that the script draws. It can stand in HTML as it is.
+pub(super) fn json(figures: &[(FigureKind, Figure)], end: f64) -> String {
+    let mut columns = Columns::default();
+    let figures = figures
+        .iter()
+        .filter(|(_, figure)| is_interactive(figure))
+        .map(|(kind, figure)| FigureData {
+            id: kind.name(),
+            title: figure.title.clone(),
+            caption: figure.caption.clone(),
+            panels: figure
+                .panels
+                .iter()
+                .map(|panel| columns.panel(panel))
+                .collect(),
+        })
+        .collect();
+    let data = Data {
+        end,
+        columns: columns.texts,
+        figures,
+    };
+    // Finite numbers and strings can be written; without data the script stops and
+    // the pictures stay.
+    let json = serde_json::to_string(&data).unwrap_or_else(|_| "null".to_owned());
+    // Nothing in a script element may look like its end.
+    json.replace('<', "\\u003c")
+}
+
+/// Columns, each once: the times are the same in most figures.
+#[derive(Default)]
+struct Columns {
+    texts: Vec<String>,
+    numbers: HashMap<String, usize>,
+}
+
+impl Columns {
+    fn panel(&mut self, panel: &Panel) -> PanelData {
+        let curves = panel.curves.iter().filter(|curve| !curve.is_empty());
+        let curves = curves
+            .map(|curve| CurveData {
+                name: curve.name,
+                look: curve.look.class(),
+                x: self.number(&curve.x),
+                y: self.number(&curve.y),
+                time: self.number(curve.time.as_ref().unwrap_or(&curve.x)),
+            })
+            .collect();
+        PanelData {
+            x: axis(&panel.x),
+            y: axis(&panel.y),
+            equal: panel.equal,
+            spans: panel.spans.clone(),
+            span: panel.span_name,
+            curves,
+            marks: panel
+                .marks
+                .iter()
+                .map(|mark| MarkData {
+                    kind: match mark.kind {
+                        MarkKind::Start => "start",
+                        MarkKind::End => "end",
+                    },
+                    point: mark.point,
+                })
+                .collect(),
+        }
+    }
+
+    fn number(&mut self, column: &Column) -> usize {
+        let bytes: Vec<u8> = column
+            .iter()
+            .flat_map(|value| (*value as f32).to_le_bytes())
+            .collect();
+        let text = base64(&bytes);
+        *self.numbers.entry(text).or_insert_with_key(|text| {
+            self.texts.push(text.clone());
+            self.texts.len() - 1
+        })
+    }
+}
+
+fn axis(axis: &Axis) -> AxisData {
+    AxisData {
+        quantity: axis.quantity,
+        letter: axis.symbol.map_or("", |symbol| symbol.letter),
+        below: axis.symbol.map_or("", |symbol| symbol.below),
+        unit: axis.unit,
+        include: axis.include,
+    }
+}
+
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let letter = |bits: u32| {
+        let letter = LETTERS.get((bits & 63) as usize);
+        char::from(letter.copied().unwrap_or(b'='))
+    };
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for group in bytes.chunks(3) {
+        let byte = |index: usize| u32::from(group.get(index).copied().unwrap_or(0));
+        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
+        for place in 0..4 {
+            if place <= group.len() {
+                text.push(letter(bits >> (18 - 6 * place)));
+            } else {
+                text.push('=');
+            }
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_rfc_4648() {
+        for (bytes, text) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+            ("foobar", "Zm9vYmFy"),
+        ] {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+        assert_eq!(base64(&[0xfb, 0xff]), "+/8=");
+    }
+
+    #[test]
+    fn the_same_column_is_written_once() {
+        let mut columns = Columns::default();
+        let column: Column = [1.0, f64::NAN].into();
+        let same: Column = [1.0, f64::NAN].into();
+        let other: Column = [2.0].into();
+        let numbers = [&column, &same, &other].map(|column| columns.number(column));
+        assert_eq!(numbers, [0, 0, 1]);
+        assert_eq!(columns.texts[0], "AACAPwAAwH8=");
+    }
+}

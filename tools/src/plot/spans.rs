@@ -1,0 +1,105 @@
+//! When the cameras lost the markers.
+
+use super::drive::TickSample;
+
+/// How many usual intervals between new poses may pass: one tick without a pose is
+/// the beat of two clocks, two are a loss.
+const INTERVALS: f64 = 2.5;
+
+/// The spans in which no new pose came for longer than usual: from the first tick
+/// that had to hold the last one until the one with the next, in s.
+///
+/// What is usual is the median time between ticks with a new pose, so that cameras
+/// slower than the control loop are not a loss.
+pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
+    let fresh: Vec<f64> = ticks
+        .iter()
+        .filter(|tick| !tick.held)
+        .map(|tick| tick.time)
+        .collect();
+    let mut intervals: Vec<f64> = fresh.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    intervals.sort_by(f64::total_cmp);
+    let usual = intervals.get(intervals.len() / 2).copied();
+
+    let mut spans = Vec::new();
+    for run in ticks.chunk_by(|one, other| one.held == other.held) {
+        let (Some(first), Some(last)) = (run.first(), run.last()) else {
+            continue;
+        };
+        if !first.held {
+            continue;
+        }
+        let before = fresh.partition_point(|time| *time < first.time);
+        let seen = before
+            .checked_sub(1)
+            .and_then(|index| fresh.get(index))
+            .copied();
+        let until = fresh.get(before).copied().unwrap_or(last.time);
+        // At the start of a drive the last pose is at most a tick older.
+        let blind = until - seen.unwrap_or(first.time);
+        if usual.is_none_or(|usual| blind > INTERVALS * usual) && until > first.time {
+            spans.push([first.time, until]);
+        }
+    }
+    spans
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_control::Mode;
+
+    use super::*;
+
+    /// Ticks 10 ms apart, with a new pose where the pattern has a dot.
+    fn ticks(pattern: &str) -> Vec<TickSample> {
+        pattern
+            .chars()
+            .zip(0_u32..)
+            .map(|(kind, index)| TickSample {
+                time: f64::from(index) / 100.0,
+                mode: Mode::Driving,
+                held: kind != '.',
+                point: [0.0; 2],
+                reference: [0.0; 2],
+                reference_velocity: [0.0; 2],
+                point_velocity: [0.0; 2],
+                commanded_speed: 0.0,
+                steering: 0.0,
+                speed: 0.0,
+                sideslip: 0.0,
+                yaw_rate: 0.0,
+                lateness: 0.0,
+                latency: 0.0,
+                skipped: 0,
+                poses_missing: 0,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_single_held_tick_is_no_loss_and_two_are() {
+        assert_eq!(lost_markers(&ticks(".....x.....x....")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks(".....xx.........")), [[0.05, 0.07]]);
+    }
+
+    #[test]
+    fn every_loss_has_its_own_span_up_to_the_end() {
+        let spans = lost_markers(&ticks("....xxxx......xxx...xxx"));
+        assert_eq!(spans, [[0.04, 0.08], [0.14, 0.17], [0.20, 0.22]]);
+    }
+
+    #[test]
+    fn slow_cameras_are_not_a_loss_but_their_losses_are() {
+        assert_eq!(lost_markers(&ticks(".xxx.xxx.xxx.xxx.xx")), [[0.0; 2]; 0]);
+        assert_eq!(
+            lost_markers(&ticks(".xxx.xxx.xxx.xxxxxxxxxxx.xxx.xxx")),
+            [[0.13, 0.24]]
+        );
+    }
+
+    #[test]
+    fn a_drive_that_saw_nothing_is_one_loss() {
+        assert_eq!(lost_markers(&ticks("xxxxx")), [[0.0, 0.04]]);
+        assert_eq!(lost_markers(&[]), [[0.0; 2]; 0]);
+    }
+}

@@ -1,0 +1,280 @@
+//! A drive in a few lines.
+
+use singletrack_control::{Mode, Reason};
+use singletrack_record::{Level, Meta};
+use toml::{Table, Value};
+
+use super::{
+    drive::{Change, Drive},
+    read::Record,
+    statistics::Distribution,
+};
+
+/// A line of the summary.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Line {
+    pub(super) name: &'static str,
+    pub(super) value: String,
+}
+
+/// What a drive of a record came to; `number` counts from 1.
+pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> {
+    let mut lines = Vec::new();
+    let mut add = |name, value: Option<String>| {
+        lines.extend(value.map(|value| Line { name, value }));
+    };
+    let recording = &record.recording;
+    let ticks = &drive.ticks;
+    add("begun", Some(begun(record, drive)));
+    add(
+        "duration",
+        Some(format!(
+            "{:.2} s, of which P followed its reference for {:.2} s{}",
+            drive.duration(),
+            drive.followed(),
+            match recording.drives.len() {
+                1 => String::new(),
+                count => format!("; drive {number} of {count} in the record"),
+            }
+        )),
+    );
+    add("ended", Some(ended(drive)));
+    let times = ticks.iter().map(|tick| tick.time);
+    let estimated = times.zip(drive.tracking_error());
+    add("tracking error", errors(drive, estimated));
+    let times = drive.truth.iter().flatten().map(|sample| sample.time);
+    let real = times.zip(drive.true_errors());
+    add("true tracking error", errors(drive, real));
+    let speed = Distribution::of(ticks.iter().map(|tick| tick.speed));
+    add(
+        "speed",
+        speed
+            .quantile(0.5)
+            .zip(speed.most())
+            .map(|(median, most)| format!("{median:.3} m/s at the median, {most:.3} m/s at most")),
+    );
+    let held = ticks.iter().filter(|tick| tick.held).count();
+    let missing: u64 = ticks.iter().map(|tick| u64::from(tick.poses_missing)).sum();
+    let lost = drive.lost_markers();
+    let longest = lost.iter().map(|[from, to]| to - from).fold(0.0, f64::max);
+    add(
+        "markers",
+        Some(match lost.len() {
+            0 => format!("never lost; {held} ticks without a new pose"),
+            count => format!(
+                "lost {count} times, for {:.0} ms at most; {missing} frames without a valid \
+                 pose, {held} ticks held the last one",
+                longest * 1000.0
+            ),
+        }),
+    );
+    let skipped: u64 = ticks.iter().map(|tick| u64::from(tick.skipped)).sum();
+    add(
+        "ticks",
+        Some(format!("{}, {skipped} deadlines missed", ticks.len())),
+    );
+    let percentiles = |values: Distribution, unit, decimals: usize| {
+        let (p50, p99) = (values.quantile(0.5)?, values.quantile(0.99)?);
+        let most = values.most()?;
+        Some(format!(
+            "{p50:.decimals$} {unit} at the median, {p99:.decimals$} {unit} at 99 %, \
+             {most:.decimals$} {unit} at most"
+        ))
+    };
+    let lateness = Distribution::of(ticks.iter().map(|tick| tick.lateness * 1e6));
+    add("lateness", percentiles(lateness, "µs", 0));
+    let latency = Distribution::of(ticks.iter().map(|tick| tick.latency * 1e3));
+    add("capture to command", percentiles(latency, "ms", 1));
+    for (name, value) in configured(record.configuration(drive).unwrap_or_default()) {
+        add(name, Some(value));
+    }
+    add("versions", Some(versions(&record.meta)));
+    add(
+        "seed of the simulation",
+        record.meta.seed.map(|seed| seed.to_string()),
+    );
+    let count = |level| {
+        recording
+            .log
+            .iter()
+            .filter(|log| log.level == level)
+            .count()
+    };
+    let (warnings, errors) = (count(Level::Warning), count(Level::Error));
+    add("log", Some(format!("{warnings} warnings, {errors} errors")));
+    lines
+}
+
+/// Why the car does not drive, as people say it.
+pub(super) fn why(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+}
+
+/// The changes of mode in a drive, up to the one that ended it.
+pub(super) fn changes<'a>(record: &'a Record, drive: &Drive) -> Vec<(f64, &'a Change)> {
+    let seconds = |time_ns: u64| time_ns.wrapping_sub(drive.start_ns) as i64 as f64 * 1e-9;
+    let mut changes = Vec::new();
+    for change in &record.recording.changes {
+        let time = seconds(change.time_ns);
+        if time < -1e-9 {
+            continue;
+        }
+        changes.push((time, change));
+        if !change.mode.commands() {
+            break;
+        }
+    }
+    changes
+}
+
+fn begun(record: &Record, drive: &Drive) -> String {
+    let wall = record.meta.start.wall_ns_at(drive.start_ns);
+    format!("{} UTC", utc(wall / 1_000_000_000))
+}
+
+fn ended(drive: &Drive) -> String {
+    let stop = drive.ticks.iter().find(|tick| tick.mode == Mode::Stopping);
+    let stop = stop.map_or_else(String::new, |tick| {
+        format!("; began to stop at {:.2} s", tick.time)
+    });
+    match drive.ended {
+        Some((mode, reason)) => format!("mode {mode}{}{stop}", why(reason)),
+        None => format!("the record ends while the car is driven{stop}"),
+    }
+}
+
+/// Errors at their times, over the whole drive and over its second half, when P is
+/// no longer on its way to the reference.
+fn errors(drive: &Drive, timed: impl Iterator<Item = (f64, f64)>) -> Option<String> {
+    let timed: Vec<(f64, f64)> = timed.collect();
+    let half = drive.followed() / 2.0;
+    let all = Distribution::of(timed.iter().map(|(_, error)| *error));
+    let late = timed.iter().filter(|(time, _)| *time >= half);
+    let late = Distribution::of(late.map(|(_, error)| *error));
+    let (rms, most) = (all.root_mean_square()?, all.most()?);
+    let (late_rms, late_most) = (late.root_mean_square()?, late.most()?);
+    Some(format!(
+        "{:.1} mm RMS, {:.1} mm at most; in the second half {:.1} mm RMS, {:.1} mm at most",
+        rms * 1000.0,
+        most * 1000.0,
+        late_rms * 1000.0,
+        late_most * 1000.0
+    ))
+}
+
+/// What matters most of the configuration, as far as it has it.
+fn configured(text: &str) -> Vec<(&'static str, String)> {
+    let Ok(table) = text.parse::<Table>() else {
+        return Vec::new();
+    };
+    let number = |section: &str, key: &str| table.get(section)?.get(key)?.as_float();
+    let word = |section: &str, key: &str| table.get(section)?.get(key)?.as_str();
+    let mut lines = Vec::new();
+    if let (Some(p), Some(believed)) = (
+        number("law", "point_distance_m"),
+        number("law", "front_axle_distance_m"),
+    ) {
+        let real = number("vehicle", "front_axle_distance_m");
+        let error = real.map_or_else(String::new, |real| {
+            format!(" (dl = {:.4} m)", believed - real)
+        });
+        lines.push((
+            "law",
+            format!("p = {p} m, estimated l_f = {believed} m{error}"),
+        ));
+    }
+    if let Some(kind) = word("outer_loop", "kind") {
+        let section = table.get("outer_loop");
+        let value = |key| {
+            section
+                .and_then(|section| section.get(key))
+                .map(Value::to_string)
+        };
+        let gain =
+            value("gain_per_s").map_or_else(String::new, |gain| format!(", gain {gain} 1/s"));
+        let forward = match value("feed_forward").as_deref() {
+            Some("true") => ", with feed-forward",
+            _ => "",
+        };
+        lines.push(("position loop", format!("{kind}{gain}{forward}")));
+    }
+    if let Some(kind) = word("reference", "kind") {
+        let rest = table.get("reference").and_then(Value::as_table);
+        let rest: Vec<String> = rest
+            .into_iter()
+            .flatten()
+            .filter(|(key, value)| *key != "kind" && !value.to_string().contains('\n'))
+            .map(|(key, value)| format!("{key} = {value}"))
+            .collect();
+        let rest = rest.join(", ");
+        // Many steps are for whoever unfolds the configuration.
+        let rest = if rest.len() > 160 { "" } else { &rest };
+        let gap = if rest.is_empty() { "" } else { ": " };
+        lines.push(("reference", format!("{kind}{gap}{rest}")));
+    }
+    lines
+}
+
+fn versions(meta: &Meta) -> String {
+    let mut parts: Vec<String> = meta
+        .software
+        .iter()
+        .map(|(component, version)| format!("{component} {version}"))
+        .collect();
+    parts.push(format!("protocol {}", meta.protocol_version));
+    parts.join(", ")
+}
+
+/// Seconds since 1970 as a date and time.
+fn utc(seconds: u64) -> String {
+    let (days, second) = (seconds / 86_400, seconds % 86_400);
+    // The civil calendar in eras of 400 years that begin in March.
+    let shifted = days + 719_468;
+    let (era, day) = (shifted / 146_097, shifted % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    let year = year + era * 400 + u64::from(month <= 2);
+    format!(
+        "{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02}",
+        second / 3_600,
+        second / 60 % 60,
+        second % 60
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        assert_eq!(utc(0), "1970-01-01 00:00:00");
+        assert_eq!(utc(951_782_399), "2000-02-28 23:59:59");
+        assert_eq!(utc(951_782_400), "2000-02-29 00:00:00");
+        assert_eq!(utc(1_700_000_000), "2023-11-14 22:13:20");
+        assert_eq!(utc(4_107_542_400), "2100-03-01 00:00:00");
+    }
+
+    #[test]
+    fn of_the_configuration_the_law_with_its_error_is_told() {
+        let lines = configured(
+            "[law]\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.26\n\
+             [vehicle]\nfront_axle_distance_m = 0.1368\n\
+             [reference]\nkind = \"circle\"\nradius_m = 1.0\n",
+        );
+        assert_eq!(
+            lines,
+            [
+                (
+                    "law",
+                    "p = 0.35 m, estimated l_f = 0.26 m (dl = 0.1232 m)".to_owned()
+                ),
+                ("reference", "circle: radius_m = 1.0".to_owned()),
+            ]
+        );
+        assert_eq!(configured("not TOML ["), []);
+    }
+}
