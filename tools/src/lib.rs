@@ -15,3 +15,5 @@ pub mod simulated;
 pub mod tracking;
 pub mod virtual_drive;
 pub mod virtual_record;
+
+mod interrupt;

@@ -2,26 +2,21 @@
 
 use std::borrow::Cow;
 
-use crate::{
-    Entry, Topic, Value,
-    value::{Json as Writer, Visitor},
-};
+use crate::{Entry, Topic, Value, value::Json as Writer};
 
-/// One line of JSON with the topic and some fields of an entry, under their
-/// paths: `{"topic":"tick","estimate.yaw_rad":0.3}`.
-#[must_use]
-pub fn json_object<'a>(
-    topic: Topic,
+/// Adds one object to `json`, without a line end: the topic, then fields under
+/// their paths, such as `{"topic":"tick","estimate.yaw_rad":0.3}`.
+pub fn write_json_object<'a>(
+    json: &mut String,
+    topic: &str,
     fields: impl IntoIterator<Item = (&'a str, &'a Value)>,
-) -> String {
-    let mut text = String::new();
-    Writer::object(&mut text, |object| {
-        object.value("topic", Value::Text(topic.name().into()));
+) {
+    Writer::object(json, |object| {
+        object.put_text("topic", topic);
         for (path, value) in fields {
-            object.value(path, value.clone());
+            object.put(path, value);
         }
     });
-    text
 }
 
 /// What a line of JSON shows: an entry as far as a table goes.

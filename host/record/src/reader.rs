@@ -17,7 +17,7 @@ use mcap::{
 };
 
 use crate::{
-    Entry, Meta, RecordError, Topic,
+    Entry, Meta, RecordError, Topic, Value,
     container::PROFILE,
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
@@ -30,7 +30,12 @@ const READ_LENGTH: usize = 64 << 10;
 /// How often a record that is being written is looked at.
 const FOLLOW_PERIOD: Duration = Duration::from_millis(100);
 
-/// Reads a record from start to end, as an iterator over its entries.
+/// Reads a record from start to end.
+///
+/// As an iterator it gives entries, to compute with. To show what is recorded,
+/// [`Reader::advance`] goes to the next message and [`Reader::read_values`] or
+/// [`Reader::write_json`] reads it, without the way through an [`Entry`] and
+/// without an allocation.
 ///
 /// An unfinished record is read as far as it goes; [`Reader::ending`] then tells
 /// so. Channels that are not ours are skipped. After an error nothing follows.
@@ -40,12 +45,25 @@ pub struct Reader {
     linear: LinearReader,
     catalogue: Catalogue,
     meta: Meta,
+    /// The message that [`Reader::advance`] came to.
+    content: Vec<u8>,
+    at: Option<Recorded>,
     bytes: u64,
     entries: u64,
     topics: Option<Vec<Topic>>,
     follow: bool,
     ending: Option<Ending>,
     failed: bool,
+}
+
+/// What is known of a message before its fields are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Recorded {
+    /// Its topic.
+    pub topic: Topic,
+    /// When it reached the host, in ns since 1970 on the wall: see
+    /// [`crate::ClockMapping`].
+    pub wall_ns: u64,
 }
 
 /// How a record ends.
@@ -87,14 +105,11 @@ struct Catalogue {
 }
 
 /// One step through the file.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "it is moved on at once; a box would cost an allocation an entry"
-)]
 enum Step {
     Nothing,
-    Entry(Entry),
-    /// An entry that was not asked for.
+    /// A message, which is now in [`Reader::content`].
+    Message(Recorded),
+    /// A message that was not asked for.
     Skipped,
     End,
     /// No more bytes, and yet no end.
@@ -123,6 +138,8 @@ impl Reader {
             linear: LinearReader::new_with_options(options),
             catalogue: Catalogue::default(),
             meta: Meta::none(),
+            content: Vec::new(),
+            at: None,
             bytes: 0,
             entries: 0,
             topics: None,
@@ -161,6 +178,86 @@ impl Reader {
         self.ending
     }
 
+    /// Goes to the next message; none at the end, and at the end so far of a
+    /// record that is unfinished: [`Reader::ending`] tells which. When it is
+    /// called again, an unfinished record may have grown.
+    ///
+    /// # Errors
+    ///
+    /// When the file is damaged or cannot be read. After an error nothing follows.
+    pub fn advance(&mut self) -> Result<Option<Recorded>, RecordError> {
+        self.at = None;
+        if self.failed || self.ending == Some(Ending::Finished) {
+            return Ok(None);
+        }
+        self.ending = None;
+        loop {
+            match self.step() {
+                Ok(Step::Nothing) => {}
+                Ok(Step::Skipped) => self.entries += 1,
+                Ok(Step::Message(message)) => {
+                    self.entries += 1;
+                    self.at = Some(message);
+                    return Ok(self.at);
+                }
+                Ok(Step::Cut) => {
+                    self.ending = Some(Ending::Unfinished {
+                        entries: self.entries,
+                        bytes: self.bytes,
+                    });
+                    return Ok(None);
+                }
+                Ok(Step::End) => {
+                    self.ending = Some(Ending::Finished);
+                    return Ok(None);
+                }
+                Err(error) => {
+                    self.failed = true;
+                    return Err(error);
+                }
+            }
+        }
+    }
+
+    /// Replaces `values` with the fields of the message that [`Reader::advance`]
+    /// came to, in the order of [`Topic::fields`]; with none before the first.
+    ///
+    /// # Errors
+    ///
+    /// When the message is damaged.
+    pub fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), RecordError> {
+        values.clear();
+        self.read(|topic, content| topic.read_values(content, values))?;
+        Ok(())
+    }
+
+    /// Adds the message that [`Reader::advance`] came to to `json`, as
+    /// [`Entry::write_json`] does; nothing before the first.
+    ///
+    /// # Errors
+    ///
+    /// When the message is damaged.
+    pub fn write_json(&mut self, json: &mut String) -> Result<(), RecordError> {
+        self.read(|topic, content| topic.write_json(content, json))?;
+        Ok(())
+    }
+
+    /// Reads the message that it is at, if it is at one.
+    fn read<T>(
+        &mut self,
+        read: impl FnOnce(Topic, &[u8]) -> Result<T, String>,
+    ) -> Result<Option<T>, RecordError> {
+        let Some(Recorded { topic, .. }) = self.at else {
+            return Ok(None);
+        };
+        read(topic, &self.content).map(Some).map_err(|reason| {
+            self.failed = true;
+            // The damaged one is not one that came before the damage.
+            self.entries = self.entries.saturating_sub(1);
+            self.damaged(format_args!("{topic}: {reason}"))
+        })
+    }
+
     fn read_meta(&mut self) -> Result<Meta, RecordError> {
         loop {
             match self.step() {
@@ -171,7 +268,7 @@ impl Reader {
                         bytes: self.bytes,
                     });
                 }
-                Ok(Step::Entry(_) | Step::End) => return Err(self.not_ours()),
+                Ok(Step::Message(_) | Step::End) => return Err(self.not_ours()),
                 Err(error) => return Err(error),
             }
             let Catalogue {
@@ -234,7 +331,8 @@ impl Reader {
                 return Ok(Step::Nothing);
             }
             Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                self.catalogue.take(opcode, data, self.topics.as_deref())
+                let topics = self.topics.as_deref();
+                self.catalogue.take(opcode, data, topics, &mut self.content)
             }
             Some(Err(McapError::BadMagic)) if self.catalogue.header.is_none() => {
                 return Err(RecordError::NotMcap(self.path.clone()));
@@ -264,8 +362,14 @@ impl From<McapError> for Refused {
 }
 
 impl Catalogue {
-    /// Takes in one record of the container.
-    fn take(&mut self, opcode: u8, data: &[u8], topics: Option<&[Topic]>) -> Result<Step, Refused> {
+    /// Takes in one record of the container; a message goes to `content`.
+    fn take(
+        &mut self,
+        opcode: u8,
+        data: &[u8],
+        topics: Option<&[Topic]>,
+        content: &mut Vec<u8>,
+    ) -> Result<Step, Refused> {
         match mcap::parse_record(opcode, data)? {
             Record::Header(header) => self.header = Some((header.profile, header.library)),
             Record::Metadata(metadata) if metadata.name == METADATA_NAME => {
@@ -275,12 +379,15 @@ impl Catalogue {
                 self.configuration = Some(data.into_owned());
             }
             Record::Schema { header, data } => {
-                let same = Topic::ALL.into_iter().any(|topic| {
-                    header.name == topic.schema_name()
-                        && header.encoding == "ros2msg"
-                        && *data == *topic.schema_text().as_bytes()
-                });
-                self.schemas.insert(header.id, (header.name, same));
+                // The end of the file repeats them.
+                if !self.schemas.contains_key(&header.id) {
+                    let same = header.encoding == "ros2msg"
+                        && Topic::ALL
+                            .into_iter()
+                            .find(|topic| header.name == topic.schema_name())
+                            .is_some_and(|topic| *data == *topic.schema_text().as_bytes());
+                    self.schemas.insert(header.id, (header.name, same));
+                }
             }
             Record::Channel(channel) => {
                 let topic = Topic::ALL
@@ -307,9 +414,12 @@ impl Catalogue {
                 if topics.is_some_and(|topics| !topics.contains(topic)) {
                     return Ok(Step::Skipped);
                 }
-                return Entry::decode(*topic, &data)
-                    .map(Step::Entry)
-                    .map_err(|reason| Refused::Damage(format!("{topic}: {reason}")));
+                content.clear();
+                content.extend_from_slice(&data);
+                return Ok(Step::Message(Recorded {
+                    topic: *topic,
+                    wall_ns: header.log_time,
+                }));
             }
             _ => {}
         }
@@ -321,33 +431,17 @@ impl Iterator for Reader {
     type Item = Result<Entry, RecordError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.failed || self.ending.is_some() {
+        if self.ending.is_some() {
             return None;
         }
         loop {
-            match self.step() {
-                Ok(Step::Nothing) => {}
-                Ok(Step::Skipped) => self.entries += 1,
-                Ok(Step::Entry(entry)) => {
-                    self.entries += 1;
-                    return Some(Ok(entry));
+            match self.advance() {
+                Ok(Some(_)) => return self.read(Entry::decode).transpose(),
+                Ok(None) if self.follow && self.ending != Some(Ending::Finished) => {
+                    thread::sleep(FOLLOW_PERIOD);
                 }
-                Ok(Step::Cut) if self.follow => thread::sleep(FOLLOW_PERIOD),
-                Ok(Step::Cut) => {
-                    self.ending = Some(Ending::Unfinished {
-                        entries: self.entries,
-                        bytes: self.bytes,
-                    });
-                    return None;
-                }
-                Ok(Step::End) => {
-                    self.ending = Some(Ending::Finished);
-                    return None;
-                }
-                Err(error) => {
-                    self.failed = true;
-                    return Some(Err(error));
-                }
+                Ok(None) => return None,
+                Err(error) => return Some(Err(error)),
             }
         }
     }

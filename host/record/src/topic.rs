@@ -12,7 +12,7 @@ use crate::{
         ConfigurationMessage, DropsMessage, LogMessage, Message, PoseMessage, Senseless,
         StatusMessage, TelemetryMessage, TickMessage, schema_name, schema_text,
     },
-    value::{Json, Paths, Values, Visitor},
+    value::{Json, Paths, Values},
 };
 
 /// A kind of [`Entry`].
@@ -166,6 +166,22 @@ impl Topic {
         with_message!(self, M => M::absent().visit(&mut paths));
         paths.paths
     }
+
+    /// Adds the fields of the message that `bytes` encode to `values`.
+    pub(crate) fn read_values(self, bytes: &[u8], values: &mut Vec<Value>) -> Result<(), String> {
+        let mut visitor = Values::new(values);
+        with_message!(self, M => message::<M>(bytes)?.visit(&mut visitor));
+        Ok(())
+    }
+
+    /// Adds the message that `bytes` encode to `json`: [`Entry::write_json`].
+    pub(crate) fn write_json(self, bytes: &[u8], json: &mut String) -> Result<(), String> {
+        with_message!(self, M => {
+            let message = message::<M>(bytes)?;
+            Json::entry(json, self, |object| message.visit(object));
+        });
+        Ok(())
+    }
 }
 
 impl fmt::Display for Topic {
@@ -250,18 +266,17 @@ impl Entry {
     /// Its fields, in the order of [`Topic::fields`]. A list shows as its length.
     #[must_use]
     pub fn values(&self) -> Vec<Value> {
-        let mut values = Values::default();
-        with_entry!(self, message => message.visit(&mut values));
-        values.values
+        let mut values = Vec::new();
+        with_entry!(self, message => message.visit(&mut Values::new(&mut values)));
+        values
     }
 
     /// Adds it to `json` as one object on one line, without a line end: `topic`,
     /// then the fields of its message. Times are integers beyond 2^53; what is
     /// absent, and a quantity that is not a number, is null.
     pub fn write_json(&self, json: &mut String) {
-        Json::object(json, |object| {
-            object.value("topic", Value::Text(self.topic().name().into()));
-            with_entry!(self, message => message.visit(object));
+        with_entry!(self, message => {
+            Json::entry(json, self.topic(), |object| message.visit(object));
         });
     }
 

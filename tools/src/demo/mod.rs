@@ -6,7 +6,6 @@
 //! the car is simulated.
 
 mod board_figures;
-mod interrupt;
 mod progress;
 mod report;
 mod settings;
@@ -25,9 +24,11 @@ use singletrack_sim::{
 };
 use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
 
-use crate::plot::{FigureKind, PlotError, REPORT};
+use crate::{
+    interrupt::Interrupt,
+    plot::{FigureKind, PlotError, REPORT},
+};
 use board_figures::BoardFigures;
-use interrupt::Interrupt;
 use progress::Progress;
 
 /// What the demo is told.

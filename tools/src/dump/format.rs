@@ -1,199 +1,306 @@
-//! How entries are printed.
+//! How rows are printed.
 
-use std::io::{self, BufWriter, Write};
+use std::io::Write;
 
-use singletrack_record::{Entry, Shown, Topic, Value};
+use singletrack_record::{Value, write_json_object};
 
-use super::{DumpError, Format};
+use super::{
+    DumpError, Format,
+    kind::{Kind, Place, TIME, check_field},
+    source::{Row, Source},
+};
 
-/// Prints entries of one topic.
+/// So much is printed at once, unless somebody waits for it.
+const BLOCK: usize = 64 << 10;
+
+/// Prints rows.
 pub(super) struct Printer<W: Write> {
-    output: Output<W>,
-    /// The fields to print: their names, and which of the topic's they are.
-    fields: Vec<(String, usize)>,
-    /// Whether whole entries are printed as they are.
-    whole: bool,
-    topic: Topic,
+    output: W,
+    format: Format,
+    /// What is printed and not yet handed over.
     text: String,
+    header: Vec<String>,
+    /// What is printed of each kind, column by column.
+    columns: Vec<Vec<Column>>,
+    /// The name of each kind.
+    names: Vec<&'static str>,
+    /// Whether whole rows are printed as JSON.
+    whole: bool,
+    widths: Vec<usize>,
 }
 
-enum Output<W: Write> {
-    Table {
-        output: BufWriter<W>,
-        widths: Vec<usize>,
-    },
-    Json(BufWriter<W>),
-    Csv(Box<csv::Writer<W>>),
-}
-
-/// What a table shows of a topic unless asked for more.
-fn table_fields(topic: Topic) -> &'static [&'static str] {
-    match topic {
-        Topic::Tick => &[
-            "index",
-            "mode",
-            "reason",
-            "held",
-            "point.x_m",
-            "point.y_m",
-            "reference.position.x_m",
-            "reference.position.y_m",
-            "estimate.yaw_rad",
-            "estimate.speed_m_s",
-            "actuation.steering_rad",
-            "lateness_ns",
-            "capture_to_command_ns",
-        ],
-        Topic::Telemetry => &[
-            "receive_time_ns",
-            "mode",
-            "stop_cause",
-            "last_sequence",
-            "imu",
-            "forward_acceleration_mm_s2",
-            "left_acceleration_mm_s2",
-            "yaw_rate_mrad_s",
-            "motor_speed_mm_s",
-            "servo_us",
-            "esc_us",
-        ],
-        Topic::Pose => &[
-            "frame_number",
-            "receive_time_ns",
-            "state",
-            "rejected",
-            "pose.x_m",
-            "pose.y_m",
-            "pose.yaw_rad",
-            "pose.mean_error_m",
-            "pose.capture_time_ns",
-        ],
-        Topic::Status | Topic::Log | Topic::Configuration | Topic::Drops => &[],
-    }
+/// What stands in a column.
+enum Column {
+    /// The name of the row's kind.
+    Topic,
+    /// A field, under this name.
+    Value(String, Place),
+    /// Fields, each with its name.
+    Content(Vec<(String, Place)>),
+    /// The kind has no such field.
+    Nothing,
 }
 
 impl<W: Write> Printer<W> {
-    /// Prints `wanted` fields, or the format's default if there are none.
+    /// Prints the `chosen` of the `kinds`: the fields that are `wanted`, or those
+    /// that the format prints by itself if there are none.
     pub(super) fn new(
         output: W,
         format: Format,
-        topic: Topic,
+        kinds: &[Kind],
+        chosen: &[usize],
         wanted: &[String],
     ) -> Result<Self, DumpError> {
-        let known = topic.fields();
-        let defaults: Vec<String> = match format {
-            Format::Table => table_fields(topic)
-                .iter()
-                .map(ToString::to_string)
-                .collect(),
-            Format::Json | Format::Csv => Vec::new(),
-        };
-        let names = match (wanted.is_empty(), defaults.is_empty()) {
-            (false, _) => wanted.to_vec(),
-            (true, false) => defaults,
-            (true, true) => known.clone(),
-        };
-        let fields = names
-            .into_iter()
-            .map(|name| match known.iter().position(|field| *field == name) {
-                Some(index) => Ok((name, index)),
-                None => Err(unknown_field(topic, name, &known)),
-            })
-            .collect::<Result<Vec<_>, _>>()?;
-        let output = match format {
-            Format::Table => Output::Table {
-                output: BufWriter::new(output),
-                widths: fields.iter().map(|(name, _)| name.len().max(8)).collect(),
-            },
-            Format::Json => Output::Json(BufWriter::new(output)),
-            Format::Csv => Output::Csv(Box::new(csv::Writer::from_writer(output))),
+        let chosen_kinds = chosen.iter().filter_map(|index| kinds.get(*index));
+        for name in wanted {
+            check_field(chosen_kinds.clone(), name)?;
+        }
+        let (header, columns) = if let [only] = chosen
+            && let Some(kind) = kinds.get(*only)
+        {
+            let names = if wanted.is_empty() {
+                own_fields(kind, format)
+            } else {
+                wanted.to_vec()
+            };
+            let columns = kinds.iter().map(|kind| values(kind, &names)).collect();
+            (names, columns)
+        } else if !wanted.is_empty() {
+            let columns = kinds.iter().map(|kind| {
+                let topic = (format != Format::Json).then_some(Column::Topic);
+                topic.into_iter().chain(values(kind, wanted)).collect()
+            });
+            let topic = ["topic".to_owned()];
+            (
+                topic.into_iter().chain(wanted.iter().cloned()).collect(),
+                columns.collect(),
+            )
+        } else {
+            let mut leading = vec![TIME.to_owned()];
+            // Every frame has the two.
+            for name in ["offset", "length"] {
+                if kinds.iter().all(|kind| kind.index(name).is_some()) {
+                    leading.push(name.to_owned());
+                }
+            }
+            let columns = kinds.iter().map(|kind| {
+                let mut columns = values(kind, &leading);
+                let mut content = own_fields(kind, format);
+                content.retain(|name| !leading.contains(name));
+                let content = content
+                    .into_iter()
+                    .filter_map(|name| kind.place(&name).map(|place| (name, place)));
+                columns.extend([Column::Topic, Column::Content(content.collect())]);
+                columns
+            });
+            let columns = columns.collect();
+            leading.extend(["topic".to_owned(), "content".to_owned()]);
+            (leading, columns)
         };
         Ok(Self {
             output,
-            fields,
-            whole: wanted.is_empty(),
-            topic,
+            format,
             text: String::new(),
+            widths: header.iter().map(|name| name.len().max(8)).collect(),
+            header,
+            columns,
+            names: kinds.iter().map(|kind| kind.name).collect(),
+            whole: format == Format::Json && wanted.is_empty(),
         })
     }
 
-    /// Prints the names of the fields, where the format has them.
+    /// Prints the names of the columns, where the format has them.
     pub(super) fn begin(&mut self) -> Result<(), DumpError> {
-        let names = self.fields.iter().map(|(name, _)| name);
-        match &mut self.output {
-            Output::Table { output, widths } => {
-                write_row(output, &names.cloned().collect::<Vec<_>>(), widths)?;
+        let header = std::mem::take(&mut self.header);
+        match self.format {
+            Format::Table => self.table_row(&header),
+            Format::Json => {}
+            Format::Csv => {
+                for (index, name) in header.iter().enumerate() {
+                    if index > 0 {
+                        self.text.push(',');
+                    }
+                    self.text.push_str(name);
+                }
+                self.text.push('\n');
             }
-            Output::Json(_) => {}
-            Output::Csv(output) => output.write_record(names).map_err(csv_error)?,
+        }
+        self.flush()
+    }
+
+    /// Whether it looks at the fields of a row.
+    pub(super) fn needs_values(&self) -> bool {
+        !self.whole
+    }
+
+    /// Prints the row that the source is at; `values` are its fields, if it needs
+    /// them.
+    pub(super) fn print(
+        &mut self,
+        row: &Row,
+        values: &[Value],
+        source: &mut dyn Source,
+    ) -> Result<(), DumpError> {
+        if self.whole {
+            source.write_json(&mut self.text)?;
+            self.text.push('\n');
+        } else {
+            match self.format {
+                Format::Table => self.print_table(row, values),
+                Format::Json => self.print_json(row, values),
+                Format::Csv => self.print_csv(row, values),
+            }
+        }
+        if self.text.len() >= BLOCK {
+            self.hand_over()?;
         }
         Ok(())
-    }
-
-    /// Prints an entry of the topic.
-    pub(super) fn print(&mut self, entry: &Entry) -> Result<(), DumpError> {
-        if self.whole
-            && let Output::Json(output) = &mut self.output
-        {
-            self.text.clear();
-            entry.write_json(&mut self.text);
-            self.text.push('\n');
-            return Ok(output.write_all(self.text.as_bytes())?);
-        }
-        self.print_values(&entry.values())
-    }
-
-    /// Prints an entry of the topic that came as a line of JSON.
-    pub(super) fn print_line(&mut self, line: &str, shown: &Shown) -> Result<(), DumpError> {
-        if self.whole
-            && let Output::Json(output) = &mut self.output
-        {
-            return Ok(writeln!(output, "{line}")?);
-        }
-        self.print_values(&shown.values)
     }
 
     /// Hands everything printed so far to whoever reads it.
     pub(super) fn flush(&mut self) -> Result<(), DumpError> {
-        Ok(match &mut self.output {
-            Output::Table { output, .. } | Output::Json(output) => output.flush(),
-            Output::Csv(output) => output.flush(),
-        }?)
+        self.hand_over()?;
+        Ok(self.output.flush()?)
     }
 
-    fn print_values(&mut self, values: &[Value]) -> Result<(), DumpError> {
-        let chosen = self
-            .fields
-            .iter()
-            .map(|(name, index)| (name, values.get(*index).unwrap_or(&Value::Absent)));
-        match &mut self.output {
-            Output::Table { output, widths } => {
-                let cells: Vec<_> = chosen.map(|(_, value)| cell(value)).collect();
-                for (width, cell) in widths.iter_mut().zip(&cells) {
-                    *width = (*width).max(cell.chars().count());
-                }
-                write_row(output, &cells, widths)?;
+    fn hand_over(&mut self) -> Result<(), DumpError> {
+        // Also when it fails: nobody wants it twice.
+        let written = self.output.write_all(self.text.as_bytes());
+        self.text.clear();
+        Ok(written?)
+    }
+
+    fn print_csv(&mut self, row: &Row, values: &[Value]) {
+        let Some(columns) = self.columns.get(row.kind) else {
+            return;
+        };
+        let begin = self.text.len();
+        for (index, column) in columns.iter().enumerate() {
+            if index > 0 {
+                self.text.push(',');
             }
-            Output::Json(output) => {
-                let object = singletrack_record::json_object(
-                    self.topic,
-                    chosen.map(|(name, value)| (name.as_str(), value)),
-                );
-                writeln!(output, "{object}")?;
-            }
-            Output::Csv(output) => {
-                for (_, value) in chosen {
-                    use std::fmt::Write as _;
-                    self.text.clear();
-                    // Writing to a string does not fail.
-                    let _ = write!(self.text, "{value}");
-                    output.write_field(&self.text).map_err(csv_error)?;
+            match column {
+                Column::Topic => self.text.push_str(name(&self.names, row)),
+                Column::Value(_, Place::Field(index)) => match values.get(*index) {
+                    Some(Value::Text(text)) => push_csv_text(&mut self.text, text),
+                    Some(value) => value.push_to(&mut self.text),
+                    None => {}
+                },
+                Column::Value(_, Place::Time) => row.time().push_to(&mut self.text),
+                Column::Content(fields) => {
+                    let content = content(fields, row, values, |value| value.to_string());
+                    push_csv_text(&mut self.text, &content);
                 }
-                output.write_record(None::<&[u8]>).map_err(csv_error)?;
+                Column::Nothing => {}
             }
         }
-        Ok(())
+        if self.text.len() == begin {
+            // An empty line would be no row.
+            self.text.push_str("\"\"");
+        }
+        self.text.push('\n');
     }
+
+    fn print_json(&mut self, row: &Row, values: &[Value]) {
+        let time = row.time();
+        let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
+        let fields = columns.iter().filter_map(|column| match column {
+            Column::Value(name, Place::Time) => Some((name.as_str(), &time)),
+            Column::Value(name, Place::Field(index)) => {
+                Some((name.as_str(), values.get(*index).unwrap_or(&Value::Absent)))
+            }
+            _ => None,
+        });
+        write_json_object(&mut self.text, name(&self.names, row), fields);
+        self.text.push('\n');
+    }
+
+    fn print_table(&mut self, row: &Row, values: &[Value]) {
+        let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
+        let cells: Vec<_> = columns
+            .iter()
+            .map(|column| match column {
+                Column::Topic => name(&self.names, row).to_owned(),
+                Column::Value(_, Place::Time) => cell(&row.time()),
+                Column::Value(_, Place::Field(index)) => {
+                    cell(values.get(*index).unwrap_or(&Value::Absent))
+                }
+                Column::Content(fields) => content(fields, row, values, cell),
+                Column::Nothing => cell(&Value::Absent),
+            })
+            .collect();
+        self.table_row(&cells);
+    }
+
+    /// Right-aligned, but for sentences at the end.
+    fn table_row(&mut self, cells: &[String]) {
+        let last = cells.len().saturating_sub(1);
+        let sentences = matches!(
+            self.columns.first().and_then(|columns| columns.last()),
+            Some(Column::Content(_))
+        );
+        for (index, (cell, width)) in cells.iter().zip(&mut self.widths).enumerate() {
+            if index > 0 {
+                self.text.push_str("  ");
+            }
+            if sentences && index == last {
+                self.text.push_str(cell);
+                continue;
+            }
+            let length = cell.chars().count();
+            *width = (*width).max(length);
+            self.text.extend(std::iter::repeat_n(' ', *width - length));
+            self.text.push_str(cell);
+        }
+        self.text.push('\n');
+    }
+}
+
+/// The fields that a format prints of a kind by itself.
+fn own_fields(kind: &Kind, format: Format) -> Vec<String> {
+    if format == Format::Table && !kind.brief.is_empty() {
+        kind.brief.iter().map(ToString::to_string).collect()
+    } else {
+        kind.fields.clone()
+    }
+}
+
+/// A column for each of the fields.
+fn values(kind: &Kind, names: &[String]) -> Vec<Column> {
+    names
+        .iter()
+        .map(|name| match kind.place(name) {
+            Some(place) => Column::Value(name.clone(), place),
+            None => Column::Nothing,
+        })
+        .collect()
+}
+
+fn name(names: &[&'static str], row: &Row) -> &'static str {
+    names.get(row.kind).copied().unwrap_or_default()
+}
+
+/// Fields with their names, as far as they are there.
+fn content(
+    fields: &[(String, Place)],
+    row: &Row,
+    values: &[Value],
+    shown: impl Fn(&Value) -> String,
+) -> String {
+    let mut text = String::new();
+    for (name, place) in fields {
+        let value = match place {
+            Place::Time => shown(&row.time()),
+            Place::Field(index) => match values.get(*index) {
+                None | Some(Value::Absent) => continue,
+                Some(value) => shown(value),
+            },
+        };
+        for part in [if text.is_empty() { "" } else { " " }, name, "=", &value] {
+            text.push_str(part);
+        }
+    }
+    text
 }
 
 /// A value for a person.
@@ -216,31 +323,45 @@ fn cell(value: &Value) -> String {
     }
 }
 
-fn write_row(output: &mut impl Write, cells: &[String], widths: &[usize]) -> io::Result<()> {
-    for (index, (cell, width)) in cells.iter().zip(widths).enumerate() {
-        let gap = if index == 0 { "" } else { "  " };
-        write!(output, "{gap}{cell:>width$}")?;
+/// In quotes where RFC 4180 wants them.
+fn push_csv_text(csv: &mut String, text: &str) {
+    if !text.contains([',', '"', '\r', '\n']) {
+        csv.push_str(text);
+        return;
     }
-    writeln!(output)
+    csv.push('"');
+    for character in text.chars() {
+        if character == '"' {
+            csv.push('"');
+        }
+        csv.push(character);
+    }
+    csv.push('"');
 }
 
-fn csv_error(error: csv::Error) -> DumpError {
-    match error.into_kind() {
-        csv::ErrorKind::Io(error) => DumpError::Output(error),
-        other => DumpError::Output(io::Error::other(format!("{other:?}"))),
-    }
-}
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use proptest::prelude::*;
 
-fn unknown_field(topic: Topic, field: String, known: &[String]) -> DumpError {
-    // The last part of a path is what people remember.
-    let similar = known
-        .iter()
-        .find(|name| name.contains(&field) || field.contains(name.as_str()))
-        .cloned();
-    DumpError::UnknownField {
-        topic,
-        field,
-        similar,
-        known: known.to_vec(),
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn every_text_survives_csv(texts in prop::collection::vec(any::<String>(), 2..5)) {
+            let mut csv = String::new();
+            for (index, text) in texts.iter().enumerate() {
+                if index > 0 {
+                    csv.push(',');
+                }
+                push_csv_text(&mut csv, text);
+            }
+            csv.push('\n');
+            let mut reader = csv::ReaderBuilder::new()
+                .has_headers(false)
+                .from_reader(csv.as_bytes());
+            let row = reader.records().next().unwrap().unwrap();
+            prop_assert_eq!(row.iter().collect::<Vec<_>>(), texts);
+        }
     }
 }

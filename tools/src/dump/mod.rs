@@ -1,114 +1,385 @@
-//! The telemetry dump: a record, or what the daemon sees now, as a table, lines
-//! of JSON, or CSV.
+//! The telemetry dump: a record, what the daemon sees now, or the serial line
+//! itself, as a table, lines of JSON, or CSV; or what there is to count in it.
 
 mod error;
+mod filter;
 mod format;
+mod kind;
+mod moment;
 mod source;
+mod stats;
 
 use std::{
     io::{self, IsTerminal, Write},
     path::PathBuf,
+    time::{Duration, Instant},
 };
 
 use clap::{Args, ValueEnum};
-use singletrack_record::{Ending, Topic};
-use singletrackd::config::SocketSection;
+use singletrack_record::{Topic, Value};
+use singletrack_sim::{LossPatternError, parse_duration_us};
+use singletrackd::config::{SerialSection, SocketSection};
 
 pub use error::DumpError;
+pub use filter::{Condition, NotACondition};
+pub use moment::{Moment, NotAMoment};
+pub use source::Direction;
 
+use crate::interrupt::Interrupt;
+use filter::{Filter, Verdict};
 use format::Printer;
-use source::Live;
+use kind::Kind;
+use source::{Close, Line, Live, Next, Place, Record, Row, Source};
+use stats::Stats;
 
 /// What `singletrack dump` is asked.
 #[derive(Args, Clone, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub struct DumpArgs {
-    /// A record (*.mcap, or *.mcap.part while or after it was cut short), or
-    /// `live` for the running daemon.
-    pub source: PathBuf,
+    /// Where to look: a record, the running daemon, a serial port, or a capture of its bytes.
+    ///
+    /// drive.mcap, drive.mcap.part   a record, finished or not{n}
+    /// live                          what the running daemon sees{n}
+    /// /dev/ttyUSB0                  a serial port: what the board sends, frame by frame{n}
+    /// line.bin, -                   a capture of the line's bytes, or standard input
+    #[arg(required_unless_present = "serial", verbatim_doc_comment)]
+    pub source: Option<PathBuf>,
 
-    /// What to print: tick, telemetry, status, pose, log or drops.
-    #[arg(long, default_value = "telemetry")]
-    pub topic: Topic,
+    /// What to print, several with commas [default: telemetry of a record or of live, all of a line].
+    ///
+    /// Of a record or live: tick, telemetry, status, pose, log, drops. Of a line: hello,
+    /// telemetry, status, acknowledgement, refusal, and broken for what is no frame (to the
+    /// board: hello, configure, arm, disarm, drive, emergency-stop, broken).
+    #[arg(long, value_delimiter = ',')]
+    pub topic: Vec<String>,
 
     /// How to print it [default: table on a terminal, csv elsewhere].
     #[arg(long, value_enum)]
     pub format: Option<Format>,
 
-    /// Which fields, such as `index,estimate.yaw_rad` [default: all; in a table,
-    /// those that matter most].
+    /// Which fields, such as `index,estimate.yaw_rad` [default: all; in a table, those that
+    /// matter most].
+    ///
+    /// `time_s` is there for every topic: seconds since the record began, since dump began to
+    /// listen, or, in a capture, since the board's first record by the board's clock.
     #[arg(long, value_delimiter = ',')]
     pub fields: Vec<String>,
 
-    /// Wait for more at the end of a record that is being written.
+    /// Only rows where a field is so: `mode=driving`, `'lateness_ns>500000'`.
+    ///
+    /// Operators: = != < <= > >= (put < and > in quotes, for the shell). What is absent equals
+    /// `none`. Given several times, all must hold.
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub conditions: Vec<Condition>,
+
+    /// Only from then on: seconds since the start, or 2026-11-21T12:00:00Z.
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    pub from: Option<Moment>,
+
+    /// Only until then.
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    pub to: Option<Moment>,
+
+    /// Count instead of printing: rates, gaps, losses, errors, latencies, modes.
+    ///
+    /// Of all topics unless --topic names some. Of a source without an end until Ctrl-C, or
+    /// for as long as --for says.
+    #[arg(long)]
+    pub stats: bool,
+
+    /// Wait for more at the end of a record or a capture that is being written.
     #[arg(long)]
     pub follow: bool,
+
+    /// Stop after so long, such as `10s`.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+
+    /// Listen to this serial port.
+    ///
+    /// Nothing is ever written to it, and its control lines are left alone. But Linux itself
+    /// raises DTR when a port is opened that nobody had open, and on an Arduino UNO that is
+    /// the reset button. A port that singletrackd uses is busy: look at `live` then.
+    #[arg(long, value_name = "PORT", conflicts_with = "source")]
+    pub serial: Option<PathBuf>,
+
+    /// Rate of the serial port, in baud.
+    #[arg(long, default_value_t = SerialSection::new("").baud)]
+    pub baud: u32,
+
+    /// Which way the bytes of a line went.
+    #[arg(long, value_enum, default_value_t)]
+    pub direction: Direction,
+
+    /// SOURCE is a capture of the line's bytes, whatever it looks like.
+    #[arg(long)]
+    pub raw: bool,
 
     /// Where the daemon listens, for `live`.
     #[arg(long, default_value_os_t = SocketSection::default().path)]
     pub socket: PathBuf,
 }
 
-/// How entries are printed.
+const EXAMPLES: &str = "\
+Examples:
+  singletrack dump drive.mcap --stats
+          what happened, in a page: rates, gaps, losses, latencies, modes and why they ended
+  singletrack dump drive.mcap --topic tick --format csv > ticks.csv
+          every field of every tick, for a spreadsheet or Python
+  singletrack dump drive.mcap --topic tick --where mode!=driving --fields time_s,mode,reason
+          when and why the car did not drive
+  singletrack dump drive.mcap --topic tick,log --format json --from 12 --to 13.5
+          a second and a half, everything that was recorded of it
+  singletrack dump live --topic tick
+          what the daemon does now
+  singletrack dump /dev/ttyUSB0 --stats --for 10s
+          how good the line from the board is (needs the daemon stopped)
+  singletrack dump line.bin --topic broken
+          where a capture of the line is damaged, and how";
+
+/// How rows are printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     /// Columns for a person; quantities to six digits.
     Table,
     /// One object a line, every digit.
     Json,
-    /// One row an entry, every digit.
+    /// One line a row, every digit.
     Csv,
+}
+
+fn duration(text: &str) -> Result<Duration, LossPatternError> {
+    parse_duration_us(text).map(Duration::from_micros)
 }
 
 /// Prints to standard output. Whoever reads that may stop at any time.
 ///
 /// # Errors
 ///
-/// When the source cannot be read, or a field does not exist.
+/// When the source cannot be read, or a topic or a field does not exist.
 pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     let stdout = io::stdout();
-    let format = args.format.unwrap_or(if stdout.is_terminal() {
-        Format::Table
-    } else {
-        Format::Csv
-    });
-    let printed = print(args, format, stdout.lock());
-    match printed {
+    let format = args
+        .format
+        .unwrap_or(if args.stats || stdout.is_terminal() {
+            Format::Table
+        } else {
+            Format::Csv
+        });
+    match dump(args, format, stdout.lock()) {
         Err(DumpError::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         other => other,
     }
 }
 
-fn print(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
-    let live = args.source.as_os_str() == "live";
-    let mut printer = Printer::new(output, format, args.topic, &args.fields)?;
-    if live {
-        let mut live = Live::connect(&args.socket, args.topic)?;
-        printer.begin()?;
-        printer.flush()?;
-        while let Some((line, shown)) = live.next()? {
-            printer.print_line(line, &shown)?;
-            printer.flush()?;
-        }
-        return Ok(());
+/// Prints what is asked for to `output`.
+///
+/// # Errors
+///
+/// When the source cannot be read, a topic or a field does not exist, or the
+/// output cannot be written.
+pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
+    if args.stats && format == Format::Csv {
+        return Err(DumpError::StatsAsCsv);
     }
-    let mut reader = source::open(&args.source, args.topic, args.follow)?;
-    printer.begin()?;
-    for entry in reader.by_ref() {
-        match entry {
-            Ok(entry) => printer.print(&entry)?,
-            Err(error) => {
-                // What was read before the damage has been asked for.
-                printer.flush()?;
-                return Err(error.into());
-            }
-        }
-        if args.follow {
-            printer.flush()?;
-        }
-    }
-    printer.flush()?;
-    if let Some(ending @ Ending::Unfinished { .. }) = reader.ending() {
-        eprintln!("singletrack: {}: {ending}", args.source.display());
+    let place = match (&args.serial, &args.source) {
+        (Some(port), _) => Place::Serial(port.clone()),
+        (None, Some(path)) => Place::of(path, args.raw),
+        (None, None) => Place::Stdin,
+    };
+    let of_record = matches!(place, Place::Record(_) | Place::Live);
+    let kinds = if of_record {
+        Kind::topics()
+    } else {
+        source::kinds(args.direction)
+    };
+    let chosen = if !args.topic.is_empty() {
+        kind::choose(&kinds, &args.topic)?
+    } else if of_record && !args.stats {
+        kind::choose(&kinds, &[Topic::Telemetry.name().to_owned()])?
+    } else {
+        (0..kinds.len()).collect()
+    };
+    // What is wrong with the words is said before anything is opened.
+    let mut sink = if args.stats {
+        Sink::Count(Box::new(Stats::new(&kinds, &chosen)), output)
+    } else {
+        let fields = &args.fields;
+        Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
+    };
+    let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
+    let mut source = open(args, &place, kinds, &chosen)?;
+    let source = source.as_mut();
+    let start_wall_ns = source.start_wall_ns();
+    let filter = filter.within(
+        moment(args.from, "from", &place, start_wall_ns)?,
+        moment(args.to, "to", &place, start_wall_ns)?,
+    );
+    let limit = Limit {
+        end: args.duration.map(|duration| Instant::now() + duration),
+        interrupt: if args.stats {
+            Interrupt::listen().map_err(DumpError::Interrupt)?
+        } else {
+            // Ctrl-C ends the process, as it ends others.
+            Interrupt::default()
+        },
+    };
+    sink.begin()?;
+    let pumped = pump(source, &mut sink, &chosen, &filter, &limit);
+    // What came before a failure has been asked for as well.
+    let close = source.close();
+    sink.end(format, &place.to_string(), &close)?;
+    pumped?;
+    if let Some(note) = close.note {
+        eprintln!("singletrack: {note}");
     }
     Ok(())
+}
+
+/// Where rows go.
+enum Sink<W: Write> {
+    Print(Printer<W>),
+    Count(Box<Stats>, W),
+}
+
+impl<W: Write> Sink<W> {
+    fn begin(&mut self) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.begin(),
+            Self::Count(..) => Ok(()),
+        }
+    }
+
+    fn needs_values(&self) -> bool {
+        match self {
+            Self::Print(printer) => printer.needs_values(),
+            Self::Count(..) => true,
+        }
+    }
+
+    fn take(
+        &mut self,
+        row: &Row,
+        values: &[Value],
+        source: &mut dyn Source,
+    ) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.print(row, values, source),
+            Self::Count(stats, _) => {
+                stats.add(row, values);
+                Ok(())
+            }
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.flush(),
+            Self::Count(..) => Ok(()),
+        }
+    }
+
+    fn end(&mut self, format: Format, name: &str, close: &Close) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.flush(),
+            Self::Count(stats, output) => {
+                let report = stats.report(name, close);
+                let text = match format {
+                    Format::Json => serde_json::to_string_pretty(&report)
+                        .map_err(|error| DumpError::Output(error.into()))?,
+                    Format::Table | Format::Csv => report.to_string(),
+                };
+                output.write_all(text.as_bytes())?;
+                output.write_all(b"\n")?;
+                Ok(output.flush()?)
+            }
+        }
+    }
+}
+
+/// When to stop, if the source has no end.
+struct Limit {
+    end: Option<Instant>,
+    interrupt: Interrupt,
+}
+
+impl Limit {
+    fn is_reached(&self) -> bool {
+        self.end.is_some_and(|end| Instant::now() >= end)
+    }
+}
+
+/// Lets rows flow from the source to the sink.
+fn pump<W: Write>(
+    source: &mut dyn Source,
+    sink: &mut Sink<W>,
+    chosen: &[usize],
+    filter: &Filter,
+    limit: &Limit,
+) -> Result<(), DumpError> {
+    let needs_values = sink.needs_values() || filter.needs_values();
+    let mut values = Vec::new();
+    loop {
+        if limit.is_reached() || limit.interrupt.is_raised() {
+            return Ok(());
+        }
+        match source.next()? {
+            Next::End => return Ok(()),
+            Next::Pending => {
+                sink.flush()?;
+                source.wait()?;
+            }
+            Next::Row(row) => {
+                if !chosen.contains(&row.kind) {
+                    continue;
+                }
+                match filter.judge_time(&row) {
+                    Verdict::Stop => return Ok(()),
+                    Verdict::Leave => continue,
+                    Verdict::Take => {}
+                }
+                if needs_values {
+                    source.read_values(&mut values)?;
+                }
+                if filter.accepts(&row, &values) {
+                    sink.take(&row, &values, source)?;
+                }
+            }
+        }
+    }
+}
+
+fn open(
+    args: &DumpArgs,
+    place: &Place,
+    kinds: Vec<Kind>,
+    chosen: &[usize],
+) -> Result<Box<dyn Source>, DumpError> {
+    let direction = args.direction;
+    Ok(match place {
+        Place::Record(path) => Box::new(Record::open(path, chosen, args.follow)?),
+        Place::Live => Box::new(Live::connect(&args.socket, &kinds, chosen)?),
+        Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
+        Place::Raw(path) => Box::new(Line::file(path, direction, kinds, args.follow)?),
+        Place::Stdin => Box::new(Line::stdin(direction, kinds)?),
+    })
+}
+
+/// A moment in ns since the start of the source.
+fn moment(
+    moment: Option<Moment>,
+    option: &'static str,
+    place: &Place,
+    start_wall_ns: Option<u64>,
+) -> Result<Option<i64>, DumpError> {
+    moment
+        .map(|moment| {
+            moment
+                .since(start_wall_ns)
+                .ok_or_else(|| DumpError::NoWallTime {
+                    name: place.to_string(),
+                    option,
+                })
+        })
+        .transpose()
 }

@@ -1,5 +1,5 @@
-//! Ctrl-C ends a demo as its last second does: the car stops, the report is
-//! written, nothing is left behind.
+//! Ctrl-C ends a program as its last second does: what was begun is completed, and
+//! nothing is left behind.
 
 use std::{
     io,
@@ -15,16 +15,16 @@ use tokio::{
     signal::unix::{Signal, SignalKind, signal},
 };
 
-/// Whether somebody wants the demo to end.
+/// Whether somebody wants the program to end.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Interrupt(Arc<AtomicBool>);
+pub(crate) struct Interrupt(Arc<AtomicBool>);
 
 /// What a shell expects of a program that was interrupted.
 const EXIT_CODE: i32 = 130;
 
 impl Interrupt {
     /// Listens for SIGINT, SIGTERM and SIGHUP; a second one ends the process at once.
-    pub(super) fn listen() -> io::Result<Self> {
+    pub(crate) fn listen() -> io::Result<Self> {
         let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
         let signals = {
             let _entered = runtime.enter();
@@ -43,7 +43,7 @@ impl Interrupt {
     }
 
     /// Whether a signal has come.
-    pub(super) fn is_raised(&self) -> bool {
+    pub(crate) fn is_raised(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 

@@ -1,0 +1,296 @@
+//! Which rows are printed: by time, and by what their fields hold.
+
+use std::{cmp::Ordering, str::FromStr};
+
+use singletrack_record::Value;
+
+use super::{
+    DumpError,
+    kind::{Kind, Place, check_field},
+    source::Row,
+};
+
+/// A condition such as `mode=driving` or `lateness_ns>500000`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    field: String,
+    operator: Operator,
+    wanted: Wanted,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Operator {
+    Equal,
+    Different,
+    Less,
+    LessOrEqual,
+    Greater,
+    GreaterOrEqual,
+}
+
+/// What a field is compared with: as it was written, and as a number.
+#[derive(Clone, Debug, PartialEq)]
+struct Wanted {
+    text: String,
+    /// Exact, for times beyond 2^53.
+    whole: Option<i128>,
+    number: Option<f64>,
+}
+
+/// It is no condition.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotACondition {
+    /// There is nothing that compares.
+    #[error(
+        "not a condition: {0:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in quotes, for the shell)"
+    )]
+    NoOperator(String),
+    /// Only numbers are less or greater.
+    #[error(
+        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is none; use = or !="
+    )]
+    NotANumber {
+        /// The field.
+        field: String,
+        /// What compares.
+        operator: &'static str,
+        /// What the field is compared with.
+        value: String,
+    },
+}
+
+impl Operator {
+    /// The longer first: `<=` begins with `<`.
+    const ALL: [(&'static str, Self); 6] = [
+        ("!=", Self::Different),
+        ("<=", Self::LessOrEqual),
+        (">=", Self::GreaterOrEqual),
+        ("=", Self::Equal),
+        ("<", Self::Less),
+        (">", Self::Greater),
+    ];
+
+    fn accepts(self, ordering: Option<Ordering>) -> bool {
+        match self {
+            Self::Equal => ordering == Some(Ordering::Equal),
+            Self::Different => ordering != Some(Ordering::Equal),
+            Self::Less => ordering == Some(Ordering::Less),
+            Self::LessOrEqual => matches!(ordering, Some(Ordering::Less | Ordering::Equal)),
+            Self::Greater => ordering == Some(Ordering::Greater),
+            Self::GreaterOrEqual => matches!(ordering, Some(Ordering::Greater | Ordering::Equal)),
+        }
+    }
+}
+
+impl FromStr for Condition {
+    type Err = NotACondition;
+
+    fn from_str(text: &str) -> Result<Self, NotACondition> {
+        let none = || NotACondition::NoOperator(text.to_owned());
+        let at = text.find(['=', '!', '<', '>']).ok_or_else(none)?;
+        let (field, rest) = text.split_at_checked(at).ok_or_else(none)?;
+        let (sign, operator, value) = Operator::ALL
+            .into_iter()
+            .find_map(|(sign, operator)| Some((sign, operator, rest.strip_prefix(sign)?)))
+            .ok_or_else(none)?;
+        let (field, value) = (field.trim(), value.trim());
+        if field.is_empty() {
+            return Err(none());
+        }
+        let wanted = Wanted {
+            text: value.to_owned(),
+            whole: value.parse().ok(),
+            number: value.parse().ok(),
+        };
+        let ordered = !matches!(operator, Operator::Equal | Operator::Different);
+        if ordered && wanted.number.is_none() {
+            return Err(NotACondition::NotANumber {
+                field: field.to_owned(),
+                operator: sign,
+                value: value.to_owned(),
+            });
+        }
+        Ok(Self {
+            field: field.to_owned(),
+            operator,
+            wanted,
+        })
+    }
+}
+
+impl Wanted {
+    /// How a value compares; none if the two cannot be compared.
+    fn compare(&self, value: &Value) -> Option<Ordering> {
+        match value {
+            Value::Absent => matches!(self.text.as_str(), "" | "none").then_some(Ordering::Equal),
+            Value::Bool(value) => {
+                (self.text == if *value { "true" } else { "false" }).then_some(Ordering::Equal)
+            }
+            Value::Text(text) => (*text == self.text.as_str()).then_some(Ordering::Equal),
+            Value::Unsigned(value) => self.compare_whole((*value).into()),
+            Value::Signed(value) => self.compare_whole((*value).into()),
+            Value::Float(value) => value.partial_cmp(&self.number?),
+        }
+    }
+
+    fn compare_whole(&self, value: i128) -> Option<Ordering> {
+        match self.whole {
+            Some(whole) => Some(value.cmp(&whole)),
+            None => (value as f64).partial_cmp(&self.number?),
+        }
+    }
+}
+
+/// All conditions, and for each kind of row where their fields are.
+pub(super) struct Filter {
+    conditions: Vec<Condition>,
+    /// None for a kind without one of the fields: its rows are left out.
+    places: Vec<Option<Vec<Place>>>,
+    from_ns: Option<i64>,
+    to_ns: Option<i64>,
+}
+
+/// Whether a row is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// It is.
+    Take,
+    /// It is not.
+    Leave,
+    /// It is not, and none that comes after it is.
+    Stop,
+}
+
+/// Rows are in order of time but for less than this.
+const DISORDER_NS: i64 = 1_000_000_000;
+
+impl Filter {
+    pub(super) fn new(
+        kinds: &[Kind],
+        chosen: &[usize],
+        conditions: Vec<Condition>,
+    ) -> Result<Self, DumpError> {
+        let chosen = chosen.iter().filter_map(|index| kinds.get(*index));
+        for condition in &conditions {
+            check_field(chosen.clone(), &condition.field)?;
+        }
+        let places = kinds
+            .iter()
+            .map(|kind| {
+                conditions
+                    .iter()
+                    .map(|condition| kind.place(&condition.field))
+                    .collect()
+            })
+            .collect();
+        Ok(Self {
+            conditions,
+            places,
+            from_ns: None,
+            to_ns: None,
+        })
+    }
+
+    /// Rows from then to then alone, in ns since the start.
+    pub(super) fn within(self, from_ns: Option<i64>, to_ns: Option<i64>) -> Self {
+        Self {
+            from_ns,
+            to_ns,
+            ..self
+        }
+    }
+
+    /// Whether it looks at what the fields hold.
+    pub(super) fn needs_values(&self) -> bool {
+        !self.conditions.is_empty()
+    }
+
+    /// What the row's time says.
+    pub(super) fn judge_time(&self, row: &Row) -> Verdict {
+        if self.from_ns.is_none() && self.to_ns.is_none() {
+            return Verdict::Take;
+        }
+        let Some(time_ns) = row.time_ns else {
+            return Verdict::Leave;
+        };
+        match self.to_ns {
+            Some(to_ns) if time_ns > to_ns.saturating_add(DISORDER_NS) => Verdict::Stop,
+            Some(to_ns) if time_ns > to_ns => Verdict::Leave,
+            _ if self.from_ns.is_some_and(|from_ns| time_ns < from_ns) => Verdict::Leave,
+            _ => Verdict::Take,
+        }
+    }
+
+    /// Whether the row's fields are as wanted.
+    pub(super) fn accepts(&self, row: &Row, values: &[Value]) -> bool {
+        let Some(Some(places)) = self.places.get(row.kind) else {
+            return false;
+        };
+        self.conditions
+            .iter()
+            .zip(places)
+            .all(|(condition, place)| {
+                let ordering = match place {
+                    Place::Time => condition.wanted.compare(&row.time()),
+                    Place::Field(index) => condition
+                        .wanted
+                        .compare(values.get(*index).unwrap_or(&Value::Absent)),
+                };
+                condition.operator.accepts(ordering)
+            })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    fn holds(condition: &str, value: &Value) -> bool {
+        let condition: Condition = condition.parse().unwrap();
+        condition.operator.accepts(condition.wanted.compare(value))
+    }
+
+    #[test]
+    fn values_are_compared_as_what_they_are() {
+        let large = Value::Unsigned((1 << 60) + 1);
+        for (condition, value, expected) in [
+            ("mode=driving", Value::Text("driving".into()), true),
+            ("mode!=driving", Value::Text("idle".into()), true),
+            ("mode=driving", Value::Absent, false),
+            ("reason=none", Value::Absent, true),
+            ("reason!=none", Value::Text("requested".into()), true),
+            ("held=true", Value::Bool(true), true),
+            ("held = false", Value::Bool(true), false),
+            ("x<0.5", Value::Float(0.25), true),
+            ("x>=0.25", Value::Float(0.25), true),
+            ("x<0.5", Value::Float(f64::NAN), false),
+            ("x<0.5", Value::Absent, false),
+            ("n>-3", Value::Signed(-2), true),
+            ("n<=2.5", Value::Signed(2), true),
+            // One apart, where floating-point numbers are 256 apart.
+            ("t=1152921504606846977", large.clone(), true),
+            ("t>1152921504606846976", large.clone(), true),
+            ("t!=1152921504606846976", large, true),
+        ] {
+            assert_eq!(
+                holds(condition, &value),
+                expected,
+                "{condition} of {value:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_condition_is_refused() {
+        for (text, expected) in [
+            ("mode", "use FIELD=VALUE"),
+            ("=driving", "use FIELD=VALUE"),
+            ("mode!driving", "use FIELD=VALUE"),
+            ("mode<driving", "mode<driving: < compares with numbers"),
+        ] {
+            let error = text.parse::<Condition>().unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}

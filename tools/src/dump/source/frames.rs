@@ -1,0 +1,512 @@
+//! Frames out of the bytes of the line, whole and broken ones.
+
+use core::fmt::{Debug, Write};
+
+use clap::ValueEnum;
+use singletrack_protocol::{
+    Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop,
+    FrameError, Hello, Packet, Refusal, RefusalReason, Request, Sequence, Status, Telemetry,
+    ToBoard, ToHost, VERSION,
+};
+use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
+use singletrack_sim::default_board_configuration;
+
+use crate::dump::kind::Kind;
+
+/// Which way the bytes went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Direction {
+    /// From the board to the host: what a serial port receives.
+    #[default]
+    ToHost,
+    /// From the host to the board.
+    ToBoard,
+}
+
+/// The kind of what is no frame.
+pub(in crate::dump) const BROKEN: &str = "broken";
+
+/// No more bytes than this of something broken are shown.
+const SHOWN_BYTES: usize = 64;
+
+/// A stretch of bytes up to a zero.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Found {
+    /// Where it begins, in bytes from the start.
+    pub(super) offset: u64,
+    /// How many bytes it has, with the zero that ends it.
+    pub(super) length: u64,
+    /// What it says.
+    pub(super) content: Content,
+}
+
+/// What a stretch of bytes says.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Content {
+    /// A message of the board.
+    ToHost(ToHost),
+    /// A message of the host.
+    ToBoard(ToBoard),
+    /// Nothing.
+    Broken {
+        /// Why, in a word.
+        reason: &'static str,
+        /// Why, in a sentence.
+        detail: String,
+        /// Its first bytes.
+        bytes: Vec<u8>,
+    },
+}
+
+/// Finds frames in bytes, and says where they are.
+pub(super) struct Frames {
+    direction: Direction,
+    decoder: Decoder,
+    /// Bytes taken.
+    taken: u64,
+    /// Where the stretch that is being taken begins.
+    begin: u64,
+    /// Its first bytes.
+    bytes: Vec<u8>,
+    /// What the last greeting said, if it was not our version.
+    other_version: Option<u16>,
+    /// How many frames were whole.
+    pub(super) whole: u64,
+}
+
+impl Frames {
+    pub(super) fn new(direction: Direction) -> Self {
+        Self {
+            direction,
+            decoder: Decoder::new(),
+            taken: 0,
+            begin: 0,
+            bytes: Vec::new(),
+            other_version: None,
+            whole: 0,
+        }
+    }
+
+    /// Bytes taken.
+    pub(super) const fn taken(&self) -> u64 {
+        self.taken
+    }
+
+    /// Takes a byte; the last of a stretch gives what the stretch is.
+    pub(super) fn push(&mut self, byte: u8) -> Option<Found> {
+        self.taken += 1;
+        if byte == 0 {
+            let content = match self.decoder.push(byte) {
+                None => None,
+                Some(Ok(packet)) => Some(understand(
+                    self.direction,
+                    packet,
+                    &mut self.other_version,
+                    &self.bytes,
+                )),
+                Some(Err(error)) => Some(broken(word(error), error.to_string(), &self.bytes)),
+            };
+            return self.found(content);
+        }
+        self.decoder.push_data(byte);
+        if self.bytes.len() < SHOWN_BYTES {
+            self.bytes.push(byte);
+        }
+        None
+    }
+
+    /// What the bytes end with, if that is not a zero.
+    pub(super) fn finish(&mut self) -> Option<Found> {
+        let content = (self.taken > self.begin).then(|| {
+            let detail = "the bytes end in the middle of a frame".to_owned();
+            broken("unfinished", detail, &self.bytes)
+        });
+        self.found(content)
+    }
+
+    fn found(&mut self, content: Option<Content>) -> Option<Found> {
+        let offset = self.begin;
+        self.begin = self.taken;
+        self.bytes.clear();
+        let content = content?;
+        self.whole += u64::from(!matches!(content, Content::Broken { .. }));
+        Some(Found {
+            offset,
+            length: self.taken - offset,
+            content,
+        })
+    }
+}
+
+/// The message of a good packet. After a greeting in another version nothing else
+/// is believed, however well it looks.
+fn understand(
+    direction: Direction,
+    packet: Packet<'_>,
+    other_version: &mut Option<u16>,
+    bytes: &[u8],
+) -> Content {
+    let message = match direction {
+        Direction::ToHost => ToHost::decode(packet).map(Content::ToHost),
+        Direction::ToBoard => ToBoard::decode(packet).map(Content::ToBoard),
+    };
+    if let Ok(Content::ToHost(ToHost::Hello(hello)) | Content::ToBoard(ToBoard::Hello(hello))) =
+        &message
+    {
+        *other_version = (hello.protocol_version != VERSION).then_some(hello.protocol_version);
+    } else if let Some(version) = other_version {
+        let detail = format!(
+            "the sender speaks version {version} of the protocol, this program version {VERSION}: use the singletrack of its release"
+        );
+        return broken("version", detail, bytes);
+    }
+    message.unwrap_or_else(|error| {
+        let reason = match error {
+            DecodeError::UnknownType(_) => "unknown-type",
+            DecodeError::Length { .. } => "payload-length",
+            DecodeError::Value { .. } => "payload-value",
+        };
+        broken(reason, error.to_string(), bytes)
+    })
+}
+
+const fn word(error: FrameError) -> &'static str {
+    match error {
+        FrameError::Truncated => "truncated",
+        FrameError::TooLong => "too-long",
+        FrameError::TooShort(_) => "too-short",
+        FrameError::CheckSum => "check-sum",
+    }
+}
+
+fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
+    Content::Broken {
+        reason,
+        detail,
+        bytes: bytes.to_owned(),
+    }
+}
+
+impl Content {
+    /// Whatever can come in a direction, an example of each.
+    fn examples(direction: Direction) -> Vec<Self> {
+        let sequence = Sequence(0);
+        let hello = Hello {
+            protocol_version: VERSION,
+            software_version: [0; 3],
+            nonce: 0,
+        };
+        let broken = broken("", String::new(), &[]);
+        match direction {
+            Direction::ToHost => [
+                hello.into(),
+                example_telemetry().into(),
+                example_status().into(),
+                ToHost::Acknowledgement(Acknowledgement {
+                    request: Request::Arm,
+                    sequence,
+                    configuration_hash: 0,
+                }),
+                ToHost::Refusal(Refusal {
+                    request: Request::Arm,
+                    sequence,
+                    reason: RefusalReason::None,
+                }),
+            ]
+            .map(Self::ToHost)
+            .into_iter()
+            .chain([broken])
+            .collect(),
+            Direction::ToBoard => [
+                hello.into(),
+                ToBoard::Configure(Configure {
+                    request: sequence,
+                    configuration: default_board_configuration(),
+                }),
+                ToBoard::Arm(Arm {
+                    request: sequence,
+                    configuration_hash: 0,
+                    telemetry_time_us: 0,
+                }),
+                ToBoard::Disarm(Disarm { request: sequence }),
+                ToBoard::Drive(Drive {
+                    sequence,
+                    speed_mm_s: 0,
+                    steering_100urad: 0,
+                    telemetry_time_us: 0,
+                    pose_age_ms: 0,
+                }),
+                ToBoard::EmergencyStop(EmergencyStop { request: sequence }),
+            ]
+            .map(Self::ToBoard)
+            .into_iter()
+            .chain([broken])
+            .collect(),
+        }
+    }
+
+    /// The name of its kind.
+    pub(super) const fn name(&self) -> &'static str {
+        match self {
+            Self::ToHost(ToHost::Hello(_)) | Self::ToBoard(ToBoard::Hello(_)) => "hello",
+            Self::ToHost(ToHost::Telemetry(_)) => Topic::Telemetry.name(),
+            Self::ToHost(ToHost::Status(_)) => Topic::Status.name(),
+            Self::ToHost(ToHost::Acknowledgement(_)) => "acknowledgement",
+            Self::ToHost(ToHost::Refusal(_)) => "refusal",
+            Self::ToBoard(ToBoard::Configure(_)) => "configure",
+            Self::ToBoard(ToBoard::Arm(_)) => "arm",
+            Self::ToBoard(ToBoard::Disarm(_)) => "disarm",
+            Self::ToBoard(ToBoard::Drive(_)) => "drive",
+            Self::ToBoard(ToBoard::EmergencyStop(_)) => "emergency-stop",
+            Self::Broken { .. } => BROKEN,
+        }
+    }
+
+    /// The board's clock when it was made, as far as it says: in µs, wrapping.
+    pub(super) const fn board_time_us(&self) -> Option<u32> {
+        match self {
+            Self::ToHost(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
+            Self::ToHost(ToHost::Status(status)) => Some(status.board_time_us),
+            Self::ToBoard(ToBoard::Drive(drive)) => Some(drive.telemetry_time_us),
+            Self::ToBoard(ToBoard::Arm(arm)) => Some(arm.telemetry_time_us),
+            _ => None,
+        }
+    }
+
+    /// Its fields, by name.
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        let number = |value: u32| Value::Unsigned(value.into());
+        match self {
+            Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
+                let [major, minor, patch] = hello.software_version;
+                field("protocol_version", number(hello.protocol_version.into()));
+                field(
+                    "software_version",
+                    Value::Text(format!("{major}.{minor}.{patch}").into()),
+                );
+                field("nonce", number(hello.nonce));
+            }
+            Self::ToHost(ToHost::Telemetry(telemetry)) => {
+                recorded(&telemetry_entry(telemetry), field);
+            }
+            Self::ToHost(ToHost::Status(status)) => recorded(&status_entry(status), field),
+            Self::ToHost(ToHost::Acknowledgement(answer)) => {
+                field("request", named(answer.request));
+                field("sequence", number(answer.sequence.0.into()));
+                field("configuration_hash", number(answer.configuration_hash));
+            }
+            Self::ToHost(ToHost::Refusal(answer)) => {
+                field("request", named(answer.request));
+                field("sequence", number(answer.sequence.0.into()));
+                field("reason", named(answer.reason));
+            }
+            Self::ToBoard(ToBoard::Configure(configure)) => {
+                let configuration = &configure.configuration;
+                let (servo, esc, speed) = (
+                    &configuration.servo,
+                    &configuration.esc,
+                    &configuration.speed,
+                );
+                field("request", number(configure.request.0.into()));
+                field("configuration_hash", number(configuration.hash()));
+                for (name, value) in [
+                    ("servo.centre_us", i64::from(servo.centre_us)),
+                    ("servo.gain_us_per_rad", servo.gain_us_per_rad.into()),
+                    ("servo.min_us", servo.min_us.into()),
+                    ("servo.max_us", servo.max_us.into()),
+                    ("servo.slew_us_per_20ms", servo.slew_us_per_20ms.into()),
+                    ("esc.neutral_us", esc.neutral_us.into()),
+                    ("esc.deadband_us", esc.deadband_us.into()),
+                    ("esc.min_us", esc.min_us.into()),
+                    ("esc.max_us", esc.max_us.into()),
+                    ("esc.slew_us_per_20ms", esc.slew_us_per_20ms.into()),
+                    ("esc.brake_us", esc.brake_us.into()),
+                    ("speed.pulse_distance_um", speed.pulse_distance_um.into()),
+                    (
+                        "speed.feed_forward_us_per_m_s",
+                        speed.feed_forward_us_per_m_s.into(),
+                    ),
+                    (
+                        "speed.proportional_us_per_m_s",
+                        speed.proportional_us_per_m_s.into(),
+                    ),
+                    ("speed.integral_us_per_m", speed.integral_us_per_m.into()),
+                    ("speed.integral_limit_us", speed.integral_limit_us.into()),
+                    ("speed.max_forward_mm_s", speed.max_forward_mm_s.into()),
+                    ("speed.max_reverse_mm_s", speed.max_reverse_mm_s.into()),
+                ] {
+                    field(name, Value::Signed(value));
+                }
+                field("failsafe", named(configuration.failsafe));
+                field(
+                    "max_pose_age_ms",
+                    number(configuration.max_pose_age_ms.into()),
+                );
+                field("stop_input", Value::Bool(configuration.stop_input));
+            }
+            Self::ToBoard(ToBoard::Arm(arm)) => {
+                field("request", number(arm.request.0.into()));
+                field("configuration_hash", number(arm.configuration_hash));
+                field("telemetry_time_us", number(arm.telemetry_time_us));
+            }
+            Self::ToBoard(ToBoard::Disarm(disarm)) => {
+                field("request", number(disarm.request.0.into()));
+            }
+            Self::ToBoard(ToBoard::Drive(drive)) => {
+                field("sequence", number(drive.sequence.0.into()));
+                field("speed_mm_s", Value::Signed(drive.speed_mm_s.into()));
+                field(
+                    "steering_100urad",
+                    Value::Signed(drive.steering_100urad.into()),
+                );
+                field("telemetry_time_us", number(drive.telemetry_time_us));
+                field("pose_age_ms", number(drive.pose_age_ms.into()));
+            }
+            Self::ToBoard(ToBoard::EmergencyStop(stop)) => {
+                field("request", number(stop.request.0.into()));
+            }
+            Self::Broken {
+                reason,
+                detail,
+                bytes,
+            } => {
+                field("reason", Value::Text((*reason).into()));
+                field("detail", Value::Text(detail.clone().into()));
+                field("bytes", Value::Text(hexadecimal(bytes).into()));
+            }
+        }
+    }
+}
+
+impl Found {
+    /// Replaces `values` with its fields, in the order of its kind.
+    pub(super) fn read_values(&self, values: &mut Vec<Value>) {
+        values.clear();
+        values.extend([Value::Unsigned(self.offset), Value::Unsigned(self.length)]);
+        self.content.fields(&mut |_, value| values.push(value));
+    }
+}
+
+/// What can come in a direction. Every frame has an offset and a length.
+pub(in crate::dump) fn kinds(direction: Direction) -> Vec<Kind> {
+    Content::examples(direction)
+        .iter()
+        .map(|example| {
+            let mut fields = vec!["offset".to_owned(), "length".to_owned()];
+            example.fields(&mut |name, _| fields.push(name.to_owned()));
+            Kind {
+                name: example.name(),
+                fields,
+                brief: match example {
+                    Content::ToHost(ToHost::Telemetry(_)) => &[
+                        "offset",
+                        "length",
+                        "board_time_us",
+                        "mode",
+                        "stop_cause",
+                        "last_sequence",
+                        "imu",
+                        "forward_acceleration_mm_s2",
+                        "left_acceleration_mm_s2",
+                        "yaw_rate_mrad_s",
+                        "motor_speed_mm_s",
+                        "servo_us",
+                        "esc_us",
+                    ],
+                    _ => &[],
+                },
+            }
+        })
+        .collect()
+}
+
+/// The fields of a record's entry that come over the line: all from the board's
+/// clock on. What is before is the host's addition.
+fn recorded(entry: &Entry, field: &mut dyn FnMut(&str, Value)) {
+    let names = entry.topic().fields();
+    for (name, value) in names
+        .iter()
+        .zip(entry.values())
+        .skip_while(|(name, _)| *name != "board_time_us")
+    {
+        field(name, value);
+    }
+}
+
+const fn telemetry_entry(telemetry: &Telemetry) -> Entry {
+    Entry::Telemetry(TelemetryRecord {
+        receive_time_ns: 0,
+        board_time_host_ns: 0,
+        imu_time_host_ns: None,
+        telemetry: *telemetry,
+    })
+}
+
+const fn status_entry(status: &Status) -> Entry {
+    Entry::Status(StatusRecord {
+        receive_time_ns: 0,
+        status: *status,
+    })
+}
+
+fn example_telemetry() -> Telemetry {
+    use singletrack_protocol::{BoardMode, ImuState, StopCause};
+    Telemetry {
+        board_time_us: 0,
+        mode: BoardMode::Boot,
+        stop_cause: StopCause::None,
+        last_sequence: Sequence(0),
+        imu: ImuState::Silent,
+        imu_age_100us: 0,
+        linear_acceleration_mm_s2: [0; 3],
+        angular_velocity_mrad_s: [0; 3],
+        attitude_q14: [0; 4],
+        motor_speed_mm_s: 0,
+        servo_us: 0,
+        esc_us: 0,
+    }
+}
+
+fn example_status() -> Status {
+    use singletrack_protocol::ResetCause;
+    Status {
+        board_time_us: 0,
+        configuration_hash: 0,
+        reset_cause: ResetCause::Unknown,
+        stop_input_open: false,
+        battery_mv: 0,
+        frames_received: 0,
+        frames_damaged: 0,
+        drives_refused: 0,
+        last_refusal: RefusalReason::None,
+        frames_dropped: 0,
+        bytes_overrun: 0,
+        imu_errors: 0,
+    }
+}
+
+/// The name of a value of an enumeration, as records write it: `not-yet-neutral`.
+fn named(value: impl Debug) -> Value {
+    let mut word = String::new();
+    for character in format!("{value:?}").chars() {
+        if character.is_ascii_uppercase() && !word.is_empty() {
+            word.push('-');
+        }
+        word.push(character.to_ascii_lowercase());
+    }
+    Value::Text(word.into())
+}
+
+/// `0a ff 13`; with an ellipsis if there may be more.
+fn hexadecimal(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for byte in bytes {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{byte:02x} ");
+    }
+    if bytes.len() == SHOWN_BYTES {
+        text.push_str("...");
+    }
+    text.truncate(text.trim_end().len());
+    text
+}

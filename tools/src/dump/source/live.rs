@@ -1,0 +1,257 @@
+//! What the running daemon sees, as it sees it.
+
+use std::{
+    io::{self, Read, Write},
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+    time::{Instant, SystemTime, UNIX_EPOCH},
+};
+
+use serde_json::json;
+use singletrack_record::{NotAnEntry, Shown, Topic, Value};
+use singletrackd::{SOCKET_VERSION, monotonic_ns};
+
+use super::{Close, Next, PATIENCE, Row, Source};
+use crate::dump::{DumpError, kind::Kind};
+
+/// How long the daemon may take to answer.
+const ANSWER_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(5);
+/// How much is read from the socket at once.
+const READ_LENGTH: usize = 64 << 10;
+
+/// The daemon's socket, and the entries that come over it.
+pub(in crate::dump) struct Live {
+    path: PathBuf,
+    stream: UnixStream,
+    /// What has been received and not looked at, and where that begins.
+    received: Vec<u8>,
+    at: usize,
+    closed: bool,
+    line: String,
+    values: Vec<Value>,
+    /// For each kind, which field is its time; none for those not asked for.
+    times: Vec<Option<usize>>,
+    start_ns: u64,
+    start_wall_ns: Option<u64>,
+    missed: u64,
+}
+
+impl Live {
+    /// Asks the daemon to tell of the `chosen` kinds, and waits until it agrees.
+    pub(in crate::dump) fn connect(
+        path: &Path,
+        kinds: &[Kind],
+        chosen: &[usize],
+    ) -> Result<Self, DumpError> {
+        let unreachable = |source| DumpError::Unreachable {
+            path: path.to_owned(),
+            source,
+        };
+        let mut stream = UnixStream::connect(path).map_err(unreachable)?;
+        stream
+            .set_read_timeout(Some(PATIENCE))
+            .map_err(unreachable)?;
+        let topics: Vec<_> = chosen
+            .iter()
+            .filter_map(|index| kinds.get(*index))
+            .map(|kind| kind.name)
+            .collect();
+        let request = json!({
+            "version": SOCKET_VERSION,
+            "command": "watch",
+            "topics": topics,
+        });
+        stream
+            .write_all(format!("{request}\n").as_bytes())
+            .map_err(unreachable)?;
+        let times = kinds
+            .iter()
+            .enumerate()
+            .map(|(index, kind)| chosen.contains(&index).then(|| time_field(kind))?)
+            .collect();
+        let mut live = Self {
+            path: path.to_owned(),
+            stream,
+            received: Vec::new(),
+            at: 0,
+            closed: false,
+            line: String::new(),
+            values: Vec::new(),
+            times,
+            start_ns: monotonic_ns(),
+            start_wall_ns: SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .ok()
+                .and_then(|wall| u64::try_from(wall.as_nanos()).ok()),
+            missed: 0,
+        };
+        live.expect_agreement()?;
+        Ok(live)
+    }
+
+    /// The daemon's first line says whether it will tell anything.
+    fn expect_agreement(&mut self) -> Result<(), DumpError> {
+        let asked = Instant::now();
+        while !self.take_line()? {
+            if self.closed || asked.elapsed() > ANSWER_TIMEOUT {
+                let kind = if self.closed {
+                    io::ErrorKind::UnexpectedEof
+                } else {
+                    io::ErrorKind::TimedOut
+                };
+                return Err(self.lost(kind.into()));
+            }
+            self.wait()?;
+        }
+        let answer = serde_json::from_str::<serde_json::Value>(&self.line).map_err(|error| {
+            self.makes_no_sense(NotAnEntry::NotJson {
+                line: self.line.clone(),
+                reason: error.to_string(),
+            })
+        })?;
+        if answer["ok"] == true {
+            return Ok(());
+        }
+        Err(match answer["error"].as_str() {
+            Some(error) => DumpError::Refused {
+                path: self.path.clone(),
+                error: error.to_owned(),
+            },
+            None => self.makes_no_sense(NotAnEntry::NoTopic {
+                line: self.line.clone(),
+            }),
+        })
+    }
+
+    /// Moves a whole line to `line`; false if there is none yet.
+    fn take_line(&mut self) -> Result<bool, DumpError> {
+        let received = self.received.get(self.at..).unwrap_or_default();
+        let Some(length) = received.iter().position(|byte| *byte == b'\n') else {
+            self.received.drain(..self.at);
+            self.at = 0;
+            return Ok(false);
+        };
+        let bytes = received.get(..length).unwrap_or_default();
+        self.line.clear();
+        self.line.push_str(&String::from_utf8_lossy(bytes));
+        self.at += length + 1;
+        Ok(true)
+    }
+
+    /// The row that a line of an entry is; none if it was not asked for.
+    fn row(&self, shown: &Shown) -> Option<Row> {
+        let kind = Topic::ALL
+            .into_iter()
+            .position(|topic| topic == shown.topic)?;
+        let field = (*self.times.get(kind)?)?;
+        let time_ns = match shown.values.get(field) {
+            Some(Value::Unsigned(ns)) => Some(ns.wrapping_sub(self.start_ns).cast_signed()),
+            _ => None,
+        };
+        Some(Row { kind, time_ns })
+    }
+
+    fn lost(&self, source: io::Error) -> DumpError {
+        DumpError::Lost {
+            path: self.path.clone(),
+            source,
+        }
+    }
+
+    fn makes_no_sense(&self, source: NotAnEntry) -> DumpError {
+        DumpError::Answer {
+            path: self.path.clone(),
+            source,
+        }
+    }
+}
+
+impl Source for Live {
+    fn start_wall_ns(&self) -> Option<u64> {
+        self.start_wall_ns
+    }
+
+    fn next(&mut self) -> Result<Next, DumpError> {
+        loop {
+            if !self.take_line()? {
+                return Ok(if self.closed {
+                    Next::End
+                } else {
+                    Next::Pending
+                });
+            }
+            match Shown::from_json(&self.line) {
+                Ok(shown) => {
+                    if let Some(row) = self.row(&shown) {
+                        self.values = shown.values;
+                        return Ok(Next::Row(row));
+                    }
+                }
+                // A newer daemon may have more topics than this program.
+                Err(NotAnEntry::NoTopic { line }) if line.contains("\"topic\"") => {}
+                Err(source) => match missed(&self.line) {
+                    Some(count) => {
+                        self.missed += count;
+                        eprintln!(
+                            "singletrack: {}: {count} entries of all topics missed: \
+                             what is printed is not taken as fast as they come",
+                            self.path.display()
+                        );
+                    }
+                    None => return Err(self.makes_no_sense(source)),
+                },
+            }
+        }
+    }
+
+    fn wait(&mut self) -> Result<(), DumpError> {
+        let length = self.received.len();
+        self.received.resize(length + READ_LENGTH, 0);
+        let room = self.received.get_mut(length..).unwrap_or_default();
+        let read = self.stream.read(room);
+        self.received
+            .truncate(length + read.as_ref().copied().unwrap_or_default());
+        match read {
+            Ok(0) => self.closed = true,
+            Ok(_) => {}
+            Err(error) => match error.kind() {
+                io::ErrorKind::WouldBlock
+                | io::ErrorKind::TimedOut
+                | io::ErrorKind::Interrupted => {}
+                _ => return Err(self.lost(error)),
+            },
+        }
+        Ok(())
+    }
+
+    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
+        values.clear();
+        values.append(&mut self.values.clone());
+        Ok(())
+    }
+
+    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+        // As the daemon sent it: it may be of another release.
+        json.push_str(&self.line);
+        Ok(())
+    }
+
+    fn close(&self) -> Close {
+        Close {
+            missed: self.missed,
+            ..Close::default()
+        }
+    }
+}
+
+/// The field that tells when an entry reached the host.
+fn time_field(kind: &Kind) -> Option<usize> {
+    ["start_ns", "receive_time_ns", "time_ns"]
+        .into_iter()
+        .find_map(|name| kind.index(name))
+}
+
+/// How many entries the daemon says it could not send.
+fn missed(line: &str) -> Option<u64> {
+    serde_json::from_str::<serde_json::Value>(line).ok()?["missed"].as_u64()
+}

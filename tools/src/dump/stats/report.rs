@@ -1,0 +1,263 @@
+//! What has been counted, for a program; the same as a page for a person is in
+//! `table`.
+
+use serde::{Serialize, Serializer, ser::SerializeMap};
+
+/// Everything that was counted. What was not there to be counted is null or empty.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(in crate::dump) struct Report {
+    /// What was looked at.
+    pub(super) source: String,
+    /// Whether it is a record that has not been finished.
+    pub(super) unfinished: bool,
+    /// Rows that came faster than they were taken, and are not counted.
+    pub(super) missed: u64,
+    /// From the first row to the last.
+    pub(super) span_s: f64,
+    /// How often each topic came.
+    pub(super) topics: Vec<TopicReport>,
+    /// The line from the board to the host.
+    pub(super) line: LineReport,
+    /// What the board counted meanwhile.
+    pub(super) board: Option<BoardCounters>,
+    /// What the motion capture said.
+    pub(super) poses: Option<PoseReport>,
+    /// What the control thread counted.
+    pub(super) ticks: Option<TickReport>,
+    /// Entries that did not reach the record.
+    pub(super) entries_dropped: u64,
+    /// How late ticks began.
+    #[serde(rename = "lateness_us")]
+    pub(super) lateness: Option<Distribution>,
+    /// From mid-exposure to the command leaving, in ticks with a new pose.
+    #[serde(rename = "capture_to_command_us")]
+    pub(super) capture_to_command: Option<Distribution>,
+    /// The pilot's modes.
+    pub(super) modes: Vec<ModeSpan>,
+    /// The modes of the board's safety machine.
+    pub(super) board_modes: Vec<ModeSpan>,
+}
+
+/// How often a topic came.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct TopicReport {
+    pub(super) topic: &'static str,
+    pub(super) count: u64,
+    pub(super) rate_hz: Option<f64>,
+    pub(super) first_s: Option<f64>,
+    pub(super) last_s: Option<f64>,
+    pub(super) longest_gap_ms: Option<f64>,
+    /// When the longest gap began.
+    pub(super) longest_gap_at_s: Option<f64>,
+}
+
+/// What became of the frames on the line.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct LineReport {
+    /// Whether there was telemetry to judge by.
+    #[serde(skip)]
+    pub(super) telemetry: bool,
+    /// Telemetry records that the board's clock misses.
+    pub(super) telemetry_lost: u64,
+    /// In how many gaps.
+    pub(super) gaps: u64,
+    pub(super) longest_gap_ms: Option<f64>,
+    pub(super) longest_gap_at_s: Option<f64>,
+    pub(super) board_restarts: u64,
+    /// What was no frame, by reason.
+    #[serde(serialize_with = "as_map")]
+    pub(super) broken: Vec<Count>,
+    pub(super) bytes: Option<u64>,
+    pub(super) bytes_per_s: Option<f64>,
+}
+
+/// How often something was so.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Count {
+    pub(super) what: String,
+    pub(super) count: u64,
+}
+
+fn as_map<S: Serializer>(counts: &[Count], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(counts.iter().map(|count| (&count.what, count.count)))
+}
+
+/// The board's counters, by how much they rose.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct BoardCounters {
+    /// In the order of [`Self::NAMES`].
+    pub(super) counts: [u64; Self::NAMES.len()],
+    /// Why a drive command was last refused.
+    pub(super) last_refusal: Option<String>,
+}
+
+impl BoardCounters {
+    /// The fields of a status record that count.
+    pub(super) const NAMES: [&str; 6] = [
+        "frames_received",
+        "frames_damaged",
+        "drives_refused",
+        "frames_dropped",
+        "bytes_overrun",
+        "imu_errors",
+    ];
+}
+
+impl Serialize for BoardCounters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (name, count) in Self::NAMES.iter().zip(self.counts) {
+            map.serialize_entry(name, &count)?;
+        }
+        map.serialize_entry("last_refusal", &self.last_refusal)?;
+        map.end()
+    }
+}
+
+/// What the motion capture said.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct PoseReport {
+    /// Frames by what they said of the car.
+    #[serde(serialize_with = "as_map")]
+    pub(super) states: Vec<Count>,
+    /// Numbers of frames that never came.
+    pub(super) frames_missing: u64,
+    /// The longest time between two valid poses.
+    pub(super) longest_between_valid_ms: f64,
+    pub(super) longest_between_valid_at_s: f64,
+}
+
+/// What the control thread counted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct TickReport {
+    /// Points of the grid without a tick: the one before took too long.
+    pub(super) skipped: u64,
+    /// Events that the pilot never saw.
+    pub(super) events_dropped: u64,
+    /// Ticks that no new valid pose came to.
+    pub(super) without_new_pose: u64,
+    /// Commands that found no room on the line.
+    pub(super) commands_not_written: u64,
+}
+
+/// For how long a mode lasted, and why it was.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct ModeSpan {
+    pub(super) mode: String,
+    pub(super) reason: Option<String>,
+    pub(super) from_s: f64,
+    pub(super) duration_s: f64,
+}
+
+/// How durations are distributed, in microseconds. Every percentile is one of
+/// the durations.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Distribution {
+    pub(super) count: u64,
+    pub(super) min: f64,
+    pub(super) p50: f64,
+    pub(super) p90: f64,
+    pub(super) p99: f64,
+    #[serde(rename = "p99.9")]
+    pub(super) p999: f64,
+    pub(super) max: f64,
+    pub(super) histogram: Vec<Bucket>,
+}
+
+/// Durations of about the same length.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Bucket {
+    /// More than the bucket before, and at most this.
+    pub(super) up_to: f64,
+    pub(super) count: u64,
+}
+
+impl Distribution {
+    /// Of durations in nanoseconds; none if there are none.
+    pub(super) fn of(durations_ns: &[i64]) -> Option<Self> {
+        let mut sorted = durations_ns.to_vec();
+        sorted.sort_unstable();
+        let microseconds = |ns: i64| ns as f64 / 1e3;
+        // The smallest that so many of a thousand do not exceed.
+        let quantile = |per_mille: usize| {
+            let rank = (sorted.len() * per_mille).div_ceil(1_000);
+            sorted
+                .get(rank.saturating_sub(1))
+                .copied()
+                .map(microseconds)
+        };
+        Some(Self {
+            count: sorted.len() as u64,
+            min: sorted.first().copied().map(microseconds)?,
+            p50: quantile(500)?,
+            p90: quantile(900)?,
+            p99: quantile(990)?,
+            p999: quantile(999)?,
+            max: sorted.last().copied().map(microseconds)?,
+            histogram: histogram(&sorted),
+        })
+    }
+}
+
+/// Buckets that end at 1, 2, 5, 10, 20, ... us, from the first to the last that
+/// something is in.
+fn histogram(sorted_ns: &[i64]) -> Vec<Bucket> {
+    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade) * 1_000));
+    let mut buckets = Vec::new();
+    let mut rest = sorted_ns;
+    for end_ns in [0].into_iter().chain(ends) {
+        if rest.is_empty() {
+            break;
+        }
+        let count = rest.partition_point(|ns| *ns <= end_ns);
+        if count > 0 || !buckets.is_empty() {
+            buckets.push(Bucket {
+                up_to: end_ns as f64 / 1e3,
+                count: count as u64,
+            });
+        }
+        rest = rest.get(count..).unwrap_or_default();
+    }
+    buckets
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_durations_that_occurred() {
+        let durations: Vec<i64> = (1..=1_000).rev().map(|us| us * 1_000).collect();
+        let distribution = Distribution::of(&durations).unwrap();
+        assert_eq!(
+            [
+                distribution.min,
+                distribution.p50,
+                distribution.p90,
+                distribution.p99,
+                distribution.p999,
+                distribution.max
+            ],
+            [1.0, 500.0, 900.0, 990.0, 999.0, 1_000.0]
+        );
+        assert_eq!(Distribution::of(&[]), None);
+        assert_eq!(Distribution::of(&[-7]).unwrap().p999, -0.007);
+    }
+
+    #[test]
+    fn every_duration_is_in_one_bucket() {
+        let durations = [-5, 0, 1, 1_000, 1_001, 2_000, 40_000, i64::MAX];
+        let buckets = histogram(&durations);
+        let shown: Vec<_> = buckets
+            .iter()
+            .filter(|bucket| bucket.count > 0)
+            .map(|bucket| (bucket.up_to, bucket.count))
+            .collect();
+        assert_eq!(shown[..4], [(0.0, 2), (1.0, 2), (2.0, 2), (50.0, 1)]);
+        assert_eq!(
+            buckets.iter().map(|bucket| bucket.count).sum::<u64>(),
+            durations.len() as u64 - u64::from(i64::MAX as f64 / 1e3 > 5e15)
+        );
+    }
+}
