@@ -380,14 +380,14 @@ impl Catalogue {
             }
             Record::Schema { header, data } => {
                 // The end of the file repeats them.
-                if !self.schemas.contains_key(&header.id) {
+                self.schemas.entry(header.id).or_insert_with(|| {
                     let same = header.encoding == "ros2msg"
                         && Topic::ALL
                             .into_iter()
                             .find(|topic| header.name == topic.schema_name())
                             .is_some_and(|topic| *data == *topic.schema_text().as_bytes());
-                    self.schemas.insert(header.id, (header.name, same));
-                }
+                    (header.name, same)
+                });
             }
             Record::Channel(channel) => {
                 let topic = Topic::ALL

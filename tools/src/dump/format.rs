@@ -188,7 +188,7 @@ impl<W: Write> Printer<W> {
                 },
                 Column::Value(_, Place::Time) => row.time().push_to(&mut self.text),
                 Column::Content(fields) => {
-                    let content = content(fields, row, values, |value| value.to_string());
+                    let content = content(fields, row, values, ToString::to_string);
                     push_csv_text(&mut self.text, &content);
                 }
                 Column::Nothing => {}

@@ -471,11 +471,12 @@ impl Poses {
     }
 
     fn report(&self) -> Option<PoseReport> {
+        let between = (self.between_valid.longest_ns > 0).then_some(self.between_valid);
         (!self.states.is_empty()).then(|| PoseReport {
             states: counts(&self.states),
             frames_missing: self.frames_missing,
-            longest_between_valid_ms: milliseconds(self.between_valid.longest_ns),
-            longest_between_valid_at_s: seconds(self.between_valid.begin_ns),
+            longest_between_valid_ms: between.map(|gap| milliseconds(gap.longest_ns)),
+            longest_between_valid_at_s: between.map(|gap| seconds(gap.begin_ns)),
         })
     }
 }

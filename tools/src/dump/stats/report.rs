@@ -101,6 +101,15 @@ impl BoardCounters {
         "bytes_overrun",
         "imu_errors",
     ];
+
+    /// By how much one of them rose.
+    pub(super) fn count(&self, name: &str) -> u64 {
+        Self::NAMES
+            .iter()
+            .zip(self.counts)
+            .find_map(|(known, count)| (*known == name).then_some(count))
+            .unwrap_or_default()
+    }
 }
 
 impl Serialize for BoardCounters {
@@ -122,9 +131,9 @@ pub(super) struct PoseReport {
     pub(super) states: Vec<Count>,
     /// Numbers of frames that never came.
     pub(super) frames_missing: u64,
-    /// The longest time between two valid poses.
-    pub(super) longest_between_valid_ms: f64,
-    pub(super) longest_between_valid_at_s: f64,
+    /// The longest time between two valid poses, if there are two.
+    pub(super) longest_between_valid_ms: Option<f64>,
+    pub(super) longest_between_valid_at_s: Option<f64>,
 }
 
 /// What the control thread counted.

@@ -98,20 +98,24 @@ impl Report {
                 let comma = if index == 0 { "" } else { ", " };
                 write!(page, "{comma}{count} {}", name.replace('_', " "))?;
             }
-            if let Some(refusal) = &board.last_refusal {
+            let refused = board.count("drives_refused") > 0;
+            if let Some(refusal) = board.last_refusal.as_ref().filter(|_| refused) {
                 write!(page, " (the last refusal: {refusal})")?;
             }
         }
         if let Some(poses) = &self.poses {
             write!(page, "\nposes: ")?;
             counts(page, &poses.states)?;
-            write!(
-                page,
-                "; {} frames missing; at most {:.1} ms between valid ones, at {:.3} s",
-                poses.frames_missing,
+            write!(page, "; {} frames missing", poses.frames_missing)?;
+            if let (Some(gap_ms), Some(at_s)) = (
                 poses.longest_between_valid_ms,
                 poses.longest_between_valid_at_s,
-            )?;
+            ) {
+                write!(
+                    page,
+                    "; at most {gap_ms:.1} ms between valid ones, at {at_s:.3} s"
+                )?;
+            }
         }
         if let Some(ticks) = &self.ticks {
             write!(
@@ -187,7 +191,7 @@ fn modes(page: &mut fmt::Formatter<'_>, title: &str, spans: &[ModeSpan]) -> fmt:
     if spans.is_empty() {
         return Ok(());
     }
-    write!(page, "\n\n{title}, from s, for s, why")?;
+    write!(page, "\n\n{title:<20}{:>12}{:>12}  why", "from s", "for s")?;
     for span in spans.iter().take(MAX_SPANS) {
         write!(
             page,
