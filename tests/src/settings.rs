@@ -9,7 +9,7 @@ use singletrack_control::VehicleParameters;
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 use singletrackd::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, FenceSection, LawKind,
-    LawSection, LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection,
+    LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
     ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 
@@ -60,6 +60,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
             enabled: true,
             path: socket(folder),
         },
+        live: LiveSection::default(),
     }
 }
 

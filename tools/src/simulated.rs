@@ -6,8 +6,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_sim::default_board_configuration;
 use singletrackd::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
-    LimitsSection, MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection,
-    SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
+    LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
+    ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 
 /// The simulator's name for the car's rigid body.
@@ -52,5 +52,6 @@ pub fn daemon_config(drive: Drive) -> Config {
         control: ControlSection::default(),
         record: RecordSection::default(),
         socket: SocketSection::default(),
+        live: LiveSection::default(),
     }
 }

@@ -79,6 +79,8 @@ pub(crate) struct Collector {
     pub(crate) wall: WallWatch,
     pub(crate) board: Arc<Board>,
     pub(crate) record: Option<FeedInput>,
+    /// What goes to it is also shown live.
+    pub(crate) live: Option<FeedInput>,
     /// Entries that the record has no room for.
     pub(crate) record_dropped: u64,
     pub(crate) told: Option<(Mode, Option<Reason>)>,
@@ -190,6 +192,10 @@ impl Collector {
             entry.write_json(&mut line);
             // Without watchers nobody misses it.
             let _ = self.board.watchers.send((entry.topic(), Arc::from(line)));
+        }
+        if let Some(live) = &mut self.live {
+            // What viewers miss, the record has.
+            let _ = live.push(entry.clone());
         }
         if let Some(record) = &mut self.record
             && !record.push(entry)

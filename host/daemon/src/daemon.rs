@@ -17,16 +17,17 @@ use rtrb::RingBuffer;
 use singletrack_control::{Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
-use singletrack_record::{RecorderThread, tick_feed};
+use singletrack_record::{ClockMapping, RecorderThread, tick_feed};
 use tracing::{error, info, warn};
 
 use crate::{
-    clock::wall_ns,
+    clock::{monotonic_ns, wall_ns},
     collector::{Board, Collector},
     config::{Config, ConfigError},
     control_loop::{ControlLoop, ControlRequest, Rings},
     control_thread::{self, Ended, Signs},
     controller::Controller,
+    live::{LiveError, LiveThread, LiveView},
     mocap_receiver::MocapReceiver,
     mocap_socket::{MocapSocketError, MocapSockets},
     realtime::{self, RealTimeStatus},
@@ -72,6 +73,9 @@ pub enum StartError {
     /// No control socket.
     #[error(transparent)]
     Socket(#[from] SocketError),
+    /// No live view.
+    #[error(transparent)]
+    Live(#[from] LiveError),
     /// No thread.
     #[error("can't start the {name} thread: {source}")]
     Thread {
@@ -101,6 +105,7 @@ pub(crate) struct View {
     pub(crate) setpoints: SetpointSender,
     pub(crate) reconfigurer: Reconfigurer,
     realtime: RealTimeStatus,
+    live: Option<LiveView>,
 }
 
 impl View {
@@ -113,6 +118,7 @@ impl View {
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),
+            live: self.live.as_ref().map(LiveView::status),
             record_error: latest.record_error.clone(),
         }
     }
@@ -133,6 +139,7 @@ pub struct Daemon {
     /// The path of a record that could not be written to the end.
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
+    live: Option<LiveThread>,
     /// Open, it keeps the processors from idling deeply.
     _idle: Option<File>,
 }
@@ -201,7 +208,19 @@ impl Daemon {
             name: "control",
             source,
         })?;
-        let (recorder, record) = match recording::start(&config, options.record, options.seed)? {
+        let begin = ClockMapping {
+            monotonic_ns: monotonic_ns(),
+            wall_ns: wall_ns(),
+        };
+        let (live_thread, live) = match config.live.enabled {
+            true => {
+                let (thread, input) = LiveThread::start(config.live, begin)?;
+                (Some(thread), Some(input))
+            }
+            false => (None, None),
+        };
+        let started = recording::start(&config, options.record, options.seed, begin)?;
+        let (recorder, record) = match started {
             Some((thread, input, path)) => (Some(Recording { thread, path }), Some(input)),
             None => (None, None),
         };
@@ -236,6 +255,7 @@ impl Daemon {
                     idle_bounded: idle.is_some(),
                     refusals,
                 },
+                live: live_thread.as_ref().map(|thread| thread.view.clone()),
             },
             control: None,
             signs: Signs::default(),
@@ -247,6 +267,7 @@ impl Daemon {
             recorder,
             broken_record: None,
             socket: None,
+            live: live_thread,
             _idle: idle,
         };
 
@@ -258,6 +279,7 @@ impl Daemon {
             wall: WallWatch::default(),
             board,
             record,
+            live,
             record_dropped: 0,
             told: None,
             stop: Arc::clone(&daemon.collector_stop),
@@ -480,6 +502,7 @@ impl Daemon {
                 warn!("the collector's thread has panicked");
             }
         }
+        drop(self.live.take());
         let (record, record_error) = self.end_record();
         let counters = control.inspect_err(|_| {
             // There will be no summary to say so.

@@ -11,10 +11,7 @@ use singletrack_record::{
     ClockMapping, FeedInput, Meta, RecordError, Recorder, RecorderThread, feed, part_path,
 };
 
-use crate::{
-    clock::{compact_utc, monotonic_ns, wall_ns},
-    config::Config,
-};
+use crate::{clock::compact_utc, config::Config};
 
 /// Entries that may wait for the disk: some 3 s at 350 a second.
 const CAPACITY: usize = 1_024;
@@ -44,11 +41,8 @@ pub(crate) fn start(
     config: &Config,
     path: Option<PathBuf>,
     seed: Option<u64>,
+    start: ClockMapping,
 ) -> Result<Option<(RecorderThread, FeedInput, PathBuf)>, RecordingError> {
-    let start = ClockMapping {
-        monotonic_ns: monotonic_ns(),
-        wall_ns: wall_ns(),
-    };
     if path.is_none() && !config.record.enabled {
         return Ok(None);
     }
@@ -126,16 +120,21 @@ mod tests {
 
     use super::*;
 
+    const START: ClockMapping = ClockMapping {
+        monotonic_ns: 0,
+        wall_ns: 0,
+    };
+
     #[test]
     fn a_configuration_that_can_not_be_written_is_an_error_and_leaves_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
         config.record.directory = folder.path().join("records");
         config.serial.port = PathBuf::from(OsStr::from_bytes(b"/dev/\xff"));
-        let error = start(&config, None, None).err().unwrap();
+        let error = start(&config, None, None, START).err().unwrap();
         assert!(matches!(error, RecordingError::Configuration(_)), "{error}");
         assert!(!config.record.directory.exists());
         config.record.enabled = false;
-        assert!(start(&config, None, None).unwrap().is_none());
+        assert!(start(&config, None, None, START).unwrap().is_none());
     }
 }

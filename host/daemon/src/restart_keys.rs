@@ -5,7 +5,7 @@ use toml::{Table, Value};
 use crate::config::Config;
 
 /// Sections that threads, devices and files were opened with.
-const SECTIONS: [&str; 4] = ["serial", "motion_capture", "record", "socket"];
+const SECTIONS: [&str; 5] = ["serial", "motion_capture", "record", "socket", "live"];
 
 /// Of `[control]`, what the control thread does not take over while it runs.
 const CONTROL: &str = "control";

@@ -6,6 +6,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
 use crate::{
+    live::LiveStatus,
     realtime::RealTimeStatus,
     reconfigure::ConfigurationView,
     summary::Figures,
@@ -28,6 +29,8 @@ pub struct Snapshot {
     pub realtime: RealTimeStatus,
     /// Which configuration is in force.
     pub configuration: ConfigurationView,
+    /// The live view, if there is one.
+    pub live: Option<LiveStatus>,
     /// Why the record has ended although the daemon has not, such as a full disk.
     pub record_error: Option<String>,
 }
@@ -129,6 +132,7 @@ impl Snapshot {
             "figures": self.figures,
             "realtime": self.realtime,
             "configuration": self.configuration,
+            "live": self.live,
             "record_error": self.record_error,
         })
     }

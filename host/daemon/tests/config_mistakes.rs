@@ -190,6 +190,8 @@ board.speed | max_forward_m_s = 1 | board.speed.max_forward_m_s |  | did you mea
 control | period_us = 10000 | control.period_us |  | did you mean period_ms?
 record | folder = "x" | record.folder |  | remove it
 socket | paths = "x" | socket.paths |  | did you mean path?
+live | enable = true | live.enable |  | did you mean enabled?
+reference | waypoint = [] | reference.waypoint |  | did you mean waypoints?
 "#;
 
 const MISSING_KEYS: &str = r#"

@@ -57,6 +57,13 @@ impl FeedInput {
     }
 }
 
+impl FeedOutput {
+    /// The oldest entry that waits; none if none does.
+    pub fn pop(&mut self) -> Option<Entry> {
+        self.ring.pop().ok()
+    }
+}
+
 /// A [`Recorder`] on a thread of its own.
 pub struct RecorderThread {
     path: PathBuf,

@@ -40,7 +40,7 @@ pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
 };
 pub use outer_loop::OuterLoopSection;
-pub use output::{RecordSection, SocketSection};
+pub use output::{LiveSection, RecordSection, SocketSection};
 pub use reference::{ReferenceSection, StepSection};
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
@@ -94,6 +94,9 @@ pub struct Config {
     /// The control socket.
     #[serde(default)]
     pub socket: SocketSection,
+    /// The live view.
+    #[serde(default)]
+    pub live: LiveSection,
 }
 
 impl Config {

@@ -1,6 +1,9 @@
-//! `[record]` and `[socket]`: where the daemon writes and listens.
+//! `[record]`, `[socket]` and `[live]`: where the daemon writes and listens.
 
-use std::path::PathBuf;
+use std::{
+    net::{IpAddr, Ipv4Addr},
+    path::PathBuf,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +43,29 @@ impl Default for SocketSection {
         Self {
             enabled: true,
             path: PathBuf::from("/run/singletrackd/control.sock"),
+        }
+    }
+}
+
+/// The live view over WebSocket, for Foxglove, Lichtblick and PlotJuggler.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LiveSection {
+    /// Whether there is one.
+    pub enabled: bool,
+    /// Where it listens. It asks nobody who he is: what is not a loopback address
+    /// shows the car to the network.
+    pub address: IpAddr,
+    /// On which port; 0 for any that is free.
+    pub port: u16,
+}
+
+impl Default for LiveSection {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            port: 8_765,
         }
     }
 }

@@ -1,0 +1,242 @@
+//! The live view: the messages of the record, as they are made, for Foxglove,
+//! Lichtblick and PlotJuggler.
+//!
+//! It only tells. Whoever connects can subscribe and nothing else, since nobody has
+//! to say who he is: commands go through the control socket. It has a thread of its
+//! own and a ring of its own, so that neither viewers nor the want of them change
+//! anything for the others; a viewer that is too slow misses the oldest messages.
+
+use std::{
+    io,
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc,
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use foxglove::{
+    ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer,
+    WebSocketServerHandle,
+};
+use serde::Serialize;
+use singletrack_record::{Channel, ClockMapping, Encoder, FeedInput, FeedOutput, feed};
+use tokio::runtime::{self, Runtime};
+
+use crate::config::LiveSection;
+
+/// Entries that may wait to be encoded, most of a second.
+const CAPACITY: usize = 256;
+
+/// Messages that may wait for a viewer: less than half a second. Older ones show a
+/// car that has gone on.
+const BACKLOG: usize = 400;
+
+/// How often the thread looks for entries.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// How long viewers may take to hear that it is over.
+const GOODBYE: Duration = Duration::from_millis(50);
+
+/// Why there is no live view.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// Somebody else listens there, or nobody may.
+    #[error(
+        "can't listen on {address} for the live view: {source}; choose another live.address or \
+         live.port, or set live.enabled = false"
+    )]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The server does not start.
+    #[error("the live view does not start: {0}; or set live.enabled = false")]
+    Server(String),
+}
+
+/// How the live view is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct LiveStatus {
+    /// Where it listens.
+    pub address: SocketAddr,
+    /// How many watch.
+    pub viewers: u64,
+}
+
+/// What others may look at.
+#[derive(Clone, Debug)]
+pub(crate) struct LiveView {
+    address: SocketAddr,
+    viewers: Arc<AtomicU64>,
+}
+
+impl LiveView {
+    pub(crate) fn status(&self) -> LiveStatus {
+        LiveStatus {
+            address: self.address,
+            viewers: self.viewers.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// The server's thread.
+#[derive(Debug)]
+pub(crate) struct LiveThread {
+    pub(crate) view: LiveView,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl LiveThread {
+    /// Listens. Entries go in at the other end of the ring that is returned; `start`
+    /// is that of the record.
+    pub(crate) fn start(
+        section: LiveSection,
+        start: ClockMapping,
+    ) -> Result<(Self, FeedInput), LiveError> {
+        let failed = |error: io::Error| LiveError::Server(error.to_string());
+        let address = SocketAddr::new(section.address, section.port);
+        let runtime = runtime::Builder::new_current_thread()
+            .enable_io()
+            .enable_time()
+            .build()
+            .map_err(failed)?;
+        let (input, output) = feed(CAPACITY);
+        let stop = Arc::new(AtomicBool::new(false));
+        let viewers = Arc::new(AtomicU64::new(0));
+        let (listens_in, listens) = mpsc::sync_channel(1);
+        let thread = thread::Builder::new()
+            .name("live".to_owned())
+            .spawn({
+                let (stop, viewers) = (Arc::clone(&stop), Arc::clone(&viewers));
+                move || {
+                    let server = match Server::start(&runtime, address) {
+                        Ok(server) => server,
+                        Err(error) => {
+                            // The starter waits for it.
+                            let _ = listens_in.send(Err(error));
+                            return;
+                        }
+                    };
+                    let _ = listens_in.send(Ok(server.handle.port()));
+                    server.run(&runtime, Encoder::new(start), output, &viewers, &stop);
+                }
+            })
+            .map_err(failed)?;
+        let port = listens
+            .recv()
+            .map_err(|_| LiveError::Server("its thread has ended".to_owned()))??;
+        let address = SocketAddr::new(section.address, port);
+        if !section.address.is_loopback() {
+            tracing::warn!(%address, "the live view is open to the network: whoever reaches it sees the car");
+        }
+        tracing::info!(%address, "live view");
+        let view = LiveView { address, viewers };
+        let thread = Some(thread);
+        Ok((Self { view, stop, thread }, input))
+    }
+}
+
+impl Drop for LiveThread {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the live view's thread has panicked");
+        }
+    }
+}
+
+struct Server {
+    /// The others hold on to it weakly.
+    _context: Arc<Context>,
+    /// By [`Channel::index`].
+    channels: Vec<Arc<RawChannel>>,
+    handle: WebSocketServerHandle,
+}
+
+impl Server {
+    fn start(runtime: &Runtime, address: SocketAddr) -> Result<Self, LiveError> {
+        let failed = |error: FoxgloveError| match error {
+            FoxgloveError::Bind(source) => LiveError::Listen { address, source },
+            error => LiveError::Server(error.to_string()),
+        };
+        let context = Context::new();
+        let channels = Channel::all()
+            .map(|channel| {
+                let schema = Schema::new(
+                    channel.schema_name(),
+                    Channel::SCHEMA_ENCODING,
+                    channel.schema_text().into_bytes(),
+                );
+                ChannelBuilder::new(channel.topic())
+                    .message_encoding(Channel::MESSAGE_ENCODING)
+                    .schema(schema)
+                    .context(&context)
+                    .build_raw()
+            })
+            .collect::<Result<_, _>>()
+            .map_err(failed)?;
+        let server = WebSocketServer::new()
+            .name(concat!("singletrackd ", env!("CARGO_PKG_VERSION")))
+            .context(&context)
+            // Viewers can do nothing but subscribe.
+            .capabilities([])
+            .message_backlog_size(BACKLOG)
+            .bind(address.ip().to_string(), address.port());
+        let handle = runtime.block_on(server.start()).map_err(failed)?;
+        Ok(Self {
+            _context: context,
+            channels,
+            handle,
+        })
+    }
+
+    /// Tells what comes until it is told to stop.
+    fn run(
+        self,
+        runtime: &Runtime,
+        mut encoder: Encoder,
+        mut entries: FeedOutput,
+        viewers: &AtomicU64,
+        stop: &AtomicBool,
+    ) {
+        let Self {
+            _context,
+            channels,
+            handle,
+        } = self;
+        runtime.block_on(async {
+            while !stop.load(Ordering::Acquire) {
+                let count = handle.client_count();
+                viewers.store(count as u64, Ordering::Relaxed);
+                while let Some(entry) = entries.pop() {
+                    // Also when nobody watches: diagnostics tell of changes.
+                    let Ok(publications) = encoder.encode(&entry) else {
+                        continue;
+                    };
+                    for publication in publications.filter(|_| count > 0) {
+                        if let Some(channel) = channels.get(publication.channel.index()) {
+                            channel.log_with_meta(
+                                publication.bytes,
+                                PartialMetadata {
+                                    log_time: Some(publication.log_time_ns),
+                                },
+                            );
+                        }
+                    }
+                }
+                tokio::time::sleep(LOOK).await;
+            }
+            // Viewers that do not listen need not be waited for.
+            let _ = tokio::time::timeout(GOODBYE, handle.stop().wait()).await;
+        });
+    }
+}

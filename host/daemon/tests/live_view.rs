@@ -1,0 +1,219 @@
+//! The live view of a daemon that has neither board nor cameras, by a client of
+//! the protocol that Foxglove publishes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{
+    collections::BTreeMap,
+    net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
+    time::Duration,
+};
+
+use serde_json::{Value, json};
+use singletrack_control::Mode;
+use singletrackd::{Config, Daemon, StartError, StartOptions, config::LiveSection};
+use tempfile::TempDir;
+use tungstenite::{Message, WebSocket, client::IntoClientRequest};
+
+fn config(folder: &TempDir) -> Config {
+    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+    config.serial.port = folder.path().join("board");
+    config.motion_capture.server = Ipv4Addr::LOCALHOST;
+    config.motion_capture.command_port = 9;
+    config.control.realtime_priority = 0;
+    config.record.directory = folder.path().join("records");
+    config.socket.path = folder.path().join("control.sock");
+    config.live = LiveSection {
+        enabled: true,
+        port: 0,
+        ..LiveSection::default()
+    };
+    config
+}
+
+fn start() -> (Daemon, SocketAddr, TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(config(&folder), StartOptions::default()).unwrap();
+    let address = daemon.snapshot().live.unwrap().address;
+    assert!(address.ip().is_loopback());
+    (daemon, address, folder)
+}
+
+struct Viewer {
+    socket: WebSocket<TcpStream>,
+    info: Value,
+    /// Ids of the channels, by topic.
+    channels: BTreeMap<String, Value>,
+}
+
+impl Viewer {
+    fn connect(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let mut request = format!("ws://{address}").into_client_request().unwrap();
+        request
+            .headers_mut()
+            .insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
+        let (socket, _) = tungstenite::client(request, stream).unwrap();
+        let mut viewer = Self {
+            socket,
+            info: Value::Null,
+            channels: BTreeMap::new(),
+        };
+        viewer.info = viewer.text("serverInfo");
+        let advertised = viewer.text("advertise");
+        for channel in advertised["channels"].as_array().unwrap() {
+            let topic = channel["topic"].as_str().unwrap().to_owned();
+            viewer.channels.insert(topic, channel.clone());
+        }
+        viewer
+    }
+
+    /// The next message of this kind.
+    fn text(&mut self, op: &str) -> Value {
+        loop {
+            if let Message::Text(text) = self.socket.read().unwrap() {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["op"] == op {
+                    return message;
+                }
+            }
+        }
+    }
+
+    fn say(&mut self, message: &Value) {
+        let message = Message::text(message.to_string());
+        self.socket.send(message).unwrap();
+    }
+
+    /// Subscribes to topics, with their places in the list as ids.
+    fn subscribe(&mut self, topics: &[&str]) {
+        let subscriptions: Vec<_> = topics
+            .iter()
+            .enumerate()
+            .map(|(id, topic)| json!({"id": id, "channelId": self.channels[*topic]["id"]}))
+            .collect();
+        self.say(&json!({"op": "subscribe", "subscriptions": subscriptions}));
+    }
+
+    /// The next message of a subscription: its id, log time and bytes.
+    fn message(&mut self) -> (u32, u64, Vec<u8>) {
+        loop {
+            let Message::Binary(bytes) = self.socket.read().unwrap() else {
+                continue;
+            };
+            if let [1, rest @ ..] = &bytes[..] {
+                let (id, rest) = rest.split_first_chunk().unwrap();
+                let (time, bytes) = rest.split_first_chunk().unwrap();
+                return (
+                    u32::from_le_bytes(*id),
+                    u64::from_le_bytes(*time),
+                    bytes.to_vec(),
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_viewer_gets_the_very_messages_of_the_record() {
+    const TOPICS: [&str; 2] = ["/singletrack/tick", "/singletrack/log"];
+    let (daemon, address, _folder) = start();
+    let mut viewer = Viewer::connect(address);
+    viewer.subscribe(&TOPICS);
+    let seen: Vec<_> = (0..30).map(|_| viewer.message()).collect();
+    assert_eq!(daemon.snapshot().live.unwrap().viewers, 1);
+
+    let record = daemon.stop().unwrap().record.unwrap();
+    let file = std::fs::read(record).unwrap();
+    let recorded: Vec<_> = mcap::MessageStream::new(&file)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert!(recorded.len() > seen.len());
+    for (id, log_time, bytes) in &seen {
+        let topic = TOPICS[usize::try_from(*id).unwrap()];
+        let same = recorded.iter().any(|message| {
+            message.channel.topic == topic
+                && message.log_time == *log_time
+                && message.data[..] == bytes[..]
+        });
+        assert!(same, "{topic} at {log_time} is not in the record");
+    }
+    // And the tools are told the same of what they are.
+    for message in &recorded {
+        let channel = &message.channel;
+        let schema = channel.schema.as_ref().unwrap();
+        let advertised = &viewer.channels[&channel.topic];
+        assert_eq!(advertised["encoding"], channel.message_encoding);
+        assert_eq!(advertised["schemaName"], schema.name);
+        assert_eq!(advertised["schemaEncoding"], schema.encoding);
+        assert_eq!(
+            advertised["schema"].as_str().unwrap().as_bytes(),
+            &schema.data[..]
+        );
+    }
+}
+
+#[test]
+fn a_viewer_can_do_nothing_but_look() {
+    let (daemon, address, _folder) = start();
+    let mut viewer = Viewer::connect(address);
+    assert_eq!(viewer.info["capabilities"], json!([]));
+    viewer.say(&json!({"op": "advertise", "channels": [
+        {"id": 1, "topic": "/cmd", "encoding": "cdr", "schemaName": "ackermann_msgs/msg/AckermannDriveStamped"}
+    ]}));
+    viewer
+        .say(&json!({"op": "setParameters", "parameters": [{"name": "mode", "value": "driving"}]}));
+    for _ in 0..2 {
+        // 2 is an error.
+        assert_eq!(viewer.text("status")["level"], 2);
+    }
+    assert_eq!(daemon.snapshot().mode(), Mode::Disconnected);
+    daemon.stop().unwrap();
+}
+
+#[test]
+fn viewers_that_never_read_hold_up_nobody() {
+    let (daemon, address, _folder) = start();
+    let _idle: Vec<_> = (0..20)
+        .map(|_| {
+            let mut viewer = Viewer::connect(address);
+            let topics: Vec<_> = viewer.channels.keys().cloned().collect();
+            let topics: Vec<_> = topics.iter().map(String::as_str).collect();
+            viewer.subscribe(&topics);
+            viewer
+        })
+        .collect();
+    let mut viewer = Viewer::connect(address);
+    viewer.subscribe(&["/singletrack/tick"]);
+    let times: Vec<_> = (0..200).map(|_| viewer.message().1).collect();
+    assert!(times.is_sorted());
+    let summary = daemon.stop().unwrap();
+    assert_eq!(summary.figures.dropped.record_entries, 0);
+}
+
+#[test]
+fn a_port_that_is_taken_is_named_and_leaves_no_record() {
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(&folder);
+    config.live.port = taken.local_addr().unwrap().port();
+    let error = Daemon::start(config.clone(), StartOptions::default()).unwrap_err();
+    assert!(matches!(error, StartError::Live(_)), "{error}");
+    let text = error.to_string();
+    for part in [
+        &taken.local_addr().unwrap().to_string(),
+        "live.port",
+        "live.enabled = false",
+    ] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(!config.record.directory.exists());
+}
