@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use singletrack_record::{ClockMapping, Finished, RecordError, Recorder};
+use singletrack_record::{ClockMapping, Entry, Finished, RecordError, Recorder};
 use singletrackd::{Config, record_meta};
 
 use crate::virtual_drive::VirtualDrive;
@@ -57,6 +57,15 @@ impl VirtualRecord {
             self.0.write(&entry)?;
         }
         Ok(())
+    }
+
+    /// Writes an entry that the drive does not know of.
+    ///
+    /// # Errors
+    ///
+    /// When the file can't be written.
+    pub fn entry(&mut self, entry: &Entry) -> Result<(), VirtualRecordError> {
+        Ok(self.0.write(entry)?)
     }
 
     /// Writes the rest and completes the file.

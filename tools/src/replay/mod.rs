@@ -37,6 +37,11 @@ pub struct ReplayArgs {
     /// tell how the outputs deviate. May be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<Change>,
+
+    /// Where the figure of recorded and replayed commands goes, with --set [default:
+    /// LOG.replay.svg].
+    #[arg(long, value_name = "FILE.svg", requires = "set")]
+    pub figure: Option<PathBuf>,
 }
 
 /// Why a replay failed.
@@ -64,6 +69,14 @@ pub enum ReplayFailure {
     /// An output came out otherwise.
     #[error("{0}")]
     Differs(Box<str>),
+    /// The figure can't be written.
+    #[error("can't write {}: {source}; choose another --figure", path.display())]
+    Figure {
+        /// Where.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// Standard output.
     #[error("standard output: {0}")]
     Output(#[from] io::Error),
@@ -123,6 +136,17 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         )?;
     } else {
         deviations.tell(&mut out)?;
+        let path = args
+            .figure
+            .clone()
+            .unwrap_or_else(|| args.log.with_extension("replay.svg"));
+        std::fs::write(&path, deviations.figure().to_svg()).map_err(|source| {
+            ReplayFailure::Figure {
+                path: path.clone(),
+                source,
+            }
+        })?;
+        writeln!(out, "{}: recorded and replayed commands", path.display())?;
     }
     writeln!(out, "{}", span.pace(took))?;
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {

@@ -10,6 +10,7 @@ use singletrack_control::{Mode, Output, Reason};
 use singletrack_record::{Entry, TickRecord};
 
 use super::Span;
+use crate::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// Differences that are told one by one; of more, their number.
 const TOLD: usize = 12;
@@ -156,6 +157,48 @@ impl Deviations {
             .iter()
             .map(|(name, ..)| *name)
             .zip(&self.quantities)
+    }
+
+    /// Speed and steering, replayed over recorded.
+    #[must_use]
+    pub fn figure(&self) -> Figure {
+        let column = |index: usize| -> Column {
+            let values = self.series.iter();
+            values
+                .map(|row| row.get(index).copied().unwrap_or(f64::NAN))
+                .collect()
+        };
+        let time = column(0);
+        let panel = |axis: Axis, recorded: usize| {
+            let curve = |name, look, index| Curve {
+                name,
+                look,
+                x: time.clone(),
+                y: column(index),
+                time: None,
+            };
+            Panel {
+                curves: vec![
+                    curve("recorded", Look::Nominal, recorded),
+                    curve("replayed", Look::Actual, recorded + 1),
+                ],
+                ..Panel::new(
+                    Axis::new("time in the record", Some(Symbol::new("t", "")), "s"),
+                    axis,
+                )
+            }
+        };
+        Figure {
+            title: "Commands, recorded and replayed".to_owned(),
+            caption: "What the pilot commanded, and what it would have commanded at the sight of \
+                      the same events with another configuration."
+                .to_owned(),
+            width: Width::Page,
+            panels: vec![
+                panel(Axis::new("speed", Some(Symbol::new("v", "")), "m/s"), 1),
+                panel(Axis::new("steering", Some(Symbol::new("δ", "")), "rad"), 3),
+            ],
+        }
     }
 
     pub(super) fn tell(&self, out: &mut impl Write) -> io::Result<()> {

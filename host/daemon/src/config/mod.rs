@@ -41,7 +41,7 @@ pub use motion_capture::{
 };
 pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, RecordSection, SocketSection};
-pub use reference::{ReferenceSection, StepSection};
+pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
 pub use watch::WatchSection;
