@@ -9,6 +9,7 @@ mod line;
 mod markers;
 mod process;
 mod stop;
+mod viewers;
 
 use std::{path::PathBuf, process::ExitCode, time::Duration};
 
@@ -94,6 +95,7 @@ fn main() -> ExitCode {
         image::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,
+        viewers::SCENARIOS,
     ]
     .concat();
     let program = if libtest.list {

@@ -2,6 +2,7 @@
 
 use std::{
     io::{BufRead, BufReader, Write},
+    net::SocketAddr,
     os::unix::net::UnixStream,
     path::Path,
     time::Duration,
@@ -214,6 +215,19 @@ impl Status {
             .pointer(&format!("/figures{pointer}"))
             .and_then(Value::as_f64)
             .ok_or_else(|| Failure::new(format!("no figure {pointer} in {}", self.0)))
+    }
+
+    /// Where the live view is, and how many look at it.
+    ///
+    /// # Errors
+    ///
+    /// There is none.
+    pub fn live(&self) -> Outcome<(SocketAddr, u64)> {
+        let live = &self.0["live"];
+        let address = live["address"].as_str().and_then(|text| text.parse().ok());
+        address
+            .zip(live["viewers"].as_u64())
+            .ok_or_else(|| Failure::new(format!("no live view in {}", self.0)))
     }
 
     /// From where P should be to where the daemon believes it to be, in m.

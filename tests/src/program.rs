@@ -21,7 +21,10 @@ pub fn build() -> Outcome<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let output = Command::new(&cargo)
         .current_dir(&root)
-        .args(["build", "--release", "--package", "singletrackd", "--bins"])
+        // With the features that the suite itself was built with: the libraries
+        // are there already.
+        .args(["build", "--release", "--bins"])
+        .args(["--package", "singletrackd", "--package", "singletrack"])
         .arg("--message-format=json-render-diagnostics")
         .stderr(Stdio::inherit())
         .output()

@@ -58,10 +58,7 @@ pub(crate) fn verify() -> Result<(), Failure> {
     for scenario in same_bits::SCENARIOS {
         same_bits::compare(
             scenario,
-            (
-                "this machine",
-                &mut same_bits::simulate("release", scenario),
-            ),
+            ("this machine", &mut same_bits::simulate(scenario)),
             (
                 "ARMv7",
                 emulated(&folder.join("singletrack")).args(["simulate", scenario]),

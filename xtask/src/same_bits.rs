@@ -1,9 +1,12 @@
 //! Debug and release builds must simulate the same bits: a replay of what the
 //! car's computer recorded is worth nothing otherwise.
 
-use std::process::Command;
+use std::{path::PathBuf, process::Command};
 
-use crate::step::{Failure, cargo, output};
+use crate::{
+    step::{Failure, cargo, check as check_command, output, root},
+    target, verify,
+};
 
 /// One scenario of each plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
@@ -13,22 +16,36 @@ pub(crate) const SCENARIOS: [&str; 3] = [
 ];
 
 pub(crate) fn check() -> Result<(), Failure> {
+    let debug = debug_program()?;
     for scenario in SCENARIOS {
+        let mut debug = Command::new(&debug);
+        debug.current_dir(root()).args(["simulate", scenario]);
         compare(
             scenario,
-            ("debug", &mut simulate("dev", scenario)),
-            ("release", &mut simulate("release", scenario)),
+            ("debug", &mut debug),
+            ("release", &mut simulate(scenario)),
         )?;
     }
     Ok(())
 }
 
-/// Simulates a scenario with a build of this machine.
-pub(crate) fn simulate(profile: &str, scenario: &str) -> Command {
+/// The debug build that the tests have made: built for itself, it would have other
+/// features, and all its libraries would be built again.
+fn debug_program() -> Result<PathBuf, Failure> {
+    check_command(cargo().args(verify::TESTS).args(["--no-run", "--quiet"]))?;
+    Ok(target::folder()?.join("debug").join("singletrack"))
+}
+
+/// Simulates a scenario with the release build of this machine.
+pub(crate) fn simulate(scenario: &str) -> Command {
     let mut command = cargo();
-    command
-        .args(["run", "--quiet", "--profile", profile])
-        .args(["--bin", "singletrack", "--", "simulate", scenario]);
+    command.args(["run", "--quiet", "--release"]).args([
+        "--bin",
+        "singletrack",
+        "--",
+        "simulate",
+        scenario,
+    ]);
     command
 }
 

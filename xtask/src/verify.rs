@@ -33,6 +33,9 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     run_all(&steps, arguments)
 }
 
+/// All tests that take no more time than they need.
+pub(crate) const TESTS: [&str; 4] = ["test", "--workspace", "--exclude", "singletrack-hil"];
+
 /// The checks, in order: the quick ones first, those in real time last.
 fn steps() -> Vec<Step> {
     [quick_steps(), program_steps(), real_time_steps()]
@@ -56,21 +59,6 @@ fn quick_steps() -> Vec<Step> {
             &[
                 "clippy",
                 "--workspace",
-                "--all-targets",
-                "--",
-                "-D",
-                "warnings",
-            ],
-        ),
-        Step::cargo(
-            "lints-simavr",
-            "none in what needs simavr or the Arduino's image, either",
-            &[
-                "clippy",
-                "--package",
-                "singletrack-simavr",
-                "--package",
-                "singletrack-sim",
                 "--features",
                 "singletrack-simavr/simavr,singletrack-sim/uno",
                 "--all-targets",
@@ -107,11 +95,7 @@ fn program_steps() -> Vec<Step> {
             "the Arduino's image contains nothing miscompiled and keeps to its budgets",
             || uno::build_and_check().map(drop),
         ),
-        Step::cargo(
-            "tests",
-            "unit, property and virtual-time tests",
-            &["test", "--workspace", "--exclude", "singletrack-hil"],
-        ),
+        Step::cargo("tests", "unit, property and virtual-time tests", &TESTS),
         Step::cargo(
             "simavr",
             "the simulated Arduino",

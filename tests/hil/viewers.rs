@@ -1,0 +1,128 @@
+//! When many look on.
+
+use std::{
+    net::{SocketAddr, TcpStream},
+    time::{Duration, Instant},
+};
+
+use serde_json::{Value, json};
+use singletrack_hil::{Failure, Outcome, bench::Bench, ensure};
+use tungstenite::{Message, WebSocket, client::IntoClientRequest};
+
+use crate::Scenario;
+
+pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
+    "twenty_viewers_that_never_read_change_nothing_about_the_drive",
+    looked_at,
+)];
+
+const VIEWERS: usize = 20;
+
+/// Rounds with and without viewers take turns, each so long.
+const ROUNDS: usize = 2;
+const ROUND: Duration = Duration::from_secs(2);
+
+/// A tick in a hundred may be later than this: others use the processors.
+const LATENESS_LIMIT_US: f64 = 5_000.0;
+
+/// What half of the ticks are late by may not grow by more than this.
+const MEDIAN_LIMIT: f64 = 2.0;
+
+fn looked_at(bench: &mut Bench) -> Outcome {
+    let live = &mut bench.config_mut().live;
+    live.enabled = true;
+    live.port = 0;
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    let (address, _) = bench.status()?.live()?;
+
+    let (mut alone, mut watched) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        lateness(bench, &mut alone)?;
+        let viewers: Outcome<Vec<_>> = (0..VIEWERS).map(|_| idle_viewer(address)).collect();
+        let viewers = viewers?;
+        lateness(bench, &mut watched)?;
+        let (_, seen) = bench.status()?.live()?;
+        ensure!(seen == VIEWERS as u64, "{seen} viewers");
+        drop(viewers);
+    }
+    let status = bench.status()?;
+    let lost = status.figure("/dropped/record_entries")?;
+    ensure!(lost == 0.0, "the record misses {lost} entries");
+    let [alone, watched] = [alone, watched].map(|mut values| {
+        values.sort_by(f64::total_cmp);
+        [0.5, 0.99].map(|part| percentile(&values, part))
+    });
+    bench.at_most(
+        "lateness of a tick in two, times that without viewers",
+        watched[0] / alone[0],
+        MEDIAN_LIMIT,
+        "",
+    )?;
+    bench.at_most(
+        "lateness of a tick in a hundred",
+        watched[1],
+        LATENESS_LIMIT_US,
+        "us",
+    )?;
+    bench.was_within_limits(&bench.rig().trace()?)
+}
+
+/// How late the ticks of a round are, in us.
+fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
+    let mut ticks = bench.client()?.watch_ticks()?;
+    let begin = Instant::now();
+    while begin.elapsed() < ROUND {
+        let [late_ns] = ticks.next_of(["lateness_ns"])?;
+        let late_ns = late_ns.ok_or_else(|| Failure::new("a tick without lateness"))?;
+        values.push(late_ns.max(1.0) * 1e-3);
+    }
+    Ok(())
+}
+
+/// The smallest value that so large a part of them does not exceed.
+fn percentile(sorted: &[f64], part: f64) -> f64 {
+    let rank = (part * sorted.len() as f64).ceil() as usize;
+    let value = sorted.get(rank.saturating_sub(1));
+    value.copied().unwrap_or(f64::NAN)
+}
+
+/// Wants everything, and takes nothing.
+fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
+    let stream = TcpStream::connect(address).map_err(Failure::system("no live view"))?;
+    stream
+        .set_read_timeout(Some(Duration::from_secs(5)))
+        .map_err(Failure::system("no time limit"))?;
+    let refused = |error: tungstenite::Error| Failure::new(format!("live view: {error}"));
+    let mut request = format!("ws://{address}")
+        .into_client_request()
+        .map_err(refused)?;
+    request.headers_mut().insert(
+        "Sec-WebSocket-Protocol",
+        tungstenite::http::HeaderValue::from_static("foxglove.sdk.v1"),
+    );
+    let (mut socket, _) = tungstenite::client(request, stream)
+        .map_err(|error| Failure::new(format!("live view: {error}")))?;
+    loop {
+        let message = socket.read().map_err(refused)?;
+        let Message::Text(text) = message else {
+            continue;
+        };
+        let message: Value = serde_json::from_str(&text)
+            .map_err(|error| Failure::new(format!("live view: {error}: {text}")))?;
+        let Some(channels) = message["channels"].as_array() else {
+            continue;
+        };
+        let subscriptions: Vec<_> = channels
+            .iter()
+            .enumerate()
+            .map(|(id, channel)| json!({"id": id, "channelId": channel["id"]}))
+            .collect();
+        ensure!(!subscriptions.is_empty(), "the live view has no channels");
+        let message = json!({"op": "subscribe", "subscriptions": subscriptions});
+        socket
+            .send(Message::text(message.to_string()))
+            .map_err(refused)?;
+        return Ok(socket);
+    }
+}
