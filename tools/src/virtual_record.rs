@@ -44,7 +44,7 @@ impl VirtualRecord {
         };
         let meta = record_meta(config, Some(seed), start)?;
         drive.keep_entries();
-        Ok(Self(Recorder::create(path, &meta)?))
+        Ok(Self(Recorder::create(path, &meta)?.without_timed_flushes()))
     }
 
     /// Writes what the drive has kept since the last time.

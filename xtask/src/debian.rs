@@ -57,6 +57,12 @@ pub(crate) const UNITS: Purpose = Purpose {
     packages: &["systemd"],
 };
 
+/// What runs the readers of records that others wrote.
+pub(crate) const PYTHON: Purpose = Purpose {
+    what: "to read records with Python",
+    packages: &["python3", "python3-venv"],
+};
+
 /// What writes the image into a board.
 pub(crate) const FLASH: Purpose = Purpose {
     what: "to flash the Arduino",

@@ -13,6 +13,7 @@ mod gates;
 mod image;
 mod odroid;
 mod packages;
+mod readers;
 mod same_bits;
 mod step;
 mod target;

@@ -5,7 +5,7 @@ use std::{path::PathBuf, process::Command};
 use crate::{
     debian,
     image::{self, Progress},
-    odroid, packages, same_bits,
+    odroid, packages, readers, same_bits,
     step::{Failure, Step, cargo, check, quiet, run_all},
     units, uno,
 };
@@ -112,6 +112,11 @@ fn program_steps() -> Vec<Step> {
             "same-bits",
             "debug and release builds simulate the same bits",
             same_bits::check,
+        ),
+        Step::new(
+            "readers",
+            "others read from a record what we say it holds, and from a recovered one",
+            readers::check,
         ),
         Step::new(
             "image",

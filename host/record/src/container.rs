@@ -60,6 +60,8 @@ impl Container {
             .compression(Some(Compression::Zstd))
             // The thread pool costs milliseconds a chunk.
             .compression_threads(0)
+            // When a chunk is full, whoever writes knows better: see `end_chunk`.
+            .chunk_size(None)
             // Otherwise an open chunk makes the whole file unreadable.
             .disable_seeking(true)
             .create(BufWriter::new(file))
@@ -96,9 +98,15 @@ impl Container {
         })
     }
 
+    /// Begins another chunk with what is written next: what is in one is there
+    /// altogether or not at all.
+    pub(crate) fn end_chunk(&mut self) -> Result<(), RecordError> {
+        self.write(Writer::flush)
+    }
+
     /// Makes everything so far survive the end of the process and of the power.
     pub(crate) fn flush(&mut self) -> Result<(), RecordError> {
-        self.write(Writer::flush)?;
+        self.end_chunk()?;
         self.file.sync_data().map_err(failure("sync", &self.part))
     }
 

@@ -14,6 +14,9 @@ use crate::{Channel, Encoder, Entry, Meta, RecordError, container::Container, pa
 /// the second that is promised: the other half is for a slow disk.
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 
+/// A chunk of more, before it is compressed, is not added to.
+const CHUNK_LENGTH: usize = 768 << 10;
+
 /// Writes one record.
 ///
 /// While it does, the file is called `NAME.mcap.part`; [`Recorder::finish`] gives
@@ -27,7 +30,10 @@ pub struct Recorder {
     encoder: Encoder,
     channels: [WrittenChannel; Channel::COUNT],
     flushed: Instant,
+    flush_period: Option<Duration>,
     unflushed: bool,
+    /// Of the messages since the last chunk.
+    chunk_length: usize,
     entries: u64,
 }
 
@@ -80,11 +86,21 @@ impl Recorder {
             encoder: Encoder::new(meta.start),
             channels,
             flushed: Instant::now(),
+            flush_period: Some(FLUSH_PERIOD),
             unflushed: false,
+            chunk_length: 0,
             entries: 0,
         };
         recorder.flush()?;
         Ok(recorder)
+    }
+
+    /// Does not flush by the clock, so that the same entries give the same bytes:
+    /// for what can be recorded again, such as a simulation.
+    #[must_use]
+    pub const fn without_timed_flushes(mut self) -> Self {
+        self.flush_period = None;
+        self
     }
 
     /// Where the finished record will be.
@@ -117,11 +133,17 @@ impl Recorder {
                 publish_time: publication.publish_time_ns,
             };
             channel.sequence = channel.sequence.wrapping_add(1);
+            self.chunk_length += publication.bytes.len();
             self.container
                 .write(|writer| writer.write_to_known_channel(&header, publication.bytes))?;
         }
         self.entries += 1;
         self.unflushed = true;
+        // Not before: what an entry becomes stays together.
+        if self.chunk_length > CHUNK_LENGTH {
+            self.chunk_length = 0;
+            self.container.end_chunk()?;
+        }
         self.flush_if_due()
     }
 
@@ -132,7 +154,8 @@ impl Recorder {
     ///
     /// When the file cannot be written.
     pub fn flush_if_due(&mut self) -> Result<(), RecordError> {
-        if self.unflushed && self.flushed.elapsed() >= FLUSH_PERIOD {
+        let is_due = |period| self.flushed.elapsed() >= period;
+        if self.unflushed && self.flush_period.is_some_and(is_due) {
             self.flush()?;
         }
         Ok(())
@@ -146,6 +169,7 @@ impl Recorder {
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.flushed = Instant::now();
         self.unflushed = false;
+        self.chunk_length = 0;
         self.container.flush()
     }
 

@@ -15,6 +15,7 @@ mod drive;
 use std::{
     env,
     io::{self, Read, Write},
+    ops::Range,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     thread,
@@ -29,10 +30,12 @@ use singletrack_record::{
 /// The argument that makes the program the one to be killed.
 const RECORD: &str = "record-until-killed";
 const KILLS: u64 = 50;
+/// So many at a time, not to measure how a disk takes fifty records at once.
+const WAVE: u64 = 10;
 const PERIOD: Duration = Duration::from_millis(10);
 /// The first and the last moment to kill.
 const FROM: Duration = Duration::from_millis(300);
-const UNTIL: Duration = Duration::from_millis(5_300);
+const UNTIL: Duration = Duration::from_millis(2_800);
 const SECOND_NS: u64 = 1_000_000_000;
 
 fn main() {
@@ -81,9 +84,30 @@ struct Victim {
 }
 
 fn a_recorder_killed_at_any_moment_loses_a_second_at_most() {
+    let mut saved = 0;
+    let mut worst_ns = 0;
+    for first in (0..KILLS).step_by(WAVE as usize) {
+        for (ticks, lost_ns) in kill(first..first + WAVE) {
+            saved += ticks;
+            worst_ns = worst_ns.max(lost_ns);
+        }
+    }
+    println!(
+        "{KILLS} kills, {saved} ticks saved, at most {} ms lost",
+        worst_ns / 1_000_000
+    );
+    assert!(saved > 0, "no victim lived long enough");
+    assert!(
+        worst_ns <= SECOND_NS,
+        "{worst_ns} ns are more than a second"
+    );
+}
+
+/// Starts recorders and kills each at a moment of its own; what each saved and lost.
+fn kill(numbers: Range<u64>) -> Vec<(u64, u64)> {
     let folder = tempfile::tempdir().unwrap();
     let start = Instant::now();
-    let mut victims: Vec<_> = (0..KILLS)
+    let mut victims: Vec<_> = numbers
         .map(|index| {
             let path = folder.path().join(format!("{index}.mcap"));
             let process = Command::new(env::current_exe().unwrap())
@@ -106,31 +130,21 @@ fn a_recorder_killed_at_any_moment_loses_a_second_at_most() {
         thread::sleep(victim.moment.saturating_sub(start.elapsed()));
         victim.process.kill().unwrap();
     }
-    let mut saved = 0;
-    let mut worst_ns = 0;
-    for mut victim in victims {
-        let mut told = Vec::new();
-        let mut pipe = victim.process.stdout.take().unwrap();
-        pipe.read_to_end(&mut told).unwrap();
-        let status = victim.process.wait().unwrap();
-        assert_eq!(status.code(), None, "killed, and not before");
-        let pushed = told
-            .chunks_exact(8)
-            .map(|time| u64::from_le_bytes(time.try_into().unwrap()))
-            .collect::<Vec<_>>();
-        let (ticks, lost_ns) = saved_and_lost(&victim.path, &pushed);
-        saved += ticks;
-        worst_ns = worst_ns.max(lost_ns);
-    }
-    assert!(saved > 0, "no victim lived long enough");
-    println!(
-        "{KILLS} kills, {saved} ticks saved, at most {} ms lost",
-        worst_ns / 1_000_000
-    );
-    assert!(
-        worst_ns <= SECOND_NS,
-        "{worst_ns} ns are more than a second"
-    );
+    victims
+        .into_iter()
+        .map(|mut victim| {
+            let mut told = Vec::new();
+            let mut pipe = victim.process.stdout.take().unwrap();
+            pipe.read_to_end(&mut told).unwrap();
+            let status = victim.process.wait().unwrap();
+            assert_eq!(status.code(), None, "killed, and not before");
+            let pushed: Vec<_> = told
+                .chunks_exact(8)
+                .map(|time| u64::from_le_bytes(time.try_into().unwrap()))
+                .collect();
+            saved_and_lost(&victim.path, &pushed)
+        })
+        .collect()
 }
 
 /// How many ticks a killed process left, and for how long before its last one

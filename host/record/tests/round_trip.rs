@@ -66,6 +66,21 @@ proptest! {
 }
 
 #[test]
+fn what_an_entry_becomes_is_in_one_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let entries: Vec<_> = (0..30_000).map(common::log).collect();
+    common::record(&path, &entries);
+    let bytes = fs::read(&path).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    assert!(summary.chunk_indexes.len() > 2, "long enough for several");
+    for chunk in &summary.chunk_indexes {
+        let messages = summary.stream_chunk(&bytes, chunk).unwrap().count();
+        assert_eq!(messages % 2, 0, "each line is there twice");
+    }
+}
+
+#[test]
 fn the_file_has_its_name_only_once_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");

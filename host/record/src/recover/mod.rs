@@ -298,6 +298,8 @@ impl Salvage {
                 }
             }
         }
+        // What was together stays together.
+        self.container.end_chunk()?;
         Ok(())
     }
 
