@@ -21,6 +21,7 @@
 //! one mapping taken when the record began: setting the clock changes nothing.
 
 mod channel;
+mod chunk;
 mod container;
 mod encoder;
 mod entry;

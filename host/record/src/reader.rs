@@ -12,12 +12,13 @@ use std::{
 
 use mcap::{
     McapError,
-    records::{Metadata, Record},
+    records::{Metadata, Record, op},
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
+    chunk::{Chunk, ChunkError},
     container::PROFILE,
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
@@ -43,6 +44,7 @@ pub struct Reader {
     path: PathBuf,
     file: File,
     linear: LinearReader,
+    chunk: Chunk,
     catalogue: Catalogue,
     meta: Meta,
     /// The message that [`Reader::advance`] came to.
@@ -100,8 +102,8 @@ struct Catalogue {
     configuration: Option<Vec<u8>>,
     /// Schema names by id, and whether they are as this program knows them.
     schemas: HashMap<u16, (String, bool)>,
-    /// Our channels by id.
-    channels: HashMap<u16, Topic>,
+    /// Our channels: their topics, by id.
+    channels: Vec<Option<Topic>>,
 }
 
 /// One step through the file.
@@ -129,13 +131,13 @@ impl Reader {
             source,
         })?;
         let options = LinearReaderOptions::default()
-            // Nothing of a damaged chunk is believed.
-            .with_prevalidate_chunk_crcs(true)
+            .with_emit_chunks(true)
             .with_record_length_limit(MAX_PART_LENGTH);
         let mut reader = Self {
             path: path.to_owned(),
             file,
             linear: LinearReader::new_with_options(options),
+            chunk: Chunk::default(),
             catalogue: Catalogue::default(),
             meta: Meta::none(),
             content: Vec::new(),
@@ -314,6 +316,19 @@ impl Reader {
 
     /// Goes one record of the container further.
     fn step(&mut self) -> Result<Step, RecordError> {
+        let step = match self.chunk.next() {
+            Some(Ok((opcode, data))) => {
+                let topics = self.topics.as_deref();
+                self.catalogue.take(opcode, data, topics, &mut self.content)
+            }
+            Some(Err(error)) => Err(error.into()),
+            None => return self.step_outside(),
+        };
+        step.map_err(|refused| self.refuse(refused))
+    }
+
+    /// Goes one record of the container further, which may be a chunk.
+    fn step_outside(&mut self) -> Result<Step, RecordError> {
         let step = match self.linear.next_event() {
             None => return Ok(Step::End),
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
@@ -330,6 +345,15 @@ impl Reader {
                 self.linear.notify_read(length);
                 return Ok(Step::Nothing);
             }
+            // There are many, and they tell of nothing new.
+            Some(Ok(LinearReadEvent::Record {
+                opcode: op::MESSAGE_INDEX | op::CHUNK_INDEX,
+                ..
+            })) => Ok(Step::Nothing),
+            Some(Ok(LinearReadEvent::Record {
+                opcode: op::CHUNK,
+                data,
+            })) => open_chunk(&mut self.chunk, data),
             Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                 let topics = self.topics.as_deref();
                 self.catalogue.take(opcode, data, topics, &mut self.content)
@@ -337,16 +361,28 @@ impl Reader {
             Some(Err(McapError::BadMagic)) if self.catalogue.header.is_none() => {
                 return Err(RecordError::NotMcap(self.path.clone()));
             }
-            Some(Err(error)) => Err(Refused::Damage(error.to_string())),
+            Some(Err(error)) => Err(error.into()),
         };
-        step.map_err(|refused| match refused {
+        step.map_err(|refused| self.refuse(refused))
+    }
+
+    fn refuse(&self, refused: Refused) -> RecordError {
+        match refused {
             Refused::Damage(reason) => self.damaged(reason),
             Refused::OtherSchema(schema) => RecordError::OtherSchema {
                 path: self.path.clone(),
                 schema,
             },
-        })
+        }
     }
+}
+
+/// Takes in a chunk, whose records come next.
+fn open_chunk(chunk: &mut Chunk, data: &[u8]) -> Result<Step, Refused> {
+    if let Record::Chunk { header, data } = mcap::parse_record(op::CHUNK, data)? {
+        chunk.open(&header, &data, MAX_PART_LENGTH)?;
+    }
+    Ok(Step::Nothing)
 }
 
 /// Why a part of the file is not accepted.
@@ -361,6 +397,16 @@ impl From<McapError> for Refused {
     }
 }
 
+impl From<ChunkError> for Refused {
+    fn from(error: ChunkError) -> Self {
+        Self::Damage(error.to_string())
+    }
+}
+
+/// What stands before the content of a message: channel, number, log time and
+/// publish time.
+const MESSAGE_HEAD_LENGTH: usize = 2 + 4 + 8 + 8;
+
 impl Catalogue {
     /// Takes in one record of the container; a message goes to `content`.
     fn take(
@@ -370,6 +416,9 @@ impl Catalogue {
         topics: Option<&[Topic]>,
         content: &mut Vec<u8>,
     ) -> Result<Step, Refused> {
+        if opcode == op::MESSAGE {
+            return self.take_message(data, topics, content);
+        }
         match mcap::parse_record(opcode, data)? {
             Record::Header(header) => self.header = Some((header.profile, header.library)),
             Record::Metadata(metadata) if metadata.name == METADATA_NAME => {
@@ -404,26 +453,44 @@ impl Catalogue {
                             )));
                         }
                     }
-                    self.channels.insert(channel.id, topic);
+                    let id = usize::from(channel.id);
+                    self.channels.resize(self.channels.len().max(id + 1), None);
+                    if let Some(known) = self.channels.get_mut(id) {
+                        *known = Some(topic);
+                    }
                 }
-            }
-            Record::Message { header, data } => {
-                let Some(topic) = self.channels.get(&header.channel_id) else {
-                    return Ok(Step::Nothing);
-                };
-                if topics.is_some_and(|topics| !topics.contains(topic)) {
-                    return Ok(Step::Skipped);
-                }
-                content.clear();
-                content.extend_from_slice(&data);
-                return Ok(Step::Message(Recorded {
-                    topic: *topic,
-                    wall_ns: header.log_time,
-                }));
             }
             _ => {}
         }
         Ok(Step::Nothing)
+    }
+    /// Takes in a message, as nearly all records are.
+    fn take_message(
+        &self,
+        data: &[u8],
+        topics: Option<&[Topic]>,
+        content: &mut Vec<u8>,
+    ) -> Result<Step, Refused> {
+        let Some((head, data)) = data.split_first_chunk::<MESSAGE_HEAD_LENGTH>() else {
+            return Err(Refused::Damage(format!(
+                "a message of {} bytes is too short to be one",
+                data.len()
+            )));
+        };
+        let [low, high, _, _, _, _, log_time @ .., _, _, _, _, _, _, _, _] = *head;
+        let id = usize::from(u16::from_le_bytes([low, high]));
+        let Some(Some(topic)) = self.channels.get(id).copied() else {
+            return Ok(Step::Nothing);
+        };
+        if topics.is_some_and(|topics| !topics.contains(&topic)) {
+            return Ok(Step::Skipped);
+        }
+        content.clear();
+        content.extend_from_slice(data);
+        Ok(Step::Message(Recorded {
+            topic,
+            wall_ns: u64::from_le_bytes(log_time),
+        }))
     }
 }
 

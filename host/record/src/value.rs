@@ -55,16 +55,18 @@ impl Value {
 fn push_float(text: &mut String, value: f64) {
     let mut buffer = zmij::Buffer::new();
     let shown = buffer.format(value);
-    let digits = shown.strip_prefix('-').unwrap_or(shown);
-    let sign = if digits.len() < shown.len() { "-" } else { "" };
     // Where the two differ in how they show an exponent.
-    if let Some(digits) = digits.strip_prefix("0.0000") {
+    if (1e-5..1e-4).contains(&value.abs())
+        && let Some((sign, digits)) = shown.split_once("0.0000")
+    {
         let (first, rest) = digits.split_at(digits.len().min(1));
         let point = if rest.is_empty() { "" } else { "." };
         for part in [sign, first, point, rest, "e-5"] {
             text.push_str(part);
         }
-    } else if let Some((digits, exponent)) = shown.split_once("e+") {
+    } else if value.abs() >= 1e16
+        && let Some((digits, exponent)) = shown.split_once("e+")
+    {
         for part in [digits, "e", exponent] {
             text.push_str(part);
         }

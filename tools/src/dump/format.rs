@@ -19,6 +19,8 @@ pub(super) struct Printer<W: Write> {
     format: Format,
     /// What is printed and not yet handed over.
     text: String,
+    /// A cell that is made of many values.
+    content: String,
     header: Vec<String>,
     /// What is printed of each kind, column by column.
     columns: Vec<Vec<Column>>,
@@ -101,6 +103,7 @@ impl<W: Write> Printer<W> {
             output,
             format,
             text: String::new(),
+            content: String::new(),
             widths: header.iter().map(|name| name.len().max(8)).collect(),
             header,
             columns,
@@ -188,8 +191,9 @@ impl<W: Write> Printer<W> {
                 },
                 Column::Value(_, Place::Time) => row.time().push_to(&mut self.text),
                 Column::Content(fields) => {
-                    let content = content(fields, row, values, ToString::to_string);
-                    push_csv_text(&mut self.text, &content);
+                    self.content.clear();
+                    push_content(&mut self.content, fields, row, values, Value::push_to);
+                    push_csv_text(&mut self.text, &self.content);
                 }
                 Column::Nothing => {}
             }
@@ -225,7 +229,13 @@ impl<W: Write> Printer<W> {
                 Column::Value(_, Place::Field(index)) => {
                     cell(values.get(*index).unwrap_or(&Value::Absent))
                 }
-                Column::Content(fields) => content(fields, row, values, cell),
+                Column::Content(fields) => {
+                    let mut text = String::new();
+                    push_content(&mut text, fields, row, values, |value, text| {
+                        text.push_str(&cell(value));
+                    });
+                    text
+                }
                 Column::Nothing => cell(&Value::Absent),
             })
             .collect();
@@ -281,26 +291,32 @@ fn name(names: &[&'static str], row: &Row) -> &'static str {
 }
 
 /// Fields with their names, as far as they are there.
-fn content(
+fn push_content(
+    text: &mut String,
     fields: &[(String, Place)],
     row: &Row,
     values: &[Value],
-    shown: impl Fn(&Value) -> String,
-) -> String {
-    let mut text = String::new();
+    push: impl Fn(&Value, &mut String),
+) {
+    let mut gap = "";
     for (name, place) in fields {
+        let time;
         let value = match place {
-            Place::Time => shown(&row.time()),
-            Place::Field(index) => match values.get(*index) {
-                None | Some(Value::Absent) => continue,
-                Some(value) => shown(value),
-            },
+            Place::Time => {
+                time = row.time();
+                &time
+            }
+            Place::Field(index) => values.get(*index).unwrap_or(&Value::Absent),
         };
-        for part in [if text.is_empty() { "" } else { " " }, name, "=", &value] {
+        if *value == Value::Absent {
+            continue;
+        }
+        for part in [gap, name, "="] {
             text.push_str(part);
         }
+        push(value, text);
+        gap = " ";
     }
-    text
 }
 
 /// A value for a person.

@@ -81,6 +81,67 @@ fn a_record_being_written_is_followed_to_its_end() {
 }
 
 #[test]
+fn a_record_being_written_is_followed_in_every_format_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut recorder, path) = recorder(folder.path());
+    let followed = |arguments: &[&str]| {
+        command(&path, &[&["--follow"], arguments].concat())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap()
+    };
+    let fields = "--fields=last_sequence,mode";
+    let filter = "--where=last_sequence!=1";
+    let children = [
+        followed(&["--format=json", fields, filter]),
+        followed(&["--format=table", fields, filter]),
+        followed(&["--format=json", "--stats"]),
+    ];
+    recorder.write(&telemetry(2)).unwrap();
+    recorder.finish().unwrap();
+    let [json, table, stats] =
+        children.map(|child| text(&child.wait_with_output().unwrap().stdout));
+    assert_eq!(
+        json,
+        "{\"topic\":\"telemetry\",\"last_sequence\":0,\"mode\":\"driving\"}\n\
+         {\"topic\":\"telemetry\",\"last_sequence\":2,\"mode\":\"driving\"}\n"
+    );
+    assert_eq!(
+        table,
+        "last_sequence      mode\n            0   driving\n            2   driving\n"
+    );
+    let stats: serde_json::Value = serde_json::from_str(&stats).unwrap();
+    assert_eq!(stats["unfinished"], false);
+    assert_eq!(stats["topics"][1]["count"], 3);
+}
+
+#[test]
+fn a_record_of_another_version_is_refused_with_who_can_read_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (recorder, path) = recorder(folder.path());
+    recorder.finish().unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    let key = b"record_version\x01\0\0\0";
+    let at = bytes.windows(key.len()).position(|part| part == key);
+    let version = &mut bytes[at.unwrap() + key.len()];
+    assert_eq!(*version, b'0' + singletrack_record::RECORD_VERSION as u8);
+    *version = b'1';
+    fs::write(&path, bytes).unwrap();
+    let output = dump(&path, &[]);
+    assert!(!output.status.success());
+    assert_eq!(text(&output.stdout), "");
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("is a record of version 1; this program reads version"),
+        "{error}"
+    );
+    assert!(
+        error.contains("use the singletrack of the release that wrote it"),
+        "{error}"
+    );
+}
+
+#[test]
 fn a_closed_pipe_is_success() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("long.mcap");
