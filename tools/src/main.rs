@@ -24,7 +24,7 @@ struct Cli {
 enum Command {
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
-    /// Print a record, or what the daemon sees now.
+    /// Print or count what is in a record, what the daemon sees now, or what is on the line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),

@@ -38,18 +38,18 @@ use stats::Stats;
 pub struct DumpArgs {
     /// Where to look: a record, the running daemon, a serial port, or a capture of its bytes.
     ///
-    /// drive.mcap, drive.mcap.part   a record, finished or not{n}
-    /// live                          what the running daemon sees{n}
-    /// /dev/ttyUSB0                  a serial port: what the board sends, frame by frame{n}
+    /// drive.mcap, drive.mcap.part   a record, finished or not
+    /// live                          what the running daemon sees
+    /// /dev/ttyUSB0                  a serial port: what the board sends, frame by frame
     /// line.bin, -                   a capture of the line's bytes, or standard input
     #[arg(required_unless_present = "serial", verbatim_doc_comment)]
     pub source: Option<PathBuf>,
 
     /// What to print, several with commas [default: telemetry of a record or of live, all of a line].
     ///
-    /// Of a record or live: tick, telemetry, status, pose, log, drops. Of a line: hello,
-    /// telemetry, status, acknowledgement, refusal, and broken for what is no frame (to the
-    /// board: hello, configure, arm, disarm, drive, emergency-stop, broken).
+    /// Of a record or live: tick, telemetry, status, pose, log, configuration, drops. Of a line:
+    /// hello, telemetry, status, acknowledgement, refusal, and broken for what is no frame (to
+    /// the board: hello, configure, arm, disarm, drive, emergency-stop, broken).
     #[arg(long, value_delimiter = ',')]
     pub topic: Vec<String>,
 
