@@ -5,6 +5,7 @@ use std::{
     fmt,
     fs::File,
     io::Read,
+    mem,
     path::{Path, PathBuf},
     thread,
     time::Duration,
@@ -26,6 +27,8 @@ use crate::{
 /// No part of a record is longer than this: a length beyond it is damage, and
 /// must not be allocated.
 const MAX_PART_LENGTH: usize = 16 << 20;
+/// The length of a list, encoded.
+const LENGTH: usize = size_of::<u32>();
 /// How much is read from the file at once.
 const READ_LENGTH: usize = 64 << 10;
 /// How often a record that is being written is looked at.
@@ -50,6 +53,8 @@ pub struct Reader {
     /// The message that [`Reader::advance`] came to.
     content: Vec<u8>,
     at: Option<Recorded>,
+    /// [`Topic::list_at`] of ticks.
+    events_at: Option<usize>,
     bytes: u64,
     entries: u64,
     topics: Option<Vec<Topic>>,
@@ -142,6 +147,7 @@ impl Reader {
             meta: Meta::none(),
             content: Vec::new(),
             at: None,
+            events_at: Topic::Tick.list_at(),
             bytes: 0,
             entries: 0,
             topics: None,
@@ -229,8 +235,29 @@ impl Reader {
     /// When the message is damaged.
     pub fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), RecordError> {
         values.clear();
-        self.read(|topic, content| topic.read_values(content, values))?;
-        Ok(())
+        let Some(Recorded { topic, .. }) = self.at else {
+            return Ok(());
+        };
+        if topic == Topic::Tick
+            && let Some(list_at) = self.events_at
+            && let Some((head, _)) = self.content.split_at_mut_checked(list_at + LENGTH)
+            && let Some(length) = head.last_chunk_mut::<LENGTH>()
+        {
+            // A list shows as its length: its elements, half of a tick, need not be
+            // decoded.
+            let encoded = mem::take(length);
+            let read = topic.read_values(head, values);
+            if let Some(length) = head.last_chunk_mut() {
+                *length = encoded;
+            }
+            if let Some(shown) = values.last_mut() {
+                *shown = Value::Unsigned(u32::from_le_bytes(encoded).into());
+            }
+            return read.map_err(|reason| self.senseless(topic, &reason));
+        }
+        topic
+            .read_values(&self.content, values)
+            .map_err(|reason| self.senseless(topic, &reason))
     }
 
     /// Adds the message that [`Reader::advance`] came to to `json`, as
@@ -240,24 +267,20 @@ impl Reader {
     ///
     /// When the message is damaged.
     pub fn write_json(&mut self, json: &mut String) -> Result<(), RecordError> {
-        self.read(|topic, content| topic.write_json(content, json))?;
-        Ok(())
+        let Some(Recorded { topic, .. }) = self.at else {
+            return Ok(());
+        };
+        topic
+            .write_json(&self.content, json)
+            .map_err(|reason| self.senseless(topic, &reason))
     }
 
-    /// Reads the message that it is at, if it is at one.
-    fn read<T>(
-        &mut self,
-        read: impl FnOnce(Topic, &[u8]) -> Result<T, String>,
-    ) -> Result<Option<T>, RecordError> {
-        let Some(Recorded { topic, .. }) = self.at else {
-            return Ok(None);
-        };
-        read(topic, &self.content).map(Some).map_err(|reason| {
-            self.failed = true;
-            // The damaged one is not one that came before the damage.
-            self.entries = self.entries.saturating_sub(1);
-            self.damaged(format_args!("{topic}: {reason}"))
-        })
+    /// The message that it is at is damaged.
+    fn senseless(&mut self, topic: Topic, reason: &str) -> RecordError {
+        self.failed = true;
+        // It does not count among those before the damage.
+        self.entries = self.entries.saturating_sub(1);
+        self.damaged(format_args!("{topic}: {reason}"))
     }
 
     fn read_meta(&mut self) -> Result<Meta, RecordError> {
@@ -503,7 +526,10 @@ impl Iterator for Reader {
         }
         loop {
             match self.advance() {
-                Ok(Some(_)) => return self.read(Entry::decode).transpose(),
+                Ok(Some(Recorded { topic, .. })) => {
+                    let entry = Entry::decode(topic, &self.content);
+                    return Some(entry.map_err(|reason| self.senseless(topic, &reason)));
+                }
                 Ok(None) if self.follow && self.ending != Some(Ending::Finished) => {
                     thread::sleep(FOLLOW_PERIOD);
                 }

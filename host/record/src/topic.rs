@@ -174,6 +174,17 @@ impl Topic {
         Ok(())
     }
 
+    /// Where its messages have the length of the list that they end with, if they
+    /// do: all that comes before is as long in one as in the other.
+    pub(crate) fn list_at(self) -> Option<usize> {
+        let mut bytes = Vec::new();
+        match self {
+            Self::Tick => encode(&TickMessage::absent(), &mut bytes).ok()?,
+            _ => return None,
+        }
+        bytes.len().checked_sub(size_of::<u32>())
+    }
+
     /// Adds the message that `bytes` encode to `json`: [`Entry::write_json`].
     pub(crate) fn write_json(self, bytes: &[u8], json: &mut String) -> Result<(), String> {
         with_message!(self, M => {
