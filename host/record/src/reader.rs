@@ -20,7 +20,7 @@ use mcap::{
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
     chunk::{Chunk, ChunkError},
-    container::PROFILE,
+    container::{PROFILE, parse_record},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
 
@@ -442,7 +442,7 @@ impl Catalogue {
         if opcode == op::MESSAGE {
             return self.take_message(data, topics, content);
         }
-        match mcap::parse_record(opcode, data)? {
+        match parse_record(opcode, data)? {
             Record::Header(header) => self.header = Some((header.profile, header.library)),
             Record::Metadata(metadata) if metadata.name == METADATA_NAME => {
                 self.metadata = Some(metadata);

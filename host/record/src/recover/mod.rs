@@ -14,7 +14,7 @@ use scan::{Found, MAX_LENGTH, Scan};
 
 use crate::{
     RecordError, Topic,
-    container::{Container, LIBRARY_NAME, PROFILE, failure, with_suffix},
+    container::{Container, LIBRARY_NAME, PROFILE, failure, parse_record, with_suffix},
 };
 
 /// What was saved of a record, and what was not.
@@ -172,7 +172,7 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<(), RecordError> {
         });
     }
     match scan.next().map_err(failure("read", input))? {
-        Found::Record { opcode, content } => match mcap::parse_record(opcode, content) {
+        Found::Record { opcode, content } => match parse_record(opcode, content) {
             Ok(Record::Header(header))
                 if header.profile == PROFILE && header.library.starts_with(LIBRARY_NAME) =>
             {
@@ -271,7 +271,7 @@ impl Salvage {
         match opcode {
             op::CHUNK => self.chunk(content)?,
             op::DATA_END => return Ok(End::Yes),
-            _ => self.record(&parse(opcode, content)?)?,
+            _ => self.record(&parse_record(opcode, content)?)?,
         }
         Ok(End::No)
     }
@@ -294,7 +294,7 @@ impl Salvage {
                     reader.notify_read(length);
                 }
                 LinearReadEvent::Record { opcode, data } => {
-                    self.record(&parse(opcode, data)?)?;
+                    self.record(&parse_record(opcode, data)?)?;
                 }
             }
         }
@@ -377,26 +377,4 @@ impl Salvage {
 enum End {
     No,
     Yes,
-}
-
-/// As [`mcap::parse_record`], which takes for granted that an attachment is
-/// longer than its head.
-fn parse(opcode: u8, content: &[u8]) -> Result<Record<'_>, Refused> {
-    if opcode == op::ATTACHMENT {
-        let text = |at: usize| {
-            let length = content.get(at..at.checked_add(4)?)?.try_into().ok()?;
-            at.checked_add(4)?
-                .checked_add(usize::try_from(u32::from_le_bytes(length)).ok()?)
-        };
-        const TIMES: usize = 8 + 8;
-        const LENGTH_AND_CHECKSUM: usize = 8 + 4;
-        let whole = text(TIMES)
-            .and_then(text)
-            .and_then(|end| end.checked_add(LENGTH_AND_CHECKSUM))
-            .is_some_and(|end| end <= content.len());
-        if !whole {
-            return Err(Refused::Damaged);
-        }
-    }
-    Ok(mcap::parse_record(opcode, content)?)
 }
