@@ -103,3 +103,97 @@ impl Chunk {
         Some(Ok((opcode, content)))
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    /// Two records: opcodes 5 and 3, of three bytes and none.
+    const RECORDS: [u8; 21] = [
+        5, 3, 0, 0, 0, 0, 0, 0, 0, 7, 8, 9, 3, 0, 0, 0, 0, 0, 0, 0, 0,
+    ];
+    const LIMIT: usize = 1 << 10;
+
+    fn header(compression: &str) -> ChunkHeader {
+        ChunkHeader {
+            message_start_time: 0,
+            message_end_time: 0,
+            uncompressed_size: RECORDS.len() as u64,
+            uncompressed_crc: crc32fast::hash(&RECORDS),
+            compression: compression.to_owned(),
+            compressed_size: 0,
+        }
+    }
+
+    fn records(chunk: &mut Chunk) -> Vec<(u8, Vec<u8>)> {
+        let mut records = Vec::new();
+        while let Some(record) = chunk.next() {
+            let (opcode, content) = record.unwrap();
+            records.push((opcode, content.to_vec()));
+        }
+        records
+    }
+
+    #[test]
+    fn a_chunk_gives_its_records_compressed_or_not() {
+        let compressed = zstd::bulk::compress(&RECORDS, 3).unwrap();
+        let mut chunk = Chunk::default();
+        assert!(chunk.next().is_none());
+        for (compression, data) in [("", &RECORDS[..]), ("zstd", &compressed)] {
+            chunk.open(&header(compression), data, LIMIT).unwrap();
+            let expected = vec![(5, vec![7, 8, 9]), (3, Vec::new())];
+            assert_eq!(records(&mut chunk), expected);
+        }
+    }
+
+    #[test]
+    fn nothing_of_a_damaged_chunk_is_given() {
+        let mut chunk = Chunk::default();
+        let good = header("");
+        for (header, data, expected) in [
+            (
+                ChunkHeader {
+                    uncompressed_size: 1 << 40,
+                    ..good.clone()
+                },
+                &RECORDS[..],
+                "more than the 1024 that one may have",
+            ),
+            (header("lz4"), &RECORDS[..], "compressed with \"lz4\""),
+            (header("zstd"), &RECORDS[..], "does not decompress"),
+            (good.clone(), &RECORDS[..20], "20 bytes instead of 21"),
+            (
+                ChunkHeader {
+                    uncompressed_crc: 1,
+                    ..good.clone()
+                },
+                &RECORDS[..],
+                "instead of 00000001",
+            ),
+        ] {
+            chunk.open(&good, &RECORDS, LIMIT).unwrap();
+            let error = chunk.open(&header, data, LIMIT).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+            assert!(chunk.next().is_none());
+        }
+    }
+
+    #[test]
+    fn a_record_that_is_longer_than_its_chunk_ends_it() {
+        let mut chunk = Chunk::default();
+        for length in [1, 200, 255] {
+            let mut bytes = RECORDS;
+            // The second record claims far more than there is.
+            bytes[13..].fill(length);
+            let header = ChunkHeader {
+                uncompressed_crc: crc32fast::hash(&bytes),
+                ..header("")
+            };
+            chunk.open(&header, &bytes, LIMIT).unwrap();
+            assert!(chunk.next().unwrap().is_ok());
+            assert!(chunk.next().unwrap().is_err());
+            assert!(chunk.next().is_none());
+        }
+    }
+}
