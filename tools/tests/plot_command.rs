@@ -285,6 +285,28 @@ fn an_unfinished_record_is_drawn_as_far_as_it_goes() {
 }
 
 #[test]
+fn a_damaged_record_is_drawn_up_to_the_damage() {
+    let script = Script {
+        drives: vec![6_000],
+        ..Script::default()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let record = folder.path().join("drive.mcap");
+    recorded::write(&record, &script);
+    let mut bytes = fs::read(&record).unwrap();
+    let place = bytes.len() * 3 / 4;
+    bytes[place] ^= 0xff;
+    fs::write(&record, bytes).unwrap();
+    let output = plot(&record, &["--format", "html"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("is damaged after"), "{said}");
+    let html = fs::read_to_string(folder.path().join("drive/report.html")).unwrap();
+    assert!(html.contains("is damaged after"), "the report says so, too");
+    assert!(html.contains("never stopped; the record ends while the car is driven"));
+}
+
+#[test]
 fn a_folder_that_can_not_be_written_is_named_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     let taken = folder.path().join("taken");
@@ -326,10 +348,13 @@ fn the_report_is_one_file_with_summary_figures_and_numbers() {
             "duration",
             "10.19 s, of which P followed its reference for 9.99 s",
         ),
-        ("ended", "mode ready; began to stop at 10.00 s"),
+        (
+            "ended",
+            "stopping at 10.00 s, because of requested; then ready",
+        ),
         ("tracking error", &format!("{:.1} mm RMS", error * 1000.0)),
         ("speed", "0.400 m/s at the median"),
-        ("markers", "lost 1 times, for 200 ms at most; 20 frames"),
+        ("markers", "lost once, for 200 ms at most; 20 frames"),
         ("ticks", "1020, 0 deadlines missed"),
         (
             "lateness",
@@ -343,7 +368,7 @@ fn the_report_is_one_file_with_summary_figures_and_numbers() {
         ("reference", "circle: angular_velocity_rad_s = 0.5"),
         ("versions", "singletrackd 0.1.0, protocol 1"),
         ("seed of the simulation", "7"),
-        ("log", "1 warnings, 0 errors"),
+        ("log", "1 warning, 0 errors"),
     ] {
         assert!(line(name).contains(words), "{name}: {}", line(name));
     }

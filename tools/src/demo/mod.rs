@@ -243,7 +243,11 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         board,
     };
     let plotted = report::plot(args, &driven.truth);
-    report::write(args, &driven)?;
+    report::write(args, &driven, plotted.is_ok())?;
+    if let (Some(_), Err(error)) = (&driven.ended, &plotted) {
+        // Why the drive ended matters more, and comes last.
+        eprintln!("singletrack: no figures: {error}");
+    }
     match driven.ended {
         None => Ok(plotted?),
         Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),

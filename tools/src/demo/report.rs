@@ -66,8 +66,8 @@ struct Milliseconds {
     max: f64,
 }
 
-/// Writes the summary and tells the person.
-pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
+/// Writes the summary and tells the person, also of the report if it is there.
+pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
     let figures = &drive.summary.figures;
@@ -109,6 +109,9 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive) -> Result<(), DemoError> {
     // Nobody reads a report that goes into a pipe.
     if std::io::stdout().is_terminal() {
         print(&args.out, drive, tracking.as_ref());
+        if plotted {
+            println!("Open {}", args.out.join(REPORT).display());
+        }
     }
     Ok(())
 }
@@ -210,5 +213,4 @@ fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
         "In {}: {FIGURES}/, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
         folder.display()
     );
-    println!("Open {}", folder.join(REPORT).display());
 }

@@ -356,9 +356,10 @@ const fn pen(look: Look) -> &'static str {
 fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::Result {
     let x = area.x.at(rule.value);
     line(svg, "rule", INK, 0.2, [x, area.top, x, area.bottom])?;
-    // One below the other, on the side with more room.
+    // One below the other, on the right if there is room.
     let y = area.top + 3.0 + 3.2 * index as f64;
-    let (x, anchor) = if x > 0.5 * (area.left + area.right) {
+    let room = area.right - x - legend::text_width(&rule.name);
+    let (x, anchor) = if room < 1.5 {
         (x - 0.8, "end")
     } else {
         (x + 0.8, "start")

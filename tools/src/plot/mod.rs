@@ -10,7 +10,8 @@ mod summary;
 pub mod truth;
 
 use std::{
-    fs, io,
+    fs,
+    io::{self, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -66,7 +67,7 @@ pub enum PlotError {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// The car never drove.
-    #[error("{}: there is no drive in this record: {}", path.display(), why)]
+    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
     NoDrive {
         /// The record.
         path: PathBuf,
@@ -144,8 +145,12 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     for (kind, why) in &plotted.missing {
         eprintln!("singletrack: no figure {}: {why}", kind.name());
     }
+    let mut stdout = io::stdout().lock();
     for file in &plotted.files {
-        println!("{}", file.display());
+        if writeln!(stdout, "{}", file.display()).is_err() {
+            // Whoever read the names has seen enough.
+            break;
+        }
     }
     Ok(())
 }
@@ -166,8 +171,7 @@ impl Record {
                     "in {} ticks the car was never driven; the last mode was {}{}",
                     recording.ticks,
                     last.mode,
-                    last.reason
-                        .map_or_else(String::new, |reason| format!(", because of {reason}"))
+                    summary::why(last.reason)
                 ),
             };
             return Err(PlotError::NoDrive {

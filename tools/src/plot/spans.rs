@@ -5,8 +5,12 @@ use super::drive::TickSample;
 /// How many usual intervals between new poses may pass: one tick without a pose is
 /// the beat of two clocks, two are a loss.
 const INTERVALS: f64 = 2.5;
+/// The same for ticks that had no word of the cameras either: frames that are merely
+/// late are no loss.
+const SILENT_INTERVALS: f64 = 5.5;
 
-/// The spans in which no new pose came for longer than usual: from the first tick
+/// The spans in which no new pose came for longer than usual, because frames had none
+/// or because there were no frames: from the first tick
 /// that had to hold the last one until the one with the next, in s.
 ///
 /// What is usual is the median time between ticks with a new pose, so that cameras
@@ -37,7 +41,9 @@ pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
         let until = fresh.get(before).copied().unwrap_or(last.time);
         // At the start of a drive the last pose is at most a tick older.
         let blind = until - seen.unwrap_or(first.time);
-        if usual.is_none_or(|usual| blind > INTERVALS * usual) && until > first.time {
+        let told = run.iter().any(|tick| tick.poses_missing > 0);
+        let intervals = if told { INTERVALS } else { SILENT_INTERVALS };
+        if usual.is_none_or(|usual| blind > intervals * usual) && until > first.time {
             spans.push([first.time, until]);
         }
     }
@@ -50,7 +56,8 @@ mod tests {
 
     use super::*;
 
-    /// Ticks 10 ms apart, with a new pose where the pattern has a dot.
+    /// Ticks 10 ms apart: with a new pose, with a frame that has none (x), or with no
+    /// frame at all (-).
     fn ticks(pattern: &str) -> Vec<TickSample> {
         pattern
             .chars()
@@ -71,7 +78,7 @@ mod tests {
                 lateness: 0.0,
                 latency: 0.0,
                 skipped: 0,
-                poses_missing: 0,
+                poses_missing: u32::from(kind == 'x'),
             })
             .collect()
     }
@@ -80,6 +87,13 @@ mod tests {
     fn a_single_held_tick_is_no_loss_and_two_are() {
         assert_eq!(lost_markers(&ticks(".....x.....x....")), [[0.0; 2]; 0]);
         assert_eq!(lost_markers(&ticks(".....xx.........")), [[0.05, 0.07]]);
+    }
+
+    #[test]
+    fn frames_that_are_late_are_no_loss_and_silence_is() {
+        assert_eq!(lost_markers(&ticks("......---........")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks("......-----......")), [[0.06, 0.11]]);
+        assert_eq!(lost_markers(&ticks("......-x---......")), [[0.06, 0.11]]);
     }
 
     #[test]

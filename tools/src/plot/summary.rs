@@ -38,7 +38,7 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
             }
         )),
     );
-    add("ended", Some(ended(drive)));
+    add("ended", Some(ended(record, drive)));
     let times = ticks.iter().map(|tick| tick.time);
     let estimated = times.zip(drive.tracking_error());
     add("tracking error", errors(drive, estimated));
@@ -54,24 +54,33 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
             .map(|(median, most)| format!("{median:.3} m/s at the median, {most:.3} m/s at most")),
     );
     let held = ticks.iter().filter(|tick| tick.held).count();
-    let missing: u64 = ticks.iter().map(|tick| u64::from(tick.poses_missing)).sum();
+    let missing: usize = ticks.iter().map(|tick| tick.poses_missing as usize).sum();
     let lost = drive.lost_markers();
     let longest = lost.iter().map(|[from, to]| to - from).fold(0.0, f64::max);
     add(
         "markers",
         Some(match lost.len() {
-            0 => format!("never lost; {held} ticks without a new pose"),
-            count => format!(
-                "lost {count} times, for {:.0} ms at most; {missing} frames without a valid \
-                 pose, {held} ticks held the last one",
-                longest * 1000.0
+            0 => format!("never lost; {} without a new pose", many(held, "tick")),
+            times => format!(
+                "lost {}, for {:.0} ms at most; {} without a valid pose, {} held the last one",
+                match times {
+                    1 => "once".to_owned(),
+                    times => format!("{times} times"),
+                },
+                longest * 1000.0,
+                many(missing, "frame"),
+                many(held, "tick")
             ),
         }),
     );
-    let skipped: u64 = ticks.iter().map(|tick| u64::from(tick.skipped)).sum();
+    let skipped: usize = ticks.iter().map(|tick| tick.skipped as usize).sum();
     add(
         "ticks",
-        Some(format!("{}, {skipped} deadlines missed", ticks.len())),
+        Some(format!(
+            "{}, {} missed",
+            ticks.len(),
+            many(skipped, "deadline")
+        )),
     );
     let percentiles = |values: Distribution, unit, decimals: usize| {
         let (p50, p99) = (values.quantile(0.5)?, values.quantile(0.99)?);
@@ -101,8 +110,13 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
             .count()
     };
     let (warnings, errors) = (count(Level::Warning), count(Level::Error));
-    add("log", Some(format!("{warnings} warnings, {errors} errors")));
+    let log = format!("{}, {}", many(warnings, "warning"), many(errors, "error"));
+    add("log", Some(log));
     lines
+}
+
+fn many(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 /// Why the car does not drive, as people say it.
@@ -132,14 +146,20 @@ fn begun(record: &Record, drive: &Drive) -> String {
     format!("{} UTC", utc(wall / 1_000_000_000))
 }
 
-fn ended(drive: &Drive) -> String {
-    let stop = drive.ticks.iter().find(|tick| tick.mode == Mode::Stopping);
-    let stop = stop.map_or_else(String::new, |tick| {
-        format!("; began to stop at {:.2} s", tick.time)
-    });
+fn ended(record: &Record, drive: &Drive) -> String {
+    let follows = |mode| matches!(mode, Mode::Driving | Mode::Slowing);
+    let mut changes = changes(record, drive).into_iter();
+    let stop = changes.find(|(_, change)| !follows(change.mode));
+    let stopped = stop.map_or_else(
+        || "never stopped".to_owned(),
+        |(time, change)| format!("{} at {time:.2} s{}", change.mode, why(change.reason)),
+    );
     match drive.ended {
-        Some((mode, reason)) => format!("mode {mode}{}{stop}", why(reason)),
-        None => format!("the record ends while the car is driven{stop}"),
+        None => format!("{stopped}; the record ends while the car is driven"),
+        Some((mode, _)) if stop.is_none_or(|(_, change)| change.mode != mode) => {
+            format!("{stopped}; then {mode}")
+        }
+        Some(_) => stopped,
     }
 }
 

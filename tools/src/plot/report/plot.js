@@ -112,6 +112,12 @@
     }
   }
 
+  // What can't be seen need not be drawn.
+  const onScreen = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) target.panel.visible = isIntersecting;
+    schedule("cursor");
+  }, { rootMargin: "200px" });
+
   class Panel {
     constructor(spec, figure, parent) {
       this.spec = spec;
@@ -123,7 +129,7 @@
         time: orderly(columns[curve.time]),
       }));
       const box = element("div", { class: "panel" }, parent);
-      this.legend = element("div", { class: "legend" }, box);
+      this.legend = element("div", { class: spec.equal ? "legend map-legend" : "legend" }, box);
       this.curves.forEach((curve) => this.addToggle(curve));
       if (spec.spans.length > 0) {
         const key = element("span", { class: "key" }, this.legend);
@@ -137,6 +143,9 @@
         role: "img",
         "aria-label": `${figure.title}: ${plain(spec.y)} over ${plain(spec.x)}. ${figure.caption}`,
       }, this.stage);
+      [this.visible, this.stale] = [false, true];
+      this.stage.panel = this;
+      onScreen.observe(this.stage);
       listen(this);
     }
 
@@ -179,7 +188,10 @@
       };
       if (!this.spec.equal) {
         this.xRange = [view.from, view.to];
-        this.yRange = padded(...extremes("y", view.from, view.to), this.spec.y.include);
+        const [low, high] = extremes("y", view.from, view.to);
+        const edge = this.spec.y.include;
+        const zoomed = view.from > whole.from || view.to < whole.to;
+        this.yRange = padded(edge === null || zoomed ? low : Math.min(low, edge), high, edge);
         return;
       }
       const [x, y] = [padded(...extremes("x")), padded(...extremes("y"))];
@@ -234,6 +246,7 @@
       pen.restore();
       this.drawMarks(pen);
       this.drawCursor();
+      this.stale = false;
     }
 
     drawAxes(pen) {
@@ -512,7 +525,9 @@
         const todo = due;
         due = null;
         for (const panel of panels) {
-          if (todo === "all") panel.draw();
+          panel.stale ||= todo === "all";
+          if (!panel.visible) continue;
+          if (panel.stale) panel.draw();
           else panel.drawCursor();
         }
       });
