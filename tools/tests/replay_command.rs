@@ -8,7 +8,7 @@
 
 use std::{
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
 };
 
 use singletrack::{
@@ -377,6 +377,22 @@ fn what_can_not_be_set_is_told_by_key_and_value() {
             assert!(told.contains(part), "{set}: {told}");
         }
     }
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = circle(&folder);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("replay")
+        .arg(&path)
+        .args(["--set", "law.point_distance_m=0.4"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+    assert!(folder.path().join("circle.replay.svg").exists());
 }
 
 #[test]

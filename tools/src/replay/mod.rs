@@ -99,7 +99,6 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let mut replay = source::pilot(&args.log, &args.set)?;
     let mut ticks = Reader::open(&args.log)?.only(&[Topic::Tick]);
     let progress = Progress::new();
-    let mut out = io::stdout().lock();
     let mut deviations = Deviations::default();
     let mut span = Span::default();
     for entry in ticks.by_ref() {
@@ -126,33 +125,40 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     if span.ticks == 0 {
         return Err(ReplayFailure::Empty(args.log.clone()));
     }
-    let took = start.elapsed();
-    if args.set.is_empty() {
-        writeln!(
-            out,
-            "{}: {} ticks, every output the same to the bit",
-            args.log.display(),
+    let pace = span.pace(start.elapsed());
+    let told = if args.set.is_empty() {
+        let log = args.log.display();
+        format!(
+            "{log}: {} ticks, every output the same to the bit\n",
             span.ticks
-        )?;
+        )
     } else {
-        deviations.tell(&mut out)?;
-        let path = args
-            .figure
-            .clone()
-            .unwrap_or_else(|| args.log.with_extension("replay.svg"));
-        std::fs::write(&path, deviations.figure().to_svg()).map_err(|source| {
-            ReplayFailure::Figure {
-                path: path.clone(),
-                source,
-            }
-        })?;
-        writeln!(out, "{}: recorded and replayed commands", path.display())?;
-    }
-    writeln!(out, "{}", span.pace(took))?;
+        let figure = draw(args, &deviations)?;
+        format!(
+            "{deviations}{}: recorded and replayed commands\n",
+            figure.display()
+        )
+    };
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
         eprintln!("singletrack: {}: {ending}", args.log.display());
     }
-    Ok(())
+    match writeln!(io::stdout(), "{told}{pace}") {
+        // Whoever reads it has seen enough.
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Writes the figure, and says where.
+fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFailure> {
+    let path = args
+        .figure
+        .clone()
+        .unwrap_or_else(|| args.log.with_extension("replay.svg"));
+    match std::fs::write(&path, deviations.figure().to_svg()) {
+        Ok(()) => Ok(path),
+        Err(source) => Err(ReplayFailure::Figure { path, source }),
+    }
 }
 
 /// What has been replayed.

@@ -1,8 +1,7 @@
 //! How replayed outputs compare with recorded ones.
 
 use std::{
-    fmt::Write as _,
-    io::{self, Write},
+    fmt::{self, Write as _},
     path::Path,
 };
 
@@ -200,8 +199,11 @@ impl Deviations {
             ],
         }
     }
+}
 
-    pub(super) fn tell(&self, out: &mut impl Write) -> io::Result<()> {
+impl fmt::Display for Deviations {
+    /// A table for a person.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
             "replayed minus recorded, at the sight of the same events (the car of the record \
