@@ -7,6 +7,7 @@ use std::{
 
 use serde_json::{Value, json};
 use singletrack_hil::{Failure, Outcome, bench::Bench, ensure};
+use socket2::{Domain, Socket, Type};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
 use crate::Scenario;
@@ -17,6 +18,9 @@ pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
 )];
 
 const VIEWERS: usize = 20;
+
+/// Of a viewer, in bytes: a few messages.
+const RECEIVE_BUFFER: usize = 4_096;
 
 /// Rounds with and without viewers take turns, each so long.
 const ROUNDS: usize = 2;
@@ -87,9 +91,18 @@ fn percentile(sorted: &[f64], part: f64) -> f64 {
     value.copied().unwrap_or(f64::NAN)
 }
 
-/// Wants everything, and takes nothing.
+/// Wants everything, and takes nothing. With the room that a viewer usually has for
+/// what it has not read, it would be slow only after a quarter of a minute.
 fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
-    let stream = TcpStream::connect(address).map_err(Failure::system("no live view"))?;
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)
+        .map_err(Failure::system("no socket"))?;
+    socket
+        .set_recv_buffer_size(RECEIVE_BUFFER)
+        .map_err(Failure::system("no small buffer"))?;
+    socket
+        .connect(&address.into())
+        .map_err(Failure::system("no live view"))?;
+    let stream = TcpStream::from(socket);
     stream
         .set_read_timeout(Some(Duration::from_secs(5)))
         .map_err(Failure::system("no time limit"))?;

@@ -137,6 +137,35 @@ fn an_unfinished_record_is_replayed_as_far_as_it_goes() {
 }
 
 #[test]
+fn a_record_that_has_not_got_its_name_yet_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = circle(&folder);
+    std::fs::rename(&path, part_path(&path)).unwrap();
+    stdout(&replay(&path, &[]));
+}
+
+#[test]
+fn a_difference_tells_if_another_version_made_the_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, _folder) = tick_changed(&circle(&folder), 700, |tick| {
+        flip(&mut tick.output.actuation.steering);
+    });
+    assert!(!stderr(&replay(&path, &[])).contains("made by"));
+    let reader = Reader::open(&path).unwrap();
+    let mut meta = reader.meta().clone();
+    let version = String::from("0.0.7");
+    meta.software.insert("singletrackd".to_owned(), version);
+    let old = folder.path().join("old.mcap");
+    let mut recorder = Recorder::create(&old, &meta).unwrap();
+    for entry in reader {
+        recorder.write(&entry.unwrap()).unwrap();
+    }
+    recorder.finish().unwrap();
+    let told = stderr(&replay(&old, &[]));
+    assert!(told.contains("made by singletrackd 0.0.7"), "{told}");
+}
+
+#[test]
 fn one_bit_of_an_input_is_found_and_shown_with_all_inputs() {
     type Change = fn(&mut TickRecord);
     let changes: [(&str, Change); 5] = [
@@ -371,6 +400,10 @@ fn what_can_not_be_set_is_told_by_key_and_value() {
         ),
         ("law.point_distance_m=far", ["law.point_distance_m", "far"]),
         ("law", ["KEY=VALUE", "law"]),
+        (
+            "serial.port=/dev/null",
+            ["serial.port", "the pilot reads nothing of that"],
+        ),
     ] {
         let told = stderr(&replay(&path, &["--set", set]));
         for part in parts {

@@ -3,8 +3,10 @@
 //!
 //! It only tells. Whoever connects can subscribe and nothing else, since nobody has
 //! to say who he is: commands go through the control socket. It has a thread of its
-//! own and a ring of its own, so that neither viewers nor the want of them change
-//! anything for the others; a viewer that is too slow misses the oldest messages.
+//! own and a ring of its own, so that neither viewers nor the want of them hold up the
+//! others. A viewer that is too slow is shown what the kernel has queued for it, up to
+//! some MB, and misses messages after that. Nobody counts connections: whoever may
+//! reach the port may also open as many as the process may have files.
 
 use std::{
     io,
@@ -31,7 +33,7 @@ use crate::config::LiveSection;
 /// Entries that may wait to be encoded, most of a second.
 const CAPACITY: usize = 256;
 
-/// Messages that may wait for a viewer: less than half a second. Older ones show a
+/// Messages that may wait for a viewer beyond what the kernel takes: older ones show a
 /// car that has gone on.
 const BACKLOG: usize = 400;
 

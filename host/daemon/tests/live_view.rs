@@ -16,6 +16,7 @@ use std::{
 use serde_json::{Value, json};
 use singletrack_control::Mode;
 use singletrackd::{Config, Daemon, StartError, StartOptions, config::LiveSection};
+use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
@@ -52,7 +53,19 @@ struct Viewer {
 
 impl Viewer {
     fn connect(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect(address).unwrap();
+        Self::on(TcpStream::connect(address).unwrap(), address)
+    }
+
+    /// With room for a few messages only: otherwise the kernel takes some seconds of
+    /// them for it.
+    fn connect_slowly(address: SocketAddr) -> Self {
+        let socket = Socket::new(Domain::for_address(address), Type::STREAM, None).unwrap();
+        socket.set_recv_buffer_size(4_096).unwrap();
+        socket.connect(&address.into()).unwrap();
+        Self::on(socket.into(), address)
+    }
+
+    fn on(stream: TcpStream, address: SocketAddr) -> Self {
         stream
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
@@ -184,7 +197,7 @@ fn viewers_that_never_read_hold_up_nobody() {
     let (daemon, address, _folder) = start();
     let _idle: Vec<_> = (0..20)
         .map(|_| {
-            let mut viewer = Viewer::connect(address);
+            let mut viewer = Viewer::connect_slowly(address);
             let topics: Vec<_> = viewer.channels.keys().cloned().collect();
             let topics: Vec<_> = topics.iter().map(String::as_str).collect();
             viewer.subscribe(&topics);

@@ -20,7 +20,7 @@ use mcap::{
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
     chunk::{Chunk, ChunkError},
-    container::{PROFILE, parse_record},
+    container::{PROFILE, parse_record, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
 
@@ -124,12 +124,20 @@ enum Step {
 }
 
 impl Reader {
-    /// Opens a record and reads what it says of itself.
+    /// Opens a record and reads what it says of itself. One that has not got its name
+    /// yet is found by the name that it will have.
     ///
     /// # Errors
     ///
     /// When the file cannot be read, is not a record, or is one of another version.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
+        let part = part_path(path);
+        // It gets its name only when it is finished.
+        let path = if !path.exists() && part.exists() {
+            &part
+        } else {
+            path
+        };
         let file = File::open(path).map_err(|source| RecordError::Io {
             action: "open",
             path: path.to_owned(),

@@ -98,6 +98,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let start = Instant::now();
     let mut replay = source::pilot(&args.log, &args.set)?;
     let mut ticks = Reader::open(&args.log)?.only(&[Topic::Tick]);
+    let meta = ticks.meta().clone();
     let progress = Progress::new();
     let mut deviations = Deviations::default();
     let mut span = Span::default();
@@ -112,7 +113,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             if !tick.is_output(&output) {
                 progress.done();
                 return Err(ReplayFailure::Differs(verdict::first_difference(
-                    &args.log, &tick, &output, &span,
+                    &args.log, &meta, &tick, &output, &span,
                 )));
             }
         } else {

@@ -27,6 +27,13 @@ pub enum SourceError {
         /// What the daemon says of it.
         source: Box<ConfigError>,
     },
+    /// The changes reach nothing that is replayed.
+    #[error(
+        "--set {}: the pilot reads nothing of that; a replay shows what changes in its sections, \
+         such as law, outer_loop, reference, limits, estimator, supervisor, watch and fence",
+        .0.join(" --set ")
+    )]
+    Unread(Vec<String>),
     /// The configuration in the record is not one of this version.
     #[error(
         "configuration {number} of {} is not one that this version of singletrack takes: {source}",
@@ -63,19 +70,28 @@ fn configuration(
     toml: &str,
     changes: &[Change],
 ) -> Result<PilotConfig, SourceError> {
-    let pilot = |toml: &str| Config::from_toml(toml).and_then(|config| config.pilot());
+    let read = |toml: &str| -> Result<(PilotConfig, Config), ConfigError> {
+        let config = Config::from_toml(toml)?;
+        Ok((config.pilot()?, config))
+    };
     // Whose fault it is shows when it is tried without the changes.
-    let unchanged = pilot(toml).map_err(|source| SourceError::Config {
+    let (pilot, config) = read(toml).map_err(|source| SourceError::Config {
         path: path.to_owned(),
         number,
         source: Box::new(source),
     })?;
     if changes.is_empty() {
-        return Ok(unchanged);
+        return Ok(pilot);
     }
-    pilot(&change::apply(toml, changes)?).map_err(|source| SourceError::Changed {
+    let changed = read(&change::apply(toml, changes)?).map_err(|source| SourceError::Changed {
         path: path.to_owned(),
         number,
         source: Box::new(source),
-    })
+    })?;
+    if changed.0 == pilot && changed.1 != config {
+        return Err(SourceError::Unread(
+            changes.iter().map(Change::to_string).collect(),
+        ));
+    }
+    Ok(changed.0)
 }

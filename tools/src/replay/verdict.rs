@@ -6,10 +6,16 @@ use std::{
 };
 
 use singletrack_control::{Mode, Output, Reason};
-use singletrack_record::{Entry, TickRecord};
+use singletrack_record::{Entry, Meta, TickRecord};
 
 use super::Span;
 use crate::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
+
+/// Who makes records, as they name it.
+const DAEMON: &str = "singletrackd";
+
+/// The version of everything here.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Differences that are told one by one; of more, their number.
 const TOLD: usize = 12;
@@ -17,6 +23,7 @@ const TOLD: usize = 12;
 /// The first tick whose output is not the one recorded, with all that it was told.
 pub(super) fn first_difference(
     path: &Path,
+    meta: &Meta,
     tick: &TickRecord,
     output: &Output,
     before: &Span,
@@ -46,6 +53,17 @@ pub(super) fn first_difference(
     let mut json = String::new();
     Entry::Tick(tick.clone()).write_json(&mut json);
     let _ = write!(text, "\nAs recorded:\n{json}");
+    let made_by = meta
+        .software
+        .get(DAEMON)
+        .map_or("no version", String::as_str);
+    if made_by != VERSION {
+        let _ = write!(
+            text,
+            "\nThe record was made by {DAEMON} {made_by}, this is {VERSION}: another pilot may \
+             decide otherwise."
+        );
+    }
     text.into()
 }
 
