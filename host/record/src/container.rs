@@ -56,6 +56,9 @@ impl Container {
             }
             result => result.map_err(failure("create", &part))?,
         };
+        // Held for as long as the file is open, for `recover` to see. Where files can't
+        // be locked it is nobody's to see.
+        let _ = file.try_lock();
         let handle = file.try_clone().map_err(failure("open", &part))?;
         let writer = WriteOptions::new()
             .profile(PROFILE)
@@ -151,6 +154,26 @@ pub(crate) fn failure(
         action,
         path: path.clone(),
         source,
+    }
+}
+
+/// Whether a part of this kind and content may stand where data stands, outside a chunk:
+/// messages and what describes them are in chunks.
+/// What else is there was something else: a bit of an opcode is enough to have a reader
+/// pass over a part, or take it for the end.
+pub(crate) fn is_data_part(opcode: u8, content: &[u8]) -> bool {
+    match opcode {
+        op::HEADER | op::CHUNK | op::ATTACHMENT | op::METADATA => true,
+        // A channel, and a list with its length before it.
+        op::MESSAGE_INDEX => content
+            .split_at_checked(2)
+            .and_then(|(_, list)| list.split_first_chunk())
+            .is_some_and(|(length, list)| {
+                usize::try_from(u32::from_le_bytes(*length)) == Ok(list.len())
+            }),
+        // Nothing but a checksum.
+        op::DATA_END => content.len() == 4,
+        _ => false,
     }
 }
 

@@ -20,6 +20,9 @@ pub enum RecordError {
     /// A record is never overwritten.
     #[error("{} exists already and records are never overwritten: move it or choose another name", .0.display())]
     Exists(PathBuf),
+    /// Somebody writes it.
+    #[error("{} is being written: wait until its recorder has ended", .0.display())]
+    Busy(PathBuf),
     /// The container could not be written.
     #[error("cannot write {}: {source}; what it holds up to the last second can be read", path.display())]
     Write {

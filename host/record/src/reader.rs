@@ -20,7 +20,7 @@ use mcap::{
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
     chunk::{Chunk, ChunkError},
-    container::{PROFILE, parse_record, part_path},
+    container::{PROFILE, is_data_part, parse_record, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
 
@@ -50,6 +50,8 @@ pub struct Reader {
     chunk: Chunk,
     catalogue: Catalogue,
     meta: Meta,
+    /// Whether only the summary comes.
+    data_ended: bool,
     /// The message that [`Reader::advance`] came to.
     content: Vec<u8>,
     at: Option<Recorded>,
@@ -153,6 +155,7 @@ impl Reader {
             chunk: Chunk::default(),
             catalogue: Catalogue::default(),
             meta: Meta::none(),
+            data_ended: false,
             content: Vec::new(),
             at: None,
             events_at: Topic::Tick.list_at(),
@@ -375,6 +378,20 @@ impl Reader {
                 }
                 self.linear.notify_read(length);
                 return Ok(Step::Nothing);
+            }
+            Some(Ok(LinearReadEvent::Record { opcode, data }))
+                if !self.data_ended && !is_data_part(opcode, data) =>
+            {
+                Err(Refused::Damage(format!(
+                    "a part of kind {opcode:#04x} stands where there is none"
+                )))
+            }
+            Some(Ok(LinearReadEvent::Record {
+                opcode: op::DATA_END,
+                ..
+            })) => {
+                self.data_ended = true;
+                Ok(Step::Nothing)
             }
             // There are many, and they tell of nothing new.
             Some(Ok(LinearReadEvent::Record {

@@ -295,3 +295,99 @@ proptest! {
         prop_assert!(refused);
     }
 }
+
+/// Where the parts of a file begin, up to the end of the data.
+fn parts(bytes: &[u8]) -> Vec<usize> {
+    const MAGIC_LENGTH: usize = 8;
+    const DATA_END: u8 = 0x0f;
+    let mut at = MAGIC_LENGTH;
+    let mut parts = Vec::new();
+    while let Some((&opcode, rest)) = bytes.get(at..).and_then(<[u8]>::split_first) {
+        parts.push(at);
+        let length = u64::from_le_bytes(*rest.first_chunk().unwrap());
+        at += 9 + usize::try_from(length).unwrap();
+        if opcode == DATA_END {
+            break;
+        }
+    }
+    parts
+}
+
+#[test]
+fn a_part_that_became_another_kind_is_never_lost_in_silence() {
+    let case = Case::new();
+    let folder = tempfile::tempdir().unwrap();
+    let whole = folder.path().join("whole.mcap");
+    let mut recorder = Recorder::create(&whole, &common::meta()).unwrap();
+    for entry in 0..FLUSHES * ENTRIES_A_FLUSH {
+        recorder.write(&common::log(entry)).unwrap();
+        if (entry + 1) % ENTRIES_A_FLUSH == 0 {
+            recorder.flush().unwrap();
+        }
+    }
+    recorder.finish().unwrap();
+    let whole = fs::read(&whole).unwrap();
+    let all = logs(0..FLUSHES);
+    let (recovery, entries) = case.recover(&whole).unwrap();
+    assert!(recovery.nothing_lost() && entries == all);
+    let parts = parts(&whole);
+    assert!(parts.len() > 10, "{parts:?}");
+    for at in parts {
+        for bit in 0..8 {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1 << bit;
+            fs::write(case.input(), &bytes).unwrap();
+            if let Ok(recovery) = recover(&case.input(), &case.output(), |_, _| {}) {
+                assert!(!recovery.nothing_lost(), "bit {bit} at {at}: {recovery}");
+                let opens = Reader::open(&case.output()).is_ok();
+                assert_eq!(
+                    opens,
+                    recovery.has_metadata && recovery.has_configuration,
+                    "bit {bit} at {at}: {recovery}"
+                );
+                fs::remove_file(case.output()).unwrap();
+            }
+            // Whoever reads the damaged one is told, too.
+            fs::write(case.output(), &bytes).unwrap();
+            if let Ok(reader) = Reader::open(&case.output()) {
+                let read: Result<Vec<_>, _> = reader.collect();
+                assert!(
+                    read.is_err() || read.is_ok_and(|read| read == all),
+                    "bit {bit} at {at}"
+                );
+            }
+            fs::remove_file(case.output()).unwrap();
+        }
+    }
+}
+
+#[test]
+fn messages_that_are_missing_between_others_are_counted() {
+    let case = Case::new();
+    let (bytes, lengths) = unfinished();
+    // As if somebody had cut a second out.
+    let cut = [&bytes[..lengths[0]], &bytes[lengths[1]..]].concat();
+    let (recovery, entries) = case.recover(&cut).unwrap();
+    assert_eq!(entries, logs([0, 2, 3]));
+    // Of logs and of what ROS calls them.
+    assert_eq!(recovery.missing, 2 * ENTRIES_A_FLUSH);
+    assert!(!recovery.nothing_lost());
+    assert!(
+        recovery.to_string().contains("20 messages between others"),
+        "{recovery}"
+    );
+}
+
+#[test]
+fn a_record_that_is_being_written_is_left_to_its_recorder() {
+    let case = Case::new();
+    let mut recorder = Recorder::create(&case.output(), &common::meta()).unwrap();
+    recorder.write(&common::log(0)).unwrap();
+    recorder.flush().unwrap();
+    let other = case.folder.path().join("other.mcap");
+    let refused = recover(&case.input(), &other, |_, _| {}).unwrap_err();
+    assert!(matches!(refused, RecordError::Busy(_)), "{refused}");
+    assert!(!other.exists());
+    drop(recorder);
+    recover(&case.input(), &other, |_, _| {}).unwrap();
+}

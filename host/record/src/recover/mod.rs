@@ -3,7 +3,14 @@
 
 mod scan;
 
-use std::{collections::HashMap, fmt, fs::File, io::Read, path::Path, time::Duration};
+use std::{
+    collections::HashMap,
+    fmt,
+    fs::{File, TryLockError},
+    io::Read,
+    path::Path,
+    time::Duration,
+};
 
 use mcap::{
     Attachment, McapError,
@@ -14,7 +21,10 @@ use scan::{Found, MAX_LENGTH, Scan};
 
 use crate::{
     RecordError, Topic,
-    container::{Container, LIBRARY_NAME, PROFILE, failure, parse_record, with_suffix},
+    container::{
+        Container, LIBRARY_NAME, PROFILE, failure, is_data_part, parse_record, with_suffix,
+    },
+    meta::{CONFIGURATION_NAME, METADATA_NAME},
 };
 
 /// What was saved of a record, and what was not.
@@ -38,6 +48,13 @@ pub struct Recovery {
     pub cut_bytes: u64,
     /// Messages on channels whose description is lost.
     pub nameless: u64,
+    /// Whether it says under which circumstances it was made: without that, other
+    /// tools open it and a [`crate::Reader`] does not.
+    pub has_metadata: bool,
+    /// Whether it has the configuration that it was made with: the same is true.
+    pub has_configuration: bool,
+    /// Messages that are not there, by the numbers of those around them.
+    pub missing: u64,
 }
 
 impl Recovery {
@@ -57,6 +74,7 @@ impl Recovery {
             ("damaged_bytes", self.damaged_bytes),
             ("cut_bytes", self.cut_bytes),
             ("messages_without_topic", self.nameless),
+            ("messages_missing", self.missing),
         ];
         Metadata {
             name: "singletrack_recovery".to_owned(),
@@ -69,7 +87,12 @@ impl Recovery {
     /// Whether nothing was missing.
     #[must_use]
     pub const fn nothing_lost(&self) -> bool {
-        self.complete && self.damaged_places == 0 && self.nameless == 0
+        self.complete
+            && self.damaged_places == 0
+            && self.nameless == 0
+            && self.missing == 0
+            && self.has_metadata
+            && self.has_configuration
     }
 }
 
@@ -100,6 +123,18 @@ impl fmt::Display for Recovery {
                 self.nameless
             )?;
         }
+        if !(self.has_metadata && self.has_configuration) {
+            formatter.write_str(
+                "\nlost what the record says of itself: other tools open it, singletrack does not",
+            )?;
+        }
+        if self.missing > 0 {
+            write!(
+                formatter,
+                "\nlost {} messages between others, by their numbers",
+                self.missing
+            )?;
+        }
         if !self.complete {
             write!(
                 formatter,
@@ -114,18 +149,23 @@ impl fmt::Display for Recovery {
 /// Writes what can be read of the record at `input` to a new one at `output`,
 /// with the index that tools expect. The old one stays as it is. Every message
 /// comes over as it is, also of another version of records; nothing of a damaged
-/// chunk is believed. The new file says in its metadata what it lacks. `progress` is told how many bytes of how many are done.
+/// chunk is believed. The new file says in its metadata what it lacks. `progress` is told
+/// how many bytes of how many are done.
 ///
 /// # Errors
 ///
-/// When one of the files cannot be read or written, `output` exists, or nothing
-/// was recorded. No new file is left then.
+/// When one of the files cannot be read or written, `input` is still being written,
+/// `output` exists, or nothing was recorded. No new file is left then.
 pub fn recover(
     input: &Path,
     output: &Path,
     mut progress: impl FnMut(u64, u64),
 ) -> Result<Recovery, RecordError> {
     let file = File::open(input).map_err(failure("open", input))?;
+    // A recorder holds on to its file for as long as it writes.
+    if matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)) {
+        return Err(RecordError::Busy(input.to_owned()));
+    }
     let mut scan = Scan::new(file).map_err(failure("read", input))?;
     check_head(input, &mut scan)?;
     let mut salvage = Salvage {
@@ -203,6 +243,8 @@ struct NewChannel {
     id: u16,
     /// Whether a reader of records reads it.
     entries: bool,
+    /// Number of its next message; none before the first. They count from 0.
+    next: Option<u32>,
 }
 
 /// Why a part of the old file is not taken over.
@@ -268,6 +310,9 @@ impl Salvage {
 
     /// Takes over one part of the file.
     fn part(&mut self, opcode: u8, content: &[u8]) -> Result<End, Refused> {
+        if !is_data_part(opcode, content) {
+            return Err(Refused::Damaged);
+        }
         match opcode {
             op::CHUNK => self.chunk(content)?,
             op::DATA_END => return Ok(End::Yes),
@@ -306,10 +351,12 @@ impl Salvage {
     fn record(&mut self, record: &Record<'_>) -> Result<(), Refused> {
         match record {
             Record::Metadata(metadata) => {
+                self.recovery.has_metadata |= metadata.name == METADATA_NAME;
                 self.container
                     .write(|writer| writer.write_metadata(metadata))?;
             }
             Record::Attachment { header, data, .. } => {
+                self.recovery.has_configuration |= header.name == CONFIGURATION_NAME;
                 let attachment = Attachment {
                     log_time: header.log_time,
                     create_time: header.create_time,
@@ -341,7 +388,13 @@ impl Salvage {
                 let entries = Topic::ALL
                     .into_iter()
                     .any(|topic| topic.channel() == channel.topic);
-                self.channels.insert(channel.id, NewChannel { id, entries });
+                let new = NewChannel {
+                    id,
+                    entries,
+                    next: None,
+                };
+                // Described again, it goes on.
+                self.channels.entry(channel.id).or_insert(new).id = id;
             }
             Record::Message { header, data } => self.message(header, data)?,
             // The new file gets its own.
@@ -351,10 +404,16 @@ impl Salvage {
     }
 
     fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordError> {
-        let Some(channel) = self.channels.get(&header.channel_id) else {
+        let Some(channel) = self.channels.get_mut(&header.channel_id) else {
             self.recovery.nameless += 1;
             return Ok(());
         };
+        let ahead = header.sequence.wrapping_sub(channel.next.unwrap_or(0));
+        // What goes back was numbered by somebody else.
+        if i32::try_from(ahead).is_ok() {
+            self.recovery.missing += u64::from(ahead);
+        }
+        channel.next = Some(header.sequence.wrapping_add(1));
         let header = MessageHeader {
             channel_id: channel.id,
             ..*header

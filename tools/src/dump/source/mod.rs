@@ -143,6 +143,10 @@ impl Place {
         if metadata.file_type().is_char_device() {
             return Self::Serial(path.to_owned());
         }
+        if !(metadata.is_file() || metadata.is_dir()) {
+            // Of a pipe, what is looked at is gone.
+            return Self::Raw(path.to_owned());
+        }
         let mut magic = [0; MCAP_MAGIC.len()];
         let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
         if metadata.is_dir() || (read.is_ok() && magic == MCAP_MAGIC) {
