@@ -24,12 +24,16 @@ fn demo(out: &Path, options: &[&str]) -> Output {
 }
 
 #[test]
-fn a_demo_in_a_pipe_is_silent_and_leaves_what_it_promises() {
+fn a_demo_in_a_pipe_names_its_report_alone_and_leaves_what_it_promises() {
     let folder = tempfile::tempdir().unwrap();
     let output = demo(folder.path(), &["--duration", "2s"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{said}");
-    assert!(output.stdout.is_empty());
+    let report = folder.path().join("report.html");
+    assert_eq!(
+        String::from_utf8_lossy(&output.stdout),
+        format!("Open {}\n", report.display())
+    );
 
     let mut names: Vec<_> = std::fs::read_dir(folder.path())
         .unwrap()

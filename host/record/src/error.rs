@@ -91,7 +91,7 @@ pub enum RecordError {
         schema: String,
     },
     /// The file is damaged: more than merely cut off.
-    #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; what comes before can be used", path.display())]
+    #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; what comes before can be used, and `singletrack recover` saves what is whole after it", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,

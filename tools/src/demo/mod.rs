@@ -55,6 +55,11 @@ pub struct DemoArgs {
     #[arg(long)]
     feed_forward: bool,
 
+    /// Show the drive live, to Foxglove, Lichtblick and PlotJuggler on this machine: on
+    /// port 8765 unless told another
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    live: Option<u16>,
+
     /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     loss: Option<LossPattern>,

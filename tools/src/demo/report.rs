@@ -1,6 +1,9 @@
 //! What the demo leaves behind: a summary, figures, and a few lines to read.
 
-use std::{io::IsTerminal, path::Path};
+use std::{
+    io::{IsTerminal, Write as _},
+    path::Path,
+};
 
 use serde::Serialize;
 use singletrack_control::Reason;
@@ -109,9 +112,11 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
     // Nobody reads a report that goes into a pipe.
     if std::io::stdout().is_terminal() {
         print(&args.out, drive, tracking.as_ref());
-        if plotted {
-            println!("Open {}", args.out.join(REPORT).display());
-        }
+    }
+    if plotted {
+        let report = args.out.join(REPORT);
+        // Whoever read the output may have seen enough.
+        let _ = writeln!(std::io::stdout(), "Open {}", report.display());
     }
     Ok(())
 }

@@ -75,6 +75,10 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
     config.motion_capture.data_port = simulator.data_address().port();
     config.record.directory.clone_from(&args.out);
     config.socket.path = private.join("control.sock");
+    if let Some(port) = args.live {
+        config.live.enabled = true;
+        config.live.port = port;
+    }
     config
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Meta, Reader, RecordError, Topic, part_path};
+use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
 
 use super::{
     PlotError,
@@ -34,12 +34,6 @@ impl Record {
     ///
     /// When nothing of it can be read.
     pub fn read(path: &Path) -> Result<Self, PlotError> {
-        let part = part_path(path);
-        let path = if !path.exists() && part.exists() {
-            &part
-        } else {
-            path
-        };
         let mut reader = Reader::open(path)?.only(&[
             Topic::Tick,
             Topic::Log,

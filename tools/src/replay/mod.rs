@@ -40,8 +40,17 @@ pub struct ReplayArgs {
 
     /// Where the figure of recorded and replayed commands goes, with --set [default:
     /// LOG.replay.svg].
-    #[arg(long, value_name = "FILE.svg", requires = "set")]
+    #[arg(long, value_name = "FILE.svg", requires = "set", value_parser = svg)]
     pub figure: Option<PathBuf>,
+}
+
+/// A name that no record has: a figure replaces what it finds.
+fn svg(name: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(name);
+    match path.extension() {
+        Some(extension) if extension == "svg" => Ok(path),
+        _ => Err("it is an SVG: give it a name that ends with .svg".to_owned()),
+    }
 }
 
 /// Why a replay failed.
@@ -152,10 +161,8 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
 
 /// Writes the figure, and says where.
 fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFailure> {
-    let path = args
-        .figure
-        .clone()
-        .unwrap_or_else(|| args.log.with_extension("replay.svg"));
+    let beside = || args.log.with_extension("replay.svg");
+    let path = args.figure.clone().unwrap_or_else(beside);
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),
         Err(source) => Err(ReplayFailure::Figure { path, source }),

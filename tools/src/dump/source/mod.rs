@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use singletrack_record::{Value, part_path};
+use singletrack_record::Value;
 
 pub use frames::Direction;
 pub(super) use frames::{BROKEN, kinds};
@@ -154,16 +154,5 @@ impl Place {
         } else {
             Self::Raw(path.to_owned())
         }
-    }
-}
-
-/// The file to read of a record: if it is still unfinished, the one that holds it
-/// until then.
-fn record_path(path: &Path) -> PathBuf {
-    let part = part_path(path);
-    if !path.exists() && part.exists() {
-        part
-    } else {
-        path.to_owned()
     }
 }

@@ -4,7 +4,7 @@ use std::{path::Path, thread};
 
 use singletrack_record::{Ending, Reader, Recorded, Topic, Value};
 
-use super::{Close, Next, PATIENCE, Row, Source, record_path};
+use super::{Close, Next, PATIENCE, Row, Source};
 use crate::dump::DumpError;
 
 /// A record, finished or not.
@@ -26,7 +26,7 @@ impl Record {
             .iter()
             .filter_map(|index| Topic::ALL.get(*index).copied())
             .collect();
-        let reader = Reader::open(&record_path(path))?.only(&topics);
+        let reader = Reader::open(path)?.only(&topics);
         let start_wall_ns = reader.meta().start.wall_ns;
         Ok(Self {
             name: path.display().to_string(),
