@@ -1,10 +1,10 @@
 //! Driving, and not driving before it is asked for.
 
-use std::time::Duration;
+use std::{process::Command, time::Duration};
 
 use singletrack_control::VehicleParameters;
 use singletrack_hil::{
-    Outcome,
+    Failure, Outcome,
     bench::Bench,
     ensure,
     rig::Need,
@@ -70,7 +70,36 @@ fn drives_the_circle(bench: &mut Bench) -> Outcome {
     let place = bench.rig().trace()?.len();
     bench.stays_neutral(Duration::from_millis(300))?;
     bench.was_neutral_since(place)?;
-    bench.was_within_limits(&bench.rig().trace()?)
+    bench.was_within_limits(&bench.rig().trace()?)?;
+    is_replayed(bench)
+}
+
+/// What the pilot did is what it does at the sight of the record.
+fn is_replayed(bench: &mut Bench) -> Outcome {
+    let (status, _) = bench.daemon()?.terminate(Duration::from_secs(3))?;
+    ensure!(status.success(), "the daemon ended with {status}");
+    // Built beside the daemon.
+    let tool = bench.program().with_file_name("singletrack");
+    let folder = &bench.config().record.directory;
+    let records: Vec<_> = std::fs::read_dir(folder)
+        .map_err(Failure::system("no records"))?
+        .flatten()
+        .map(|entry| entry.path())
+        .collect();
+    let [record] = &records[..] else {
+        return Err(Failure::new(format!("not one record but {records:?}")));
+    };
+    let output = Command::new(&tool)
+        .args(["replay", "--verify"])
+        .arg(record)
+        .output()
+        .map_err(Failure::system(format!("cannot run {}", tool.display())))?;
+    ensure!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    Ok(())
 }
 
 fn moves_nothing_before(bench: &mut Bench) -> Outcome {

@@ -55,6 +55,13 @@ fn a_demo_in_a_pipe_names_its_report_alone_and_leaves_what_it_promises() {
     let mut record = Reader::open(&folder.path().join("demo.mcap")).unwrap();
     assert!(record.by_ref().all(|entry| entry.is_ok()));
     assert_eq!(record.ending(), Some(Ending::Finished));
+    let replay = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["replay", "--verify"])
+        .arg(folder.path().join("demo.mcap"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&replay.stderr).into_owned();
+    assert!(replay.status.success(), "{said}");
     let trajectory = folder.path().join("figures/trajectory.svg");
     let trajectory = std::fs::read_to_string(trajectory).unwrap();
     for curve in ["nominal", "actual", "truth"] {
