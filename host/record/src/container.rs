@@ -2,6 +2,7 @@
 //! is complete, and never over another one.
 
 use std::{
+    collections::BTreeMap,
     ffi::OsString,
     fs::{self, File},
     io::{self, BufWriter, Write},
@@ -13,14 +14,14 @@ use mcap::{
     records::{Record, op},
 };
 
-use crate::RecordError;
+use crate::{Channel, RecordError};
 
 /// The profile that tells readers to expect ROS 2 messages.
 pub(crate) const PROFILE: &str = "ros2";
 /// What the library in the header of our files begins with.
 pub(crate) const LIBRARY_NAME: &str = "singletrack";
 /// Who wrote the file.
-const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
+pub(crate) const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
 
 /// What the file at `path` is called until it is finished.
 #[must_use]
@@ -102,6 +103,29 @@ impl Container {
             path: self.part.clone(),
             source: Box::new(source),
         })
+    }
+
+    /// Describes all channels, and tells the id of each, by [`Channel::index`]. The ids
+    /// are the same in every new file.
+    pub(crate) fn describe(&mut self) -> Result<[u16; Channel::COUNT], RecordError> {
+        let mut ids = [0; Channel::COUNT];
+        self.write(|writer| {
+            for (channel, id) in Channel::all().zip(&mut ids) {
+                let schema = writer.add_schema(
+                    &channel.schema_name(),
+                    Channel::SCHEMA_ENCODING,
+                    channel.schema_text().as_bytes(),
+                )?;
+                *id = writer.add_channel(
+                    schema,
+                    channel.topic(),
+                    Channel::MESSAGE_ENCODING,
+                    &BTreeMap::new(),
+                )?;
+            }
+            Ok(())
+        })?;
+        Ok(ids)
     }
 
     /// Begins another chunk with what is written next: what is in one is there

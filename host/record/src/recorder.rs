@@ -1,7 +1,6 @@
 //! Writing a record.
 
 use std::{
-    collections::BTreeMap,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
@@ -37,7 +36,7 @@ pub struct Recorder {
     entries: u64,
 }
 
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct WrittenChannel {
     id: u16,
     sequence: u32,
@@ -62,25 +61,13 @@ impl Recorder {
     /// When it or its unfinished file exists, or the file cannot be written.
     pub fn create(path: &Path, meta: &Meta) -> Result<Self, RecordError> {
         let mut container = Container::create(path, part_path(path))?;
-        let mut channels = [WrittenChannel::default(); Channel::COUNT];
         container.write(|writer| {
             writer.write_metadata(&meta.to_metadata())?;
-            writer.attach(&meta.to_attachment())?;
-            for (channel, written) in Channel::all().zip(&mut channels) {
-                let schema = writer.add_schema(
-                    &channel.schema_name(),
-                    Channel::SCHEMA_ENCODING,
-                    channel.schema_text().as_bytes(),
-                )?;
-                written.id = writer.add_channel(
-                    schema,
-                    channel.topic(),
-                    Channel::MESSAGE_ENCODING,
-                    &BTreeMap::new(),
-                )?;
-            }
-            Ok(())
+            writer.attach(&meta.to_attachment())
         })?;
+        let channels = container
+            .describe()?
+            .map(|id| WrittenChannel { id, sequence: 0 });
         let mut recorder = Self {
             container,
             encoder: Encoder::new(meta.start),

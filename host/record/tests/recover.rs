@@ -391,3 +391,20 @@ fn a_record_that_is_being_written_is_left_to_its_recorder() {
     drop(recorder);
     recover(&case.input(), &other, |_, _| {}).unwrap();
 }
+
+#[test]
+fn without_the_descriptions_of_its_topics_a_record_is_saved_all_the_same() {
+    const CHUNK: u8 = 6;
+    let case = Case::new();
+    let (mut bytes, _) = unfinished();
+    let first = parts(&bytes)
+        .into_iter()
+        .find(|at| bytes[*at] == CHUNK)
+        .unwrap();
+    let content = first + 9;
+    bytes[content + 100] ^= 1;
+    let (recovery, entries) = case.recover(&bytes).unwrap();
+    assert_eq!(entries, logs(0..FLUSHES));
+    assert_eq!(recovery.damaged_places, 1);
+    assert_eq!(recovery.missing, 0);
+}

@@ -20,9 +20,9 @@ use mcap::{
 use scan::{Found, MAX_LENGTH, Scan};
 
 use crate::{
-    RecordError, Topic,
+    Channel, RecordError, Topic,
     container::{
-        Container, LIBRARY_NAME, PROFILE, failure, is_data_part, parse_record, with_suffix,
+        Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, is_data_part, parse_record, with_suffix,
     },
     meta::{CONFIGURATION_NAME, METADATA_NAME},
 };
@@ -167,11 +167,12 @@ pub fn recover(
         return Err(RecordError::Busy(input.to_owned()));
     }
     let mut scan = Scan::new(file).map_err(failure("read", input))?;
-    check_head(input, &mut scan)?;
+    let library = check_head(input, &mut scan)?;
     let mut salvage = Salvage {
         container: Container::create(output, with_suffix(output, ".recovering"))?,
         schemas: HashMap::new(),
         channels: HashMap::new(),
+        describes: library == LIBRARY,
         recovery: Recovery::default(),
     };
     let result = salvage.all(input, &mut scan, &mut progress);
@@ -197,8 +198,8 @@ pub fn recover(
     Ok(recovery)
 }
 
-/// Refuses what is no record, by the words that a reader would use.
-fn check_head(input: &Path, scan: &mut Scan) -> Result<(), RecordError> {
+/// Refuses what is no record, by the words that a reader would use. Tells who wrote it.
+fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
     let empty = |length| RecordError::Empty {
         path: input.to_owned(),
         bytes: length,
@@ -216,7 +217,7 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<(), RecordError> {
             Ok(Record::Header(header))
                 if header.profile == PROFILE && header.library.starts_with(LIBRARY_NAME) =>
             {
-                Ok(())
+                Ok(header.library)
             }
             Ok(Record::Header(header)) => Err(RecordError::NotOurs {
                 path: input.to_owned(),
@@ -235,6 +236,8 @@ struct Salvage {
     /// New numbers by old ones: a file may describe things twice.
     schemas: HashMap<u16, u16>,
     channels: HashMap<u16, NewChannel>,
+    /// Whether this version wrote it, and knows what the channels were.
+    describes: bool,
     recovery: Recovery,
 }
 
@@ -385,9 +388,7 @@ impl Salvage {
                         &channel.metadata,
                     )
                 })?;
-                let entries = Topic::ALL
-                    .into_iter()
-                    .any(|topic| topic.channel() == channel.topic);
+                let entries = is_entry(&channel.topic);
                 let new = NewChannel {
                     id,
                     entries,
@@ -403,7 +404,24 @@ impl Salvage {
         Ok(())
     }
 
+    /// What the channels were is lost: it is what it always is.
+    fn describe(&mut self) -> Result<(), RecordError> {
+        let ids = self.container.describe()?;
+        for (channel, id) in Channel::all().zip(ids) {
+            let new = NewChannel {
+                id,
+                entries: is_entry(channel.topic()),
+                next: None,
+            };
+            self.channels.insert(id, new);
+        }
+        Ok(())
+    }
+
     fn message(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordError> {
+        if self.channels.is_empty() && self.describes {
+            self.describe()?;
+        }
         let Some(channel) = self.channels.get_mut(&header.channel_id) else {
             self.recovery.nameless += 1;
             return Ok(());
@@ -430,6 +448,11 @@ impl Salvage {
         });
         Ok(())
     }
+}
+
+/// Whether a reader of records reads what is on the topic.
+fn is_entry(topic: &str) -> bool {
+    Topic::ALL.into_iter().any(|known| known.channel() == topic)
 }
 
 /// Whether a part was the last one with data.
