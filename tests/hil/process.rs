@@ -6,6 +6,8 @@ use singletrack_hil::{
     Failure, Outcome, bench::Bench, client::Client, daemon::Daemon, ensure, settings, wait,
 };
 
+use singletrackd::config::{OuterLoopSection, ReferenceSection, StepSection};
+
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
@@ -39,7 +41,27 @@ fn kill_moments(count: usize) -> impl Iterator<Item = Duration> {
         .take(count)
 }
 
+/// With the next daemon the car sets out from where it stands, so far to the left. A
+/// circle would have it wait for its reference, and start as slowly as that comes.
+fn onward(bench: &mut Bench, left_rad: f64) -> Outcome {
+    const SPEED_M_S: f64 = 0.4;
+    let (sin, cos) = (bench.rig().truth()?.yaw + left_rad).sin_cos();
+    let config = bench.config_mut();
+    config.outer_loop = OuterLoopSection::OpenLoop {};
+    config.reference = ReferenceSection::VelocitySteps {
+        steps: vec![StepSection {
+            duration_s: 60.0,
+            v_x_m_s: SPEED_M_S * cos,
+            v_y_m_s: SPEED_M_S * sin,
+        }],
+    };
+    Ok(())
+}
+
 fn killed(bench: &mut Bench) -> Outcome {
+    // Round and round, however often.
+    const LEFT_RAD: f64 = 0.5;
+    onward(bench, LEFT_RAD)?;
     bench.start_driving()?;
     for after in kill_moments(bench.kills()) {
         bench.keep_driving(after)?;
@@ -50,6 +72,7 @@ fn killed(bench: &mut Bench) -> Outcome {
         // The next one finds the board and the socket that was left behind,
         // and waits.
         let place = bench.rig().trace()?.len();
+        onward(bench, LEFT_RAD)?;
         bench.start_daemon()?;
         bench.wait_until_ready()?;
         bench.stays_neutral(Duration::from_millis(500))?;
@@ -64,6 +87,7 @@ fn killed(bench: &mut Bench) -> Outcome {
 const OLD_COMMANDS: f64 = 2.0;
 
 fn paused(bench: &mut Bench) -> Outcome {
+    onward(bench, 0.0)?;
     bench.start_driving()?;
     for pause in [Duration::from_millis(200), Duration::from_secs(2)] {
         bench.keep_driving(Duration::from_secs(1))?;
