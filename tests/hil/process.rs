@@ -41,11 +41,15 @@ fn kill_moments(count: usize) -> impl Iterator<Item = Duration> {
         .take(count)
 }
 
-/// With the next daemon the car sets out from where it stands, so far to the left. A
-/// circle would have it wait for its reference, and start as slowly as that comes.
-fn onward(bench: &mut Bench, left_rad: f64) -> Outcome {
+/// With the next daemon the car sets out from where it stands, turning by this at most
+/// to where there is room. A circle would have it wait for its reference, and start as
+/// slowly as that comes.
+fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
     const SPEED_M_S: f64 = 0.4;
-    let (sin, cos) = (bench.rig().truth()?.yaw + left_rad).sin_cos();
+    let truth = bench.rig().truth()?;
+    let (sin, cos) = ((-truth.y).atan2(-truth.x) - truth.yaw).sin_cos();
+    let turn_rad = sin.atan2(cos).clamp(-most_rad, most_rad);
+    let (sin, cos) = (truth.yaw + turn_rad).sin_cos();
     let config = bench.config_mut();
     config.outer_loop = OuterLoopSection::OpenLoop {};
     config.reference = ReferenceSection::VelocitySteps {
@@ -59,9 +63,9 @@ fn onward(bench: &mut Bench, left_rad: f64) -> Outcome {
 }
 
 fn killed(bench: &mut Bench) -> Outcome {
-    // Round and round, however often.
-    const LEFT_RAD: f64 = 0.5;
-    onward(bench, LEFT_RAD)?;
+    // It stays in its place, however often.
+    const MOST_RAD: f64 = 0.6;
+    onward(bench, MOST_RAD)?;
     bench.start_driving()?;
     for after in kill_moments(bench.kills()) {
         bench.keep_driving(after)?;
@@ -72,7 +76,7 @@ fn killed(bench: &mut Bench) -> Outcome {
         // The next one finds the board and the socket that was left behind,
         // and waits.
         let place = bench.rig().trace()?.len();
-        onward(bench, LEFT_RAD)?;
+        onward(bench, MOST_RAD)?;
         bench.start_daemon()?;
         bench.wait_until_ready()?;
         bench.stays_neutral(Duration::from_millis(500))?;
