@@ -6,7 +6,7 @@ use singletrack_hil::{
     Failure, Outcome, bench::Bench, client::Client, daemon::Daemon, ensure, settings, wait,
 };
 
-use singletrackd::config::{OuterLoopSection, ReferenceSection, StepSection};
+use singletrackd::config::{FenceSection, OuterLoopSection, ReferenceSection, StepSection};
 
 use crate::Scenario;
 
@@ -63,8 +63,10 @@ fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
 }
 
 fn killed(bench: &mut Bench) -> Outcome {
-    // It stays in its place, however often.
+    // It turns in a wide circle, however often.
     const MOST_RAD: f64 = 0.6;
+    const HALL_M: f64 = 20.0;
+    bench.config_mut().fence = FenceSection::square(HALL_M);
     onward(bench, MOST_RAD)?;
     bench.start_driving()?;
     for after in kill_moments(bench.kills()) {
