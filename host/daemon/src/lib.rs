@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
-//! motion capture --ring----> control thread --<                   \--> recorder
+//! motion capture --ring----> control thread --<                   \--> recorder, live view
 //! socket, owner ---ring--/     |               \--> the port's write half
 //! set-points ------slot--/
 //! ```
