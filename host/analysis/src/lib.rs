@@ -3,3 +3,5 @@
 //!
 //! Pure functions of their arguments, with the names, units and frames of
 //! [`singletrack_control`].
+
+pub mod stability;

@@ -1,0 +1,215 @@
+//! The characteristic polynomial of the steady motion, in closed form.
+//!
+//! With `L = l_f + l_r`, `M = C_r l_r - C_f l_f`, `S = C_f + C_r` and
+//! `D = C_f l_f² + C_r l_r²`, the proposed law (equation 8) gives
+//!
+//! ```text
+//! a₃ = (S/m + D/I_z) / v
+//! a₂ = C_f/(m p) + M/I_z + C_f l_f (l_f + dl + p)/(I_z p) + κ L/v²
+//! a₁ = κ (L + p + dl) / (p v)
+//! a₀ = κ / p                                  with κ = C_f C_r L / (m I_z)
+//! ```
+//!
+//! and that of the appendix
+//!
+//! ```text
+//! a₂ = R + v/p
+//! a₁ = R v/p + Q + E (n - Q)
+//! a₀ = Q v/p
+//! with Q = C_r L/I_z,  n = l_f m v²/(I_z p),  E = w dl/(m v²),
+//!      R = (C_r l_r L - w l_f dl)/(I_z v)
+//! ```
+//!
+//! where w is S if the centre of mass is believed elsewhere, and `C_f` if only the
+//! front axle is. All coefficients are affine in dl, so that Hurwitz' determinant is
+//! quadratic in it. Under the proposed law a₀ is positive for every car: stability can
+//! only be lost in a Hopf bifurcation. And what v there is in Hurwitz' determinant is
+//! one positive term, `κ L/v²`: a car that is stable at some speed is stable at all
+//! lower ones.
+
+use singletrack_control::VehicleParameters;
+
+use super::{Belief, ClosedLoop, Law};
+
+/// The monic characteristic polynomial of a [`ClosedLoop`], without its leading one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CharacteristicPolynomial {
+    /// `s⁴ + a₃ s³ + a₂ s² + a₁ s + a₀`: [a₀, a₁, a₂, a₃].
+    Quartic([f64; 4]),
+    /// `s³ + a₂ s² + a₁ s + a₀`: [a₀, a₁, a₂].
+    Cubic([f64; 3]),
+}
+
+impl CharacteristicPolynomial {
+    /// Whether all roots have negative real parts (Liénard and Chipart).
+    #[must_use]
+    pub fn is_stable(&self) -> bool {
+        let positive = match self {
+            Self::Quartic(a) => a.iter().all(|a| *a > 0.0),
+            Self::Cubic(a) => a.iter().all(|a| *a > 0.0),
+        };
+        positive && self.hurwitz_determinant() > 0.0
+    }
+
+    /// The last but one of Hurwitz' determinants: zero where two roots are opposite,
+    /// as an imaginary pair is.
+    #[must_use]
+    pub fn hurwitz_determinant(&self) -> f64 {
+        match *self {
+            Self::Quartic([a0, a1, a2, a3]) => a1 * (a3 * a2 - a1) - a3 * a3 * a0,
+            Self::Cubic([a0, a1, a2]) => a2 * a1 - a0,
+        }
+    }
+
+    /// The square of the frequency of a pair of imaginary roots, where Hurwitz'
+    /// determinant is zero; negative if the opposite roots are real.
+    #[must_use]
+    pub fn squared_frequency(&self) -> f64 {
+        match *self {
+            Self::Quartic([_, a1, _, a3]) => a1 / a3,
+            Self::Cubic([_, a1, _]) => a1,
+        }
+    }
+}
+
+/// A value that depends on dl as `constant + slope dl`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Affine {
+    pub(super) constant: f64,
+    pub(super) slope: f64,
+}
+
+impl Affine {
+    const fn new(constant: f64, slope: f64) -> Self {
+        Self { constant, slope }
+    }
+
+    fn at(self, deviation: f64) -> f64 {
+        self.constant + self.slope * deviation
+    }
+
+    /// The coefficients of the product of two, by power of dl.
+    fn times(self, other: Self) -> [f64; 3] {
+        [
+            self.constant * other.constant,
+            self.constant * other.slope + self.slope * other.constant,
+            self.slope * other.slope,
+        ]
+    }
+}
+
+impl ClosedLoop {
+    /// The characteristic polynomial of the steady motion.
+    #[must_use]
+    pub fn characteristic_polynomial(&self) -> CharacteristicPolynomial {
+        match self.law {
+            Law::FrontPoint => {
+                let [a0, a1, a2, a3] =
+                    front_point(&self.vehicle, self.point_distance, self.inverse_square());
+                let v = self.speed;
+                let dl = self.deviation;
+                CharacteristicPolynomial::Quartic([
+                    a0.at(dl),
+                    a1.at(dl) / v,
+                    a2.at(dl),
+                    a3.at(dl) / v,
+                ])
+            }
+            Law::VelocityPoint => CharacteristicPolynomial::Cubic(
+                self.velocity_point_coefficients()
+                    .map(|a| a.at(self.deviation)),
+            ),
+        }
+    }
+
+    fn inverse_square(&self) -> f64 {
+        1.0 / (self.speed * self.speed)
+    }
+
+    /// Hurwitz' determinant as a quadratic in dl, by power, up to a positive factor.
+    pub(super) fn hurwitz_quadratic(&self) -> [f64; 3] {
+        match self.law {
+            Law::FrontPoint => {
+                front_point_quadratic(&self.vehicle, self.point_distance, self.inverse_square())
+            }
+            Law::VelocityPoint => {
+                let [a0, a1, a2] = self.velocity_point_coefficients();
+                let [c0, c1, c2] = a2.times(a1);
+                [c0 - a0.constant, c1 - a0.slope, c2]
+            }
+        }
+    }
+
+    fn velocity_point_coefficients(&self) -> [Affine; 3] {
+        let VehicleParameters {
+            mass_kg: m,
+            yaw_inertia_kg_m2: i_z,
+            front_axle_distance_m: l_f,
+            rear_axle_distance_m: l_r,
+            front_cornering_stiffness_n_rad: c_f,
+            rear_cornering_stiffness_n_rad: c_r,
+            ..
+        } = self.vehicle;
+        let (v, p) = (self.speed, self.point_distance);
+        let wheelbase = l_f + l_r;
+        let wrong = match self.belief {
+            Belief::CentreOfMass => c_f + c_r,
+            Belief::FrontAxle => c_f,
+        };
+        let q = c_r * wheelbase / i_z;
+        let n = l_f * m * v * v / (i_z * p);
+        let r = Affine::new(c_r * l_r * wheelbase / (i_z * v), -wrong * l_f / (i_z * v));
+        let e = wrong / (m * v * v);
+        [
+            Affine::new(q * v / p, 0.0),
+            Affine::new(r.constant * v / p + q, r.slope * v / p + e * (n - q)),
+            Affine::new(r.constant + v / p, r.slope),
+        ]
+    }
+}
+
+/// a₀, v a₁, a₂ and v a₃ of the front-point law at 1/v².
+fn front_point(vehicle: &VehicleParameters, p: f64, inverse_square: f64) -> [Affine; 4] {
+    let VehicleParameters {
+        mass_kg: m,
+        yaw_inertia_kg_m2: i_z,
+        front_axle_distance_m: l_f,
+        rear_axle_distance_m: l_r,
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+        ..
+    } = *vehicle;
+    let wheelbase = l_f + l_r;
+    let kappa = c_f * c_r * wheelbase / (m * i_z);
+    let front = c_f * l_f / (i_z * p);
+    [
+        Affine::new(kappa / p, 0.0),
+        Affine::new(kappa * (wheelbase + p) / p, kappa / p),
+        Affine::new(
+            c_f / (m * p)
+                + (c_r * l_r - c_f * l_f) / i_z
+                + front * (l_f + p)
+                + kappa * wheelbase * inverse_square,
+            front,
+        ),
+        Affine::new(
+            (c_f + c_r) / m + (c_f * l_f * l_f + c_r * l_r * l_r) / i_z,
+            0.0,
+        ),
+    ]
+}
+
+/// v² times Hurwitz' determinant of the front-point law at 1/v², which may be zero.
+pub(super) fn front_point_quadratic(
+    vehicle: &VehicleParameters,
+    p: f64,
+    inverse_square: f64,
+) -> [f64; 3] {
+    let [a0, a1, a2, a3] = front_point(vehicle, p, inverse_square);
+    let a3 = a3.constant;
+    let [c0, c1, c2] = a1.times(Affine::new(
+        a3 * a2.constant - a1.constant,
+        a3 * a2.slope - a1.slope,
+    ));
+    [c0 - a3 * a3 * a0.constant, c1, c2]
+}

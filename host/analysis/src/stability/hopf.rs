@@ -1,0 +1,209 @@
+//! Where the steady motion loses its stability: Hopf bifurcations over dl.
+
+use nalgebra::Complex;
+
+use super::{
+    Belief, CharacteristicPolynomial, ClosedLoop, Law, Lyapunov, StabilityError,
+    characteristic::front_point_quadratic,
+};
+use singletrack_control::VehicleParameters;
+
+/// A Hopf bifurcation of the steady motion: a pair of eigenvalues crosses the
+/// imaginary axis as dl varies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HopfPoint {
+    /// The speed of the steady motion, in m/s.
+    pub speed: f64,
+    /// The deviation dl of the centre of mass, in m.
+    pub deviation: f64,
+    /// The critical angular frequency: the imaginary part of the pair, in rad/s.
+    pub angular_frequency: f64,
+    /// The first Lyapunov coefficient.
+    pub lyapunov: Lyapunov,
+    /// How fast the pair's real part grows with dl, in 1/(s m).
+    pub crossing: f64,
+    /// The largest real part of the other eigenvalues, in 1/s: where it is negative,
+    /// stability ends here.
+    pub largest_other_real_part: f64,
+}
+
+/// What a Hopf bifurcation gives birth to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Criticality {
+    /// A stable limit cycle, on the unstable side.
+    Supercritical,
+    /// An unstable limit cycle, on the stable side: a large enough disturbance is not
+    /// recovered from although the motion is stable.
+    Subcritical,
+    /// The first Lyapunov coefficient is zero; higher ones decide.
+    Degenerate,
+}
+
+impl HopfPoint {
+    /// Whether an unstable or a stable limit cycle is born.
+    #[must_use]
+    pub fn criticality(&self) -> Criticality {
+        if self.lyapunov.kuznetsov > 0.0 {
+            Criticality::Subcritical
+        } else if self.lyapunov.kuznetsov < 0.0 {
+            Criticality::Supercritical
+        } else {
+            Criticality::Degenerate
+        }
+    }
+
+    /// Whether the motion is stable on one side of it.
+    #[must_use]
+    pub fn ends_stability(&self) -> bool {
+        self.largest_other_real_part < 0.0
+    }
+}
+
+/// All Hopf points of a car under a law at a speed, by ascending dl: at most two, as
+/// Hurwitz' determinant is quadratic in dl. dl may lie beyond what is physically
+/// meaningful.
+///
+/// `point_distance` is p in m, `speed` in m/s.
+///
+/// # Errors
+///
+/// A parameter with which there is no steady motion.
+pub fn hopf_points(
+    vehicle: VehicleParameters,
+    law: Law,
+    belief: Belief,
+    point_distance: f64,
+    speed: f64,
+) -> Result<Vec<HopfPoint>, StabilityError> {
+    let nominal = ClosedLoop::new(vehicle, law, point_distance, speed, 0.0)?.believing(belief);
+    let mut points = Vec::new();
+    for deviation in roots(nominal.hurwitz_quadratic()) {
+        let closed_loop = nominal.with_deviation(deviation)?;
+        points.extend(closed_loop.hopf_point());
+    }
+    Ok(points)
+}
+
+/// Where the stability of `vehicle` under the [`Law::FrontPoint`] ends as its speed
+/// grows without bounds, as values of dl (m), ascending: a car that is stable between
+/// them, or above the greater one, is stable there at every speed.
+///
+/// # Errors
+///
+/// A car or a p (m) that cannot be.
+pub fn infinite_speed_limit(
+    vehicle: VehicleParameters,
+    point_distance: f64,
+) -> Result<Vec<f64>, StabilityError> {
+    // Any speed will do to check the rest.
+    ClosedLoop::new(vehicle, Law::FrontPoint, point_distance, 1.0, 0.0)?;
+    let wheelbase = vehicle.wheelbase_m();
+    Ok(roots(front_point_quadratic(&vehicle, point_distance, 0.0))
+        // Elsewhere the opposite roots are real.
+        .filter(|deviation| wheelbase + point_distance + deviation > 0.0)
+        .collect())
+}
+
+impl ClosedLoop {
+    /// The Hopf point at this loop's dl, at which Hurwitz' determinant is zero.
+    fn hopf_point(&self) -> Option<HopfPoint> {
+        let polynomial = self.characteristic_polynomial();
+        let squared = polynomial.squared_frequency();
+        if squared <= 0.0 {
+            return None;
+        }
+        let frequency = libm::sqrt(squared);
+        Some(HopfPoint {
+            speed: self.speed(),
+            deviation: self.deviation(),
+            angular_frequency: frequency,
+            lyapunov: Lyapunov::of(self, frequency)?,
+            crossing: self.crossing(frequency)?,
+            largest_other_real_part: largest_other(&polynomial, squared),
+        })
+    }
+
+    /// The derivative by dl of the real part of the eigenvalue i ω.
+    fn crossing(&self, frequency: f64) -> Option<f64> {
+        let slopes = [0.0, 1.0].map(|dl| Some(coefficients(&self.with_deviation(dl).ok()?)));
+        let [Some(at_zero), Some(at_one)] = slopes else {
+            return None;
+        };
+        let eigenvalue = Complex::new(0.0, frequency);
+        let mut by_deviation = Complex::new(0.0, 0.0);
+        let mut by_eigenvalue = Complex::new(0.0, 0.0);
+        let mut power = Complex::new(1.0, 0.0);
+        let own = coefficients(self);
+        for (index, (zero, one)) in at_zero.iter().zip(&at_one).enumerate() {
+            by_deviation += power * (one - zero);
+            let next = own.get(index + 1).copied().unwrap_or(1.0);
+            by_eigenvalue += power * next * (index + 1) as f64;
+            power *= eigenvalue;
+        }
+        Some(-(by_deviation / by_eigenvalue).re)
+    }
+}
+
+fn coefficients(closed_loop: &ClosedLoop) -> Vec<f64> {
+    match closed_loop.characteristic_polynomial() {
+        CharacteristicPolynomial::Quartic(a) => a.to_vec(),
+        CharacteristicPolynomial::Cubic(a) => a.to_vec(),
+    }
+}
+
+/// The largest real part of the roots beside an imaginary pair with this square of
+/// the frequency: what remains when `s² + ω²` is divided out.
+fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
+    match *polynomial {
+        CharacteristicPolynomial::Quartic([a0, _, _, a3]) => {
+            let product = a0 / squared;
+            let discriminant = 0.25 * a3 * a3 - product;
+            if discriminant <= 0.0 {
+                -0.5 * a3
+            } else if a3 > 0.0 {
+                // The root near zero, without cancellation.
+                -product / (0.5 * a3 + libm::sqrt(discriminant))
+            } else {
+                -0.5 * a3 + libm::sqrt(discriminant)
+            }
+        }
+        CharacteristicPolynomial::Cubic([_, _, a2]) => -a2,
+    }
+}
+
+/// The real roots of `c₀ + c₁ x + c₂ x²`, ascending, without cancellation.
+fn roots([c0, c1, c2]: [f64; 3]) -> impl Iterator<Item = f64> {
+    let mut roots = [None; 2];
+    let discriminant = c1 * c1 - 4.0 * c2 * c0;
+    if discriminant >= 0.0 {
+        let q = -0.5 * (c1 + libm::copysign(libm::sqrt(discriminant), c1));
+        roots = [c0 / q, q / c2].map(|root| root.is_finite().then_some(root));
+    }
+    let [first, second] = roots;
+    let swapped = matches!((first, second), (Some(first), Some(second)) if first > second);
+    let ascending = if swapped {
+        [second, first]
+    } else {
+        [first, second]
+    };
+    ascending.into_iter().flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roots_of_a_quadratic_are_found_without_cancellation() {
+        let of = |c| roots(c).collect::<Vec<_>>();
+        assert_eq!(of([6.0, -5.0, 1.0]), [2.0, 3.0]);
+        assert_eq!(of([1.0, 0.0, 1.0]), [] as [f64; 0]);
+        // A line, and none.
+        assert_eq!(of([-3.0, 2.0, 0.0]), [1.5]);
+        assert_eq!(of([1.0, 0.0, 0.0]), [] as [f64; 0]);
+        let [small, large] = of([1e-9, -1.0, 1.0])[..] else {
+            panic!("two roots");
+        };
+        assert!((small / 1e-9 - 1.0).abs() < 2e-9 && (large - 1.0).abs() < 2e-9);
+    }
+}

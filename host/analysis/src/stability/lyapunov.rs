@@ -1,0 +1,137 @@
+//! The first Lyapunov coefficient of a Hopf bifurcation, by exact derivatives.
+//!
+//! With the Jacobian A, its eigenvector `A q = i ω q`, the adjoint one `Aᵀ p = -i ω p`,
+//! `|q| = 1`, `⟨p, q⟩ = 1`, and the second and third derivatives of the vector field as
+//! multilinear forms B and C, Kuznetsov (*Elements of Applied Bifurcation Theory*,
+//! equation 5.39 in the third edition) has
+//!
+//! ```text
+//! l₁ = Re( ⟨p, C(q, q, q̄)⟩ - 2 ⟨p, B(q, A⁻¹ B(q, q̄))⟩ + ⟨p, B(q̄, (2 i ω - A)⁻¹ B(q, q))⟩ ) / (2 ω)
+//! ```
+//!
+//! (The steady motion straight on is its own mirror image, so B is zero there; it is
+//! computed all the same.)
+
+use nalgebra::{Complex, DMatrix, DVector};
+use num_dual::{HyperDual64, HyperHyperDual64};
+
+use super::{
+    ClosedLoop, Law,
+    vector_field::{FrontPointField, VectorField, VelocityPointField},
+};
+
+/// The first Lyapunov coefficient, for the states in rad and rad/s; where it is
+/// positive, the Hopf bifurcation is subcritical.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lyapunov {
+    /// In Kuznetsov's normalisation.
+    pub kuznetsov: f64,
+    /// As `MatCont` prints it: ω times Kuznetsov's.
+    pub matcont: f64,
+}
+
+type Vector = DVector<Complex<f64>>;
+
+impl Lyapunov {
+    /// The coefficient of a loop whose Jacobian has the eigenvalue i `frequency`;
+    /// none if the Jacobian is singular.
+    pub(super) fn of(closed_loop: &ClosedLoop, frequency: f64) -> Option<Self> {
+        let jacobian = closed_loop.jacobian();
+        let kuznetsov = match closed_loop.law() {
+            Law::FrontPoint => kuznetsov(&FrontPointField(closed_loop), &jacobian, frequency),
+            Law::VelocityPoint => kuznetsov(&VelocityPointField(closed_loop), &jacobian, frequency),
+        }?;
+        Some(Self {
+            kuznetsov,
+            matcont: frequency * kuznetsov,
+        })
+    }
+}
+
+fn kuznetsov<const N: usize>(
+    field: &impl VectorField<N>,
+    jacobian: &DMatrix<f64>,
+    frequency: f64,
+) -> Option<f64> {
+    let a = jacobian.map(|entry| Complex::new(entry, 0.0));
+    let i_omega = Complex::new(0.0, frequency);
+    let identity = DMatrix::identity(N, N);
+    let q = null_vector(&a - &identity * i_omega)?;
+    let p = null_vector(a.transpose() + &identity * i_omega)?;
+    // ⟨p, q⟩ = p̄ᵀ q.
+    let p = &p / p.dotc(&q).conj();
+
+    let conjugate = q.conjugate();
+    let mean = a.clone().lu().solve(&second(field, &q, &conjugate))?;
+    let double = (identity * (i_omega * 2.0) - a)
+        .lu()
+        .solve(&second(field, &q, &q))?;
+    let sum = p.dotc(&third(field, &q)) - p.dotc(&second(field, &q, &mean)) * 2.0
+        + p.dotc(&second(field, &conjugate, &double));
+    Some(sum.re / (2.0 * frequency))
+}
+
+/// The unit vector that a singular matrix takes to zero.
+fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
+    let svd = matrix.try_svd(false, true, f64::EPSILON, 0)?;
+    let smallest = svd.singular_values.imin();
+    Some(svd.v_t?.row(smallest).adjoint())
+}
+
+/// B(u, v): the second derivatives along two complex directions.
+fn second<const N: usize>(field: &impl VectorField<N>, u: &Vector, v: &Vector) -> Vector {
+    let along = |u: &[f64; N], v: &[f64; N]| {
+        let mut state = [HyperDual64::from(0.0); N];
+        for ((state, u), v) in state.iter_mut().zip(u).zip(v) {
+            (state.eps1, state.eps2) = (*u, *v);
+        }
+        field.slope(state).map(|slope| slope.eps1eps2)
+    };
+    let ([ur, ui], [vr, vi]) = (parts(u), parts(v));
+    let (rr, ii, ri, ir) = (
+        along(&ur, &vr),
+        along(&ui, &vi),
+        along(&ur, &vi),
+        along(&ui, &vr),
+    );
+    Vector::from_iterator(
+        N,
+        rr.iter()
+            .zip(ii)
+            .zip(ri.iter().zip(ir))
+            .map(|((rr, ii), (ri, ir))| Complex::new(rr - ii, ri + ir)),
+    )
+}
+
+/// C(q, q, q̄): with q = a + i b it is C(a, a, a) + C(a, b, b) + i (C(a, a, b) + C(b, b, b)).
+fn third<const N: usize>(field: &impl VectorField<N>, q: &Vector) -> Vector {
+    let along = |u: &[f64; N], v: &[f64; N], w: &[f64; N]| {
+        let mut state = [HyperHyperDual64::from(0.0); N];
+        for (((state, u), v), w) in state.iter_mut().zip(u).zip(v).zip(w) {
+            (state.eps1, state.eps2, state.eps3) = (*u, *v, *w);
+        }
+        field.slope(state).map(|slope| slope.eps1eps2eps3)
+    };
+    let [a, b] = parts(q);
+    let (aaa, abb) = (along(&a, &a, &a), along(&a, &b, &b));
+    let (aab, bbb) = (along(&a, &a, &b), along(&b, &b, &b));
+    Vector::from_iterator(
+        N,
+        aaa.iter()
+            .zip(abb)
+            .zip(aab.iter().zip(bbb))
+            .map(|((aaa, abb), (aab, bbb))| Complex::new(aaa + abb, aab + bbb)),
+    )
+}
+
+/// Real and imaginary parts.
+fn parts<const N: usize>(vector: &Vector) -> [[f64; N]; 2] {
+    let part = |of: fn(&Complex<f64>) -> f64| {
+        let mut part = [0.0; N];
+        for (part, entry) in part.iter_mut().zip(vector.iter()) {
+            *part = of(entry);
+        }
+        part
+    };
+    [part(|entry| entry.re), part(|entry| entry.im)]
+}
