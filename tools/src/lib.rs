@@ -12,7 +12,9 @@ pub mod set_reference;
 pub mod setpoint;
 pub mod simulate;
 pub mod simulated;
+pub mod stability;
 pub mod tracking;
+pub mod vehicle_file;
 pub mod virtual_drive;
 pub mod virtual_record;
 

@@ -9,7 +9,7 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, plot, recover, replay, set_reference, setpoint, simulate,
+    demo, dump, plot, recover, replay, set_reference, setpoint, simulate, stability,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -43,6 +43,8 @@ enum Command {
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
     },
+    /// Where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
+    Stability(stability::StabilityArgs),
     /// Ask the daemon how it is doing.
     Status(control::ControlArgs),
     /// Have the daemon drive along its reference.
@@ -80,6 +82,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),
         Command::Replay(args) => Ok(replay::run(args)?),
+        Command::Stability(args) => Ok(stability::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),

@@ -5,7 +5,8 @@
 
 use proptest::prelude::*;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Criticality, HopfPoint, Law, hopf_points, infinite_speed_limit,
+    Belief, ClosedLoop, Criticality, HopfPoint, Law, critical_speed, hopf_points,
+    infinite_speed_limit,
 };
 use singletrack_control::VehicleParameters;
 
@@ -257,6 +258,27 @@ proptest! {
         };
         prop_assert!(!at(speed) || at(slower * speed));
     }
+}
+
+#[test]
+fn beyond_its_critical_speed_a_car_is_unstable_somewhere_in_the_range() {
+    let paper = VehicleParameters::paper();
+    let range = ClosedLoop::meaningful_deviations(&paper);
+    assert_eq!(critical_speed(paper, P, range).unwrap(), None);
+    // With P near the front axle not every deviation is survived.
+    let near = 0.2;
+    let critical = critical_speed(paper, near, range).unwrap().unwrap();
+    let at = |speed, deviation| {
+        ClosedLoop::new(paper, Law::FrontPoint, near, speed, deviation)
+            .unwrap()
+            .is_stable()
+    };
+    for step in 0..=200 {
+        let deviation = range[0] + (range[1] - range[0]) * f64::from(step) / 200.0;
+        assert!(at(critical * 0.999_999, deviation), "{deviation}");
+    }
+    assert!(range.iter().any(|end| !at(critical * 1.000_001, *end)));
+    assert_eq!(critical_speed(paper, P, [-1.0, 0.0]).unwrap(), Some(0.0));
 }
 
 #[test]

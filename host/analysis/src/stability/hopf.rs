@@ -85,8 +85,8 @@ pub fn hopf_points(
 }
 
 /// Where the stability of `vehicle` under the [`Law::FrontPoint`] ends as its speed
-/// grows without bounds, as values of dl (m), ascending: a car that is stable between
-/// them, or above the greater one, is stable there at every speed.
+/// grows without bounds: the Hopf points of infinite speed, as values of dl (m),
+/// ascending.
 ///
 /// # Errors
 ///
@@ -97,11 +97,44 @@ pub fn infinite_speed_limit(
 ) -> Result<Vec<f64>, StabilityError> {
     // Any speed will do to check the rest.
     ClosedLoop::new(vehicle, Law::FrontPoint, point_distance, 1.0, 0.0)?;
-    let wheelbase = vehicle.wheelbase_m();
     Ok(roots(front_point_quadratic(&vehicle, point_distance, 0.0))
         // Elsewhere the opposite roots are real.
-        .filter(|deviation| wheelbase + point_distance + deviation > 0.0)
+        .filter(|deviation| vehicle.wheelbase_m() + point_distance + deviation > 0.0)
         .collect())
+}
+
+/// The speed in m/s up to which `vehicle` is stable under the [`Law::FrontPoint`] for
+/// every dl of `deviations` (m): none if it is at every speed, zero if at no speed.
+///
+/// Hurwitz' determinant over a₁ is affine in 1/v² with a positive slope, and concave in
+/// dl: the ends of the range decide.
+///
+/// # Errors
+///
+/// A car, a p (m) or a dl that cannot be.
+pub fn critical_speed(
+    vehicle: VehicleParameters,
+    point_distance: f64,
+    deviations: [f64; 2],
+) -> Result<Option<f64>, StabilityError> {
+    let mut critical: Option<f64> = None;
+    for deviation in deviations {
+        ClosedLoop::new(vehicle, Law::FrontPoint, point_distance, 1.0, deviation)?;
+        let at = |inverse_square| {
+            let [c0, c1, c2] = front_point_quadratic(&vehicle, point_distance, inverse_square);
+            c0 + deviation * (c1 + deviation * c2)
+        };
+        let fast = at(0.0);
+        let speed = if vehicle.wheelbase_m() + point_distance + deviation <= 0.0 {
+            0.0
+        } else if fast >= 0.0 {
+            continue;
+        } else {
+            libm::sqrt((at(1.0) - fast) / -fast)
+        };
+        critical = Some(critical.map_or(speed, |other| other.min(speed)));
+    }
+    Ok(critical)
 }
 
 impl ClosedLoop {

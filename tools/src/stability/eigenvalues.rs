@@ -1,0 +1,110 @@
+//! Eigenvalue maps.
+
+use clap::Args;
+use nalgebra::Complex;
+use serde_json::json;
+use singletrack_analysis::stability::StabilityError;
+
+use super::{
+    Format, Grid, LoopArgs, StabilityCommandError, Subject,
+    output::{Table, write_json},
+};
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct EigenvaluesArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.1")]
+    speeds: Grid,
+    /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
+    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
+    dl: Option<Grid>,
+    /// How to write them
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+pub(super) fn run(args: &EigenvaluesArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let dl = args
+        .dl
+        .clone()
+        .unwrap_or_else(|| subject.usual_deviations());
+    let map = eigenvalue_map(&subject, &args.speeds, &dl)?;
+    match args.format {
+        Format::Csv => table(&map).write_csv()?,
+        Format::Json => {
+            let points: Vec<_> = map.iter().map(document).collect();
+            write_json(&subject, &points)?;
+        }
+    }
+    Ok(())
+}
+
+/// The eigenvalues at a speed and a dl.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EigenvalueRow {
+    /// The speed, in m/s.
+    pub speed: f64,
+    /// The deviation dl, in m.
+    pub deviation: f64,
+    /// By ascending real part, in 1/s.
+    pub eigenvalues: Vec<Complex<f64>>,
+}
+
+/// The eigenvalues over all `speeds` and, for each, all `deviations`.
+///
+/// # Errors
+///
+/// A point without a steady motion.
+pub fn eigenvalue_map(
+    subject: &Subject,
+    speeds: &Grid,
+    deviations: &Grid,
+) -> Result<Vec<EigenvalueRow>, StabilityError> {
+    let mut map = Vec::with_capacity(speeds.values().len() * deviations.values().len());
+    for speed in speeds.values() {
+        for deviation in deviations.values() {
+            map.push(EigenvalueRow {
+                speed: *speed,
+                deviation: *deviation,
+                eigenvalues: subject.at(*speed, *deviation)?.eigenvalues(),
+            });
+        }
+    }
+    Ok(map)
+}
+
+fn table(map: &[EigenvalueRow]) -> Table {
+    let count = map.first().map_or(0, |row| row.eigenvalues.len());
+    let names = ["re1", "im1", "re2", "im2", "re3", "im3", "re4", "im4"];
+    Table {
+        columns: ["speed_m_s", "dl_m"]
+            .into_iter()
+            .chain(names.into_iter().take(2 * count))
+            .collect(),
+        rows: map
+            .iter()
+            .map(|row| {
+                let eigenvalues = row
+                    .eigenvalues
+                    .iter()
+                    .flat_map(|value| [value.re, value.im]);
+                [row.speed, row.deviation]
+                    .into_iter()
+                    .chain(eigenvalues)
+                    .map(Some)
+                    .collect()
+            })
+            .collect(),
+    }
+}
+
+fn document(row: &EigenvalueRow) -> serde_json::Value {
+    json!({
+        "speed_m_s": row.speed,
+        "dl_m": row.deviation,
+        "eigenvalues_per_s": row.eigenvalues.iter().map(|value| [value.re, value.im]).collect::<Vec<_>>(),
+    })
+}

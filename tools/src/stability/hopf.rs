@@ -1,0 +1,112 @@
+//! The Hopf curve: where stability ends, speed by speed.
+
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
+
+use super::{
+    Grid, LoopArgs, StabilityCommandError, Subject,
+    output::{Table, write_json},
+};
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct HopfArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
+    speeds: Grid,
+    /// How to write them
+    #[arg(long, value_enum, default_value_t = HopfFormat::Csv)]
+    format: HopfFormat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum HopfFormat {
+    /// A header and a row for each point
+    Csv,
+    /// One document, with the car and all that is known of each point
+    Json,
+    /// The paper's figure: the regions, the curve, and Lyapunov coefficients along it
+    Svg,
+}
+
+pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let curve = hopf_curve(&subject, &args.speeds)?;
+    if curve.is_empty() {
+        eprintln!("singletrack: there is no Hopf point at these speeds, for any dl");
+    }
+    match args.format {
+        HopfFormat::Csv => table(&curve).write_csv()?,
+        HopfFormat::Json => {
+            let points: Vec<_> = curve.iter().map(document).collect();
+            write_json(&subject, &points)?;
+        }
+        HopfFormat::Svg => {}
+    }
+    Ok(())
+}
+
+/// The Hopf points of all `speeds`, by speed and then by dl.
+///
+/// # Errors
+///
+/// A speed or a car without a steady motion.
+pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, StabilityError> {
+    let mut curve = Vec::with_capacity(speeds.values().len());
+    for speed in speeds.values() {
+        curve.extend(hopf_points(
+            subject.vehicle,
+            subject.law,
+            subject.belief,
+            subject.point_distance,
+            *speed,
+        )?);
+    }
+    Ok(curve)
+}
+
+fn table(curve: &[HopfPoint]) -> Table {
+    Table {
+        columns: vec![
+            "speed_m_s",
+            "dl_hopf_m",
+            "omega_rad_s",
+            "l1_kuznetsov",
+            "l1_matcont",
+        ],
+        rows: curve
+            .iter()
+            .map(|point| {
+                [
+                    point.speed,
+                    point.deviation,
+                    point.angular_frequency,
+                    point.lyapunov.kuznetsov,
+                    point.lyapunov.matcont,
+                ]
+                .map(Some)
+                .to_vec()
+            })
+            .collect(),
+    }
+}
+
+fn document(point: &HopfPoint) -> serde_json::Value {
+    json!({
+        "speed_m_s": point.speed,
+        "dl_hopf_m": point.deviation,
+        "omega_rad_s": point.angular_frequency,
+        "l1_kuznetsov": point.lyapunov.kuznetsov,
+        "l1_matcont": point.lyapunov.matcont,
+        "criticality": match point.criticality() {
+            Criticality::Subcritical => "subcritical",
+            Criticality::Supercritical => "supercritical",
+            Criticality::Degenerate => "degenerate",
+        },
+        "dre_ddl_per_s_m": point.crossing,
+        "largest_other_re_per_s": point.largest_other_real_part,
+        "ends_stability": point.ends_stability(),
+    })
+}

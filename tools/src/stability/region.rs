@@ -1,0 +1,92 @@
+//! Where the steady motion is stable.
+
+use clap::Args;
+use serde::Serialize;
+use singletrack_analysis::stability::StabilityError;
+
+use super::{
+    Format, Grid, LoopArgs, StabilityCommandError, Subject,
+    output::{Table, write_json},
+};
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct RegionArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.1")]
+    speeds: Grid,
+    /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
+    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
+    dl: Option<Grid>,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+pub(super) fn run(args: &RegionArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let dl = args
+        .dl
+        .clone()
+        .unwrap_or_else(|| subject.usual_deviations());
+    let region = region(&subject, &args.speeds, &dl)?;
+    match args.format {
+        Format::Csv => Table {
+            columns: vec!["speed_m_s", "dl_m", "largest_re_per_s", "stable"],
+            rows: region
+                .iter()
+                .map(|row| {
+                    vec![
+                        Some(row.speed_m_s),
+                        Some(row.dl_m),
+                        Some(row.largest_re_per_s),
+                        Some(f64::from(u8::from(row.stable))),
+                    ]
+                })
+                .collect(),
+        }
+        .write_csv()?,
+        Format::Json => write_json(&subject, &region)?,
+    }
+    Ok(())
+}
+
+/// Whether the steady motion is stable at a speed and a dl.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RegionRow {
+    /// The speed, in m/s.
+    pub speed_m_s: f64,
+    /// The deviation dl, in m.
+    pub dl_m: f64,
+    /// The largest real part of an eigenvalue, in 1/s.
+    pub largest_re_per_s: f64,
+    /// Whether it is asymptotically stable, by Hurwitz' criterion.
+    pub stable: bool,
+}
+
+/// Stability over all `speeds` and, for each, all `deviations`.
+///
+/// # Errors
+///
+/// A point without a steady motion.
+pub fn region(
+    subject: &Subject,
+    speeds: &Grid,
+    deviations: &Grid,
+) -> Result<Vec<RegionRow>, StabilityError> {
+    let mut rows = Vec::with_capacity(speeds.values().len() * deviations.values().len());
+    for speed in speeds.values() {
+        for deviation in deviations.values() {
+            let at = subject.at(*speed, *deviation)?;
+            let eigenvalues = at.eigenvalues();
+            rows.push(RegionRow {
+                speed_m_s: *speed,
+                dl_m: *deviation,
+                largest_re_per_s: eigenvalues.last().map_or(f64::NAN, |value| value.re),
+                stable: at.is_stable(),
+            });
+        }
+    }
+    Ok(rows)
+}

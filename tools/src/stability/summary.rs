@@ -1,0 +1,142 @@
+//! The stability of a car in words.
+
+use std::io::{self, Write};
+
+use clap::Args;
+use singletrack_analysis::stability::{
+    Belief, ClosedLoop, Criticality, Law, MarginLimits, SampledLoop, critical_speed, hopf_points,
+    infinite_speed_limit,
+};
+
+use super::{CarArgs, StabilityCommandError, Subject, sampled::TimingArgs};
+use crate::vehicle_file;
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct SummaryArgs {
+    #[command(flatten)]
+    car: CarArgs,
+    #[command(flatten)]
+    timing: TimingArgs,
+}
+
+/// Speeds that tell the story, in m/s.
+const SPEEDS: [f64; 5] = [0.1, 0.5, 1.0, 2.0, 5.0];
+
+pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {
+    let vehicle = vehicle_file::read_or_paper(args.car.vehicle.as_deref())?;
+    let subject = |law| Subject {
+        vehicle,
+        law,
+        belief: Belief::CentreOfMass,
+        point_distance: args.car.point_distance,
+    };
+    let mut out = io::stdout().lock();
+    let [from, to] = ClosedLoop::meaningful_deviations(&vehicle);
+    writeln!(
+        out,
+        "meaningful dl: {from} m to {to} m (-l_f to l_r); p = {} m\n",
+        args.car.point_distance
+    )?;
+    proposed(&mut out, &subject(Law::FrontPoint))?;
+    appendix(&mut out, &subject(Law::VelocityPoint))?;
+    sampled(&mut out, &subject(Law::FrontPoint), args.timing)
+}
+
+fn proposed(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+    writeln!(out, "front-point law (proposed)")?;
+    for limit in infinite_speed_limit(subject.vehicle, subject.point_distance)? {
+        writeln!(
+            out,
+            "  for speeds without bounds stability ends at dl = {limit:.6} m"
+        )?;
+    }
+    let range = ClosedLoop::meaningful_deviations(&subject.vehicle);
+    match critical_speed(subject.vehicle, subject.point_distance, range)? {
+        None => writeln!(
+            out,
+            "  stable over the whole meaningful range at every speed"
+        )?,
+        Some(speed) => writeln!(
+            out,
+            "  stable over the whole meaningful range up to {speed:.3} m/s, NOT beyond"
+        )?,
+    }
+    hopf_lines(out, subject)
+}
+
+fn appendix(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+    writeln!(out, "velocity-point law (appendix), l_f + dl and l_r - dl")?;
+    hopf_lines(out, subject)
+}
+
+fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+    let [from, to] = ClosedLoop::meaningful_deviations(&subject.vehicle);
+    for speed in SPEEDS {
+        let points = hopf_points(
+            subject.vehicle,
+            subject.law,
+            subject.belief,
+            subject.point_distance,
+            speed,
+        )?;
+        for point in points {
+            writeln!(
+                out,
+                "  {speed} m/s: Hopf at dl = {:.6} m{}, {:.3} rad/s, l1 = {:.4e} ({})",
+                point.deviation,
+                if (from..=to).contains(&point.deviation) {
+                    ""
+                } else {
+                    " (not meaningful)"
+                },
+                point.angular_frequency,
+                point.lyapunov.kuznetsov,
+                match point.criticality() {
+                    Criticality::Subcritical => "subcritical",
+                    Criticality::Supercritical => "supercritical",
+                    Criticality::Degenerate => "degenerate",
+                }
+            )?;
+        }
+    }
+    writeln!(out)?;
+    Ok(())
+}
+
+fn sampled(
+    out: &mut impl Write,
+    subject: &Subject,
+    timing: TimingArgs,
+) -> Result<(), StabilityCommandError> {
+    writeln!(
+        out,
+        "front-point law in ticks of {} ms, acting {} ms late, dl = 0",
+        timing.period_ms, timing.delay_ms
+    )?;
+    let limits = MarginLimits::default();
+    for speed in SPEEDS {
+        let sampled = SampledLoop::new(
+            subject.at(speed, 0.0)?,
+            timing.period_ms * 1e-3,
+            timing.delay_ms * 1e-3,
+        )?
+        .with_position_gain(timing.position_gain)?;
+        let radius = sampled.spectral_radius(timing.marker_interval);
+        let or_more = |value: Option<f64>, limit: f64| {
+            value.map_or_else(
+                || format!("more than {limit:.3} s"),
+                |value| format!("{value:.3} s"),
+            )
+        };
+        writeln!(
+            out,
+            "  {speed} m/s: spectral radius {radius:.5}; delay margin {}; longest marker interval {}",
+            or_more(sampled.delay_margin(limits), limits.delay),
+            or_more(
+                sampled.longest_marker_interval(limits),
+                f64::from(limits.marker_interval) * timing.period_ms * 1e-3
+            ),
+        )?;
+    }
+    Ok(())
+}
