@@ -1,6 +1,6 @@
 //! What the lines, marks and shadings of a figure mean, each once.
 
-use super::{Figure, Look, MarkKind};
+use super::{Figure, Look, MarkKind, Shade, typeset};
 
 /// An entry of the legend.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +15,10 @@ pub(super) enum Key {
     Line(Look),
     Mark(MarkKind),
     Span,
+    Shade(Shade),
+    Isoline,
+    Leader,
+    Estimate(MarkKind),
 }
 
 /// The legend of all panels together. A single kind of line needs none: the axis
@@ -31,12 +35,33 @@ pub(super) fn entries(figure: &Figure) -> Vec<Entry> {
         }
     };
     for panel in &figure.panels {
+        if let Some(map) = &panel.map {
+            for band in map.bands.iter().filter(|band| map.grid.has(band)) {
+                add(Key::Shade(band.shade), &band.name);
+            }
+        }
+    }
+    for panel in &figure.panels {
         let lines = panel.curves.iter().filter(|curve| curve.look != Look::Lost);
         for curve in lines.filter(|curve| !curve.is_empty()) {
             add(Key::Line(curve.look), curve.name);
         }
     }
     for panel in &figure.panels {
+        for level in &panel.levels {
+            add(Key::Line(level.look), &level.name);
+        }
+        for callouts in panel.callouts.iter().filter(|all| !all.points.is_empty()) {
+            add(Key::Leader, &callouts.name);
+        }
+        for estimate in &panel.estimates {
+            add(Key::Estimate(estimate.kind), &estimate.name);
+        }
+        if let Some(map) = &panel.map
+            && !map.isolines.is_empty()
+        {
+            add(Key::Isoline, &map.isoline_name);
+        }
         for mark in &panel.marks {
             add(Key::Mark(mark.kind), mark.name);
         }
@@ -64,7 +89,7 @@ pub(super) fn places(entries: &[Entry], width: f64) -> Vec<(f64, usize)> {
     entries
         .iter()
         .map(|entry| {
-            let own = KEY_WIDTH + KEY_GAP + text_width(&entry.name);
+            let own = KEY_WIDTH + KEY_GAP + typeset::width(&entry.name);
             if left > 0.0 && left + own > width {
                 (left, row) = (0.0, row + 1);
             }
@@ -77,15 +102,3 @@ pub(super) fn places(entries: &[Entry], width: f64) -> Vec<(f64, usize)> {
 
 /// Where the text of an entry begins, from its left edge.
 pub(super) const TEXT_OFFSET: f64 = KEY_WIDTH + KEY_GAP;
-
-/// About how wide a text is in the small size, in mm: no font is known here, and
-/// too wide is better than too narrow.
-pub(super) fn text_width(text: &str) -> f64 {
-    let per_letter = |letter: char| match letter {
-        'i' | 'j' | 'l' | 't' | 'f' | '.' | ',' | ' ' | '(' | ')' => 0.32,
-        'm' | 'w' | 'M' | 'W' => 0.86,
-        letter if letter.is_uppercase() => 0.7,
-        _ => 0.57,
-    };
-    super::svg::TEXT_SIZE * text.chars().map(per_letter).sum::<f64>()
-}

@@ -1,22 +1,36 @@
 //! Figures for print, described without saying how they are drawn.
 //!
-//! A [`Figure`] is a row of [`Panel`]s under one legend; [`Figure::to_svg`] draws
-//! it. Lengths on the page are in mm. Nothing here knows what a car is.
+//! A [`Figure`] is [`Panel`]s, in one row or several, under one legend;
+//! [`Figure::to_svg`] draws it. Lengths on the page are in mm. Nothing here knows what
+//! a car is.
+//!
+//! Names and labels that are `String`s, and the names in the legend, may hold symbols
+//! between dollar signs: `"−$l_f$"` is a minus sign, an italic l and a small upright f
+//! below.
 
+mod contours;
+mod hatch;
 mod legend;
+mod map;
+mod note;
+mod place;
 mod scale;
 mod svg;
 mod thin;
+mod typeset;
 
 use std::sync::Arc;
 
+pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
+pub use note::{Callout, Callouts, Estimate, Level};
 pub use scale::Scale;
 pub(crate) use svg::escaped;
+pub use typeset::plain;
 
 /// Numbers of a curve, shared by all that draw them.
 pub type Column = Arc<[f64]>;
 
-/// A figure: panels side by side under one legend.
+/// A figure: panels under one legend.
 #[derive(Clone, Debug)]
 pub struct Figure {
     /// What it shows, in a few words; for whoever can't see it, too.
@@ -25,7 +39,7 @@ pub struct Figure {
     pub caption: String,
     /// How wide it is.
     pub width: Width,
-    /// The panels, from left to right.
+    /// The panels, from left to right, and from top to bottom where one begins a row.
     pub panels: Vec<Panel>,
 }
 
@@ -52,6 +66,10 @@ impl Width {
 /// Two axes and what is drawn between them.
 #[derive(Clone, Debug)]
 pub struct Panel {
+    /// What stands above it; may be empty.
+    pub title: String,
+    /// Whether it begins a new row of panels.
+    pub begins_row: bool,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
@@ -64,10 +82,18 @@ pub struct Panel {
     pub spans: Vec<[f64; 2]>,
     /// What the shading means, for the legend.
     pub span_name: &'static str,
+    /// A quantity over the whole area, beneath everything else. It sets both axes.
+    pub map: Option<Map>,
+    /// Values of the vertical axis that matter, such as the ends of a range.
+    pub levels: Vec<Level>,
     /// Lines, drawn in this order.
     pub curves: Vec<Curve>,
     /// Points that matter.
     pub marks: Vec<Mark>,
+    /// Points with the interval that each is believed to be in.
+    pub estimates: Vec<Estimate>,
+    /// Points with something written beside them.
+    pub callouts: Vec<Callouts>,
     /// Bars of a histogram.
     pub bars: Vec<Bar>,
     /// Values of the horizontal axis with a name.
@@ -79,14 +105,20 @@ impl Panel {
     #[must_use]
     pub const fn new(x: Axis, y: Axis) -> Self {
         Self {
+            title: String::new(),
+            begins_row: false,
             x,
             y,
             height_mm: 42.0,
             equal: false,
             spans: Vec::new(),
             span_name: "",
+            map: None,
+            levels: Vec::new(),
             curves: Vec::new(),
             marks: Vec::new(),
+            estimates: Vec::new(),
+            callouts: Vec::new(),
             bars: Vec::new(),
             rules: Vec::new(),
         }
@@ -95,7 +127,10 @@ impl Panel {
     /// Whether there is anything to see.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.bars.is_empty() && self.curves.iter().all(Curve::is_empty)
+        self.bars.is_empty()
+            && self.estimates.is_empty()
+            && self.map.as_ref().is_none_or(Map::is_empty)
+            && self.curves.iter().all(Curve::is_empty)
     }
 }
 
@@ -186,6 +221,14 @@ pub enum Look {
     Truth,
     /// Where something was missing: a wide band of the shading's colour.
     Lost,
+    /// The other of two that are compared: black, in long dashes.
+    Other,
+    /// Where one kind of behaviour turns into another: thick and black.
+    Boundary,
+    /// The end of a range: thin, dashed.
+    RangeEnd,
+    /// What is approached and not reached: thin, dashes and dots.
+    Asymptote,
 }
 
 impl Look {
@@ -198,6 +241,10 @@ impl Look {
             Self::Measured => "measured",
             Self::Truth => "truth",
             Self::Lost => "lost",
+            Self::Other => "other",
+            Self::Boundary => "boundary",
+            Self::RangeEnd => "range-end",
+            Self::Asymptote => "asymptote",
         }
     }
 }
@@ -213,13 +260,30 @@ pub struct Mark {
     pub kind: MarkKind,
 }
 
-/// The paper's marks.
+/// What a mark looks like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MarkKind {
     /// Where a trajectory starts: a triangle.
     Start,
     /// Where it ends: a circle.
     End,
+    /// A value that was found: a dot.
+    Found,
+    /// A value that is known to be right: a cross.
+    Known,
+}
+
+impl MarkKind {
+    /// Its name in a style sheet.
+    #[must_use]
+    pub const fn class(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::End => "end",
+            Self::Found => "found",
+            Self::Known => "known",
+        }
+    }
 }
 
 /// A bar of a histogram, from zero up.

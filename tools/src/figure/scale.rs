@@ -7,6 +7,8 @@ pub enum Scale {
     Linear,
     /// By their logarithm: decades are as long as each other. Values above zero only.
     Log,
+    /// Things that have a name instead of a value: the first is at 1, the second at 2.
+    Named(&'static [&'static str]),
 }
 
 /// An axis with its ends, on the page.
@@ -35,9 +37,15 @@ impl Ruler {
         self.place[0] + part * (self.place[1] - self.place[0])
     }
 
+    /// Whether `value` is on the axis.
+    pub(super) fn holds(&self, value: f64) -> bool {
+        let [low, high] = self.range;
+        (low..=high).contains(&value)
+    }
+
     fn even(&self, value: f64) -> f64 {
         match self.scale {
-            Scale::Linear => value,
+            Scale::Linear | Scale::Named(_) => value,
             Scale::Log => value.log10(),
         }
     }
@@ -62,24 +70,47 @@ impl Ruler {
                     .collect()
             }
             Scale::Log => {
-                let (first, last) = (low.log10().round() as i32, high.log10().round() as i32);
+                let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
+                // Between few decades there is room for more.
+                let factors: &[f64] = if high.log10() - low.log10() < 2.5 {
+                    &[1.0, 2.0, 5.0]
+                } else {
+                    &[1.0]
+                };
+                let slack = 1e-9 * (high - low);
                 (first..=last)
-                    .map(|power| {
-                        let value = 10_f64.powi(power);
-                        let decimals = usize::try_from(-power).unwrap_or(0);
-                        let text = match power {
-                            // Where zeros are hard to count.
-                            4 => "10\u{2074}".to_owned(),
-                            5 => "10\u{2075}".to_owned(),
-                            6 => "10\u{2076}".to_owned(),
-                            7 => "10\u{2077}".to_owned(),
-                            _ => format!("{value:.decimals$}"),
-                        };
-                        (value, text)
-                    })
+                    .flat_map(|power| factors.iter().map(move |factor| (power, *factor)))
+                    .map(|(power, factor)| (factor * 10_f64.powi(power), power, factor))
+                    .filter(|(value, ..)| (low - slack..=high + slack).contains(value))
+                    .map(|(value, power, factor)| (value, power_text(value, power, factor)))
                     .collect()
             }
+            Scale::Named(names) => names
+                .iter()
+                .zip(1..)
+                .map(|(name, index)| (f64::from(index), (*name).to_owned()))
+                .collect(),
         }
+    }
+}
+
+/// A value on an axis of decades.
+fn power_text(value: f64, power: i32, factor: f64) -> String {
+    let zeros = match power {
+        // Where zeros are hard to count.
+        4 => "\u{2074}",
+        5 => "\u{2075}",
+        6 => "\u{2076}",
+        7 => "\u{2077}",
+        _ => {
+            let decimals = usize::try_from(-power).unwrap_or(0);
+            return format!("{value:.decimals$}");
+        }
+    };
+    if factor > 1.0 {
+        format!("{factor}\u{b7}10{zeros}")
+    } else {
+        format!("10{zeros}")
     }
 }
 
@@ -103,7 +134,7 @@ fn decimals(step: f64) -> usize {
 }
 
 /// A real minus sign, and no minus zero.
-fn minus(text: String) -> String {
+pub(super) fn minus(text: String) -> String {
     match text.strip_prefix('-') {
         Some(digits) if digits.bytes().all(|byte| matches!(byte, b'0' | b'.')) => digits.to_owned(),
         Some(digits) => format!("\u{2212}{digits}"),
@@ -168,6 +199,24 @@ mod tests {
         assert!((ruler.at(10.0) - 20.0).abs() < 1e-12);
         let texts: Vec<_> = ruler.ticks(9).into_iter().map(|(_, text)| text).collect();
         assert_eq!(texts, ["1", "10", "100", "1000"]);
+    }
+
+    #[test]
+    fn few_decades_are_divided_and_need_not_be_whole() {
+        let ruler = Ruler::new(Scale::Log, [0.05, 3.0], [0.0, 1.0]);
+        let texts: Vec<_> = ruler.ticks(9).into_iter().map(|(_, text)| text).collect();
+        assert_eq!(texts, ["0.05", "0.1", "0.2", "0.5", "1", "2"]);
+        let ruler = Ruler::new(Scale::Log, [20.0, 30_000.0], [0.0, 1.0]);
+        let texts: Vec<_> = ruler.ticks(9).into_iter().map(|(_, text)| text).collect();
+        assert_eq!(texts, ["100", "1000", "10\u{2074}"]);
+    }
+
+    #[test]
+    fn named_things_stand_at_their_numbers() {
+        let ruler = Ruler::new(Scale::Named(&["a", "b"]), [0.5, 2.5], [0.0, 20.0]);
+        let ticks = ruler.ticks(1);
+        assert_eq!(ticks, [(1.0, "a".to_owned()), (2.0, "b".to_owned())]);
+        assert!((ruler.at(2.0) - 15.0).abs() < 1e-12);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use serde::Serialize;
 
 use crate::{
-    figure::{Axis, Column, Figure, MarkKind, Panel},
+    figure::{Axis, Column, Figure, Panel},
     plot::figures::FigureKind,
 };
 
@@ -127,10 +127,7 @@ impl Columns {
                 .marks
                 .iter()
                 .map(|mark| MarkData {
-                    kind: match mark.kind {
-                        MarkKind::Start => "start",
-                        MarkKind::End => "end",
-                    },
+                    kind: mark.kind.class(),
                     point: mark.point,
                 })
                 .collect(),

@@ -3,13 +3,25 @@
 //! What a page that holds the picture may want to restyle has a class; what stands
 //! in the attributes is for print.
 
+mod annotate;
+mod area;
+mod map;
+mod write;
+
 use std::fmt::{self, Write as _};
 
+pub(crate) use write::escaped;
+
+use self::{
+    area::{Area, areas},
+    write::{line, number, text, through},
+};
 use super::{
-    Axis, Curve, Figure, Look, Mark, MarkKind, Panel, Rule, Scale, Symbol,
+    Axis, Curve, Figure, Look, Mark, MarkKind, Panel, Rule, Symbol,
     legend::{self, Entry, Key},
-    scale::{Ruler, equalise, roomy},
+    place::Obstacles,
     thin::{envelope, pieces, thin},
+    typeset,
 };
 
 /// Size of all text but the axes' names, in mm: 7 pt.
@@ -30,23 +42,15 @@ const BELOW: f64 = 9.2;
 const NAME_ROOM: f64 = 4.6;
 const TICK_GAP: f64 = 1.0;
 const PANEL_GAP: f64 = 5.0;
+/// Between the name of an axis and what is in the row below.
+const ROW_GAP: f64 = 2.0;
+/// Above an area that has a title.
+const TITLE_HEIGHT: f64 = 4.2;
 
 const INK: &str = "#1a1a1a";
 const FAINT: &str = "#dedede";
 const SHADE: &str = "#f1dfb6";
 const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif";
-
-/// An area between axes on the page, in mm.
-struct Area {
-    x: Ruler,
-    y: Ruler,
-    left: f64,
-    right: f64,
-    top: f64,
-    bottom: f64,
-    x_ticks: Vec<(f64, String)>,
-    y_ticks: Vec<(f64, String)>,
-}
 
 impl Figure {
     /// The figure as an SVG file, as large as it is to be printed.
@@ -64,7 +68,10 @@ impl Figure {
         let places = legend::places(&entries, width - 2.0 * MARGIN);
         let rows = places.last().map_or(0, |(_, row)| row + 1);
         let top = MARGIN + rows as f64 * legend::ROW_HEIGHT + TICK_GAP;
-        let areas = self.areas(top);
+        // The shades reach up to the frame, where the topmost tick may be.
+        let mapped = self.panels.iter().any(|panel| panel.map.is_some());
+        let top = top + if mapped { 0.8 } else { 0.0 };
+        let areas = areas(self, top);
         let bottom = areas.iter().map(|area| area.bottom).fold(top, f64::max);
         let height = bottom + BELOW + MARGIN;
         let width_text = number(width);
@@ -73,8 +80,16 @@ impl Figure {
             r#"<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{width_text}mm" height="{height}mm" viewBox="0 0 {width_text} {height}" font-family="{FONT}" font-size="{TEXT_SIZE}" fill="none" stroke-linejoin="round">"#,
             height = number(height),
         )?;
-        writeln!(svg, "<title>{}</title>", escaped(&self.title))?;
-        writeln!(svg, "<desc>{}</desc>", escaped(&self.caption))?;
+        writeln!(
+            svg,
+            "<title>{}</title>",
+            escaped(&typeset::plain(&self.title))
+        )?;
+        writeln!(
+            svg,
+            "<desc>{}</desc>",
+            escaped(&typeset::plain(&self.caption))
+        )?;
         writeln!(
             svg,
             r##"<rect class="paper" width="100%" height="100%" fill="#ffffff"/>"##
@@ -89,117 +104,6 @@ impl Figure {
         svg.push_str("</svg>\n");
         Ok(())
     }
-
-    /// The areas of the panels, side by side, each with room for its own ticks.
-    fn areas(&self, top: f64) -> Vec<Area> {
-        let count = self.panels.len().max(1) as f64;
-        let gaps = PANEL_GAP * (count - 1.0);
-        let share = (self.width.mm() - 2.0 * MARGIN - gaps) / count;
-        self.panels
-            .iter()
-            .enumerate()
-            .map(|(index, panel)| {
-                let left = MARGIN + index as f64 * (share + PANEL_GAP);
-                area(panel, left, left + share, top)
-            })
-            .collect()
-    }
-}
-
-/// The area of a panel between `left` and `right`, ticks and name of the vertical
-/// axis included.
-fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
-    let ranges = [range(panel, 0), range(panel, 1)];
-    // How wide the ticks' text is follows from them, and they hardly from that.
-    let mut inner = left + NAME_ROOM + 7.0;
-    let mut bottom = top + panel.height_mm;
-    let mut built = None;
-    for _ in 0..2 {
-        if panel.equal {
-            let [width, height] = ranges.map(|[low, high]| high - low);
-            let wanted = (right - inner) * height / width;
-            bottom = top + wanted.max(LEAST_HEIGHT).min(panel.height_mm);
-        }
-        let [x, y] = if panel.equal {
-            let (x, y) = equalise(ranges[0], ranges[1], right - inner, bottom - top);
-            [x, y]
-        } else {
-            ranges
-        };
-        let x = Ruler::new(panel.x.scale, x, [inner, right - 1.0]);
-        let y = Ruler::new(panel.y.scale, y, [bottom, top]);
-        let y_ticks = y.ticks(((bottom - top) / 7.5) as usize);
-        let text = y_ticks
-            .iter()
-            .map(|(_, text)| legend::text_width(text))
-            .fold(0.0, f64::max);
-        inner = left + NAME_ROOM + text + TICK_GAP;
-        built = Some((x, y, y_ticks));
-    }
-    let (x, y, y_ticks) = built.unwrap_or_else(|| {
-        let none = Ruler::new(Scale::Linear, [0.0, 1.0], [left, right]);
-        (none, none, Vec::new())
-    });
-    Area {
-        x_ticks: x.ticks(((right - inner) / 12.0) as usize),
-        y_ticks,
-        left: x.at(x.range[0]),
-        right: x.at(x.range[1]),
-        top,
-        bottom,
-        x,
-        y,
-    }
-}
-
-/// The ends of a panel's horizontal (0) or vertical (1) axis.
-fn range(panel: &Panel, axis: usize) -> [f64; 2] {
-    let description: &Axis = if axis == 0 { &panel.x } else { &panel.y };
-    let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
-    let mut take = |value: f64| {
-        if value.is_finite() {
-            ends = [ends[0].min(value), ends[1].max(value)];
-        }
-    };
-    for curve in &panel.curves {
-        let column = if axis == 0 { &curve.x } else { &curve.y };
-        column.iter().copied().for_each(&mut take);
-    }
-    for mark in &panel.marks {
-        mark.point
-            .get(axis)
-            .copied()
-            .into_iter()
-            .for_each(&mut take);
-    }
-    for bar in &panel.bars {
-        if axis == 0 {
-            bar.span.into_iter().for_each(&mut take);
-        } else {
-            take(bar.height);
-        }
-    }
-    description.include.into_iter().for_each(&mut take);
-    if ends[0] > ends[1] {
-        return [0.0, 1.0];
-    }
-    let histogram = !panel.bars.is_empty();
-    match description.scale {
-        Scale::Log => [
-            10_f64.powf(ends[0].max(1e-9).log10().floor()),
-            10_f64.powf((ends[1].max(1e-9) * (1.0 - 1e-9)).log10().ceil()),
-        ],
-        // Bars stand on the axis, and time begins at its edge.
-        Scale::Linear if axis == 0 && !panel.equal && ends[1] > ends[0] => ends,
-        Scale::Linear if histogram => [0.0, roomy(ends)[1]],
-        Scale::Linear => {
-            let roomy = roomy(ends);
-            match description.include {
-                Some(edge) if edge == ends[0] => [edge, roomy[1]],
-                _ => roomy,
-            }
-        }
-    }
 }
 
 fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
@@ -211,26 +115,19 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         ..
     } = *area;
     svg.push_str("<g>\n");
+    if !panel.title.is_empty() {
+        let middle = 0.5 * (left + right);
+        text(svg, [middle, top - 1.6], "middle", &panel.title)?;
+    }
+    if let Some(map) = &panel.map {
+        map::draw_bands(svg, map, area)?;
+    }
     for span in &panel.spans {
         draw_span(svg, panel.span_name, *span, area)?;
     }
-    for (value, _) in &area.x_ticks {
-        line(
-            svg,
-            "grid",
-            FAINT,
-            0.12,
-            [area.x.at(*value), top, area.x.at(*value), bottom],
-        )?;
-    }
-    for (value, _) in &area.y_ticks {
-        line(
-            svg,
-            "grid",
-            FAINT,
-            0.12,
-            [left, area.y.at(*value), right, area.y.at(*value)],
-        )?;
+    // On a map they would be taken for lines of equal value.
+    if panel.map.is_none() {
+        draw_grid(svg, area)?;
     }
     for bar in &panel.bars {
         let [from, to] = bar.span.map(|end| area.x.at(end));
@@ -243,6 +140,16 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
             number(to - from),
             number(bottom - high),
         )?;
+    }
+    let mut obstacles = obstacles(panel, area);
+    let labels = annotate::place(panel, area, &mut obstacles);
+    if let Some(map) = &panel.map {
+        let taken = labels.iter().map(|label| label.slot).collect();
+        let lines = map::isolines(map, area);
+        map::draw_isolines(svg, &lines, area, &mut obstacles, taken)?;
+    }
+    for level in &panel.levels {
+        annotate::draw_level(svg, level, area)?;
     }
     for curve in &panel.curves {
         draw_curve(svg, curve, area, panel.equal)?;
@@ -257,6 +164,9 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
     )?;
     for (index, rule) in panel.rules.iter().enumerate() {
         draw_rule(svg, rule, index, area)?;
+    }
+    for estimate in &panel.estimates {
+        annotate::draw_estimate(svg, estimate, area)?;
     }
     for mark in &panel.marks {
         draw_mark(svg, mark, area)?;
@@ -279,7 +189,7 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
     )?;
     let ticks = area.y_ticks.iter();
     let widest = ticks
-        .map(|(_, text)| legend::text_width(text))
+        .map(|(_, text)| typeset::width(text))
         .fold(0.0, f64::max);
     let (x, y) = (left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom));
     let place = format!(
@@ -288,8 +198,46 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         number(y)
     );
     axis_name(svg, &panel.y, &place)?;
+    annotate::draw_labels(svg, &labels)?;
     svg.push_str("</g>\n");
     Ok(())
+}
+
+fn draw_grid(svg: &mut String, area: &Area) -> fmt::Result {
+    for (value, _) in &area.x_ticks {
+        let x = area.x.at(*value);
+        line(svg, "grid", FAINT, 0.12, [x, area.top, x, area.bottom])?;
+    }
+    for (value, _) in &area.y_ticks {
+        let y = area.y.at(*value);
+        line(svg, "grid", FAINT, 0.12, [area.left, y, area.right, y])?;
+    }
+    Ok(())
+}
+
+/// What labels keep clear of. Only a panel with labels of its own needs them.
+fn obstacles(panel: &Panel, area: &Area) -> Obstacles {
+    let mut obstacles = Obstacles::default();
+    if panel.map.is_none() && panel.levels.is_empty() && panel.callouts.is_empty() {
+        return obstacles;
+    }
+    let place = |[x, y]: [f64; 2]| [area.x.at(x), area.y.at(y)];
+    for curve in &panel.curves {
+        for piece in pieces(curve.points().map(place)) {
+            obstacles.line(&thin(&piece, TOLERANCE));
+        }
+    }
+    for level in &panel.levels {
+        let y = area.y.at(level.value);
+        obstacles.line(&[[area.left, y], [area.right, y]]);
+    }
+    let marks = panel.marks.iter().map(|mark| mark.point);
+    let points = panel.callouts.iter().flat_map(|all| &all.points);
+    for [x, y] in marks.chain(points.map(|callout| callout.point)).map(place) {
+        obstacles.line(&[[x - 1.0, y - 1.0], [x + 1.0, y + 1.0]]);
+        obstacles.line(&[[x - 1.0, y + 1.0], [x + 1.0, y - 1.0]]);
+    }
+    obstacles
 }
 
 /// A shaded span, cut at the edges of the area.
@@ -330,10 +278,7 @@ fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt:
             envelope(&piece, COLUMN)
         };
         let piece = thin(&piece, TOLERANCE);
-        for (index, [x, y]) in piece.iter().enumerate() {
-            let command = if index == 0 { 'M' } else { 'L' };
-            write!(svg, "{command}{} {}", number(*x), number(*y))?;
-        }
+        through(svg, &piece)?;
         if piece.len() == 1 {
             // A dot, by the round cap.
             svg.push_str("h0");
@@ -350,6 +295,12 @@ const fn pen(look: Look) -> &'static str {
         Look::Measured => r##"stroke="#d59a4a" stroke-width="0.2" stroke-linecap="round""##,
         Look::Truth => r##"stroke="#2166ac" stroke-width="0.25" stroke-dasharray="1.1 0.6""##,
         Look::Lost => r##"stroke="#f1dfb6" stroke-width="2.2" stroke-linecap="butt""##,
+        Look::Other => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-dasharray="2.2 0.7""##,
+        Look::Boundary => r##"stroke="#1a1a1a" stroke-width="0.55" stroke-linecap="round""##,
+        Look::RangeEnd => r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="1.4 0.7""##,
+        Look::Asymptote => {
+            r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="2 0.6 0.3 0.6""##
+        }
     }
 }
 
@@ -358,7 +309,7 @@ fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::R
     line(svg, "rule", INK, 0.2, [x, area.top, x, area.bottom])?;
     // One below the other, on the right if there is room.
     let y = area.top + 3.0 + 3.2 * index as f64;
-    let room = area.right - x - legend::text_width(&rule.name);
+    let room = area.right - x - typeset::width(&rule.name);
     let (x, anchor) = if room < 1.5 {
         (x - 0.8, "end")
     } else {
@@ -384,22 +335,27 @@ fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
 
 /// The opening tag of a mark.
 fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> fmt::Result {
-    let (class, shape) = match kind {
-        MarkKind::Start => ("start", "m0 -1.25l1.2 2.1h-2.4z"),
+    let (shape, fill) = match kind {
+        MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", "#ffffff"),
         MarkKind::End => (
-            "end",
             "m-1.05 0a1.05 1.05 0 1 0 2.1 0a1.05 1.05 0 1 0 -2.1 0z",
+            "#ffffff",
         ),
+        MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
+        MarkKind::Known => ("m-0.9 -0.9l1.8 1.8m0 -1.8l-1.8 1.8", "none"),
     };
     write!(
         svg,
-        r##"<path class="mark {class}" d="M{} {}{shape}" fill="#ffffff" stroke="{INK}" stroke-width="0.35">"##,
+        r##"<path class="mark {}" d="M{} {}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">"##,
+        kind.class(),
         number(x),
         number(y),
     )
 }
 
 fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::Result {
+    let right = left + legend::KEY_WIDTH;
+    let centre = [0.5 * (left + right), middle];
     match entry.key {
         Key::Line(look) => writeln!(
             svg,
@@ -411,7 +367,7 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
             legend::KEY_WIDTH,
         )?,
         Key::Mark(kind) => {
-            mark_shape(svg, kind, [left + 0.5 * legend::KEY_WIDTH, middle])?;
+            mark_shape(svg, kind, centre)?;
             svg.push_str("</path>\n");
         }
         Key::Span => writeln!(
@@ -421,6 +377,14 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
             number(middle - 1.2),
             legend::KEY_WIDTH,
         )?,
+        Key::Shade(shade) => map::draw_key(svg, shade, left, middle)?,
+        Key::Isoline => map::draw_dotted(svg, "isoline", &[[left, middle], [right, middle]])?,
+        Key::Leader => annotate::draw_leader(svg, &[[left + 0.8, middle], [right, middle]])?,
+        Key::Estimate(kind) => {
+            annotate::draw_interval(svg, centre[0], [middle - 1.3, middle + 1.3])?;
+            mark_shape(svg, kind, centre)?;
+            svg.push_str("</path>\n");
+        }
     }
     let place = [left + legend::TEXT_OFFSET, middle + 0.85];
     text(svg, place, "start", &entry.name)
@@ -437,76 +401,11 @@ fn axis_name(svg: &mut String, axis: &Axis, place: &str) -> fmt::Result {
         if !axis.quantity.is_empty() {
             svg.push(' ');
         }
-        write!(
-            svg,
-            r#"<tspan font-style="italic">{}</tspan>"#,
-            escaped(letter)
-        )?;
-        if !below.is_empty() {
-            write!(
-                svg,
-                r#"<tspan font-size="70%" dy="0.7">{}</tspan><tspan dy="-0.7">&#8203;</tspan>"#,
-                escaped(below)
-            )?;
-        }
+        typeset::symbol(svg, letter, below)?;
     }
-    writeln!(svg, " ({})</text>", escaped(axis.unit))
-}
-
-fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, content: &str) -> fmt::Result {
-    writeln!(
-        svg,
-        r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{}" y="{}">{}</text>"#,
-        number(x),
-        number(y),
-        escaped(content)
-    )
-}
-
-fn line(
-    svg: &mut String,
-    class: &str,
-    colour: &str,
-    width: f64,
-    [x1, y1, x2, y2]: [f64; 4],
-) -> fmt::Result {
-    writeln!(
-        svg,
-        r#"<path class="{class}" stroke="{colour}" stroke-width="{width}" d="M{} {}L{} {}"/>"#,
-        number(x1),
-        number(y1),
-        number(x2),
-        number(y2)
-    )
-}
-
-/// A length to a hundredth of a mm, without needless digits.
-fn number(value: f64) -> String {
-    let text = format!("{value:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" {
-        "0".to_owned()
-    } else {
-        text.to_owned()
+    if !axis.unit.is_empty() {
+        write!(svg, " ({})", escaped(axis.unit))?;
     }
-}
-
-/// Text that means nothing to XML.
-pub(crate) fn escaped(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            // Not allowed in XML, not even escaped.
-            letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
-                escaped.push('\u{fffd}');
-            }
-            letter => escaped.push(letter),
-        }
-    }
-    escaped
+    svg.push_str("</text>\n");
+    Ok(())
 }

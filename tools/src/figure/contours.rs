@@ -1,0 +1,221 @@
+//! Where a grid reaches a value, on the page: rings around areas, and lines.
+
+use contour::contour_rings;
+
+use super::{Grid, scale::Ruler, thin::Piece};
+
+/// Stands for what is not a number: below every threshold.
+const BLANK: f64 = -1e300;
+/// Stands for infinity, since between two infinities there is no place.
+const FAR: f64 = 1e290;
+
+/// A grid on the page.
+pub(super) struct Sheet {
+    /// Where its columns and rows are, in mm.
+    x: Vec<f64>,
+    y: Vec<f64>,
+    /// Finite, row by row.
+    values: Vec<f64>,
+}
+
+/// A point of a ring.
+#[derive(Clone, Copy)]
+struct Crossing {
+    place: [f64; 2],
+    /// Whether the value is reached here; else the grid ends here.
+    reached: bool,
+}
+
+impl Sheet {
+    pub(super) fn new(grid: &Grid, x: &Ruler, y: &Ruler) -> Self {
+        let finite = |value: &f64| {
+            if value.is_nan() {
+                BLANK
+            } else {
+                value.clamp(-FAR, FAR)
+            }
+        };
+        Self {
+            x: grid.x().iter().map(|value| x.at(*value)).collect(),
+            y: grid.y().iter().map(|value| y.at(*value)).collect(),
+            values: grid.values().iter().map(finite).collect(),
+        }
+    }
+
+    /// The area of the values from one up to another, as rings: what is in an odd
+    /// number of them is in the area.
+    pub(super) fn area(&self, from: f64, to: f64) -> Vec<Piece> {
+        let mut rings = self.rings(from);
+        if to < f64::INFINITY {
+            rings.append(&mut self.rings(to));
+        }
+        let places = |ring: Vec<Crossing>| ring.iter().map(|crossing| crossing.place).collect();
+        rings.into_iter().map(places).collect()
+    }
+
+    /// The lines along which the value is reached. One that returns to its first point
+    /// ends there.
+    pub(super) fn lines(&self, value: f64) -> Vec<Piece> {
+        let mut lines = Vec::new();
+        for mut ring in self.rings(value) {
+            let Some(end) = ring.iter().position(|crossing| !crossing.reached) else {
+                lines.push(ring.iter().map(|crossing| crossing.place).collect());
+                continue;
+            };
+            // The last point is the first again.
+            ring.pop();
+            let end = end.min(ring.len());
+            ring.rotate_left(end);
+            let places = |piece: &[Crossing]| piece.iter().map(|point| point.place).collect();
+            lines.extend(ring.split(|point| !point.reached).map(places));
+        }
+        lines.retain(|line: &Piece| line.len() > 1);
+        lines
+    }
+
+    /// Rings around where the values are `threshold` or more, at the edge of the grid
+    /// and of what is blank as well.
+    fn rings(&self, threshold: f64) -> Vec<Vec<Crossing>> {
+        let threshold = threshold.max(-FAR);
+        // The grid's constructor has seen to the only error, a wrong number of values.
+        let rings = contour_rings(&self.values, threshold, self.x.len(), self.y.len());
+        rings
+            .unwrap_or_default()
+            .into_iter()
+            .map(|ring| {
+                ring.iter()
+                    .filter_map(|point| self.crossing(point.x, point.y, threshold))
+                    .collect()
+            })
+            .collect()
+    }
+
+    /// The point of a ring that lies halfway between two neighbours of the grid, whose
+    /// nodes are at 0.5, 1.5 and so on; moved to where the threshold is between them.
+    fn crossing(&self, x: f64, y: f64, threshold: f64) -> Option<Crossing> {
+        let node = |x: f64, y: f64| self.node((x - 0.5).round(), (y - 0.5).round());
+        let ends = if x.fract() == 0.0 {
+            [node(x - 0.5, y), node(x + 0.5, y)]
+        } else {
+            [node(x, y - 0.5), node(x, y + 0.5)]
+        };
+        match ends {
+            [Some((from, low)), Some((to, high))] => {
+                let part = (threshold - low) / (high - low);
+                let between = |from: f64, to: f64| from + part * (to - from);
+                Some(Crossing {
+                    place: [between(from[0], to[0]), between(from[1], to[1])],
+                    reached: true,
+                })
+            }
+            [Some((place, _)), None] | [None, Some((place, _))] => Some(Crossing {
+                place,
+                reached: false,
+            }),
+            [None, None] => None,
+        }
+    }
+
+    /// Place and value at a column and a row, if there are any.
+    fn node(&self, column: f64, row: f64) -> Option<([f64; 2], f64)> {
+        if column < 0.0 || row < 0.0 {
+            return None;
+        }
+        let (column, row) = (column as usize, row as usize);
+        let place = [*self.x.get(column)?, *self.y.get(row)?];
+        let value = *self.values.get(row * self.x.len() + column)?;
+        (value > BLANK).then_some((place, value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::Scale, *};
+
+    /// A function on 0 to 4 times 0 to 2, in mm of the same numbers.
+    fn sheet(value: impl FnMut(f64, f64) -> f64) -> Sheet {
+        let axis = |count: i32| (0..=count).map(|index| f64::from(index) * 0.5).collect();
+        let grid = Grid::of(axis(8), axis(4), value).unwrap();
+        let ruler = |end| Ruler::new(Scale::Linear, [0.0, end], [0.0, end]);
+        Sheet::new(&grid, &ruler(4.0), &ruler(2.0))
+    }
+
+    /// Of a ring less the others, which are within it.
+    fn area(rings: &[Piece]) -> f64 {
+        let ring = |ring: &Piece| -> f64 {
+            let edges = ring.windows(2);
+            edges
+                .map(|ends| 0.5 * (ends[0][0] * ends[1][1] - ends[1][0] * ends[0][1]))
+                .sum()
+        };
+        let others: f64 = rings.iter().skip(1).map(|other| ring(other).abs()).sum();
+        rings.first().map_or(0.0, |first| ring(first).abs()) - others
+    }
+
+    #[test]
+    fn a_linear_function_is_reached_exactly_and_to_the_edge() {
+        let sheet = sheet(|x, y| x + y);
+        let lines = sheet.lines(2.25);
+        assert_eq!(lines.len(), 1);
+        for [x, y] in &lines[0] {
+            assert!((x + y - 2.25).abs() < 1e-12);
+        }
+        let ends = [lines[0][0], lines[0][lines[0].len() - 1]];
+        assert!(
+            ends.contains(&[0.25, 2.0]) && ends.contains(&[2.25, 0.0]),
+            "{ends:?}"
+        );
+    }
+
+    #[test]
+    fn areas_between_values_are_as_large_as_they_should_be() {
+        let sheet = sheet(|x, y| x + y);
+        let all = [f64::NEG_INFINITY, f64::INFINITY];
+        assert!((area(&sheet.area(all[0], all[1])) - 8.0).abs() < 1e-12);
+        assert!((area(&sheet.area(all[0], 2.0)) - 2.0).abs() < 1e-12);
+        assert!((area(&sheet.area(2.0, 4.0)) - 4.0).abs() < 1e-12);
+        assert!(sheet.area(7.0, all[1]).is_empty());
+    }
+
+    #[test]
+    fn a_round_hill_has_closed_lines() {
+        let sheet = sheet(|x, y| -(x - 2.0).hypot(y - 1.0));
+        let lines = sheet.lines(-0.75);
+        assert_eq!(lines.len(), 1);
+        assert_eq!(lines[0][0], lines[0][lines[0].len() - 1]);
+    }
+
+    #[test]
+    fn a_constant_has_no_line_and_is_wholly_in_its_band() {
+        let sheet = sheet(|_, _| 3.0);
+        assert!(sheet.lines(3.0).is_empty() && sheet.lines(2.0).is_empty());
+        assert!((area(&sheet.area(3.0, 4.0)) - 8.0).abs() < 1e-12);
+        assert!(
+            sheet.area(2.0, 3.0).len() == 2,
+            "the ring and itself: nothing"
+        );
+        assert!(area(&[sheet.area(2.0, 3.0)[0].clone()]) > 7.9);
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_in_no_area_and_has_no_line_around_it() {
+        let sheet = sheet(|x, _| if x < 1.6 { f64::NAN } else { x });
+        let all = sheet.area(f64::NEG_INFINITY, f64::INFINITY);
+        assert!((area(&all) - 4.0).abs() < 1e-12, "from x = 2 on");
+        assert!(sheet.lines(1.0).is_empty());
+        let line = &sheet.lines(3.25)[0];
+        assert!(line.iter().all(|[x, _]| (x - 3.25).abs() < 1e-12));
+    }
+
+    #[test]
+    fn infinity_is_more_than_any_value_and_has_a_place() {
+        let sheet = sheet(|x, _| if x > 2.9 { f64::INFINITY } else { x });
+        let more = sheet.area(100.0, f64::INFINITY);
+        assert!(
+            more.iter()
+                .flatten()
+                .all(|[x, y]| x.is_finite() && y.is_finite())
+        );
+        assert!((area(&more) - 3.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,207 @@
+//! What is written beside lines and points, where there is room.
+
+use std::fmt::{self, Write as _};
+
+use super::{
+    INK, TEXT_SIZE,
+    area::Area,
+    map::draw_dotted,
+    mark_shape, pen,
+    write::{label, line, number, through},
+};
+use crate::figure::{
+    Estimate, Level, Panel,
+    place::{Obstacles, Segment, Slot},
+    svg::escaped,
+    typeset,
+};
+
+/// Half the height of a label's slot, in mm: 'x' and figures, not every descender.
+const HALF_HEIGHT: f64 = 0.42 * TEXT_SIZE;
+/// From a line to a label beside it, in mm.
+const ASIDE: f64 = 0.9;
+/// How long a leader may be, in mm.
+const LEADERS: [f64; 6] = [3.5, 5.0, 7.0, 9.0, 12.0, 15.0];
+/// Directions a leader may have, all round.
+const DIRECTIONS: i32 = 24;
+/// Half the width of an interval's ends, in mm.
+const CAP: f64 = 0.7;
+
+/// A label with its place.
+pub(super) struct Placed<'a> {
+    pub(super) slot: Slot,
+    text: &'a str,
+    /// From the point that it is about.
+    leader: Option<Segment>,
+}
+
+/// The labels of a panel's levels and callouts, each clear of the obstacles, to which
+/// they are added.
+pub(super) fn place<'a>(
+    panel: &'a Panel,
+    area: &Area,
+    obstacles: &mut Obstacles,
+) -> Vec<Placed<'a>> {
+    let mut placed = Vec::new();
+    for level in &panel.levels {
+        if let Some(slot) = beside(level, area, obstacles) {
+            obstacles.label(&slot);
+            let text = level.label.as_str();
+            placed.push(Placed {
+                slot,
+                text,
+                leader: None,
+            });
+        }
+    }
+    for callouts in &panel.callouts {
+        let mut before = None;
+        for callout in &callouts.points {
+            let point = [area.x.at(callout.point[0]), area.y.at(callout.point[1])];
+            let found = led(point, &callout.label, area, obstacles, before);
+            if let Some((slot, leader, direction)) = found {
+                obstacles.label(&slot);
+                obstacles.line(&leader);
+                before = Some(direction);
+                placed.push(Placed {
+                    slot,
+                    text: &callout.label,
+                    leader: Some(leader),
+                });
+            }
+        }
+    }
+    placed
+}
+
+/// Beside a level, above or below, as far right as there is room.
+fn beside(level: &Level, area: &Area, obstacles: &Obstacles) -> Option<Slot> {
+    let width = typeset::width(&level.label);
+    if width == 0.0 || !area.y.holds(level.value) {
+        return None;
+    }
+    let y = area.y.at(level.value);
+    let half = 0.5 * width;
+    let steps = ((area.right - area.left) / 2.0) as usize;
+    (0..steps)
+        .flat_map(|step| [(step, -1.0), (step, 1.0)])
+        .map(|(step, side)| Slot {
+            centre: [
+                area.right - 1.5 - half - 2.0 * step as f64,
+                y + side * (HALF_HEIGHT + ASIDE),
+            ],
+            half: [half, HALF_HEIGHT],
+            angle: 0.0,
+        })
+        .find(|slot| area.holds(slot) && obstacles.is_free(slot))
+}
+
+/// At the end of a leader from a point: a short one, in about the direction of the
+/// one before.
+fn led(
+    point: [f64; 2],
+    text: &str,
+    area: &Area,
+    obstacles: &Obstacles,
+    before: Option<f64>,
+) -> Option<(Slot, Segment, f64)> {
+    let half = [0.5 * typeset::width(text), HALF_HEIGHT];
+    let mut best: Option<(f64, Slot, Segment, f64)> = None;
+    for reach in LEADERS {
+        for index in 0..DIRECTIONS {
+            let direction = std::f64::consts::TAU * f64::from(index) / f64::from(DIRECTIONS);
+            let (sin, cos) = direction.sin_cos();
+            let end = [point[0] + reach * cos, point[1] + reach * sin];
+            // The leader ends at the nearest edge of the text.
+            let slot = Slot {
+                centre: [
+                    end[0] + cos * (half[0] + ASIDE),
+                    end[1] + sin * (half[1] + ASIDE),
+                ],
+                half,
+                angle: 0.0,
+            };
+            let leader = [point, end];
+            if !area.holds(&slot) || !obstacles.is_free(&slot) {
+                continue;
+            }
+            let turn = before.map_or(0.0, |before: f64| 1.0 - (direction - before).cos());
+            let crossings = obstacles.crossings(leader) as f64;
+            let cost = reach + 3.0 * turn + 20.0 * crossings + 0.1 * obstacles.beneath(&slot);
+            if best.is_none_or(|(least, ..)| cost < least - 1e-9) {
+                best = Some((cost, slot, leader, direction));
+            }
+        }
+    }
+    best.map(|(_, slot, leader, direction)| (slot, leader, direction))
+}
+
+/// The leaders, their points and all the texts.
+pub(super) fn draw_labels(svg: &mut String, placed: &[Placed]) -> fmt::Result {
+    for Placed { slot, text, leader } in placed {
+        if let Some(leader) = leader {
+            draw_leader(svg, leader)?;
+        }
+        label(svg, slot, text)?;
+    }
+    Ok(())
+}
+
+/// A dotted line from a point.
+pub(super) fn draw_leader(svg: &mut String, leader: &Segment) -> fmt::Result {
+    draw_dotted(svg, "leader", leader)?;
+    let [x, y] = leader[0];
+    writeln!(
+        svg,
+        r#"<circle class="point" cx="{}" cy="{}" r="0.62" fill="{INK}"/>"#,
+        number(x),
+        number(y)
+    )
+}
+
+/// The line of a level, without its label.
+pub(super) fn draw_level(svg: &mut String, level: &Level, area: &Area) -> fmt::Result {
+    if !area.y.holds(level.value) {
+        return Ok(());
+    }
+    let y = area.y.at(level.value);
+    write!(
+        svg,
+        r#"<path class="{}" {} d=""#,
+        level.look.class(),
+        pen(level.look)
+    )?;
+    through(svg, &[[area.left, y], [area.right, y]])?;
+    let name = escaped(&typeset::plain(&level.name));
+    writeln!(svg, r#""><title>{name}: {}</title></path>"#, level.value)
+}
+
+/// A point with its interval.
+pub(super) fn draw_estimate(svg: &mut String, estimate: &Estimate, area: &Area) -> fmt::Result {
+    let x = area.x.at(estimate.x);
+    let value = area.y.at(estimate.value);
+    if !(x.is_finite() && value.is_finite()) {
+        return Ok(());
+    }
+    let [low, high] = estimate.interval.map(|end| area.y.at(end));
+    if low.is_finite() && high.is_finite() {
+        draw_interval(svg, x, [low, high])?;
+    }
+    mark_shape(svg, estimate.kind, [x, value])?;
+    let [low, high] = estimate.interval;
+    let name = escaped(&typeset::plain(&estimate.name));
+    writeln!(
+        svg,
+        "<title>{name}: {} ({low} to {high})</title></path>",
+        estimate.value
+    )
+}
+
+/// A vertical interval with its ends.
+pub(super) fn draw_interval(svg: &mut String, x: f64, [low, high]: [f64; 2]) -> fmt::Result {
+    line(svg, "interval", INK, 0.25, [x, low, x, high])?;
+    for end in [low, high] {
+        line(svg, "interval", INK, 0.25, [x - CAP, end, x + CAP, end])?;
+    }
+    Ok(())
+}

@@ -1,0 +1,194 @@
+//! Where the panels of a figure lie on its page.
+
+use super::{BELOW, LEAST_HEIGHT, MARGIN, NAME_ROOM, PANEL_GAP, ROW_GAP, TICK_GAP, TITLE_HEIGHT};
+use crate::figure::{
+    Axis, Figure, Panel, Scale,
+    place::Slot,
+    scale::{Ruler, equalise, roomy},
+    typeset,
+};
+
+/// An area between axes on the page, in mm.
+pub(super) struct Area {
+    pub(super) x: Ruler,
+    pub(super) y: Ruler,
+    pub(super) left: f64,
+    pub(super) right: f64,
+    pub(super) top: f64,
+    pub(super) bottom: f64,
+    pub(super) x_ticks: Vec<(f64, String)>,
+    pub(super) y_ticks: Vec<(f64, String)>,
+}
+
+/// How far from the frame a label stays, in mm.
+const INSET: f64 = 0.5;
+/// Ticks that reach in, in mm.
+const TICK: f64 = 0.9;
+
+impl Area {
+    /// Whether a label is wholly within the frame.
+    pub(super) fn holds(&self, slot: &Slot) -> bool {
+        slot.corners().iter().all(|[x, y]| {
+            (self.left + INSET..=self.right - INSET).contains(x)
+                && (self.top + INSET..=self.bottom - TICK - INSET).contains(y)
+        })
+    }
+}
+
+/// The areas of the panels, side by side in their rows, each with room for its own
+/// ticks.
+pub(super) fn areas(figure: &Figure, top: f64) -> Vec<Area> {
+    let mut areas = Vec::new();
+    let mut top = top;
+    for row in figure.panels.chunk_by(|_, next| !next.begins_row) {
+        let titled = row.iter().any(|panel| !panel.title.is_empty());
+        let title = if titled { TITLE_HEIGHT } else { 0.0 };
+        let gaps = PANEL_GAP * (row.len() as f64 - 1.0);
+        let share = (figure.width.mm() - 2.0 * MARGIN - gaps) / row.len() as f64;
+        let row = row.iter().enumerate().map(|(index, panel)| {
+            let left = MARGIN + index as f64 * (share + PANEL_GAP);
+            area(panel, left, left + share, top + title)
+        });
+        let row: Vec<Area> = row.collect();
+        let bottom = row.iter().map(|area| area.bottom).fold(top, f64::max);
+        top = bottom + BELOW + ROW_GAP;
+        areas.extend(row);
+    }
+    areas
+}
+
+/// The area of a panel between `left` and `right`, ticks and name of the vertical
+/// axis included.
+fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
+    let ranges = [range(panel, 0), range(panel, 1)];
+    // How wide the ticks' text is follows from them, and they hardly from that.
+    let mut inner = left + NAME_ROOM + 7.0;
+    let mut bottom = top + panel.height_mm;
+    let mut built = None;
+    for _ in 0..2 {
+        if panel.equal {
+            let [width, height] = ranges.map(|[low, high]| high - low);
+            let wanted = (right - inner) * height / width;
+            bottom = top + wanted.max(LEAST_HEIGHT).min(panel.height_mm);
+        }
+        let [x, y] = if panel.equal {
+            let (x, y) = equalise(ranges[0], ranges[1], right - inner, bottom - top);
+            [x, y]
+        } else {
+            ranges
+        };
+        let x = Ruler::new(panel.x.scale, x, [inner, right - 1.0]);
+        let y = Ruler::new(panel.y.scale, y, [bottom, top]);
+        let y_ticks = y.ticks(((bottom - top) / 7.5) as usize);
+        let text = y_ticks
+            .iter()
+            .map(|(_, text)| typeset::width(text))
+            .fold(0.0, f64::max);
+        inner = left + NAME_ROOM + text + TICK_GAP;
+        built = Some((x, y, y_ticks));
+    }
+    let (x, y, y_ticks) = built.unwrap_or_else(|| {
+        let none = Ruler::new(Scale::Linear, [0.0, 1.0], [left, right]);
+        (none, none, Vec::new())
+    });
+    // Maps are read at both axes.
+    let x_tick = if panel.map.is_some() { 8.0 } else { 12.0 };
+    Area {
+        x_ticks: x.ticks(((right - inner) / x_tick) as usize),
+        y_ticks,
+        left: x.at(x.range[0]),
+        right: x.at(x.range[1]),
+        top,
+        bottom,
+        x,
+        y,
+    }
+}
+
+/// The ends of a panel's horizontal (0) or vertical (1) axis.
+fn range(panel: &Panel, axis: usize) -> [f64; 2] {
+    let description: &Axis = if axis == 0 { &panel.x } else { &panel.y };
+    let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
+    let mut take = |value: f64| {
+        if value.is_finite() {
+            ends = [ends[0].min(value), ends[1].max(value)];
+        }
+    };
+    if let Some(map) = &panel.map {
+        let values = if axis == 0 {
+            map.grid.x()
+        } else {
+            map.grid.y()
+        };
+        values.iter().copied().for_each(&mut take);
+    }
+    for curve in &panel.curves {
+        let column = if axis == 0 { &curve.x } else { &curve.y };
+        column.iter().copied().for_each(&mut take);
+    }
+    for mark in &panel.marks {
+        mark.point
+            .get(axis)
+            .copied()
+            .into_iter()
+            .for_each(&mut take);
+    }
+    for callout in panel.callouts.iter().flat_map(|all| &all.points) {
+        callout
+            .point
+            .get(axis)
+            .copied()
+            .into_iter()
+            .for_each(&mut take);
+    }
+    for estimate in &panel.estimates {
+        if axis == 0 {
+            take(estimate.x);
+        } else {
+            take(estimate.value);
+            estimate.interval.into_iter().for_each(&mut take);
+        }
+    }
+    if axis == 1 {
+        panel
+            .levels
+            .iter()
+            .map(|level| level.value)
+            .for_each(&mut take);
+    }
+    for bar in &panel.bars {
+        if axis == 0 {
+            bar.span.into_iter().for_each(&mut take);
+        } else {
+            take(bar.height);
+        }
+    }
+    description.include.into_iter().for_each(&mut take);
+    if ends[0] > ends[1] {
+        return [0.0, 1.0];
+    }
+    let histogram = !panel.bars.is_empty();
+    match description.scale {
+        Scale::Named(names) => [0.5, names.len() as f64 + 0.5],
+        // A map fills its frame.
+        _ if panel.map.is_some() => ends,
+        Scale::Log => [
+            10_f64.powf(ends[0].max(1e-9).log10().floor()),
+            10_f64.powf((ends[1].max(1e-9) * (1.0 - 1e-9)).log10().ceil()),
+        ],
+        // Bars stand on the axis, and time begins at its edge.
+        Scale::Linear
+            if axis == 0 && !panel.equal && panel.estimates.is_empty() && ends[1] > ends[0] =>
+        {
+            ends
+        }
+        Scale::Linear if histogram => [0.0, roomy(ends)[1]],
+        Scale::Linear => {
+            let roomy = roomy(ends);
+            match description.include {
+                Some(edge) if edge == ends[0] => [edge, roomy[1]],
+                _ => roomy,
+            }
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! A map: shades, and lines of equal value with their labels.
+
+use std::fmt::{self, Write as _};
+
+use super::{
+    INK, TEXT_SIZE,
+    area::Area,
+    write::{label, number, through},
+};
+use crate::figure::{
+    Isoline, Map, Shade,
+    contours::Sheet,
+    hatch::hatch,
+    legend,
+    place::{Obstacles, RIM, Slot, interrupted, length, segments},
+    svg::escaped,
+    thin::{Piece, thin},
+    typeset,
+};
+
+/// Of an area's edge nothing smaller than this can be seen, in mm.
+const TOLERANCE: f64 = 0.02;
+/// How a hatch looks.
+const HATCH_WIDTH: f64 = 0.15;
+/// A label that would read downwards more steeply than this reads upwards, in rad.
+const STEEP: f64 = 1.4;
+/// A piece of a line that is not the longest has a label of its own from this length
+/// on, in mm.
+const LONG: f64 = 25.0;
+/// A line that is longer than this has more than one label, in mm.
+const EVERY: f64 = 40.0;
+/// Places that cost more than this are worse than no label.
+const WORST: f64 = 3.5;
+/// Candidates for a label are so far from each other along a line, in mm.
+const STEP: f64 = 0.7;
+
+/// The shades, in their order.
+pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area) -> fmt::Result {
+    let sheet = Sheet::new(&map.grid, &area.x, &area.y);
+    for band in &map.bands {
+        let rings: Vec<Piece> = sheet
+            .area(band.from, band.to)
+            .iter()
+            .map(|ring| thin(ring, TOLERANCE))
+            .collect();
+        draw_shade(svg, band.shade, &rings)?;
+        let name = escaped(&typeset::plain(&band.name));
+        writeln!(svg, "<title>{name}</title></path>")?;
+    }
+    Ok(())
+}
+
+/// What is in an odd number of the rings, as an open element.
+fn draw_shade(svg: &mut String, shade: Shade, rings: &[Piece]) -> fmt::Result {
+    open_shade(svg, shade)?;
+    if shade == Shade::Hatched {
+        for [from, to] in hatch(rings) {
+            through(svg, &[from, to])?;
+        }
+    } else {
+        for ring in rings {
+            through(svg, ring)?;
+            svg.push('z');
+        }
+    }
+    svg.push_str("\">");
+    Ok(())
+}
+
+/// A shade's sample in a legend.
+pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -> fmt::Result {
+    let (right, [top, bottom]) = (left + legend::KEY_WIDTH, [middle - 1.2, middle + 1.2]);
+    let ring = vec![
+        [left, top],
+        [right, top],
+        [right, bottom],
+        [left, bottom],
+        [left, top],
+    ];
+    draw_shade(svg, shade, &[ring])?;
+    svg.push_str("</path>\n");
+    Ok(())
+}
+
+/// A dotted line.
+pub(super) fn draw_dotted(svg: &mut String, class: &str, points: &[[f64; 2]]) -> fmt::Result {
+    open_dotted(svg, class)?;
+    through(svg, points)?;
+    svg.push_str("\"/>\n");
+    Ok(())
+}
+
+/// The opening of a dotted path, up to its data: dotted in print as on a screen.
+fn open_dotted(svg: &mut String, class: &str) -> fmt::Result {
+    write!(
+        svg,
+        r#"<path class="{class}" stroke="{INK}" stroke-width="0.24" stroke-linecap="round" stroke-dasharray="0.01 0.62" d=""#
+    )
+}
+
+/// The opening of a path that is a shade, up to its data.
+fn open_shade(svg: &mut String, shade: Shade) -> fmt::Result {
+    let class = shade.class();
+    match grey(shade) {
+        Some(grey) => write!(
+            svg,
+            r#"<path class="shade {class}" fill="{grey}" fill-rule="evenodd" d=""#
+        ),
+        None => write!(
+            svg,
+            r#"<path class="shade {class}" stroke="{INK}" stroke-width="{HATCH_WIDTH}" d=""#
+        ),
+    }
+}
+
+const fn grey(shade: Shade) -> Option<&'static str> {
+    match shade {
+        Shade::Palest => Some("#f3f3f3"),
+        Shade::Light => Some("#e0e0e0"),
+        Shade::Medium => Some("#c6c6c6"),
+        Shade::Dark => Some("#a6a6a6"),
+        Shade::Hatched => None,
+    }
+}
+
+/// A line of equal value on the page.
+pub(super) struct Drawn<'a> {
+    isoline: &'a Isoline,
+    pieces: Vec<Piece>,
+}
+
+/// The lines of equal value, where they reach.
+pub(super) fn isolines<'a>(map: &'a Map, area: &Area) -> Vec<Drawn<'a>> {
+    let sheet = Sheet::new(&map.grid, &area.x, &area.y);
+    let drawn = map.isolines.iter().map(|isoline| Drawn {
+        isoline,
+        pieces: sheet.lines(isoline.value),
+    });
+    drawn.filter(|drawn| !drawn.pieces.is_empty()).collect()
+}
+
+/// Draws them with their labels, which keep clear of the obstacles and of each other.
+pub(super) fn draw_isolines(
+    svg: &mut String,
+    lines: &[Drawn],
+    area: &Area,
+    obstacles: &mut Obstacles,
+    mut taken: Vec<Slot>,
+) -> fmt::Result {
+    for piece in lines.iter().flat_map(|line| &line.pieces) {
+        obstacles.faint_line(&thin(piece, TOLERANCE));
+    }
+    let mut labels = Vec::new();
+    for line in lines {
+        let width = typeset::width(&line.isoline.label);
+        if width == 0.0 {
+            continue;
+        }
+        let extent = |piece: &Piece| segments(piece).map(length).sum::<f64>();
+        let longest = line.pieces.iter().map(extent).fold(0.0, f64::max);
+        for piece in &line.pieces {
+            if extent(piece) < longest.min(LONG) {
+                continue;
+            }
+            let parts = (extent(piece) / EVERY).floor().max(1.0) as usize;
+            let walk = Walk::along(piece);
+            for part in 0..parts {
+                let share = [part, part + 1].map(|end| end as f64 / parts as f64);
+                if let Some(slot) = room(&walk, share, width, area, obstacles) {
+                    obstacles.label(&slot);
+                    taken.push(slot);
+                    labels.push((slot, &line.isoline.label));
+                }
+            }
+        }
+    }
+    for line in lines {
+        open_dotted(svg, "isoline")?;
+        for piece in &line.pieces {
+            for piece in interrupted(piece, &taken) {
+                through(svg, &thin(&piece, TOLERANCE))?;
+            }
+        }
+        let value = number_or_label(line.isoline);
+        writeln!(svg, r#""><title>{value}</title></path>"#)?;
+    }
+    for (slot, text) in labels {
+        label(svg, &slot, text)?;
+    }
+    Ok(())
+}
+
+fn number_or_label(isoline: &Isoline) -> String {
+    if isoline.label.is_empty() {
+        number(isoline.value)
+    } else {
+        escaped(&typeset::plain(&isoline.label))
+    }
+}
+
+/// The best place for a label of that width in a line between two parts of its
+/// length, if there is any.
+fn room(
+    walk: &Walk,
+    share: [f64; 2],
+    width: f64,
+    area: &Area,
+    obstacles: &Obstacles,
+) -> Option<Slot> {
+    let [start, end] = share.map(|part| part * walk.length());
+    let half = 0.5 * width + 0.5;
+    let count = ((end - start - 2.0 * half) / STEP).floor();
+    if count < 0.0 {
+        return None;
+    }
+    let mut best: Option<(f64, Slot)> = None;
+    for index in 0..=count as usize {
+        let middle = start + half + index as f64 * STEP;
+        let (from, to) = (walk.at(middle - half)?, walk.at(middle + half)?);
+        let on_line = walk.at(middle)?;
+        let centre = [0.5 * (from[0] + to[0]), 0.5 * (from[1] + to[1])];
+        let bend = length([centre, on_line]) + (2.0 * half - length([from, to])).abs();
+        let mut angle = (to[1] - from[1]).atan2(to[0] - from[0]);
+        // Never upside down, and steep ones read upwards.
+        let half_turn = std::f64::consts::PI;
+        if angle > STEEP {
+            angle -= half_turn;
+        } else if angle < STEEP - half_turn {
+            angle += half_turn;
+        }
+        let slot = Slot {
+            centre,
+            half: [half, 0.42 * TEXT_SIZE],
+            angle,
+        };
+        if !area.holds(&slot) || !obstacles.is_free(&slot) {
+            continue;
+        }
+        // The line itself is beneath every slot.
+        let others = (obstacles.beneath(&slot) - 2.0 * (half + RIM)).max(0.0);
+        let aside = ((middle - start) / (end - start) - 0.5).abs();
+        let cost = 2.0 * bend + others + aside + 0.8 * angle.sin().abs();
+        if best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, slot));
+        }
+    }
+    let (_, slot) = best.filter(|(cost, _)| *cost < WORST)?;
+    Some(slot)
+}
+
+/// A line by the way along it.
+struct Walk<'a> {
+    points: &'a [[f64; 2]],
+    /// From the first point to each, in mm.
+    way: Vec<f64>,
+}
+
+impl<'a> Walk<'a> {
+    fn along(points: &'a [[f64; 2]]) -> Self {
+        let mut so_far = 0.0;
+        let mut way = vec![0.0];
+        way.extend(segments(points).map(|segment| {
+            so_far += length(segment);
+            so_far
+        }));
+        Self { points, way }
+    }
+
+    fn length(&self) -> f64 {
+        self.way.last().copied().unwrap_or(0.0)
+    }
+
+    fn at(&self, way: f64) -> Option<[f64; 2]> {
+        let next = self.way.partition_point(|end| *end < way).max(1);
+        let (Some(to), Some(end)) = (self.points.get(next), self.way.get(next)) else {
+            return self.points.last().copied();
+        };
+        let (from, start) = (self.points.get(next - 1)?, self.way.get(next - 1)?);
+        let part = if end > start {
+            (way - start) / (end - start)
+        } else {
+            0.0
+        };
+        Some([
+            from[0] + part * (to[0] - from[0]),
+            from[1] + part * (to[1] - from[1]),
+        ])
+    }
+}
