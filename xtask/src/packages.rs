@@ -1,12 +1,14 @@
 //! Each package must build alone. In the workspace's build a package has the
-//! features that any other asks for, which hides the ones it forgot.
+//! features that any other asks for, which hides the ones it forgot. (The suites for
+//! hardware in the loop and for faults are built alone to be run.)
 
 use crate::step::{Failure, cargo, check};
 
-const PACKAGES: [&str; 13] = [
+const PACKAGES: [&str; 12] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
+    "singletrack-analysis",
     "singletrack-mocap",
     "singletrack-link",
     "singletrack-record",
@@ -14,8 +16,6 @@ const PACKAGES: [&str; 13] = [
     "singletrack-simavr",
     "singletrack-sim",
     "singletrack",
-    "singletrack-hil",
-    "singletrack-faults",
     "singletrack-fuzz",
 ];
 

@@ -15,7 +15,12 @@ pub(super) struct EigenvaluesArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Speeds of the steady motion, in m/s
-    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.1")]
+    #[arg(
+        long,
+        value_name = "A:B:STEP",
+        allow_hyphen_values = true,
+        default_value = "0.1:8:0.1"
+    )]
     speeds: Grid,
     /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
     #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]

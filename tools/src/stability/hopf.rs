@@ -14,7 +14,12 @@ pub(super) struct HopfArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Speeds of the steady motion, in m/s
-    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
+    #[arg(
+        long,
+        value_name = "A:B:STEP",
+        allow_hyphen_values = true,
+        default_value = "0.1:8:0.05"
+    )]
     speeds: Grid,
     /// How to write them
     #[arg(long, value_enum, default_value_t = HopfFormat::Csv)]

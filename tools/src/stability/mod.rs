@@ -64,7 +64,12 @@ struct CarArgs {
     #[arg(long, value_name = "FILE")]
     vehicle: Option<PathBuf>,
     /// Distance p of the point P, in m
-    #[arg(long, value_name = "M", default_value_t = 0.35)]
+    #[arg(
+        long,
+        value_name = "M",
+        allow_negative_numbers = true,
+        default_value_t = 0.35
+    )]
     point_distance: f64,
 }
 

@@ -15,7 +15,12 @@ pub(super) struct SampledArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Speeds of the steady motion, in m/s
-    #[arg(long, value_name = "A:B:STEP", default_value = "0.25:5:0.25")]
+    #[arg(
+        long,
+        value_name = "A:B:STEP",
+        allow_hyphen_values = true,
+        default_value = "0.25:5:0.25"
+    )]
     speeds: Grid,
     /// Deviations dl of the centre of mass, in m [default: 21 over the meaningful range]
     #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
@@ -31,16 +36,31 @@ pub(super) struct SampledArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub struct TimingArgs {
     /// Period of the controller, in ms
-    #[arg(long, value_name = "MS", default_value_t = 10.0)]
+    #[arg(
+        long,
+        value_name = "MS",
+        allow_negative_numbers = true,
+        default_value_t = 10.0
+    )]
     pub period_ms: f64,
     /// From a tick's measurement until its command acts, in ms
-    #[arg(long, value_name = "MS", default_value_t = 10.0)]
+    #[arg(
+        long,
+        value_name = "MS",
+        allow_negative_numbers = true,
+        default_value_t = 10.0
+    )]
     pub delay_ms: f64,
     /// Ticks from one seen pose to the next; in between it is held
     #[arg(long, value_name = "TICKS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub marker_interval: u32,
     /// Gain of a proportional position loop around the law, in 1/s; 0 for the law alone
-    #[arg(long, value_name = "K", default_value_t = 0.0)]
+    #[arg(
+        long,
+        value_name = "K",
+        allow_negative_numbers = true,
+        default_value_t = 0.0
+    )]
     pub position_gain: f64,
 }
 
