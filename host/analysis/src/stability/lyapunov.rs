@@ -135,3 +135,106 @@ fn parts<const N: usize>(vector: &Vector) -> [[f64; N]; 2] {
     };
     [part(|entry| entry.re), part(|entry| entry.im)]
 }
+
+#[cfg(test)]
+mod tests {
+    use singletrack_control::VehicleParameters;
+
+    use super::*;
+    use crate::stability::{Belief, HopfPoint, hopf_points};
+
+    /// How fast the amplitude of an oscillation grows, in 1/s, by integrating the
+    /// equations themselves, and the mean of its square meanwhile.
+    fn simulated_growth<const N: usize>(
+        field: &impl VectorField<N>,
+        jacobian: &DMatrix<f64>,
+        frequency: f64,
+        amplitude: f64,
+    ) -> [f64; 2] {
+        let a = jacobian.map(|entry| Complex::new(entry, 0.0));
+        let i_omega = Complex::new(0.0, frequency);
+        let identity = DMatrix::identity(N, N);
+        let q = null_vector(&a - &identity * i_omega).unwrap();
+        let p = null_vector(a.transpose() + &identity * i_omega).unwrap();
+        let p = &p / p.dotc(&q).conj();
+
+        let [mut state, _] = parts::<N>(&(&q * Complex::new(2.0 * amplitude, 0.0)));
+        let fastest = jacobian.norm();
+        let period = 2.0 * core::f64::consts::PI / frequency;
+        let steps = (period * fastest).ceil().max(400.0) as usize;
+        let step = period / steps as f64;
+        // By how much it grows is in the means over whole periods.
+        let mut means = Vec::new();
+        for _ in 0..12 {
+            let (mut logarithm, mut square) = (0.0, 0.0);
+            for _ in 0..steps {
+                let add = |state: [f64; N], slope: [f64; N], by: f64| {
+                    let mut sum = state;
+                    sum.iter_mut().zip(slope).for_each(|(x, s)| *x += by * s);
+                    sum
+                };
+                let first = field.slope(state);
+                let second = field.slope(add(state, first, 0.5 * step));
+                let third = field.slope(add(state, second, 0.5 * step));
+                let fourth = field.slope(add(state, third, step));
+                for (slope, weight) in [(first, 1.0), (second, 2.0), (third, 2.0), (fourth, 1.0)] {
+                    state = add(state, slope, step * weight / 6.0);
+                }
+                let z = p.dotc(&Vector::from_iterator(
+                    N,
+                    state.iter().map(|x| Complex::new(*x, 0.0)),
+                ));
+                logarithm += libm::log(z.norm()) / steps as f64;
+                square += z.norm_sqr() / steps as f64;
+            }
+            means.push([logarithm, square]);
+        }
+        let (first, last) = (means[1], means[11]);
+        [
+            (last[0] - first[0]) / (10.0 * period),
+            0.5 * (first[1] + last[1]),
+        ]
+    }
+
+    /// Near a Hopf point an oscillation z of amplitude |z| grows with the rate
+    /// Re λ + Re c₁ |z|², and Re c₁ = ω l₁.
+    #[test]
+    fn oscillations_of_the_equations_grow_as_the_coefficient_says() {
+        for (law, speed) in [
+            (Law::FrontPoint, 0.5),
+            (Law::FrontPoint, 3.0),
+            (Law::VelocityPoint, 1.0),
+            (Law::VelocityPoint, 2.0),
+        ] {
+            let vehicle = VehicleParameters::paper();
+            let points = hopf_points(vehicle, law, Belief::CentreOfMass, 0.35, speed).unwrap();
+            let HopfPoint {
+                deviation,
+                angular_frequency,
+                lyapunov,
+                ..
+            } = points[0];
+            let at = ClosedLoop::new(vehicle, law, 0.35, speed, deviation).unwrap();
+            let growth = |amplitude| match law {
+                Law::FrontPoint => simulated_growth(
+                    &FrontPointField(&at),
+                    &at.jacobian(),
+                    angular_frequency,
+                    amplitude,
+                ),
+                Law::VelocityPoint => simulated_growth(
+                    &VelocityPointField(&at),
+                    &at.jacobian(),
+                    angular_frequency,
+                    amplitude,
+                ),
+            };
+            let [rate, square] = growth(0.02);
+            let coefficient = rate / square;
+            assert!(
+                (coefficient / lyapunov.matcont - 1.0).abs() < 0.02,
+                "{law:?} {speed}: {coefficient} {lyapunov:?}"
+            );
+        }
+    }
+}
