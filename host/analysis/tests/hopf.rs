@@ -6,7 +6,7 @@
 use proptest::prelude::*;
 use singletrack_analysis::stability::{
     Belief, ClosedLoop, Criticality, HopfPoint, Law, critical_speed, hopf_points,
-    infinite_speed_limit,
+    infinite_speed_limit, smallest_point_distance,
 };
 use singletrack_control::VehicleParameters;
 
@@ -279,6 +279,20 @@ fn beyond_its_critical_speed_a_car_is_unstable_somewhere_in_the_range() {
     }
     assert!(range.iter().any(|end| !at(critical * 1.000_001, *end)));
     assert_eq!(critical_speed(paper, P, [-1.0, 0.0]).unwrap(), Some(0.0));
+}
+
+#[test]
+fn the_papers_claim_needs_a_point_as_far_before_the_car_as_the_paper_has_it() {
+    let paper = VehicleParameters::paper();
+    let range = ClosedLoop::meaningful_deviations(&paper);
+    let smallest = smallest_point_distance(paper, range).unwrap().unwrap();
+    assert!((smallest - 0.341_386).abs() < 1e-6, "{smallest}");
+    assert_eq!(critical_speed(paper, smallest + 1e-9, range).unwrap(), None);
+    assert!(
+        critical_speed(paper, smallest - 1e-9, range)
+            .unwrap()
+            .is_some()
+    );
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use clap::Args;
 use singletrack_analysis::stability::{
     Belief, ClosedLoop, Criticality, Law, MarginLimits, SampledLoop, critical_speed, hopf_points,
-    infinite_speed_limit,
+    infinite_speed_limit, smallest_point_distance,
 };
 
 use super::{CarArgs, StabilityCommandError, Subject, sampled::TimingArgs};
@@ -60,6 +60,10 @@ fn proposed(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityComm
             out,
             "  stable over the whole meaningful range up to {speed:.3} m/s, NOT beyond"
         )?,
+    }
+    match smallest_point_distance(subject.vehicle, range)? {
+        None => writeln!(out, "  no p makes it so at every speed")?,
+        Some(p) => writeln!(out, "  (at every speed with every p above {p:.4} m)")?,
     }
     hopf_lines(out, subject)
 }

@@ -213,3 +213,31 @@ pub(super) fn front_point_quadratic(
     ));
     [c0 - a3 * a3 * a0.constant, c1, c2]
 }
+
+/// p² v² times Hurwitz' determinant of the front-point law at infinite speed over κ, as
+/// a quadratic in p, by power.
+pub(super) fn front_point_quadratic_in_p(vehicle: &VehicleParameters, deviation: f64) -> [f64; 3] {
+    let VehicleParameters {
+        mass_kg: m,
+        yaw_inertia_kg_m2: i_z,
+        front_axle_distance_m: l_f,
+        rear_axle_distance_m: l_r,
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+        ..
+    } = *vehicle;
+    let wheelbase = l_f + l_r;
+    let kappa = c_f * c_r * wheelbase / (m * i_z);
+    let damping = (c_f + c_r) / m + (c_f * l_f * l_f + c_r * l_r * l_r) / i_z;
+    // v a₁ p/κ = L + dl + p, and p a₂ = c_f/m + c_f l_f (l_f + dl)/I_z + C_r l_r p/I_z.
+    let reach = Affine::new(wheelbase + deviation, 1.0);
+    let spring = Affine::new(
+        c_f / m + c_f * l_f * (l_f + deviation) / i_z,
+        c_r * l_r / i_z,
+    );
+    let [c0, c1, c2] = reach.times(Affine::new(
+        damping * spring.constant - kappa * reach.constant,
+        damping * spring.slope - kappa * reach.slope,
+    ));
+    [c0, c1 - damping * damping, c2]
+}

@@ -4,7 +4,7 @@ use nalgebra::Complex;
 
 use super::{
     Belief, CharacteristicPolynomial, ClosedLoop, Law, Lyapunov, StabilityError,
-    characteristic::front_point_quadratic,
+    characteristic::{front_point_quadratic, front_point_quadratic_in_p},
 };
 use singletrack_control::VehicleParameters;
 
@@ -135,6 +135,33 @@ pub fn critical_speed(
         critical = Some(critical.map_or(speed, |other| other.min(speed)));
     }
     Ok(critical)
+}
+
+/// The distance p in m beyond which `vehicle` is stable under the [`Law::FrontPoint`]
+/// at every speed, for every dl of `deviations` (m): none if no p does that.
+///
+/// p² v² times Hurwitz' determinant at infinite speed is quadratic in p; as in
+/// [`critical_speed`], the ends of the range decide.
+///
+/// # Errors
+///
+/// A car or a dl that cannot be.
+pub fn smallest_point_distance(
+    vehicle: VehicleParameters,
+    deviations: [f64; 2],
+) -> Result<Option<f64>, StabilityError> {
+    let mut smallest: f64 = 0.0;
+    for deviation in deviations {
+        // Any p and speed will do to check the rest.
+        ClosedLoop::new(vehicle, Law::FrontPoint, 1.0, 1.0, deviation)?;
+        let quadratic = front_point_quadratic_in_p(&vehicle, deviation);
+        if quadratic[2] <= 0.0 {
+            return Ok(None);
+        }
+        let beyond_wheelbase = -(vehicle.wheelbase_m() + deviation);
+        smallest = roots(quadratic).fold(smallest.max(beyond_wheelbase), f64::max);
+    }
+    Ok(Some(smallest))
 }
 
 impl ClosedLoop {

@@ -24,7 +24,10 @@ mod vector_field;
 use singletrack_control::{VehicleParameterError, VehicleParameters};
 
 pub use characteristic::CharacteristicPolynomial;
-pub use hopf::{Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit};
+pub use hopf::{
+    Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
+    smallest_point_distance,
+};
 pub use lyapunov::Lyapunov;
 pub use sampled::{MarginLimits, SampledLoop, SamplingError};
 
