@@ -8,6 +8,7 @@ pub mod figure;
 pub mod plot;
 pub mod recover;
 pub mod replay;
+pub mod reproduce;
 pub mod set_reference;
 pub mod setpoint;
 pub mod simulate;

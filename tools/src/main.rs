@@ -9,7 +9,7 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, plot, recover, replay, set_reference, setpoint, simulate, stability,
+    demo, dump, plot, recover, replay, reproduce, set_reference, setpoint, simulate, stability,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -32,6 +32,8 @@ enum Command {
     Recover(recover::RecoverArgs),
     /// Give the pilot what it saw in a record again, and compare what it does.
     Replay(replay::ReplayArgs),
+    /// Repeat the paper's experiments and analyses, and compare its claims with what they come to.
+    Reproduce(reproduce::ReproduceArgs),
     /// Run a scenario in virtual time and print its trajectory.
     Simulate {
         /// The scenario file.
@@ -83,6 +85,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         Command::Recover(args) => Ok(recover::run(args)?),
         Command::Replay(args) => Ok(replay::run(args)?),
         Command::Stability(args) => Ok(stability::run(args)?),
+        Command::Reproduce(args) => Ok(reproduce::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),

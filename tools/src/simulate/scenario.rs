@@ -32,6 +32,10 @@ pub struct Scenario {
     /// The car; the paper's if left out.
     #[serde(default)]
     pub vehicle: VehicleParameters,
+    /// The car that the appendix's law believes in, whose mass and stiffnesses it needs;
+    /// the car itself if left out.
+    #[serde(default)]
+    pub believed_vehicle: Option<VehicleParameters>,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -195,6 +199,9 @@ impl Scenario {
     /// Refuses what no simulation can do.
     fn validate(&self) -> Result<(), ScenarioError> {
         self.vehicle.validate()?;
+        if let Some(believed) = &self.believed_vehicle {
+            believed.validate()?;
+        }
         self.law.validate(&self.vehicle)?;
         self.outer_loop.validate()?;
         self.reference()?;
@@ -265,7 +272,8 @@ impl Scenario {
     }
 
     pub(crate) fn velocity_point_law(&self) -> Result<VelocityPointLaw, LawError> {
-        self.law.velocity_point_law(&self.vehicle)
+        let believed = self.believed_vehicle.as_ref().unwrap_or(&self.vehicle);
+        self.law.velocity_point_law(believed)
     }
 
     pub(crate) fn tracking_loop(&self) -> TrackingLoop {

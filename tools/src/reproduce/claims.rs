@@ -1,0 +1,362 @@
+//! What is claimed, what was measured, and whether the one agrees with the other.
+//!
+//! A claim is data: the quantity that it is about, and the criterion by which a
+//! number agrees with what the paper says. Nothing but [`judge`] gives verdicts.
+
+use std::{collections::BTreeMap, fmt};
+
+use serde::Serialize;
+
+use super::text::number;
+
+/// What was measured, by name.
+#[derive(Clone, Debug, Default)]
+pub struct Measurements(BTreeMap<String, f64>);
+
+impl Measurements {
+    /// Takes in a number.
+    pub fn add(&mut self, name: impl Into<String>, value: f64) {
+        self.0.insert(name.into(), value);
+    }
+
+    /// Takes in all of another's.
+    pub fn extend(&mut self, other: Self) {
+        self.0.extend(other.0);
+    }
+
+    /// The number of this name, if it was measured.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.0.get(name).copied()
+    }
+}
+
+/// What a number must be for a statement to hold. What is not a number never is it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Criterion {
+    /// As far as the tolerance from a value, at most.
+    Near {
+        /// The value.
+        value: f64,
+        /// The largest difference.
+        tolerance: f64,
+    },
+    /// Less.
+    Below(f64),
+    /// More.
+    Above(f64),
+}
+
+impl Criterion {
+    /// Whether the number is such.
+    #[must_use]
+    pub fn holds(self, measured: f64) -> bool {
+        match self {
+            Self::Near { value, tolerance } => (measured - value).abs() <= tolerance,
+            Self::Below(bound) => measured < bound,
+            Self::Above(bound) => measured > bound,
+        }
+    }
+}
+
+impl fmt::Display for Criterion {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Near {
+                value,
+                tolerance: 0.0,
+            } => {
+                write!(formatter, "{}", number(value))
+            }
+            Self::Near { value, tolerance } => {
+                write!(formatter, "{} ± {}", number(value), number(tolerance))
+            }
+            Self::Below(bound) => write!(formatter, "below {}", number(bound)),
+            Self::Above(bound) => write!(formatter, "above {}", number(bound)),
+        }
+    }
+}
+
+/// A number that a claim is about.
+#[derive(Clone, Debug)]
+pub struct Quantity {
+    /// What or where it is, such as the plant; empty if there is but one.
+    pub label: &'static str,
+    /// Its name among the [`Measurements`].
+    pub name: String,
+    /// When it agrees with what the paper says.
+    pub agrees: Criterion,
+    /// What it is instead, where the paper slips.
+    pub instead: Option<Criterion>,
+}
+
+/// What a claim is worth for which car.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// It follows from the equations, whatever the car.
+    AnyCar,
+    /// The number is that of the paper's car.
+    PaperCar,
+    /// The paper does not say enough to compare numbers.
+    Nobody,
+}
+
+/// Something that the paper says.
+#[derive(Clone, Debug)]
+pub struct Claim {
+    /// A short name that stays.
+    pub id: &'static str,
+    /// The number of the section that measures it.
+    pub section: usize,
+    /// What is claimed.
+    pub claim: String,
+    /// How the paper says it.
+    pub paper: String,
+    /// The numbers that decide it, all of which must agree.
+    pub quantities: Vec<Quantity>,
+    /// Their unit.
+    pub unit: &'static str,
+    /// For which cars there is a verdict.
+    pub scope: Scope,
+    /// Why it agrees, or does not.
+    pub why: String,
+}
+
+impl Claim {
+    /// Whether it is known to be a slip.
+    #[must_use]
+    pub fn is_slip(&self) -> bool {
+        self.quantities
+            .iter()
+            .any(|quantity| quantity.instead.is_some())
+    }
+}
+
+/// Whether what was measured is what the paper says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// It is.
+    Agrees,
+    /// It is not.
+    Differs,
+    /// The paper's number is of another car, or not defined.
+    NotComparable,
+    /// There is nothing to compare.
+    NotMeasured,
+}
+
+impl Verdict {
+    /// Its name in a table.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Agrees => "agrees",
+            Self::Differs => "differs",
+            Self::NotComparable => "n/a",
+            Self::NotMeasured => "not measured",
+        }
+    }
+}
+
+/// A claim with its verdict.
+#[derive(Clone, Debug)]
+pub struct Judged {
+    /// The claim.
+    pub claim: Claim,
+    /// The number of each of its quantities.
+    pub measured: Vec<Option<f64>>,
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Why the verdict is not the one that should be; none if it is.
+    pub surprise: Option<String>,
+}
+
+/// Compares claims with measurements; `paper_car` if these are of the paper's car.
+#[must_use]
+pub fn judge(claims: Vec<Claim>, measurements: &Measurements, paper_car: bool) -> Vec<Judged> {
+    claims
+        .into_iter()
+        .map(|claim| judge_one(claim, measurements, paper_car))
+        .collect()
+}
+
+fn judge_one(claim: Claim, measurements: &Measurements, paper_car: bool) -> Judged {
+    let measured: Vec<Option<f64>> = claim
+        .quantities
+        .iter()
+        .map(|quantity| measurements.get(&quantity.name))
+        .collect();
+    let comparable = match claim.scope {
+        Scope::AnyCar => true,
+        Scope::PaperCar => paper_car,
+        Scope::Nobody => false,
+    };
+    let pairs = || claim.quantities.iter().zip(&measured);
+    let lacking = pairs().find(|(_, value)| value.is_none());
+    let verdict = match (comparable, &lacking) {
+        (false, _) => Verdict::NotComparable,
+        (true, Some(_)) => Verdict::NotMeasured,
+        (true, None) if pairs().all(|(quantity, value)| holds(quantity.agrees, *value)) => {
+            Verdict::Agrees
+        }
+        (true, None) => Verdict::Differs,
+    };
+    let surprise = if let Some((quantity, _)) = lacking {
+        // Another car need not be able to do all that the paper's can.
+        (paper_car || claim.scope == Scope::AnyCar).then(|| {
+            format!(
+                "{} was not measured: see the notes of section {}",
+                quantity.name, claim.section
+            )
+        })
+    } else if comparable {
+        pairs().find_map(|(quantity, value)| unexpected(quantity, *value, claim.unit))
+    } else {
+        None
+    };
+    Judged {
+        measured,
+        verdict,
+        surprise,
+        claim,
+    }
+}
+
+fn holds(criterion: Criterion, measured: Option<f64>) -> bool {
+    measured.is_some_and(|measured| criterion.holds(measured))
+}
+
+/// What is wrong with a number that should agree, or should be what it is instead.
+fn unexpected(quantity: &Quantity, measured: Option<f64>, unit: &str) -> Option<String> {
+    let wanted = quantity.instead.unwrap_or(quantity.agrees);
+    if !holds(wanted, measured) {
+        let measured = measured.map_or_else(|| "nothing".to_owned(), number);
+        return Some(
+            format!(
+                "{} {measured} {unit} should be {wanted} {unit}",
+                quantity.label
+            )
+            .trim()
+            .to_owned(),
+        );
+    }
+    None
+}
+
+/// How many verdicts are not those that should be.
+#[must_use]
+pub fn surprises(judged: &[Judged]) -> usize {
+    judged
+        .iter()
+        .filter(|judged| judged.surprise.is_some())
+        .count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn claim(agrees: Criterion, instead: Option<Criterion>, scope: Scope) -> Claim {
+        Claim {
+            id: "amplitude",
+            section: 3,
+            claim: "The amplitude".to_owned(),
+            paper: "1 m".to_owned(),
+            quantities: vec![Quantity {
+                label: "ideal",
+                name: "amplitude".to_owned(),
+                agrees,
+                instead,
+            }],
+            unit: "m",
+            scope,
+            why: String::new(),
+        }
+    }
+
+    fn verdict(claim: Claim, measured: Option<f64>, paper_car: bool) -> (Verdict, bool) {
+        let mut measurements = Measurements::default();
+        if let Some(value) = measured {
+            measurements.add("amplitude", value);
+        }
+        let judged = judge(vec![claim], &measurements, paper_car);
+        (judged[0].verdict, judged[0].surprise.is_some())
+    }
+
+    const ONE: Criterion = Criterion::Near {
+        value: 1.0,
+        tolerance: 0.01,
+    };
+    const LESS: Criterion = Criterion::Near {
+        value: 0.894,
+        tolerance: 0.001,
+    };
+
+    #[test]
+    fn a_number_within_the_tolerance_agrees_and_one_outside_differs() {
+        let of = |measured| verdict(claim(ONE, None, Scope::AnyCar), Some(measured), true);
+        assert_eq!(of(1.009), (Verdict::Agrees, false));
+        assert_eq!(of(0.991), (Verdict::Agrees, false));
+        assert_eq!(of(1.011), (Verdict::Differs, true));
+        assert_eq!(of(f64::NAN), (Verdict::Differs, true));
+        assert_eq!(of(f64::INFINITY), (Verdict::Differs, true));
+    }
+
+    #[test]
+    fn a_slip_is_no_surprise_unless_the_number_is_not_what_it_should_be_instead() {
+        let of = |measured| verdict(claim(ONE, Some(LESS), Scope::AnyCar), Some(measured), true);
+        assert_eq!(of(0.8944), (Verdict::Differs, false));
+        assert_eq!(of(0.7), (Verdict::Differs, true));
+        assert_eq!(of(1.0), (Verdict::Agrees, true));
+    }
+
+    #[test]
+    fn bounds_are_strict() {
+        assert!(Criterion::Below(90.0).holds(89.9) && !Criterion::Below(90.0).holds(90.0));
+        assert!(Criterion::Above(0.0).holds(1e-9) && !Criterion::Above(0.0).holds(0.0));
+        assert!(!Criterion::Below(0.0).holds(f64::NAN) && !Criterion::Above(0.0).holds(f64::NAN));
+    }
+
+    #[test]
+    fn the_papers_numbers_are_not_compared_with_another_car() {
+        let of = |scope| verdict(claim(ONE, None, scope), Some(5.0), false);
+        assert_eq!(of(Scope::PaperCar), (Verdict::NotComparable, false));
+        assert_eq!(of(Scope::AnyCar), (Verdict::Differs, true));
+    }
+
+    #[test]
+    fn a_number_that_the_paper_does_not_define_is_never_compared() {
+        let of = |measured| verdict(claim(ONE, None, Scope::Nobody), measured, true);
+        assert_eq!(of(Some(0.1)), (Verdict::NotComparable, false));
+        // But it has to be there.
+        assert_eq!(of(None), (Verdict::NotComparable, true));
+    }
+
+    #[test]
+    fn what_was_not_measured_is_a_surprise_that_names_it() {
+        let claims = vec![claim(ONE, None, Scope::PaperCar)];
+        let judged = judge(claims, &Measurements::default(), true);
+        assert_eq!(judged[0].verdict, Verdict::NotMeasured);
+        let surprise = judged[0].surprise.as_deref().unwrap();
+        assert!(surprise.starts_with("amplitude was not"), "{surprise}");
+        assert_eq!(surprises(&judged), 1);
+    }
+
+    #[test]
+    fn one_quantity_that_differs_is_enough() {
+        let mut both = claim(ONE, None, Scope::AnyCar);
+        both.quantities.push(Quantity {
+            label: "car",
+            name: "car".to_owned(),
+            ..both.quantities[0].clone()
+        });
+        let mut measurements = Measurements::default();
+        measurements.add("amplitude", 1.0);
+        measurements.add("car", 0.5);
+        let judged = judge(vec![both], &measurements, true);
+        assert_eq!(judged[0].verdict, Verdict::Differs);
+        let surprise = judged[0].surprise.as_deref().unwrap();
+        assert!(surprise.contains("car 0.5 m"), "{surprise}");
+    }
+}

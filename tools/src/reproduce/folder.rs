@@ -1,0 +1,262 @@
+//! The folder of a reproduction: what is in it, and that it is nobody else's.
+
+use std::{
+    ffi::OsStr,
+    fs, io,
+    path::{Component, Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use singletrack_control::VehicleParameters;
+
+use super::{
+    ReproduceError, Reproduction,
+    claims::{Judged, Verdict},
+    report, write_error,
+};
+
+/// The names of the files.
+const REPORT: &str = "report.html";
+const CLAIMS_JSON: &str = "claims.json";
+const CLAIMS_CSV: &str = "claims.csv";
+/// Folders.
+const FIGURES: &str = "figures";
+const DATA: &str = "data";
+
+/// Makes the folder and sees that it can be written to and that nothing of somebody
+/// else's is in it; removes what an earlier reproduction left there.
+pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
+    fs::create_dir_all(folder).map_err(write_error(folder))?;
+    if let Some(files) = earlier(folder)? {
+        for file in files {
+            match fs::remove_file(folder.join(&file)) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(write_error(&folder.join(file))(error));
+                }
+                _ => {}
+            }
+        }
+    }
+    // It takes minutes until there is something to write.
+    let probe = folder.join(CLAIMS_JSON);
+    fs::write(&probe, "").map_err(write_error(&probe))?;
+    fs::remove_file(&probe).map_err(write_error(&probe))
+}
+
+/// What `claims.json` says of the folder.
+#[derive(Deserialize)]
+struct Contents {
+    files: Vec<PathBuf>,
+}
+
+/// The files of an earlier reproduction; none in an empty folder.
+fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
+    let mut entries = fs::read_dir(folder).map_err(write_error(folder))?;
+    let Some(first) = entries.next() else {
+        return Ok(None);
+    };
+    let first = first.map_err(write_error(folder))?.file_name();
+    let foreign = || ReproduceError::Foreign {
+        path: folder.to_owned(),
+        found: first.to_string_lossy().into_owned(),
+    };
+    let text = fs::read_to_string(folder.join(CLAIMS_JSON)).map_err(|_| foreign())?;
+    let contents: Contents = serde_json::from_str(&text).map_err(|_| foreign())?;
+    // A file may say anything; only what could be ours is removed.
+    let ours = |file: &PathBuf| {
+        let parts: Option<Vec<&OsStr>> = file
+            .components()
+            .map(|part| match part {
+                Component::Normal(name) => Some(name),
+                _ => None,
+            })
+            .collect();
+        match parts.as_deref() {
+            Some([name]) => [REPORT, CLAIMS_JSON, CLAIMS_CSV]
+                .iter()
+                .any(|own| name == own),
+            Some([folder, _]) => *folder == FIGURES || *folder == DATA,
+            _ => false,
+        }
+    };
+    Ok(Some(contents.files.into_iter().filter(ours).collect()))
+}
+
+/// Writes everything; returns the path of the report.
+pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf, ReproduceError> {
+    let mut files = Vec::new();
+    let mut write = |name: String, text: &str| {
+        let path = folder.join(&name);
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(write_error(parent))?;
+        }
+        fs::write(&path, text).map_err(write_error(&path))?;
+        files.push(name);
+        Ok::<(), ReproduceError>(())
+    };
+    for section in &reproduction.sections {
+        for picture in section.plates.iter().flat_map(|plate| &plate.pictures) {
+            let name = format!("{FIGURES}/{}.svg", picture.name);
+            write(name, &picture.figure.to_svg())?;
+        }
+        for table in &section.tables {
+            write(format!("{DATA}/{}.csv", table.name), &table.to_csv())?;
+        }
+    }
+    write(CLAIMS_CSV.to_owned(), &csv(&reproduction.claims))?;
+    write(REPORT.to_owned(), &report::report(reproduction))?;
+    files.push(CLAIMS_JSON.to_owned());
+    let json = Json {
+        vehicle: reproduction.setup.vehicle,
+        quick: reproduction.setup.quick,
+        claims: reproduction.claims.iter().map(Row::of).collect(),
+        files: &files,
+    };
+    let path = folder.join(CLAIMS_JSON);
+    let text = serde_json::to_string_pretty(&json)
+        .map_err(|error| write_error(&path)(io::Error::other(error)))?;
+    fs::write(&path, text + "\n").map_err(write_error(&path))?;
+    Ok(folder.join(REPORT))
+}
+
+/// `claims.json`.
+#[derive(Serialize)]
+struct Json<'a> {
+    vehicle: VehicleParameters,
+    quick: bool,
+    claims: Vec<Row<'a>>,
+    /// What this reproduction wrote, relative to the folder.
+    files: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Row<'a> {
+    id: &'static str,
+    section: usize,
+    claim: &'a str,
+    paper: &'a str,
+    unit: &'static str,
+    measured: Vec<Number<'a>>,
+    verdict: Verdict,
+    why: &'a str,
+    /// Whether the verdict is the one that should be, and if not, why.
+    surprise: Option<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Number<'a> {
+    label: &'static str,
+    quantity: &'a str,
+    /// None if it was not measured.
+    value: Option<f64>,
+    agrees_if: String,
+    /// What a slip of the paper's is instead.
+    should_be: Option<String>,
+}
+
+impl<'a> Row<'a> {
+    fn of(judged: &'a Judged) -> Self {
+        let claim = &judged.claim;
+        Self {
+            id: claim.id,
+            section: claim.section,
+            claim: &claim.claim,
+            paper: &claim.paper,
+            unit: claim.unit,
+            measured: claim
+                .quantities
+                .iter()
+                .zip(&judged.measured)
+                .map(|(quantity, value)| Number {
+                    label: quantity.label,
+                    quantity: &quantity.name,
+                    value: *value,
+                    agrees_if: quantity.agrees.to_string(),
+                    should_be: quantity.instead.map(|instead| instead.to_string()),
+                })
+                .collect(),
+            verdict: judged.verdict,
+            why: &claim.why,
+            surprise: judged.surprise.as_deref(),
+        }
+    }
+}
+
+/// A row for each number of each claim.
+fn csv(claims: &[Judged]) -> String {
+    let mut csv = "id,section,claim,paper,quantity,measured,unit,agrees_if,should_be,verdict,\
+                   expected,why\n"
+        .to_owned();
+    for judged in claims {
+        let row = Row::of(judged);
+        for number in &row.measured {
+            let cells = [
+                row.id.to_owned(),
+                row.section.to_string(),
+                row.claim.to_owned(),
+                row.paper.to_owned(),
+                number.quantity.to_owned(),
+                number
+                    .value
+                    .map_or_else(String::new, |value| value.to_string()),
+                row.unit.to_owned(),
+                number.agrees_if.clone(),
+                number.should_be.clone().unwrap_or_default(),
+                row.verdict.name().to_owned(),
+                if row.surprise.is_some() { "no" } else { "yes" }.to_owned(),
+                row.why.to_owned(),
+            ];
+            csv.push_str(&cells.map(|cell| quoted(&cell)).join(","));
+            csv.push('\n');
+        }
+    }
+    csv
+}
+
+/// A cell of a CSV file.
+fn quoted(cell: &str) -> String {
+    if cell.contains(['"', ',', '\n']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_names_others_does_not_get_them_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let inside = folder.path().join("out");
+        fs::create_dir(&inside).unwrap();
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "mine").unwrap();
+        fs::write(inside.join("notes.txt"), "mine").unwrap();
+        let named = format!(
+            r#"{{"files": ["../precious", "{}", "notes.txt", "data/../../precious"]}}"#,
+            precious.display()
+        );
+        fs::write(inside.join(CLAIMS_JSON), named).unwrap();
+        prepare(&inside).unwrap();
+        assert!(precious.exists() && inside.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_folder_of_somebody_elses_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("thesis.tex"), "mine").unwrap();
+        let error = prepare(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.contains("thesis.tex") && error.contains("--out"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn cells_with_commas_and_quotes_stay_one_cell() {
+        assert_eq!(quoted("plain"), "plain");
+        assert_eq!(quoted(r#"a "b", c"#), r#""a ""b"", c""#);
+    }
+}

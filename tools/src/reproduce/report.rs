@@ -1,0 +1,262 @@
+//! `report.html`: everything in one file that needs nothing else.
+
+use super::{
+    Plate, Reproduction, Section,
+    claims::{Judged, Verdict},
+    table,
+    text::number,
+};
+use crate::figure::{Width, escaped};
+
+/// The report of a reproduction.
+pub(super) fn report(reproduction: &Reproduction) -> String {
+    let sections = &reproduction.sections;
+    let parts = [
+        ("style", include_str!("../plot/report/style.css").to_owned()),
+        ("own_style", include_str!("report/style.css").to_owned()),
+        ("subtitle", escaped(&subtitle(reproduction))),
+        ("counts", escaped(&table::counts(&reproduction.claims))),
+        ("contents", sections.iter().map(entry).collect()),
+        ("claims", reproduction.claims.iter().map(row).collect()),
+        (
+            "sections",
+            sections
+                .iter()
+                .map(|section| body(section, &reproduction.claims))
+                .collect(),
+        ),
+        ("vehicle", vehicle(reproduction)),
+    ];
+    fill(include_str!("report/page.html"), &parts)
+}
+
+/// Puts the parts in their places. What is in a part is not looked at again.
+fn fill(template: &str, parts: &[(&str, String)]) -> String {
+    let mut page = String::new();
+    let mut rest = template;
+    while let Some((before, after)) = rest.split_once('{') {
+        page.push_str(before);
+        let known = after.split_once('}').and_then(|(name, after)| {
+            let part = parts.iter().find(|(known, _)| *known == name);
+            part.map(|(_, part)| (part, after))
+        });
+        match known {
+            Some((part, after)) => {
+                page.push_str(part);
+                rest = after;
+            }
+            None => {
+                page.push('{');
+                rest = after;
+            }
+        }
+    }
+    page + rest
+}
+
+fn subtitle(reproduction: &Reproduction) -> String {
+    let setup = &reproduction.setup;
+    let mut text = format!(
+        "Every experiment and analysis in virtual time, with {}: on the ideal plant (the paper's \
+         equations, controlled continuously) and on the car (the whole pilot against the \
+         simulated car, board and cameras, with lags, delays and noise). No data of the real car \
+         are known here: where the car differs from the paper's figures, it is the simulated car \
+         that does.",
+        setup.name
+    );
+    if !setup.is_paper() {
+        text += &format!(
+            " This is not the paper's car: its experiments are driven {} times as large, and the \
+             paper's numbers can't be compared.",
+            number(setup.scale())
+        );
+    }
+    if !setup.fits_simulated_car() {
+        text += " It is another kind of car than the simulated one, which is not driven.";
+    }
+    if setup.quick {
+        text += " A quick run: coarser maps, shorter drives, fewer seeds.";
+    }
+    text
+}
+
+fn entry(section: &Section) -> String {
+    format!(
+        "<li><a href=\"#section-{}\">{}</a></li>\n",
+        section.number,
+        escaped(section.title)
+    )
+}
+
+fn row(judged: &Judged) -> String {
+    let claim = &judged.claim;
+    let class = match (judged.verdict, &judged.surprise) {
+        (_, Some(_)) => "surprise",
+        (Verdict::Agrees, None) => "agrees",
+        (Verdict::Differs, None) => "differs",
+        (Verdict::NotComparable | Verdict::NotMeasured, None) => "none",
+    };
+    let surprise = judged
+        .surprise
+        .as_ref()
+        .map_or_else(String::new, |surprise| {
+            format!("<strong>Unexpected: {}.</strong> ", escaped(surprise))
+        });
+    let measured: Vec<String> = table::measured(judged)
+        .iter()
+        .map(|line| escaped(line))
+        .collect();
+    format!(
+        "<tr id=\"{}\" class=\"{class}\"><td><a href=\"#section-{}\">{}</a></td><td>{}</td>\
+         <td>{}</td><td>{}</td><td><span class=\"verdict\">{}</span></td><td>{surprise}{}</td></tr>\n",
+        claim.id,
+        claim.section,
+        claim.section,
+        escaped(&claim.claim),
+        escaped(&claim.paper),
+        measured.join("<br>"),
+        judged.verdict.name(),
+        escaped(&claim.why)
+    )
+}
+
+fn body(section: &Section, claims: &[Judged]) -> String {
+    let mut html = format!(
+        "<section id=\"section-{}\">\n<h2>{}. {}</h2>\n",
+        section.number,
+        section.number,
+        escaped(section.title)
+    );
+    for paragraph in &section.intro {
+        html += &format!("<p>{paragraph}</p>\n");
+    }
+    for note in &section.notes {
+        html += &format!("<p class=\"note\">{}</p>\n", escaped(note));
+    }
+    let own: Vec<String> = claims
+        .iter()
+        .filter(|judged| judged.claim.section == section.number)
+        .map(|judged| {
+            format!(
+                "<a href=\"#{}\">{}</a>: {}",
+                judged.claim.id,
+                escaped(&judged.claim.claim),
+                judged.verdict.name()
+            )
+        })
+        .collect();
+    if !own.is_empty() {
+        html += &format!("<p class=\"quiet\">Claims: {}.</p>\n", own.join("; "));
+    }
+    for plate in &section.plates {
+        html += &framed(plate);
+    }
+    if !section.tables.is_empty() {
+        let names: Vec<String> = section
+            .tables
+            .iter()
+            .map(|table| format!("<a href=\"data/{0}.csv\">{0}.csv</a>", table.name))
+            .collect();
+        html += &format!("<p class=\"quiet\">Data: {}.</p>\n", names.join(", "));
+    }
+    html + "</section>\n"
+}
+
+fn framed(plate: &Plate) -> String {
+    if plate.pictures.is_empty() {
+        return format!(
+            "<h3>{}</h3>\n<p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p>\n",
+            plate.title, plate.paper, plate.ours
+        );
+    }
+    let mut html = format!(
+        "<figure class=\"plate\">\n<h3>{}</h3>\n<div class=\"pictures\">\n",
+        plate.title
+    );
+    for picture in &plate.pictures {
+        let width = match picture.figure.width {
+            Width::Column => "column",
+            Width::Page => "page",
+        };
+        html += &format!("<div class=\"{width} static\">{}", picture.figure.to_svg());
+        if !picture.label.is_empty() {
+            html += &format!("<p class=\"label\">{}</p>", escaped(&picture.label));
+        }
+        html += "</div>\n";
+    }
+    html += &format!(
+        "</div>\n<figcaption><p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p></figcaption>\n</figure>\n",
+        plate.paper, plate.ours
+    );
+    html
+}
+
+fn vehicle(reproduction: &Reproduction) -> String {
+    let vehicle = &reproduction.setup.vehicle;
+    [
+        ("mass m", vehicle.mass_kg, "kg"),
+        (
+            "yaw moment of inertia I_z",
+            vehicle.yaw_inertia_kg_m2,
+            "kg m²",
+        ),
+        (
+            "centre of mass to front axle l_f",
+            vehicle.front_axle_distance_m,
+            "m",
+        ),
+        (
+            "centre of mass to rear axle l_r",
+            vehicle.rear_axle_distance_m,
+            "m",
+        ),
+        ("friction μ", vehicle.friction, ""),
+        (
+            "cornering stiffness, front C_f",
+            vehicle.front_cornering_stiffness_n_rad,
+            "N/rad",
+        ),
+        (
+            "cornering stiffness, rear C_r",
+            vehicle.rear_cornering_stiffness_n_rad,
+            "N/rad",
+        ),
+        (
+            "distance p of P from the front axle",
+            reproduction.setup.point_distance_m(),
+            "m",
+        ),
+    ]
+    .iter()
+    .map(|(name, value, unit)| {
+        format!(
+            "<tr><th scope=\"row\">{name}</th><td>{} {unit}</td></tr>\n",
+            super::text::with_digits(*value, 6)
+        )
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_place_of_the_page_has_its_part_and_parts_are_not_filled() {
+        let template = include_str!("report/page.html");
+        let names = [
+            "style",
+            "own_style",
+            "subtitle",
+            "counts",
+            "contents",
+            "claims",
+            "sections",
+            "vehicle",
+        ];
+        let parts = names.map(|name| (name, "{style}".to_owned()));
+        let page = fill(template, &parts);
+        assert_eq!(page.matches("{style}").count(), names.len(), "{page}");
+        assert_eq!(page.matches('{').count(), names.len());
+    }
+}

@@ -1,0 +1,111 @@
+//! What the paper leaves out: the loop as it runs, in ticks, late, and with markers
+//! that are not always seen.
+
+use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
+
+use super::{
+    Setup,
+    progress::Progress,
+    section::{Plate, Section, Table},
+    stability::subject,
+    text::{number, with_digits},
+};
+use crate::stability::{Grid, TimingArgs, sampled_map};
+
+/// A time in ms, in words; none is beyond what was looked at.
+fn ms(time: Option<f64>, limit: f64) -> String {
+    time.map_or_else(
+        || format!("more than {} ms", number(limit * 1000.0)),
+        |time| format!("{} ms", with_digits(time * 1000.0, 3)),
+    )
+}
+
+/// The speeds that are told in words, for the paper's car, in m/s.
+const TOLD: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
+
+/// The greatest speed that is looked at, for the paper's car, in m/s.
+const FASTEST: f64 = 5.0;
+
+pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
+    let mut section = Section {
+        number: 8,
+        title: "The loop as it runs: what the paper leaves out",
+        ..Section::default()
+    };
+    // The paper's 100 Hz, and a tick from measurement to command.
+    let timing = TimingArgs::default();
+    section.intro.push(format!(
+        "The paper analyses the law in continuous time, and runs it at 100 Hz. Here it runs every \
+         {} ms, its command acts {} ms after the measurement, and the pose may be seen at every \
+         n-th tick only and held in between.",
+        number(timing.period_ms),
+        number(timing.delay_ms)
+    ));
+    progress.doing("the sampled loop");
+    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    let (columns, rows): (u32, usize) = if setup.quick { (5, 5) } else { (20, 21) };
+    let fastest = FASTEST * setup.scale();
+    let speeds = Grid::spanning([fastest / f64::from(columns), fastest], columns as usize);
+    let deviations = Grid::spanning(range, rows);
+    let subject = subject(setup, Law::FrontPoint);
+    let map = sampled_map(&subject, &speeds, &deviations, timing, || {});
+    let Some(map) = section.or_note("the sampled loop", map) else {
+        return section;
+    };
+    let largest = map
+        .iter()
+        .map(|row| row.spectral_radius)
+        .fold(0.0, f64::max);
+    section
+        .measurements
+        .add("sampled.front.largest_radius", largest);
+    section.tables.push(Table {
+        name: "sampled-front-point".to_owned(),
+        header: "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_marker_interval_s"
+            .to_owned(),
+        rows: map
+            .iter()
+            .map(|row| {
+                vec![
+                    row.speed_m_s,
+                    row.dl_m,
+                    row.spectral_radius,
+                    row.delay_margin_s.unwrap_or(f64::NAN),
+                    row.longest_marker_interval_s.unwrap_or(f64::NAN),
+                ]
+            })
+            .collect(),
+    });
+    let limits = MarginLimits::default();
+    let mut told = Vec::new();
+    for speed in TOLD.map(|speed| speed * setup.scale()) {
+        let at = Grid::spanning([speed, speed], 1);
+        let right = sampled_map(&subject, &at, &Grid::spanning([0.0, 0.0], 1), timing, || {});
+        if let Some([row]) = section.or_note("margins", right).as_deref() {
+            told.push(format!(
+                "{} m/s: {} and {}",
+                number(speed),
+                ms(row.delay_margin_s, limits.delay),
+                ms(
+                    row.longest_marker_interval_s,
+                    f64::from(limits.marker_interval) * timing.period_ms * 1e-3
+                )
+            ));
+        }
+    }
+    section.plates.push(Plate {
+        title: "Spectral radius, delay margin and marker interval".to_owned(),
+        paper: "Nothing: the analysis has neither sampling nor delay.".to_owned(),
+        ours: format!(
+            "Between {} and {} m/s the sampled loop has a spectral radius of at most {} over the \
+             whole meaningful range of dl. With dl = 0, the delay that makes it unstable and the \
+             longest interval between poses are, at {}.",
+            number(fastest / f64::from(columns)),
+            number(fastest),
+            with_digits(largest, 6),
+            told.join("; ")
+        ),
+        pictures: Vec::new(),
+    });
+    section
+}

@@ -1,0 +1,164 @@
+//! What a section of the report holds, without saying how it is written.
+
+use super::{
+    Setup,
+    claims::Measurements,
+    drive::{DriveError, Experiment, Run},
+    text,
+};
+use crate::{
+    figure::Figure,
+    simulate::{HEADER, Row},
+};
+
+/// A section of the report, with everything that was computed for it.
+#[derive(Clone, Debug, Default)]
+pub struct Section {
+    /// Its number, from 1.
+    pub number: usize,
+    /// Its title.
+    pub title: &'static str,
+    /// What it is about, a paragraph each.
+    pub intro: Vec<String>,
+    /// Its figures.
+    pub plates: Vec<Plate>,
+    /// The data behind them.
+    pub tables: Vec<Table>,
+    /// Numbers for the claims.
+    pub measurements: Measurements,
+    /// What a reader must know: what could not be done, and why.
+    pub notes: Vec<String>,
+}
+
+impl Section {
+    /// What was computed, if it was; else a note.
+    pub(super) fn or_note<T, E: std::fmt::Display>(
+        &mut self,
+        what: &str,
+        result: Result<T, E>,
+    ) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(error) => {
+                self.notes.push(format!("{what}: {error}"));
+                None
+            }
+        }
+    }
+
+    /// The drive on the simulated car, unless that would be another kind of car.
+    pub(super) fn drive_car(
+        &mut self,
+        setup: &Setup,
+        what: &str,
+        experiment: &Experiment,
+    ) -> Option<Run> {
+        setup
+            .fits_simulated_car()
+            .then(|| self.keep(&format!("car, {what}"), experiment.car(setup)))
+            .flatten()
+    }
+
+    /// The drive, if there is one; else a note. One that ended early has a note too.
+    pub(super) fn keep(&mut self, what: &str, drive: Result<Run, DriveError>) -> Option<Run> {
+        match drive {
+            Ok(run) => {
+                if let Some(ended) = &run.ended {
+                    self.notes.push(format!("{what}: {ended}"));
+                }
+                Some(run)
+            }
+            Err(error) => {
+                self.notes.push(format!("{what}: not driven: {error}"));
+                None
+            }
+        }
+    }
+}
+
+/// Pictures that belong together, beside the paper's.
+#[derive(Clone, Debug)]
+pub struct Plate {
+    /// What they show, in a few words.
+    pub title: String,
+    /// What the paper's figure shows, in a sentence.
+    pub paper: String,
+    /// What ours shows, in a sentence, with its numbers.
+    pub ours: String,
+    /// The pictures.
+    pub pictures: Vec<Picture>,
+}
+
+/// One picture and its file.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// The name of its file, without the ending.
+    pub name: String,
+    /// What tells it from the others of its plate.
+    pub label: String,
+    /// The picture.
+    pub figure: Figure,
+}
+
+impl Picture {
+    /// A picture for a plate.
+    pub fn new(name: impl Into<String>, label: impl Into<String>, figure: Figure) -> Self {
+        Self {
+            name: name.into(),
+            label: label.into(),
+            figure,
+        }
+    }
+}
+
+/// A file of data.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// The name of its file, without the ending.
+    pub name: String,
+    /// The names of its columns, separated by commas, with their units.
+    pub header: String,
+    /// Its rows.
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl Table {
+    /// The trajectory of a drive.
+    pub fn of_rows(name: impl Into<String>, rows: &[Row]) -> Self {
+        Self {
+            name: name.into(),
+            header: HEADER.to_owned(),
+            rows: rows.iter().map(|row| row.values().to_vec()).collect(),
+        }
+    }
+
+    /// As CSV: every digit that tells numbers apart; nothing where there is no number.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let mut csv = self.header.clone();
+        csv.push('\n');
+        for row in &self.rows {
+            let cells: Vec<String> = row
+                .iter()
+                .map(|value| {
+                    if value.is_nan() {
+                        String::new()
+                    } else {
+                        value.to_string()
+                    }
+                })
+                .collect();
+            csv.push_str(&cells.join(","));
+            csv.push('\n');
+        }
+        csv
+    }
+}
+
+/// A number in a sentence; where a plant could not be driven there is none.
+pub(super) fn or_note(value: Option<f64>, unit: &str) -> String {
+    value.map_or_else(
+        || "(not driven)".to_owned(),
+        |value| format!("{} {unit}", text::with_digits(value, 4)),
+    )
+}

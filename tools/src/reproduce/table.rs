@@ -1,0 +1,162 @@
+//! The table of claims on standard output.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use super::{
+    Reproduction,
+    claims::{Judged, Verdict, surprises},
+    text::number,
+};
+
+/// Columns with their widths, in characters.
+const COLUMNS: [(&str, usize); 5] = [
+    ("", 9),
+    ("claim", 27),
+    ("the paper", 30),
+    ("measured", 20),
+    ("why", 34),
+];
+
+/// Prints the table and where the report is. Whoever closes the pipe has seen enough.
+pub(super) fn print(reproduction: &Reproduction, report: &Path) {
+    let mut out = io::stdout().lock();
+    let _ = write(&mut out, reproduction, report);
+}
+
+fn write(out: &mut impl Write, reproduction: &Reproduction, report: &Path) -> io::Result<()> {
+    let heads = COLUMNS.map(|(name, _)| name.to_owned());
+    row(out, &heads)?;
+    rule(out)?;
+    for judged in &reproduction.claims {
+        row(out, &cells(judged))?;
+        rule(out)?;
+    }
+    for section in &reproduction.sections {
+        for note in &section.notes {
+            writeln!(out, "note on section {}: {note}", section.number)?;
+        }
+    }
+    writeln!(out, "{}", counts(&reproduction.claims))?;
+    writeln!(out, "{}", report.display())
+}
+
+/// How the claims came out, in a sentence.
+pub(super) fn counts(claims: &[Judged]) -> String {
+    let count = |verdict| claims.iter().filter(|one| one.verdict == verdict).count();
+    let mut text = format!(
+        "{} claims: {} agree, {} differ",
+        claims.len(),
+        count(Verdict::Agrees),
+        count(Verdict::Differs)
+    );
+    for (verdict, name) in [
+        (Verdict::NotComparable, "can't be compared"),
+        (Verdict::NotMeasured, "were not measured"),
+    ] {
+        if count(verdict) > 0 {
+            text += &format!(", {} {name}", count(verdict));
+        }
+    }
+    text + &match surprises(claims) {
+        0 => "; all as expected.".to_owned(),
+        count => format!("; {count} of them otherwise than expected."),
+    }
+}
+
+/// Each number with its label.
+pub(super) fn measured(judged: &Judged) -> Vec<String> {
+    let quantities = judged.claim.quantities.iter();
+    quantities
+        .zip(&judged.measured)
+        .map(|(quantity, value)| {
+            let value = value.map_or_else(
+                || "none".to_owned(),
+                |value| format!("{} {}", number(value), judged.claim.unit),
+            );
+            let value = value.trim_end();
+            if quantity.label.is_empty() {
+                value.to_owned()
+            } else {
+                format!("{}: {value}", quantity.label)
+            }
+        })
+        .collect()
+}
+
+fn cells(judged: &Judged) -> [String; 5] {
+    let claim = &judged.claim;
+    let mark = if judged.surprise.is_some() { "! " } else { "" };
+    let why = match &judged.surprise {
+        Some(surprise) => format!("UNEXPECTED: {surprise}. {}", claim.why),
+        None => claim.why.clone(),
+    };
+    [
+        format!("{mark}{}", judged.verdict.name()),
+        format!("{}. {}", claim.section, claim.claim),
+        claim.paper.clone(),
+        measured(judged).join("; "),
+        why,
+    ]
+}
+
+/// Writes cells side by side, each wrapped to its column.
+fn row(out: &mut impl Write, cells: &[String; 5]) -> io::Result<()> {
+    let wrapped: Vec<Vec<String>> = cells
+        .iter()
+        .zip(COLUMNS)
+        .map(|(cell, (_, width))| wrap(cell, width))
+        .collect();
+    let lines = wrapped.iter().map(Vec::len).max().unwrap_or(0);
+    for line in 0..lines {
+        let mut text = String::new();
+        for (column, (_, width)) in wrapped.iter().zip(COLUMNS) {
+            let part = column.get(line).map_or("", String::as_str);
+            let padding = width.saturating_sub(part.chars().count()) + 2;
+            text.push_str(part);
+            text.extend(std::iter::repeat_n(' ', padding));
+        }
+        writeln!(out, "{}", text.trim_end())?;
+    }
+    Ok(())
+}
+
+fn rule(out: &mut impl Write) -> io::Result<()> {
+    let width: usize = COLUMNS.iter().map(|(_, width)| width + 2).sum();
+    writeln!(out, "{}", "─".repeat(width - 2))
+}
+
+/// Breaks a text between words into lines no wider than `width`, a longer word apart.
+fn wrap(text: &str, width: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let Some(line) = lines.last_mut() else { break };
+        let length = line.chars().count();
+        if length == 0 {
+            line.push_str(word);
+        } else if length + 1 + word.chars().count() <= width {
+            line.push(' ');
+            line.push_str(word);
+        } else {
+            lines.push(word.to_owned());
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wrap;
+
+    #[test]
+    fn lines_are_broken_between_words() {
+        assert_eq!(wrap("one two three", 7), ["one two", "three"]);
+        assert_eq!(
+            wrap("incomprehensible is long", 6),
+            ["incomprehensible", "is", "long"]
+        );
+        assert_eq!(wrap("", 6), [""]);
+    }
+}
