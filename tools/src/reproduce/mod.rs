@@ -39,7 +39,7 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "DIR", default_value = "singletrack-reproduction")]
     pub out: PathBuf,
 
-    /// The car, from the [vehicle] table of a TOML file [default: the paper's]
+    /// The car: a TOML file with a table `vehicle` [default: the paper's]
     #[arg(long, value_name = "FILE")]
     pub vehicle: Option<PathBuf>,
 

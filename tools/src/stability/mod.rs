@@ -4,6 +4,7 @@
 mod eigenvalues;
 mod grid;
 mod hopf;
+mod jacobian;
 mod output;
 mod region;
 mod sampled;
@@ -34,6 +35,8 @@ pub struct StabilityArgs {
 enum StabilityCommand {
     /// In words: where each law is stable, with the car's own numbers.
     Summary(summary::SummaryArgs),
+    /// The linearisation at one steady motion.
+    Jacobian(jacobian::JacobianArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
     Hopf(hopf::HopfArgs),
     /// Eigenvalues of the steady motion over speed and dl.
@@ -187,6 +190,7 @@ impl LoopArgs {
 pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
+        StabilityCommand::Jacobian(args) => jacobian::run(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),

@@ -1,0 +1,82 @@
+//! The linearisation at one steady motion.
+
+use std::io::{self, BufWriter, Write};
+
+use clap::Args;
+use nalgebra::DMatrix;
+use serde_json::json;
+use singletrack_analysis::stability::{CharacteristicPolynomial, Law};
+
+use super::{Format, LoopArgs, StabilityCommandError, output::write_json};
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct JacobianArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speed of the steady motion, in m/s
+    #[arg(long, value_name = "M_S", allow_negative_numbers = true)]
+    speed: f64,
+    /// Deviation dl of the centre of mass, in m
+    #[arg(
+        long,
+        value_name = "M",
+        allow_negative_numbers = true,
+        default_value_t = 0.0
+    )]
+    dl: f64,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+/// The states, each with the unit of its column, in rad and s.
+const STATES: [&str; 4] = ["yaw", "yaw_rate", "sideslip", "steering"];
+
+pub(super) fn run(args: &JacobianArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let closed_loop = subject.at(args.speed, args.dl)?;
+    let jacobian = closed_loop.jacobian();
+    let states = match subject.law {
+        Law::FrontPoint => &STATES[..],
+        Law::VelocityPoint => &STATES[..3],
+    };
+    match args.format {
+        Format::Csv => write_csv(states, &jacobian)?,
+        Format::Json => {
+            let rows: Vec<Vec<f64>> = jacobian
+                .row_iter()
+                .map(|row| row.iter().copied().collect())
+                .collect();
+            let polynomial = match closed_loop.characteristic_polynomial() {
+                CharacteristicPolynomial::Quartic(a) => a.to_vec(),
+                CharacteristicPolynomial::Cubic(a) => a.to_vec(),
+            };
+            let eigenvalues: Vec<_> = closed_loop
+                .eigenvalues()
+                .iter()
+                .map(|value| [value.re, value.im])
+                .collect();
+            let point = json!({
+                "speed_m_s": args.speed,
+                "dl_m": args.dl,
+                "states": states,
+                "jacobian": rows,
+                "characteristic_polynomial_ascending": polynomial,
+                "eigenvalues_per_s": eigenvalues,
+                "stable": closed_loop.is_stable(),
+            });
+            write_json(&subject, &[point])?;
+        }
+    }
+    Ok(())
+}
+
+fn write_csv(states: &[&str], jacobian: &DMatrix<f64>) -> io::Result<()> {
+    let mut out = BufWriter::new(io::stdout().lock());
+    writeln!(out, "derivative_of,{}", states.join(","))?;
+    for (state, row) in states.iter().zip(jacobian.row_iter()) {
+        let fields: Vec<String> = row.iter().map(f64::to_string).collect();
+        writeln!(out, "{state},{}", fields.join(","))?;
+    }
+    out.flush()
+}
