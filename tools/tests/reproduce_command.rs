@@ -126,9 +126,9 @@ fn what_the_paper_says_of_stability_agrees() {
 fn the_simulated_car_does_what_the_equations_say() {
     let run = Reproduced::get();
     for (id, index, measured, tolerance) in [
-        ("circle-amplitude-car", 0, 0.894_4, 0.01),
-        ("circle-lag-car", 0, 0.463_6, 0.01),
-        ("circle-linear-tools-car", 0, 0.0, 0.01),
+        ("circle-amplitude", 1, 0.894_4, 0.01),
+        ("circle-lag", 1, 0.463_6, 0.01),
+        ("circle-linear-tools", 1, 0.0, 0.01),
         ("steps-losses", 0, 0.0, 0.05),
     ] {
         let claim = run.claim(id);
@@ -286,4 +286,78 @@ fn a_file_in_the_place_of_the_folder_is_refused() {
         assert!(error.contains("file") && error.contains("--out"), "{error}");
     }
     assert_eq!(fs::read_to_string(file).unwrap(), "mine");
+}
+
+fn shipped(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("vehicles")
+        .join(name)
+}
+
+#[test]
+fn for_another_car_everything_is_computed_and_the_papers_numbers_are_not_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let vehicle = shipped("bmw-320i.toml");
+    let output = reproduce(folder.path(), &["--vehicle", vehicle.to_str().unwrap()]);
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{error}");
+    let text = fs::read_to_string(folder.path().join("claims.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let claim = |id: &str| {
+        let mut claims = json["claims"].as_array().unwrap().iter();
+        claims.find(|claim| claim["id"] == id).unwrap()
+    };
+    let wheelbase = 2.5789;
+    assert_eq!(claim("appendix-threshold")["verdict"], "not-comparable");
+    // Ten times as large, and the same law.
+    let amplitude = claim("circle-amplitude");
+    assert_eq!(amplitude["verdict"], "differs");
+    let value = amplitude["measured"][0]["value"].as_f64().unwrap();
+    assert!(
+        (value / wheelbase * 0.26 - 0.894_427).abs() < 1e-4,
+        "{value}"
+    );
+    assert_eq!(claim("steps-integrators")["verdict"], "agrees");
+    let report = fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(report.contains("bmw-320i.toml") && report.contains("not driven"));
+}
+
+#[test]
+fn a_car_that_is_none_is_refused_by_name_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let broken = folder.path().join("broken.toml");
+    let paper = fs::read_to_string(shipped("paper.toml")).unwrap();
+    for (text, word) in [
+        (paper.replace("mass_kg", "weight_kg"), "weight_kg"),
+        (paper.replace("mass_kg = 1.9", "mass_kg = -1.9"), "mass_kg"),
+        ("[car]".to_owned(), "[vehicle]"),
+    ] {
+        fs::write(&broken, text).unwrap();
+        let output = reproduce(&out, &["--vehicle", broken.to_str().unwrap()]);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && !out.exists());
+        assert!(
+            error.contains(word) && error.contains("broken.toml"),
+            "{error}"
+        );
+    }
+    let output = reproduce(&out, &["--vehicle", "nowhere.toml"]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("nowhere.toml"));
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_reproduction_replaces_an_earlier_one_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let vehicle = shipped("bmw-320i.toml");
+    let options = ["--vehicle", vehicle.to_str().unwrap()];
+    assert!(reproduce(folder.path(), &options).status.success());
+    let notes = folder.path().join("notes.txt");
+    fs::write(&notes, "mine").unwrap();
+    let old = folder.path().join("figures/circle-trajectory-ideal.svg");
+    fs::write(&old, "an old picture").unwrap();
+    assert!(reproduce(folder.path(), &options).status.success());
+    assert_eq!(fs::read_to_string(notes).unwrap(), "mine");
+    assert!(fs::read_to_string(old).unwrap().starts_with("<svg"));
 }

@@ -56,6 +56,7 @@ impl Claim {
             name: name.to_owned(),
             agrees,
             instead: None,
+            of_paper_car: false,
         });
         self
     }
@@ -73,7 +74,16 @@ impl Claim {
             name: name.to_owned(),
             agrees,
             instead: Some(instead),
+            of_paper_car: false,
         });
+        self
+    }
+
+    /// The last number is of the simulated car, with tolerances for the paper's.
+    fn on_the_car(mut self) -> Self {
+        if let Some(last) = self.quantities.last_mut() {
+            last.of_paper_car = true;
+        }
         self
     }
 }

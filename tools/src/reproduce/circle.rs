@@ -240,7 +240,8 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
         ours: format!(
             "From everywhere it converges, to a circle of {} on the ideal plant and {} on the car: \
              the reference's radius over √1.25 ({} m) is what unit-gain proportional control \
-             without feed-forward gives.",
+             without feed-forward gives. The car, whose speed, acceleration and steering have \
+             limits, makes detours where the ideal plant turns at once.",
             get("circle.amplitude.outside.ideal", "m"),
             get("circle.amplitude.outside.car", "m"),
             with_digits(amplitude, 4),
@@ -313,7 +314,8 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
         title: "Sideslip angle and yaw rate".to_owned(),
         paper: "The measured sideslip angle and yaw rate.".to_owned(),
         ours: format!(
-            "They settle on {} and {}: the car turns as fast as the reference.",
+            "On the ideal plant and on the car the sideslip settles on {}, the yaw rate on {}: the \
+             car turns as fast as the reference.",
             settled("sideslip", "rad"),
             settled("yaw-rate", "rad/s")
         ),

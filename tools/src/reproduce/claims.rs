@@ -88,6 +88,9 @@ pub struct Quantity {
     pub agrees: Criterion,
     /// What it is instead, where the paper slips.
     pub instead: Option<Criterion>,
+    /// Whether it is of the simulated car, with tolerances for the paper's: left out for
+    /// others.
+    pub of_paper_car: bool,
 }
 
 /// What a claim is worth for which car.
@@ -181,7 +184,10 @@ pub fn judge(claims: Vec<Claim>, measurements: &Measurements, paper_car: bool) -
         .collect()
 }
 
-fn judge_one(claim: Claim, measurements: &Measurements, paper_car: bool) -> Judged {
+fn judge_one(mut claim: Claim, measurements: &Measurements, paper_car: bool) -> Judged {
+    claim
+        .quantities
+        .retain(|quantity| paper_car || !quantity.of_paper_car);
     let measured: Vec<Option<f64>> = claim
         .quantities
         .iter()
@@ -268,6 +274,7 @@ mod tests {
                 name: "amplitude".to_owned(),
                 agrees,
                 instead,
+                of_paper_car: false,
             }],
             unit: "m",
             scope,
@@ -341,6 +348,22 @@ mod tests {
         let surprise = judged[0].surprise.as_deref().unwrap();
         assert!(surprise.starts_with("amplitude was not"), "{surprise}");
         assert_eq!(surprises(&judged), 1);
+    }
+
+    #[test]
+    fn what_is_of_the_simulated_car_is_left_out_for_another() {
+        let mut both = claim(ONE, None, Scope::AnyCar);
+        both.quantities.push(Quantity {
+            name: "car".to_owned(),
+            of_paper_car: true,
+            ..both.quantities[0].clone()
+        });
+        let mut measurements = Measurements::default();
+        measurements.add("amplitude", 1.0);
+        let of = |paper_car| judge(vec![both.clone()], &measurements, paper_car);
+        assert_eq!(of(false)[0].verdict, Verdict::Agrees);
+        assert_eq!(of(false)[0].measured, [Some(1.0)]);
+        assert_eq!(of(true)[0].verdict, Verdict::NotMeasured);
     }
 
     #[test]

@@ -120,7 +120,12 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     let reproduction = reproduce(setup);
     let report = folder::write(&args.out, &reproduction)?;
     table::print(&reproduction, &report);
-    match surprises(&reproduction.claims) {
+    outcome(&reproduction.claims, report)
+}
+
+/// Fails if a claim came out otherwise than it should.
+fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
+    match surprises(claims) {
         0 => Ok(()),
         count => Err(ReproduceError::Surprise { count, report }),
     }
@@ -169,4 +174,86 @@ fn basics(setup: &Setup) -> Measurements {
 fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> {
     let path = path.to_owned();
     move |source| ReproduceError::Write { path, source }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_control::{
+        FrontPointLaw, Motion, Singularity, VehicleParameters, Velocity, direction,
+    };
+
+    use super::*;
+
+    fn setup() -> Setup {
+        Setup {
+            vehicle: VehicleParameters::paper(),
+            name: "the paper's car".to_owned(),
+            quick: true,
+        }
+    }
+
+    #[test]
+    fn a_measurement_that_should_agree_and_does_not_fails_the_command() {
+        let wrong = |value| {
+            let mut measurements = Measurements::default();
+            measurements.add("hopf.velocity.threshold_mm", value);
+            let claims = catalogue::claims(&setup());
+            let claims = claims
+                .into_iter()
+                .filter(|claim| claim.id == "appendix-threshold");
+            let judged = judge(claims.collect(), &measurements, true);
+            assert_eq!(judged.len(), 1);
+            (
+                judged[0].verdict,
+                outcome(&judged, PathBuf::from("report.html")).map_err(|error| error.to_string()),
+            )
+        };
+        assert_eq!(wrong(0.135_977).0, claims::Verdict::Agrees);
+        assert_eq!(wrong(0.135_977).1, Ok(()));
+        let (verdict, outcome) = wrong(0.442);
+        assert_eq!(verdict, claims::Verdict::Differs);
+        let error = outcome.unwrap_err();
+        assert!(
+            error.contains("1 of the claims") && error.contains("report.html"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn the_law_has_no_answer_at_the_corner_of_the_stated_ranges() {
+        let vehicle = VehicleParameters::paper();
+        let l_f = vehicle.front_axle_distance_m;
+        let law = FrontPointLaw::new(l_f, 0.35, vehicle.wheelbase_m()).unwrap();
+        let at = |sideslip: f64, steering: f64| {
+            let motion = Motion {
+                yaw: 0.0,
+                yaw_rate: 0.0,
+                sideslip: sideslip.to_radians(),
+            };
+            let velocity: Velocity = direction(0.0);
+            law.command(&motion, steering.to_radians(), &velocity)
+        };
+        assert!(matches!(
+            at(40.0, -50.0),
+            Err(Singularity::WheelsAcrossVelocity { .. })
+        ));
+        assert!(at(40.0, -26.0).is_ok());
+    }
+
+    #[test]
+    fn another_car_drives_the_same_experiments_as_much_larger_as_it_is() {
+        let paper = setup();
+        let twice = Setup {
+            vehicle: VehicleParameters {
+                front_axle_distance_m: 0.2736,
+                rear_axle_distance_m: 0.2464,
+                ..paper.vehicle
+            },
+            ..paper.clone()
+        };
+        assert!(paper.is_paper() && !twice.is_paper());
+        assert!((paper.scale() - 1.0).abs() < 1e-12 && (twice.scale() - 2.0).abs() < 1e-12);
+        assert!((twice.point_distance_m() - 0.7).abs() < 1e-12);
+        assert!((twice.radius_m() - 2.0).abs() < 1e-12);
+    }
 }

@@ -8,7 +8,7 @@ use super::{
     pictures,
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
-    text::{metres, mm, number},
+    text::{metres, mm, number, with_digits},
 };
 use crate::{
     figure::{Axis, Look, Symbol, Width},
@@ -73,7 +73,10 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
         ..Section::default()
     };
     let deviations = [0.0, setup.rear_deviation_m()];
-    let names = deviations.map(|dl| format!("dl = {}", metres(dl)));
+    let names = [
+        "dl = 0".to_owned(),
+        format!("dl = {}", metres(setup.rear_deviation_m())),
+    ];
     section.intro.push(format!(
         "The law is fed with six constant velocities of P, {STEP_S} s each, without position \
          control: once with the right l<sub>f</sub>, once with one that puts the centre of mass at \
@@ -205,7 +208,7 @@ fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Secti
     let [ideal_right, ideal_rear] = &drives.ideal;
     let [car_right, car_rear] = &drives.car;
 
-    if let Some(run) = car_right.as_ref().or(ideal_right.as_ref()) {
+    if let Some(run) = ideal_right.as_ref().or(car_right.as_ref()) {
         let fastest = run
             .rows
             .iter()
@@ -215,9 +218,8 @@ fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Secti
             title: "Commanded velocity of P".to_owned(),
             paper: "The two components of the velocity, steps that both tests share.".to_owned(),
             ours: format!(
-                "{} steps, up to {} m/s, shared by both tests and both plants.",
-                VELOCITIES.len(),
-                number(fastest)
+                "Six steps, of up to {} m/s, that both tests and both plants share.",
+                with_digits(fastest, 2)
             ),
             pictures: vec![Picture::new(
                 "steps-commanded-velocity",
@@ -302,12 +304,8 @@ fn speed_lag(run: Option<&Run>) -> String {
     }
     format!(
         "within its motor's lag, {} m/s RMS after the first second",
-        number_of_two((squares / count.max(1.0)).sqrt())
+        with_digits((squares / count.max(1.0)).sqrt(), 2)
     )
-}
-
-fn number_of_two(value: f64) -> String {
-    super::text::with_digits(value, 2)
 }
 
 /// The deviation of the true P over time, beside what a wrong `l_f` gives by theory.

@@ -8,7 +8,7 @@ use std::{
 use super::{
     Reproduction,
     claims::{Judged, Verdict, surprises},
-    text::number,
+    text::with_digits,
 };
 
 /// Columns with their widths, in characters.
@@ -66,6 +66,10 @@ pub(super) fn counts(claims: &[Judged]) -> String {
     }
 }
 
+fn number(value: f64) -> String {
+    with_digits(value, 4)
+}
+
 /// Each number with its label.
 pub(super) fn measured(judged: &Judged) -> Vec<String> {
     let quantities = judged.claim.quantities.iter();
@@ -74,7 +78,10 @@ pub(super) fn measured(judged: &Judged) -> Vec<String> {
         .map(|(quantity, value)| {
             let value = value.map_or_else(
                 || "none".to_owned(),
-                |value| format!("{} {}", number(value), judged.claim.unit),
+                |value| match judged.claim.unit {
+                    "°" => format!("{}°", number(value)),
+                    unit => format!("{} {unit}", number(value)),
+                },
             );
             let value = value.trim_end();
             if quantity.label.is_empty() {

@@ -4,7 +4,7 @@ use super::{
     super::{
         claims::{Claim, Criterion, Scope},
         setup::{GAIN, Setup, TURN_RATE},
-        text::{metres, number, with_digits},
+        text::{metres, with_digits},
     },
     claim, near,
 };
@@ -28,7 +28,7 @@ pub(super) fn steps(setup: &Setup) -> Vec<Claim> {
         )
         .unit("m")
         .agrees("ideal", "steps.largest.right.ideal", near(0.0, EXACT))
-        .because("equations 5 to 7; the deviation left is the integrator's"),
+        .because("equations 4 to 7; the deviation left is the integrator's"),
         claim(
             "steps-close",
             2,
@@ -156,17 +156,11 @@ pub(super) fn circle(setup: &Setup) -> Vec<Claim> {
         )
         .unit("m, rad")
         .agrees("apart, ideal", "circle.spread.ideal", near(0.0, 1e-4))
-        .because("amplitude and lag of the last turn differ by this among four starts"),
-        claim(
-            "circle-converges-car",
-            3,
-            Scope::PaperCar,
-            "So it does on the car",
-            "as above",
-        )
-        .unit("m, rad")
         .agrees("apart, car", "circle.spread.car", near(0.0, 0.01))
-        .because("what is left is noise and the servo's steps"),
+        .on_the_car()
+        .because(
+            "amplitude and lag of the last turn, from four starts; to a path of its own: see below",
+        ),
         claim(
             "circle-amplitude",
             3,
@@ -181,26 +175,18 @@ pub(super) fn circle(setup: &Setup) -> Vec<Claim> {
             near(radius, 0.01 * radius),
             near(amplitude, 1e-5 * radius),
         )
-        .because(format!(
-            "two integrators under unit gain are a low-pass: 1/√(1 + 0.5²) = {} of the \
-             reference's amplitude",
-            with_digits(gain, 6)
-        )),
-        claim(
-            "circle-amplitude-car",
-            3,
-            Scope::PaperCar,
-            "So they have on the car",
-            "as above",
-        )
-        .unit("m")
         .differs(
             "car",
             "circle.amplitude.outside.car",
             near(radius, 0.01 * radius),
             near(amplitude, 0.02 * radius),
         )
-        .because("the simulated car does as the theory says, to 2 %"),
+        .on_the_car()
+        .because(format!(
+            "two integrators under unit gain are a low-pass: 1/√(1 + 0.5²) = {} of the \
+             reference's amplitude, where the paper's figure may well seem the same to the eye",
+            with_digits(gain, 6)
+        )),
         claim(
             "circle-lag",
             3,
@@ -211,36 +197,29 @@ pub(super) fn circle(setup: &Setup) -> Vec<Claim> {
         )
         .unit("rad")
         .differs(
-            "start on the path, ideal",
+            "on the path, ideal",
             "circle.lag.on-the-path.ideal",
             near(0.0, 0.01),
             near(lag, 1e-5),
         )
-        .because(format!(
-            "it is the steady state of proportional control, atan(0.5) = {} rad, from every start",
-            with_digits(lag, 6)
-        )),
-        claim(
-            "circle-lag-car",
-            3,
-            Scope::PaperCar,
-            "So it does on the car",
-            "as above",
-        )
-        .unit("rad")
         .differs(
-            "start on the path, car",
+            "on the path, car",
             "circle.lag.on-the-path.car",
             near(0.0, 0.01),
             near(lag, 0.02),
         )
-        .because("the simulated car does as the theory says"),
+        .on_the_car()
+        .because(format!(
+            "it is the steady state of proportional control, atan(0.5) = {} rad, from every \
+             start, also from one on the path",
+            with_digits(lag, 6)
+        )),
         claim(
             "circle-linear-tools",
             3,
             Scope::AnyCar,
             "Any tool of linear control can be put around the law",
-            "\"any linear system tool can be applied\"; with the reference's velocity fed forward \
+            "\"any linear system tool can be applied\": with the reference's velocity fed forward \
              two integrators follow without error",
         )
         .unit("m")
@@ -249,23 +228,15 @@ pub(super) fn circle(setup: &Setup) -> Vec<Claim> {
             "circle.feed-forward.error.ideal",
             near(0.0, 1e-4 * radius),
         )
-        .because("amplitude and delay are then those of the reference"),
-        claim(
-            "circle-linear-tools-car",
-            3,
-            Scope::PaperCar,
-            "So it can on the car",
-            "as above",
-        )
-        .unit("m")
         .agrees(
             "error, car",
             "circle.feed-forward.error.car",
             near(0.0, 0.02),
         )
-        .because(format!(
-            "{} m are left of lags, delays and noise that the paper's model does not have",
-            number(0.02)
-        )),
+        .on_the_car()
+        .because(
+            "amplitude and delay are then those of the reference; on the car noise, lags and \
+             delays are left",
+        ),
     ]
 }
