@@ -1,12 +1,16 @@
 //! The Hopf curve: where stability ends, speed by speed.
 
+use std::io::{self, Write as _};
+
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
 
 use super::{
     Grid, LoopArgs, StabilityCommandError, Subject,
+    figures::{self, Scene},
     output::{Table, write_json},
+    region,
 };
 
 #[derive(Clone, Debug, Args)]
@@ -48,7 +52,12 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
             let points: Vec<_> = curve.iter().map(document).collect();
             write_json(&subject, &points)?;
         }
-        HopfFormat::Svg => {}
+        HopfFormat::Svg => {
+            let deviations = figures::drawn_deviations(&subject, 241);
+            let region = region(&subject, &args.speeds, &deviations)?;
+            let figure = figures::region(&Scene::new(&subject, &curve)?, &region)?;
+            io::stdout().write_all(figure.to_svg().as_bytes())?;
+        }
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 //! sampled loop that it leaves out.
 
 mod eigenvalues;
+pub mod figures;
 mod grid;
 mod hopf;
 mod jacobian;
@@ -22,7 +23,10 @@ pub use hopf::hopf_curve;
 pub use region::{RegionRow, region};
 pub use sampled::{SampledRow, TimingArgs, sampled_map};
 
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::{
+    figure::GridError,
+    vehicle_file::{self, VehicleFileError},
+};
 
 /// What is to be known of the steady motion.
 #[derive(Clone, Debug, Args)]
@@ -45,6 +49,8 @@ enum StabilityCommand {
     Region(region::RegionArgs),
     /// The sampled loop: spectral radius, delay margin, longest marker interval.
     Sampled(sampled::SampledArgs),
+    /// The paper's figures of all this, as SVG files.
+    Figures(figures::FiguresArgs),
 }
 
 /// The car and its law.
@@ -114,6 +120,9 @@ pub enum StabilityCommandError {
     /// The loop can't be sampled so.
     #[error(transparent)]
     Sampling(#[from] SamplingError),
+    /// There is nothing to draw a map of.
+    #[error("can't draw this: {0}")]
+    Grid(#[from] GridError),
     /// The result can't be written.
     #[error("can't write the result: {0}")]
     Write(#[from] io::Error),
@@ -195,6 +204,7 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
         StabilityCommand::Sampled(args) => sampled::run(args),
+        StabilityCommand::Figures(args) => figures::run(args),
     };
     match result {
         // Whoever read it has seen enough.

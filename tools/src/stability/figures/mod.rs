@@ -1,0 +1,14 @@
+//! The figures of the stability analysis: the paper's, over speed and dl, and those of
+//! the loop as it is sampled. They are drawn from what the other modules computed.
+
+mod command;
+mod levels;
+mod maps;
+mod sampled;
+mod scene;
+
+pub(super) use command::{FiguresArgs, run};
+pub use maps::{eigenvalue, eigenvalues, region};
+pub use sampled::{delay_margin, longest_marker_interval, spectral_radius};
+pub use scene::Scene;
+pub(super) use scene::drawn_deviations;
