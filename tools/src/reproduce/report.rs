@@ -88,14 +88,36 @@ fn entry(section: &Section) -> String {
     )
 }
 
-fn row(judged: &Judged) -> String {
-    let claim = &judged.claim;
-    let class = match (judged.verdict, &judged.surprise) {
+/// How a claim came out, in a style sheet.
+const fn class(judged: &Judged) -> &'static str {
+    match (judged.verdict, &judged.surprise) {
         (_, Some(_)) => "surprise",
         (Verdict::Agrees, None) => "agrees",
         (Verdict::Differs, None) => "differs",
         (Verdict::NotComparable | Verdict::NotMeasured, None) => "none",
-    };
+    }
+}
+
+/// A text for the page, with subscripts where it has underscores: `l_f`.
+fn typeset(text: &str) -> String {
+    let text = escaped(text);
+    let mut html = String::with_capacity(text.len());
+    let mut letters = text.chars().peekable();
+    while let Some(letter) = letters.next() {
+        match (letter, letters.peek()) {
+            ('_', Some(below)) if below.is_ascii_lowercase() => {
+                html += &format!("<sub>{below}</sub>");
+                letters.next();
+            }
+            _ => html.push(letter),
+        }
+    }
+    html
+}
+
+fn row(judged: &Judged) -> String {
+    let claim = &judged.claim;
+    let class = class(judged);
     let surprise = judged
         .surprise
         .as_ref()
@@ -104,7 +126,7 @@ fn row(judged: &Judged) -> String {
         });
     let measured: Vec<String> = table::measured(judged)
         .iter()
-        .map(|line| escaped(line))
+        .map(|line| typeset(line))
         .collect();
     format!(
         "<tr id=\"{}\" class=\"{class}\"><td><a href=\"#section-{}\">{}</a></td><td>{}</td>\
@@ -112,11 +134,11 @@ fn row(judged: &Judged) -> String {
         claim.id,
         claim.section,
         claim.section,
-        escaped(&claim.claim),
-        escaped(&claim.paper),
+        typeset(&claim.claim),
+        typeset(&claim.paper),
         measured.join("<br>"),
         judged.verdict.name(),
-        escaped(&claim.why)
+        typeset(&claim.why)
     )
 }
 
@@ -138,15 +160,16 @@ fn body(section: &Section, claims: &[Judged]) -> String {
         .filter(|judged| judged.claim.section == section.number)
         .map(|judged| {
             format!(
-                "<a href=\"#{}\">{}</a>: {}",
+                "<li class=\"{}\"><a href=\"#{}\">{}</a>: <span class=\"verdict\">{}</span></li>",
+                class(judged),
                 judged.claim.id,
-                escaped(&judged.claim.claim),
+                typeset(&judged.claim.claim),
                 judged.verdict.name()
             )
         })
         .collect();
     if !own.is_empty() {
-        html += &format!("<p class=\"quiet\">Claims: {}.</p>\n", own.join("; "));
+        html += &format!("<ul class=\"own\">{}</ul>\n", own.concat());
     }
     for plate in &section.plates {
         html += &framed(plate);
@@ -240,6 +263,12 @@ fn vehicle(reproduction: &Reproduction) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn underscores_become_subscripts_and_markup_stays_text() {
+        assert_eq!(typeset("C_f l_r < 1"), "C<sub>f</sub> l<sub>r</sub> &lt; 1");
+        assert_eq!(typeset("a_ b_1 _"), "a_ b_1 _");
+    }
 
     #[test]
     fn every_place_of_the_page_has_its_part_and_parts_are_not_filled() {

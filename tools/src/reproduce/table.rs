@@ -13,7 +13,7 @@ use super::{
 
 /// Columns with their widths, in characters.
 const COLUMNS: [(&str, usize); 5] = [
-    ("", 9),
+    ("verdict", 9),
     ("claim", 27),
     ("the paper", 30),
     ("measured", 20),

@@ -91,7 +91,7 @@ pub(super) fn steps(setup: &Setup) -> Vec<Claim> {
             "steps-deviation-law",
             2,
             Scope::AnyCar,
-            "P's velocity is off by dl r, across the car",
+            "With a wrong l_f P's velocity is off by dl r, across the car",
             "equation 9, which integrates to a deviation of 2 |dl sin(Δψ/2)|",
         )
         .unit("m")
