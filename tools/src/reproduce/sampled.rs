@@ -7,10 +7,10 @@ use super::{
     Setup,
     progress::Progress,
     section::{Plate, Section, Table},
-    stability::subject,
+    stability::{picture, scene, subject},
     text::{number, with_digits},
 };
-use crate::stability::{Grid, TimingArgs, sampled_map};
+use crate::stability::{Grid, TimingArgs, figures, sampled_map};
 
 /// A time in ms, in words; none is beyond what was looked at.
 fn ms(time: Option<f64>, limit: f64) -> String {
@@ -93,6 +93,32 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             ));
         }
     }
+    let mut pictures = Vec::new();
+    if let Some(scene) = scene(&subject, setup, &mut section) {
+        for (name, label, figure) in [
+            (
+                "sampled-spectral-radius",
+                "spectral radius",
+                figures::spectral_radius(&scene, timing, &map),
+            ),
+            (
+                "sampled-delay-margin",
+                "delay margin",
+                figures::delay_margin(&scene, timing, &map),
+            ),
+            (
+                "sampled-marker-interval",
+                "longest survivable marker interval",
+                figures::longest_marker_interval(&scene, timing, &map),
+            ),
+        ] {
+            let mut drawn = picture(&mut section, name, figure);
+            for picture in &mut drawn {
+                picture.label = label.to_owned();
+            }
+            pictures.append(&mut drawn);
+        }
+    }
     section.plates.push(Plate {
         title: "Spectral radius, delay margin and marker interval".to_owned(),
         paper: "Nothing: the analysis has neither sampling nor delay.".to_owned(),
@@ -105,7 +131,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             with_digits(largest, 6),
             told.join("; ")
         ),
-        pictures: Vec::new(),
+        pictures,
     });
     section
 }

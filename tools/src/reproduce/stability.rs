@@ -7,10 +7,15 @@ use singletrack_analysis::stability::{
 use super::{
     Setup,
     progress::Progress,
-    section::{Plate, Section, Table, or_note},
+    section::{Picture, Plate, Section, Table, or_note},
     text::{metres, mm, number, with_digits},
 };
-use crate::stability::{EigenvalueRow, Grid, Subject, eigenvalue_map, hopf_curve};
+use crate::figure::Figure;
+use crate::stability::{
+    EigenvalueRow, Grid, Subject, eigenvalue_map,
+    figures::{self, Scene},
+    hopf_curve, region,
+};
 
 /// The speeds that are looked at, for the paper's car, in m/s. The paper does not say
 /// which it considers.
@@ -30,14 +35,55 @@ fn speeds(setup: &Setup, count: usize) -> Grid {
     Grid::spanning(SPEEDS.map(|speed| speed * setup.scale()), count)
 }
 
-/// All Hopf points at which stability ends, over the speeds.
+/// Speeds and deviations of the maps, as those of the paper's figures.
+fn map_grids(setup: &Setup, subject: &Subject) -> [Grid; 2] {
+    let (columns, rows) = if setup.quick { (20, 31) } else { (80, 121) };
+    let deviations = match subject.usual_deviations().values() {
+        [from, .., to] => Grid::spanning([*from, *to], rows),
+        other => Grid::spanning([other.first().copied().unwrap_or(0.0); 2], 1),
+    };
+    [speeds(setup, columns), deviations]
+}
+
+/// All Hopf points over the speeds.
 fn curve(setup: &Setup, law: Law, section: &mut Section) -> Vec<HopfPoint> {
     let speeds = speeds(setup, if setup.quick { 40 } else { 159 });
-    let mut curve = section
+    section
         .or_note("Hopf points", hopf_curve(&subject(setup, law), &speeds))
-        .unwrap_or_default();
-    curve.retain(HopfPoint::ends_stability);
-    curve
+        .unwrap_or_default()
+}
+
+/// What is drawn into every map of a car under a law.
+pub(super) fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
+    let hopf = curve(setup, subject.law, section);
+    section.or_note("Hopf points", Scene::new(subject, &hopf))
+}
+
+/// The picture of a figure that was drawn.
+pub(super) fn picture<E: std::fmt::Display>(
+    section: &mut Section,
+    name: &str,
+    figure: Result<Figure, E>,
+) -> Vec<Picture> {
+    section
+        .or_note(name, figure)
+        .map(|figure| Picture::new(name, "", figure))
+        .into_iter()
+        .collect()
+}
+
+/// The paper's figure of stable and unstable regions.
+fn region_picture(setup: &Setup, law: Law, name: &str, section: &mut Section) -> Vec<Picture> {
+    let subject = subject(setup, law);
+    let [speeds, deviations] = map_grids(setup, &subject);
+    let rows = region(&subject, &speeds, &deviations);
+    let (Some(scene), Some(rows)) = (
+        scene(&subject, setup, section),
+        section.or_note("region", rows),
+    ) else {
+        return Vec::new();
+    };
+    picture(section, name, figures::region(&scene, &rows))
 }
 
 fn hopf_table(name: &str, curve: &[HopfPoint]) -> Table {
@@ -90,7 +136,8 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
         title: "Bifurcations under the proposed law",
         ..Section::default()
     };
-    let curve = curve(setup, Law::FrontPoint, &mut section);
+    let mut curve = curve(setup, Law::FrontPoint, &mut section);
+    curve.retain(HopfPoint::ends_stability);
     let [ahead, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
     section.intro.push(format!(
         "The steady motion under the law with a wrong l<sub>f</sub>, over the speed and the \
@@ -142,6 +189,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
     measurements.add("hopf.front.limit", limit);
     measurements.add("hopf.front.unstable_in_range", unstable as f64);
     section.tables.push(hopf_table("hopf-front-point", &curve));
+    let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
     section.plates.push(Plate {
         title: "Stability over speed and deviation".to_owned(),
         paper: "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, \
@@ -156,7 +204,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
             metres(most(deviations())),
             lyapunov(&curve),
         ),
-        pictures: Vec::new(),
+        pictures,
     });
     section
 }
@@ -205,13 +253,8 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
     ] {
         progress.doing(&format!("eigenvalues under {title}"));
         let subject = subject(setup, law);
-        let (columns, rows) = if setup.quick { (20, 31) } else { (80, 121) };
-        // As the paper's figures, and no coarser in the range that matters.
-        let deviations = match subject.usual_deviations().values() {
-            [from, .., to] => Grid::spanning([*from, *to], rows),
-            _ => continue,
-        };
-        let map = eigenvalue_map(&subject, &speeds(setup, columns), &deviations);
+        let [speeds, deviations] = map_grids(setup, &subject);
+        let map = eigenvalue_map(&subject, &speeds, &deviations);
         let Some(map) = section.or_note("eigenvalues", map) else {
             continue;
         };
@@ -240,6 +283,14 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
                 )
             })
             .collect();
+        let pictures = match scene(&subject, setup, &mut section) {
+            Some(scene) => picture(
+                &mut section,
+                &format!("eigenvalues-{name}-point"),
+                figures::eigenvalues(&scene, &map),
+            ),
+            None => Vec::new(),
+        };
         section.plates.push(Plate {
             title: format!("Real parts under {title}"),
             paper: match law {
@@ -268,7 +319,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
                     String::new()
                 }
             ),
-            pictures: Vec::new(),
+            pictures,
         });
     }
     section
@@ -292,7 +343,8 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
          otherwise."
             .to_owned(),
     );
-    let curve = curve(setup, Law::VelocityPoint, &mut section);
+    let mut curve = curve(setup, Law::VelocityPoint, &mut section);
+    curve.retain(HopfPoint::ends_stability);
     let [_, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
     let threshold = |belief| {
         hopf_points(
@@ -332,6 +384,12 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
     section
         .tables
         .push(hopf_table("hopf-velocity-point", &curve));
+    let pictures = region_picture(
+        setup,
+        Law::VelocityPoint,
+        "region-velocity-point",
+        &mut section,
+    );
     section.plates.push(Plate {
         title: "Stability over speed and deviation".to_owned(),
         paper: "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at \
@@ -348,7 +406,7 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
             with_digits(leaves, 2),
             lyapunov(&curve),
         ),
-        pictures: Vec::new(),
+        pictures,
     });
     section
 }
