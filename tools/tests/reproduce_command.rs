@@ -166,7 +166,7 @@ fn every_figure_of_the_report_says_what_the_papers_shows_and_what_ours_shows() {
     let run = Reproduced::get();
     let report = run.read("report.html");
     let figures = report.matches("<figure").count();
-    assert!(figures >= 15, "only {figures} figures");
+    assert!(figures >= 20, "only {figures} figures");
     for figure in report.split("<figure").skip(1) {
         let figure = figure.split("</figure>").next().unwrap();
         let (_, caption) = figure.split_once("<figcaption>").unwrap();

@@ -203,7 +203,7 @@ fn framed(plate: &Plate) -> String {
         };
         html += &format!("<div class=\"{width} static\">{}", picture.figure.to_svg());
         if !picture.label.is_empty() {
-            html += &format!("<p class=\"label\">{}</p>", escaped(&picture.label));
+            html += &format!("<p class=\"which\">{}</p>", escaped(&picture.label));
         }
         html += "</div>\n";
     }

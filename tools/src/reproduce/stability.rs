@@ -115,16 +115,21 @@ fn most(values: impl Iterator<Item = f64>) -> f64 {
 
 /// The first Lyapunov coefficients along a curve, in a sentence.
 fn lyapunov(curve: &[HopfPoint]) -> String {
-    let coefficients = || curve.iter().map(|point| point.lyapunov.kuznetsov);
+    let range = |value: fn(&HopfPoint) -> f64| {
+        let values = || curve.iter().map(value);
+        format!(
+            "between {} and {}",
+            with_digits(least(values()), 3),
+            with_digits(most(values()), 3)
+        )
+    };
+    let subcritical = curve.iter().all(|point| point.lyapunov.kuznetsov > 0.0);
     format!(
-        "The first Lyapunov coefficient is between {} and {}: {}.",
-        number(least(coefficients())),
-        number(most(coefficients())),
-        if coefficients().all(|coefficient| coefficient > 0.0) {
-            "all of these bifurcations are subcritical"
-        } else {
-            "not all of these bifurcations are subcritical"
-        }
+        "The first Lyapunov coefficient is {} as MatCont counts it and as it is drawn ({} in \
+         Kuznetsov's normalisation): {} of these bifurcations are subcritical.",
+        range(|point| point.lyapunov.matcont),
+        range(|point| point.lyapunov.kuznetsov),
+        if subcritical { "all" } else { "not all" }
     )
 }
 
@@ -143,8 +148,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
         "The steady motion under the law with a wrong l<sub>f</sub>, over the speed and the \
          deviation dl of the centre of mass, which is physically meaningful from −l<sub>f</sub> = \
          {} to l<sub>r</sub> = {}. Hopf points are found in closed form, their first Lyapunov \
-         coefficients by exact derivatives (Kuznetsov's normalisation for states in rad and \
-         rad/s; MatCont's, ω times that, is in the data).",
+         coefficients by exact derivatives for states in rad and rad/s.",
         metres(ahead),
         metres(behind)
     ));
@@ -247,6 +251,11 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
         ..Section::default()
     };
     let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    section.intro.push(
+        "The real parts of the eigenvalues of the same steady motions, numbered by ascending real \
+         part at every point."
+            .to_owned(),
+    );
     for (law, name, title) in [
         (Law::FrontPoint, "front", "the proposed law"),
         (Law::VelocityPoint, "velocity", "the appendix's law"),
@@ -299,8 +308,8 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
                      parts are negative."
                 }
                 Law::VelocityPoint => {
-                    "Three maps, of \"the four eigenvalues\"; the most critical, λ<sub>3</sub>, \
-                     is positive in a large part of the meaningful range."
+                    "Three maps, of \"the four eigenvalues\"; that of the most critical, \
+                     λ<sub>3</sub>, has a region where it is not negative."
                 }
             }
             .to_owned(),
@@ -314,7 +323,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
                 },
                 largest.join(", "),
                 if unstable > 0 {
-                    format!(": {unstable} become positive, as a complex pair")
+                    format!(": {unstable} become positive, having crossed the axis as a pair")
                 } else {
                     String::new()
                 }

@@ -80,7 +80,8 @@ pub(super) fn measured(judged: &Judged) -> Vec<String> {
                 || "none".to_owned(),
                 |value| match judged.claim.unit {
                     "°" => format!("{}°", number(value)),
-                    unit => format!("{} {unit}", number(value)),
+                    // Not to be broken between number and unit.
+                    unit => format!("{}\u{a0}{unit}", number(value)),
                 },
             );
             let value = value.trim_end();
