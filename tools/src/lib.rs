@@ -5,6 +5,7 @@ pub mod demo;
 pub mod dump;
 pub mod estimation;
 pub mod figure;
+pub mod identify;
 pub mod plot;
 pub mod recover;
 pub mod replay;

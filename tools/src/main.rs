@@ -9,7 +9,8 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, plot, recover, replay, reproduce, set_reference, setpoint, simulate, stability,
+    demo, dump, identify, plot, recover, replay, reproduce, set_reference, setpoint, simulate,
+    stability,
 };
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
@@ -47,6 +48,8 @@ enum Command {
     },
     /// Where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
     Stability(stability::StabilityArgs),
+    /// Identify the car's parameters from recorded drives.
+    Identify(identify::IdentifyArgs),
     /// Ask the daemon how it is doing.
     Status(control::ControlArgs),
     /// Have the daemon drive along its reference.
@@ -86,6 +89,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         Command::Replay(args) => Ok(replay::run(args)?),
         Command::Stability(args) => Ok(stability::run(args)?),
         Command::Reproduce(args) => Ok(reproduce::run(args)?),
+        Command::Identify(args) => Ok(identify::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),

@@ -4,4 +4,5 @@
 //! Pure functions of their arguments, with the names, units and frames of
 //! [`singletrack_control`].
 
+pub mod identification;
 pub mod stability;

@@ -111,6 +111,8 @@ impl Experiment {
             },
             vehicle: setup.vehicle,
             believed_vehicle: self.believed,
+            limits: None,
+            board: None,
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use singletrack_control::{Mode, Position, Reason, Reference, direction};
+use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
 use singletrackd::config::{Config, LawKind};
 
@@ -85,10 +86,17 @@ fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> 
         reference: scenario.reference.clone(),
     });
     config.control.period_ms = scenario.control.period_ms;
+    if let Some(limits) = scenario.limits {
+        config.limits = limits;
+    }
+    if let Some(board) = scenario.board {
+        config.board = board;
+    }
     config.reference = config
         .reference
         .written_out()
         .map_err(ScenarioError::from)?;
+    config.validate().map_err(ScenarioError::from)?;
     let drive = VirtualDriveConfig {
         pilot: config.pilot().map_err(ScenarioError::from)?,
         link: config.link(scenario.run.seed),
@@ -100,6 +108,30 @@ fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> 
         simulation,
     };
     Ok((config, drive))
+}
+
+/// Drives a scenario on the simulated car, without marker losses, and tells each entry
+/// that a record of it would hold. Returns the configuration that it was driven with.
+///
+/// # Errors
+///
+/// A scenario that the car can't drive, or a car that does not start.
+pub fn drive_entries(
+    scenario: &Scenario,
+    take: &mut impl FnMut(&Entry),
+) -> Result<Config, CarError> {
+    let (daemon, config) = parts(scenario)?;
+    let mut drive = VirtualDrive::new(config)?;
+    drive.keep_entries();
+    let first = drive.start()?;
+    let mut now = first.now;
+    while now.seconds_since(first.now) < scenario.run.duration_s {
+        now = drive.step(&mut |_| {}).now;
+        for entry in drive.entries() {
+            take(&entry);
+        }
+    }
+    Ok(daemon)
 }
 
 /// Drives a scenario on the simulated car; time zero is its first driving tick.

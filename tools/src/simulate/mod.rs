@@ -8,7 +8,7 @@ mod scenario;
 
 use std::path::Path;
 
-pub use car::{CarError, virtual_drive_config};
+pub use car::{CarError, drive_entries, virtual_drive_config};
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
 pub use row::{HEADER, Row, write_csv};

@@ -6,7 +6,9 @@ use serde::Deserialize;
 use singletrack_control::{
     FrontPointLaw, LawError, Reference, TrackingLoop, VehicleParameters, VelocityPointLaw,
 };
-use singletrackd::config::{ConfigError, LawSection, OuterLoopSection, ReferenceSection};
+use singletrackd::config::{
+    BoardSection, ConfigError, LawSection, LimitsSection, OuterLoopSection, ReferenceSection,
+};
 
 /// Everything that a simulation needs to know; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -36,6 +38,13 @@ pub struct Scenario {
     /// the car itself if left out.
     #[serde(default)]
     pub believed_vehicle: Option<VehicleParameters>,
+    /// What the pilot of plant kind "car" may do; the daemon's defaults if left out.
+    #[serde(default)]
+    pub limits: Option<LimitsSection>,
+    /// The calibration and the limits of the board of plant kind "car"; what fits
+    /// the simulated one if left out.
+    #[serde(default)]
+    pub board: Option<BoardSection>,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -185,7 +194,17 @@ impl Scenario {
             path: path.to_owned(),
             source,
         })?;
-        let mut scenario: Self = toml::from_str(&text).map_err(|error| ScenarioError::Parse {
+        Self::from_toml(&text, path)
+    }
+
+    /// The scenario with this text; `path` is where its waypoint files are looked for,
+    /// and what errors name.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, by key.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ScenarioError> {
+        let mut scenario: Self = toml::from_str(text).map_err(|error| ScenarioError::Parse {
             path: path.to_owned(),
             message: error.to_string(),
         })?;
@@ -219,6 +238,20 @@ impl Scenario {
                 self.run.duration_s,
                 "it must lie between 0 and 86400",
             ));
+        }
+        if self.plant.kind == PlantKind::Ideal {
+            for (key, given) in [
+                ("limits", self.limits.is_some()),
+                ("board", self.board.is_some()),
+            ] {
+                if given {
+                    return Err(ScenarioError::value(
+                        key,
+                        "given",
+                        "plant kind \"ideal\" has neither pilot nor board; remove it, or use \"car\"",
+                    ));
+                }
+            }
         }
         if self.control.period_ms > 1_000 {
             return Err(ScenarioError::value(

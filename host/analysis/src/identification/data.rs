@@ -1,0 +1,234 @@
+//! What a drive tells: poses, inertial samples and servo targets, and which
+//! parts of it can be used.
+
+use super::IdentificationError;
+
+/// A pose of the centre of mass by the motion capture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Mid-exposure, in s.
+    pub time_s: f64,
+    /// Position of G along x, in m.
+    pub x_m: f64,
+    /// Position of G along y, in m.
+    pub y_m: f64,
+    /// Yaw, in rad; may jump by whole turns.
+    pub yaw_rad: f64,
+}
+
+/// A sample of the inertial measurement unit at G, axes forward, left, up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inertial {
+    /// When it was measured, as far as is known, in s.
+    pub time_s: f64,
+    /// Angular velocity about the vertical, in rad/s.
+    pub yaw_rate_rad_s: f64,
+    /// Acceleration forward without gravity, in m/s².
+    pub forward_m_s2: f64,
+    /// Acceleration to the left without gravity, in m/s².
+    pub left_m_s2: f64,
+}
+
+/// What the board wanted of the servo when it made a record.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ServoTarget {
+    /// When the record was made, in s.
+    pub time_s: f64,
+    /// Number of the board's control period, from any start.
+    pub period: u64,
+    /// Steering angle that the pulse stands for by the calibration, left
+    /// positive, in rad.
+    pub angle_rad: f64,
+}
+
+/// A drive, on one clock, each list in order of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DriveData {
+    /// What the cameras saw.
+    pub poses: Vec<Pose>,
+    /// What the inertial measurement unit felt.
+    pub inertial: Vec<Inertial>,
+    /// What the servo was told.
+    pub servo: Vec<ServoTarget>,
+}
+
+/// A stretch of time, in s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Where it begins.
+    pub start_s: f64,
+    /// Where it ends.
+    pub end_s: f64,
+}
+
+impl Span {
+    /// How long it is, in s.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.end_s - self.start_s
+    }
+
+    pub(super) fn contains(&self, time_s: f64) -> bool {
+        (self.start_s..=self.end_s).contains(&time_s)
+    }
+}
+
+/// Which of the board's control periods begin a pulse of the servo.
+///
+/// The board tells the pulse at 100 Hz; a servo gets one every 20 ms, and
+/// which of two records it was is not told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServoFrames {
+    /// Those with even numbers.
+    Even,
+    /// Those with odd numbers.
+    Odd,
+    /// All: a digital servo at 100 Hz.
+    Every,
+}
+
+impl ServoFrames {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Even, Self::Odd, Self::Every];
+
+    const fn begins(self, period: u64) -> bool {
+        match self {
+            Self::Even => period.is_multiple_of(2),
+            Self::Odd => !period.is_multiple_of(2),
+            Self::Every => true,
+        }
+    }
+
+    pub(super) fn of(self, targets: &[ServoTarget]) -> Vec<ServoTarget> {
+        let mut taken: Vec<ServoTarget> = Vec::with_capacity(targets.len());
+        for target in targets {
+            // Only a change of the target is an event.
+            let same = |last: &ServoTarget| last.angle_rad.to_bits() == target.angle_rad.to_bits();
+            if self.begins(target.period) && !taken.last().is_some_and(same) {
+                taken.push(*target);
+            }
+        }
+        taken
+    }
+}
+
+/// Without a pose for longer the stretch ends, in s.
+const POSE_GAP: f64 = 0.3;
+/// Without an inertial sample for longer the stretch ends, in s.
+const INERTIAL_GAP: f64 = 0.055;
+/// Shorter stretches are not worth starting a filter for, in s.
+const LEAST_STRETCH: f64 = 2.0;
+/// Over how many poses to either side the speed is measured.
+const REACH: usize = 6;
+
+impl DriveData {
+    /// Refuses what is no drive: empty lists, numbers that are none, times that go back.
+    ///
+    /// # Errors
+    ///
+    /// Which list, and where.
+    pub fn validate(&self) -> Result<(), IdentificationError> {
+        check(
+            "poses of the motion capture",
+            self.poses
+                .iter()
+                .map(|p| (p.time_s, [p.x_m, p.y_m, p.yaw_rad])),
+        )?;
+        check(
+            "samples of the IMU",
+            self.inertial
+                .iter()
+                .map(|i| (i.time_s, [i.yaw_rate_rad_s, i.forward_m_s2, i.left_m_s2])),
+        )?;
+        check(
+            "servo pulses",
+            self.servo
+                .iter()
+                .map(|s| (s.time_s, [s.angle_rad, 0.0, 0.0])),
+        )
+    }
+
+    /// The stretches with poses and inertial samples throughout, at this speed (m/s)
+    /// or faster.
+    #[must_use]
+    pub fn stretches(&self, least_speed: f64) -> Vec<Span> {
+        let first_target = self.servo.first().map_or(f64::INFINITY, |s| s.time_s);
+        let mut spans: Vec<Span> = Vec::new();
+        let mut open: Option<Span> = None;
+        let mut inertial = self.inertial.windows(2).peekable();
+        let mut last = f64::NEG_INFINITY;
+        for (index, pose) in self.poses.iter().enumerate() {
+            let fast = self
+                .speed_at(index)
+                .is_some_and(|speed| speed >= least_speed);
+            // Whether the inertial samples since the last pose are without a gap.
+            let mut felt = true;
+            while let Some([one, other]) = inertial.next_if(|pair| {
+                let [one, _] = pair else { return false };
+                one.time_s <= pose.time_s
+            }) {
+                felt &= other.time_s - one.time_s <= INERTIAL_GAP;
+            }
+            felt &= inertial.peek().is_some();
+            let goes_on =
+                fast && felt && pose.time_s - last <= POSE_GAP && pose.time_s > first_target;
+            last = pose.time_s;
+            match (&mut open, goes_on) {
+                (Some(span), true) => span.end_s = pose.time_s,
+                (None, true) => {
+                    open = Some(Span {
+                        start_s: pose.time_s,
+                        end_s: pose.time_s,
+                    });
+                }
+                (_, false) => spans.extend(open.take()),
+            }
+        }
+        spans.extend(open);
+        spans.retain(|span| span.seconds() >= LEAST_STRETCH);
+        spans
+    }
+
+    /// Speed at the pose with this index by its neighbours, in m/s.
+    pub(super) fn speed_at(&self, index: usize) -> Option<f64> {
+        let from = self.poses.get(index.saturating_sub(REACH))?;
+        let last = self.poses.len().checked_sub(1)?;
+        let to = self.poses.get((index + REACH).min(last))?;
+        let seconds = to.time_s - from.time_s;
+        (seconds > 0.0).then(|| (to.x_m - from.x_m).hypot(to.y_m - from.y_m) / seconds)
+    }
+
+    /// The fastest speed of the drive by the cameras, in m/s.
+    #[must_use]
+    pub fn fastest(&self) -> f64 {
+        (0..self.poses.len())
+            .filter_map(|index| self.speed_at(index))
+            .fold(0.0, f64::max)
+    }
+}
+
+fn check(
+    what: &'static str,
+    samples: impl Iterator<Item = (f64, [f64; 3])>,
+) -> Result<(), IdentificationError> {
+    let mut count = 0;
+    let mut last = f64::NEG_INFINITY;
+    for (index, (time_s, values)) in samples.enumerate() {
+        if !(time_s.is_finite() && values.iter().all(|value| value.is_finite())) {
+            return Err(IdentificationError::NotFinite { what, index });
+        }
+        if time_s < last {
+            return Err(IdentificationError::OutOfOrder {
+                what,
+                index,
+                time_s,
+            });
+        }
+        last = time_s;
+        count = index + 1;
+    }
+    if count < 2 {
+        return Err(IdentificationError::TooFew { what, count });
+    }
+    Ok(())
+}

@@ -1,0 +1,363 @@
+//! An extended Kalman filter along a drive: the innovations, how much they should
+//! vary, and the gains that the predictor then uses.
+
+use nalgebra::{SMatrix, SVector};
+use num_dual::DualSVec64;
+
+use super::{
+    data::{DriveData, ServoTarget, Span},
+    model::{Model, Motion, Tyres},
+    noise::NoiseLevels,
+    parameter::{Parameter, Values},
+    timeline::{Belief, Traveller, travel, wrapped},
+};
+
+/// x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias forward. The
+/// steering angle is no part of it: it follows from what the servo was told.
+pub(super) const STATES: usize = 8;
+
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Channel {
+    /// Position along x.
+    X,
+    /// Position along y.
+    Y,
+    /// Yaw by the cameras.
+    Yaw,
+    /// Yaw rate by the gyro.
+    YawRate,
+    /// Acceleration to the left.
+    Left,
+}
+
+impl Channel {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::X, Self::Y, Self::Yaw, Self::YawRate, Self::Left];
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Yaw => "yaw",
+            Self::YawRate => "yaw_rate",
+            Self::Left => "left_acceleration",
+        }
+    }
+
+    /// Its unit.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::X | Self::Y => "m",
+            Self::Yaw => "rad",
+            Self::YawRate => "rad/s",
+            Self::Left => "m/s²",
+        }
+    }
+}
+
+/// How an innovation corrects the state, and its standard deviation; zero for one
+/// that was not met.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Gain {
+    pub(super) gain: [f64; STATES],
+    pub(super) deviation: f64,
+}
+
+/// The gains along a drive.
+#[derive(Clone, Debug)]
+pub(super) struct Gains {
+    /// Of yaw rate and acceleration to the left, for each inertial sample.
+    pub(super) inertial: Vec<[Gain; 2]>,
+    /// Of x, y and yaw, for each pose.
+    pub(super) poses: Vec<[Gain; 3]>,
+}
+
+/// What was measured less what was predicted.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Innovation {
+    pub(super) channel: Channel,
+    pub(super) time_s: f64,
+    pub(super) value: f64,
+    /// The variance that it should have.
+    pub(super) variance: f64,
+}
+
+/// What is believed after an inertial sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackPoint {
+    /// When, in s.
+    pub time_s: f64,
+    /// Index of the inertial sample.
+    pub inertial: usize,
+    /// Position of G along x, in m.
+    pub x_m: f64,
+    /// Position of G along y, in m.
+    pub y_m: f64,
+    /// Yaw, in rad, not wrapped.
+    pub yaw_rad: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate_rad_s: f64,
+    /// Sideslip, in rad.
+    pub sideslip_rad: f64,
+    /// Speed of G, in m/s.
+    pub speed_m_s: f64,
+    /// Steering angle, in rad.
+    pub steering_rad: f64,
+    /// Bias of the gyro, in rad/s.
+    pub gyro_bias_rad_s: f64,
+    /// Bias of the acceleration forward, in m/s².
+    pub forward_bias_m_s2: f64,
+}
+
+/// What came of going along a drive.
+#[derive(Clone, Debug)]
+pub(super) struct Passage {
+    pub(super) innovations: Vec<Innovation>,
+    pub(super) gains: Gains,
+    pub(super) track: Vec<TrackPoint>,
+}
+
+impl Passage {
+    /// Logarithm of the likelihood, but for a constant.
+    pub(super) fn likelihood(&self) -> f64 {
+        let terms = self.innovations.iter().map(|innovation| {
+            let Innovation {
+                value, variance, ..
+            } = innovation;
+            variance.ln() + value * value / variance
+        });
+        -0.5 * terms.sum::<f64>()
+    }
+}
+
+/// Goes along the stretches of a drive. None where the model ends.
+pub(super) fn pass(
+    data: &DriveData,
+    servo: &[ServoTarget],
+    spans: &[Span],
+    values: &Values,
+    tyres: Tyres,
+    noise: &NoiseLevels,
+) -> Option<Passage> {
+    let model = Model::new(values, *values.all(), tyres);
+    let mut filter = Filter {
+        data,
+        values,
+        noise,
+        model: Model::new(values, values.all().map(Dual::from), tyres),
+        state: SVector::zeros(),
+        steering: 0.0,
+        covariance: SMatrix::zeros(),
+        time: 0.0,
+        passage: Passage {
+            innovations: Vec::new(),
+            gains: Gains {
+                inertial: vec![[Gain::default(); 2]; data.inertial.len()],
+                poses: vec![[Gain::default(); 3]; data.poses.len()],
+            },
+            track: Vec::new(),
+        },
+    };
+    for span in spans {
+        filter.time = span.start_s;
+        travel(data, servo, *span, &model, &mut filter)?;
+    }
+    Some(filter.passage)
+}
+
+type Dual = DualSVec64<STATES>;
+
+struct Filter<'a> {
+    data: &'a DriveData,
+    values: &'a Values,
+    noise: &'a NoiseLevels,
+    model: Model<Dual>,
+    state: SVector<f64, STATES>,
+    steering: f64,
+    covariance: SMatrix<f64, STATES, STATES>,
+    time: f64,
+    passage: Passage,
+}
+
+/// What is not known of the motion at the start of a stretch.
+const START: [f64; STATES] = [1e-3, 1e-3, 0.01, 0.3, 0.1, 0.1, 0.03, 0.3];
+
+impl Filter<'_> {
+    /// The state with its derivatives by itself.
+    fn seeded(&self) -> Belief<Dual> {
+        let seed = |index: usize| {
+            let value = self.state.get(index).copied().unwrap_or(0.0);
+            Dual::from(value).derivative(index)
+        };
+        Belief {
+            motion: Motion {
+                x: seed(0),
+                y: seed(1),
+                yaw: seed(2),
+                yaw_rate: seed(3),
+                sideslip: seed(4),
+                speed: seed(5),
+                steering: Dual::from(self.steering),
+            },
+            gyro_bias: seed(6),
+            forward_bias: seed(7),
+        }
+    }
+
+    /// Corrects the state by a measurement that was expected to be `expected`, with
+    /// its derivatives by the state.
+    fn correct(&mut self, channel: Channel, expected: Dual, difference: f64) -> Gain {
+        let row = gradient(&expected);
+        let column = self.covariance * row.transpose();
+        let deviation = self.noise.of(channel);
+        let variance = (row * column).x + deviation * deviation;
+        let gain = column / variance;
+        self.state += gain * difference;
+        self.covariance -= gain * column.transpose();
+        self.passage.innovations.push(Innovation {
+            channel,
+            time_s: self.time,
+            value: difference,
+            variance,
+        });
+        Gain {
+            gain: gain.into(),
+            deviation: variance.sqrt(),
+        }
+    }
+}
+
+fn gradient(value: &Dual) -> SMatrix<f64, 1, STATES> {
+    value
+        .eps
+        .0
+        .map_or_else(SMatrix::zeros, |gradient| gradient.transpose())
+}
+
+impl Traveller<f64> for Filter<'_> {
+    fn begin(&mut self, belief: Belief<f64>) {
+        let Motion {
+            x,
+            y,
+            yaw,
+            yaw_rate,
+            sideslip,
+            speed,
+            steering,
+        } = belief.motion;
+        let biases = [belief.gyro_bias, belief.forward_bias];
+        self.state = SVector::from([x, y, yaw, yaw_rate, sideslip, speed, biases[0], biases[1]]);
+        self.steering = steering;
+        self.covariance = SMatrix::from_diagonal(&SVector::from(START).map(|x| x * x));
+    }
+
+    fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
+        let belief = self.seeded();
+        let forward = forward.map(|forward| -belief.forward_bias + forward);
+        let after = self
+            .model
+            .advance(belief.motion, Dual::from(step), target, forward)?;
+        let rows = [
+            after.x,
+            after.y,
+            after.yaw,
+            after.yaw_rate,
+            after.sideslip,
+            after.speed,
+            belief.gyro_bias,
+            belief.forward_bias,
+        ];
+        let transition = SMatrix::<f64, STATES, STATES>::from_rows(&rows.map(|row| gradient(&row)));
+        self.state = SVector::from(rows.map(|row| row.re));
+        self.steering = after.steering.re;
+        self.covariance = transition * self.covariance * transition.transpose();
+        let noise = self.noise;
+        let vehicle = self.values.vehicle();
+        let speed = after.speed.re;
+        let mut add = |row: usize, column: usize, density: f64| {
+            if let Some(entry) = self.covariance.get_mut((row, column)) {
+                *entry += density * step;
+            }
+        };
+        // A force on each axle, independent of each other.
+        let force = noise.force_density * noise.force_density;
+        let arms = [
+            vehicle.front_axle_distance_m / vehicle.yaw_inertia_kg_m2,
+            -vehicle.rear_axle_distance_m / vehicle.yaw_inertia_kg_m2,
+        ];
+        let side = 1.0 / (vehicle.mass_kg * speed);
+        add(3, 3, force * (arms[0] * arms[0] + arms[1] * arms[1]));
+        add(3, 4, force * side * (arms[0] + arms[1]));
+        add(4, 3, force * side * (arms[0] + arms[1]));
+        add(4, 4, force * 2.0 * side * side);
+        add(5, 5, noise.forward_density * noise.forward_density);
+        add(6, 6, noise.gyro_walk * noise.gyro_walk);
+        add(7, 7, noise.forward_walk * noise.forward_walk);
+        self.time += step;
+        Some(())
+    }
+
+    fn inertial(&mut self, index: usize, forward: f64) {
+        let Some(sample) = self.data.inertial.get(index) else {
+            return;
+        };
+        let belief = self.seeded();
+        let expected = belief.motion.yaw_rate + belief.gyro_bias;
+        let yaw_rate = self.correct(
+            Channel::YawRate,
+            expected,
+            sample.yaw_rate_rad_s - expected.re,
+        );
+        let belief = self.seeded();
+        let expected = self
+            .model
+            .left_acceleration(&belief.motion, -belief.forward_bias + forward)
+            + self.model.get(Parameter::LateralBias);
+        let left = self.correct(Channel::Left, expected, sample.left_m_s2 - expected.re);
+        if let Some(gains) = self.passage.gains.inertial.get_mut(index) {
+            *gains = [yaw_rate, left];
+        }
+        let [
+            x,
+            y,
+            yaw,
+            yaw_rate,
+            sideslip,
+            speed,
+            gyro_bias,
+            forward_bias,
+        ] = self.state.into();
+        self.passage.track.push(TrackPoint {
+            time_s: self.time,
+            inertial: index,
+            x_m: x,
+            y_m: y,
+            yaw_rad: yaw,
+            yaw_rate_rad_s: yaw_rate,
+            sideslip_rad: sideslip,
+            speed_m_s: speed,
+            steering_rad: self.steering,
+            gyro_bias_rad_s: gyro_bias,
+            forward_bias_m_s2: forward_bias,
+        });
+    }
+
+    fn pose(&mut self, index: usize) {
+        let Some(pose) = self.data.poses.get(index) else {
+            return;
+        };
+        let expected = self.seeded().motion.x;
+        let x = self.correct(Channel::X, expected, pose.x_m - expected.re);
+        let expected = self.seeded().motion.y;
+        let y = self.correct(Channel::Y, expected, pose.y_m - expected.re);
+        let expected = self.seeded().motion.yaw;
+        let yaw = self.correct(Channel::Yaw, expected, wrapped(pose.yaw_rad - expected.re));
+        if let Some(gains) = self.passage.gains.poses.get_mut(index) {
+            *gains = [x, y, yaw];
+        }
+    }
+}

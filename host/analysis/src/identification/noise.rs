@@ -1,0 +1,140 @@
+//! How much the sensors and the road err.
+
+use super::filter::{Channel, Passage};
+
+/// Standard deviations of everything random.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NoiseLevels {
+    /// Of each coordinate of a pose, in m.
+    pub position_m: f64,
+    /// Of the yaw of a pose, in rad.
+    pub yaw_rad: f64,
+    /// Of a sample of the gyro, in rad/s.
+    pub yaw_rate_rad_s: f64,
+    /// Of a sample of the acceleration to the left, in m/s².
+    pub left_m_s2: f64,
+    /// Of the acceleration forward, as a density, in m/s²/√Hz.
+    pub forward_density: f64,
+    /// Of the force on each axle that no model explains, as a density, in N/√Hz.
+    pub force_density: f64,
+    /// Random walk of the gyro's bias, in rad/s/√s.
+    pub gyro_walk: f64,
+    /// Random walk of the bias of the acceleration forward, in m/s²/√s.
+    pub forward_walk: f64,
+}
+
+/// Less than this on an axle is as good as nothing, in N/√Hz.
+const LEAST_FORCE: f64 = 1e-6;
+
+impl NoiseLevels {
+    /// Where the estimation of the levels starts: a good motion capture, a consumer
+    /// IMU on a car that shakes.
+    #[must_use]
+    pub const fn usual() -> Self {
+        Self {
+            position_m: 3e-4,
+            yaw_rad: 2e-3,
+            yaw_rate_rad_s: 5e-3,
+            left_m_s2: 0.1,
+            forward_density: 0.02,
+            force_density: 3e-3,
+            gyro_walk: 1e-4,
+            forward_walk: 2e-3,
+        }
+    }
+
+    /// Sensors and a car that do exactly what the model says: to be filled with what
+    /// errs. A filter needs a little of everything.
+    #[must_use]
+    pub const fn exact() -> Self {
+        Self {
+            position_m: 1e-6,
+            yaw_rad: 1e-6,
+            yaw_rate_rad_s: 1e-6,
+            left_m_s2: 1e-6,
+            forward_density: 1e-6,
+            force_density: LEAST_FORCE,
+            gyro_walk: 1e-9,
+            forward_walk: 1e-9,
+        }
+    }
+
+    pub(super) const fn of(&self, channel: Channel) -> f64 {
+        match channel {
+            Channel::X | Channel::Y => self.position_m,
+            Channel::Yaw => self.yaw_rad,
+            Channel::YawRate => self.yaw_rate_rad_s,
+            Channel::Left => self.left_m_s2,
+        }
+    }
+
+    /// The levels under which the innovations of a passage have the variance that
+    /// they should have.
+    fn rescaled(&self, passage: &Passage) -> Self {
+        let factor = |channels: &[Channel]| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for innovation in &passage.innovations {
+                if channels.contains(&innovation.channel) {
+                    sum += innovation.value * innovation.value / innovation.variance;
+                    count += 1.0;
+                }
+            }
+            if count > 0.0 {
+                f64::clamp(sum / count, 0.01, 100.0).sqrt()
+            } else {
+                1.0
+            }
+        };
+        Self {
+            position_m: self.position_m * factor(&[Channel::X, Channel::Y]),
+            yaw_rad: self.yaw_rad * factor(&[Channel::Yaw]),
+            yaw_rate_rad_s: self.yaw_rate_rad_s * factor(&[Channel::YawRate]),
+            left_m_s2: self.left_m_s2 * factor(&[Channel::Left]),
+            ..*self
+        }
+    }
+
+    /// The levels under which a passage is most likely, starting from these;
+    /// `pass` goes along the drive with given levels.
+    pub(super) fn most_likely(
+        self,
+        rounds: u32,
+        mut pass: impl FnMut(&Self) -> Option<Passage>,
+    ) -> Option<Self> {
+        let mut levels = self;
+        for round in 0..rounds {
+            for _ in 0..2 {
+                levels = levels.rescaled(&pass(&levels)?);
+            }
+            let spread = if round == 0 { 6.0 } else { 2.0 };
+            for scale in [Self::scale_forward, Self::scale_force] {
+                let mut at = |power: f64| {
+                    let tried = scale(levels, f64::powf(spread, power));
+                    pass(&tried).map(|passage| passage.likelihood())
+                };
+                let (less, same, more) = (at(-1.0)?, at(0.0)?, at(1.0)?);
+                // The top of the parabola through the three, within its reach.
+                let bend = less - 2.0 * same + more;
+                let power = if bend < 0.0 {
+                    (0.5 * (less - more) / bend).clamp(-2.0, 2.0)
+                } else if more > less {
+                    2.0
+                } else {
+                    -2.0
+                };
+                levels = scale(levels, f64::powf(spread, power));
+            }
+        }
+        Some(levels.rescaled(&pass(&levels)?))
+    }
+
+    fn scale_forward(mut self, factor: f64) -> Self {
+        self.forward_density *= factor;
+        self
+    }
+
+    fn scale_force(mut self, factor: f64) -> Self {
+        self.force_density = (self.force_density * factor).max(LEAST_FORCE);
+        self
+    }
+}

@@ -1,0 +1,237 @@
+//! The prediction errors along a drive, with their exact derivatives by the
+//! parameters, as a least-squares problem.
+//!
+//! Predicted with the gains that the filter had: how these change with the
+//! parameters multiplies innovations, which are zero in the mean, so that it
+//! changes neither where the minimum is nor, but for their noise, how sharp.
+
+use levenberg_marquardt::LeastSquaresProblem;
+use nalgebra_levenberg_marquardt::{DMatrix, DVector, Dyn, storage::Owned};
+use num_dual::DualSVec64;
+
+use super::{
+    data::{DriveData, ServoTarget, Span},
+    filter::{Gain, Gains, STATES},
+    model::{Model, Motion, Number, Tyres},
+    parameter::{COUNT, Parameter, Values},
+    timeline::{Belief, Traveller, travel},
+};
+
+/// What is predicted, and from what.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Question<'a> {
+    pub(super) data: &'a DriveData,
+    pub(super) servo: &'a [ServoTarget],
+    pub(super) spans: &'a [Span],
+    pub(super) gains: &'a Gains,
+    pub(super) start: &'a Values,
+    pub(super) active: &'a [Parameter],
+    pub(super) tyres: Tyres,
+}
+
+impl Question<'_> {
+    /// How many numbers are predicted.
+    fn rows(&self) -> usize {
+        2 * self.data.inertial.len() + 3 * self.data.poses.len()
+    }
+
+    /// When each of them was measured.
+    pub(super) fn times(&self) -> Vec<f64> {
+        let inertial = self.data.inertial.iter().flat_map(|i| [i.time_s; 2]);
+        inertial
+            .chain(self.data.poses.iter().flat_map(|p| [p.time_s; 3]))
+            .collect()
+    }
+
+    /// The prediction errors over their standard deviations.
+    fn errors<D: Number>(&self, seeds: &[D]) -> Option<Vec<D>> {
+        let mut parameters = self.start.all().map(D::from);
+        for (parameter, u) in self.active.iter().zip(seeds) {
+            parameters[*parameter as usize] =
+                parameter.prior().value(self.start.get(*parameter), *u);
+        }
+        let zero = D::from(0.0);
+        let mut predictor = Predictor {
+            question: self,
+            model: Model::new(self.start, parameters, self.tyres),
+            belief: nothing(),
+            errors: vec![zero; self.rows()],
+        };
+        let model = predictor.model;
+        for span in self.spans {
+            travel(self.data, self.servo, *span, &model, &mut predictor)?;
+        }
+        Some(predictor.errors)
+    }
+
+    /// The prediction errors, and what is known beforehand.
+    pub(super) fn residuals(&self, u: &[f64]) -> Option<DVector<f64>> {
+        let mut errors = self.errors(u)?;
+        errors.extend_from_slice(u);
+        let finite = errors.iter().all(|error| error.is_finite());
+        finite.then(|| DVector::from_vec(errors))
+    }
+
+    /// Their derivatives by u.
+    pub(super) fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
+        if u.len() <= 8 {
+            self.jacobian_of::<8>(u)
+        } else {
+            self.jacobian_of::<COUNT>(u)
+        }
+    }
+
+    fn jacobian_of<const N: usize>(&self, u: &[f64]) -> Option<DMatrix<f64>> {
+        let seeds: Vec<_> = u
+            .iter()
+            .enumerate()
+            .map(|(index, u)| DualSVec64::<N>::from(*u).derivative(index))
+            .collect();
+        let errors = self.errors(&seeds)?;
+        let mut jacobian = DMatrix::zeros(errors.len() + u.len(), u.len());
+        for (row, error) in errors.iter().enumerate() {
+            if let Some(gradient) = &error.eps.0 {
+                for (column, value) in gradient.iter().take(u.len()).enumerate() {
+                    jacobian[(row, column)] = *value;
+                }
+            }
+        }
+        for column in 0..u.len() {
+            jacobian[(errors.len() + column, column)] = 1.0;
+        }
+        jacobian
+            .iter()
+            .all(|value| value.is_finite())
+            .then_some(jacobian)
+    }
+}
+
+fn nothing<D: Number>() -> Belief<D> {
+    let zero = D::from(0.0);
+    Belief {
+        motion: Motion {
+            x: zero,
+            y: zero,
+            yaw: zero,
+            yaw_rate: zero,
+            sideslip: zero,
+            speed: zero,
+            steering: zero,
+        },
+        gyro_bias: zero,
+        forward_bias: zero,
+    }
+}
+
+struct Predictor<'a, D> {
+    question: &'a Question<'a>,
+    model: Model<D>,
+    belief: Belief<D>,
+    errors: Vec<D>,
+}
+
+impl<D: Number> Predictor<'_, D> {
+    fn correct(&mut self, gain: &Gain, row: usize, error: D) {
+        if gain.deviation <= 0.0 {
+            return;
+        }
+        if let Some(place) = self.errors.get_mut(row) {
+            *place = error / gain.deviation;
+        }
+        let Belief {
+            motion: m,
+            gyro_bias,
+            forward_bias,
+        } = &mut self.belief;
+        let states: [&mut D; STATES] = [
+            &mut m.x,
+            &mut m.y,
+            &mut m.yaw,
+            &mut m.yaw_rate,
+            &mut m.sideslip,
+            &mut m.speed,
+            gyro_bias,
+            forward_bias,
+        ];
+        for (state, gain) in states.into_iter().zip(gain.gain) {
+            *state += error * gain;
+        }
+    }
+}
+
+impl<D: Number> Traveller<D> for Predictor<'_, D> {
+    fn begin(&mut self, belief: Belief<D>) {
+        self.belief = belief;
+    }
+
+    fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()> {
+        let bias = self.belief.forward_bias;
+        let forward = forward.map(|forward| forward - bias);
+        self.belief.motion = self
+            .model
+            .advance(self.belief.motion, step, target, forward)?;
+        Some(())
+    }
+
+    fn inertial(&mut self, index: usize, forward: D) {
+        let question = self.question;
+        let (Some(sample), Some([yaw_rate, left])) = (
+            question.data.inertial.get(index),
+            question.gains.inertial.get(index),
+        ) else {
+            return;
+        };
+        let expected = self.belief.motion.yaw_rate + self.belief.gyro_bias;
+        self.correct(yaw_rate, 2 * index, -expected + sample.yaw_rate_rad_s);
+        let forward = forward - self.belief.forward_bias;
+        let expected = self.model.left_acceleration(&self.belief.motion, forward)
+            + self.model.get(Parameter::LateralBias);
+        self.correct(left, 2 * index + 1, -expected + sample.left_m_s2);
+    }
+
+    fn pose(&mut self, index: usize) {
+        let question = self.question;
+        let (Some(pose), Some([x, y, yaw])) = (
+            question.data.poses.get(index),
+            question.gains.poses.get(index),
+        ) else {
+            return;
+        };
+        let row = 2 * question.data.inertial.len() + 3 * index;
+        let error = -self.belief.motion.x + pose.x_m;
+        self.correct(x, row, error);
+        let error = -self.belief.motion.y + pose.y_m;
+        self.correct(y, row + 1, error);
+        let error = -self.belief.motion.yaw + pose.yaw_rad;
+        let turns = (error.re() / core::f64::consts::TAU).round();
+        self.correct(yaw, row + 2, error - turns * core::f64::consts::TAU);
+    }
+}
+
+/// The question with where the optimiser is.
+pub(super) struct Problem<'a> {
+    pub(super) question: Question<'a>,
+    pub(super) u: DVector<f64>,
+}
+
+impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
+    type ResidualStorage = Owned<f64, Dyn>;
+    type JacobianStorage = Owned<f64, Dyn, Dyn>;
+    type ParameterStorage = Owned<f64, Dyn>;
+
+    fn set_params(&mut self, u: &DVector<f64>) {
+        self.u.copy_from(u);
+    }
+
+    fn params(&self) -> DVector<f64> {
+        self.u.clone()
+    }
+
+    fn residuals(&self) -> Option<DVector<f64>> {
+        self.question.residuals(self.u.as_slice())
+    }
+
+    fn jacobian(&self) -> Option<DMatrix<f64>> {
+        self.question.jacobian(self.u.as_slice())
+    }
+}

@@ -1,0 +1,91 @@
+//! How well the model, left alone, fits a drive.
+
+use super::{Simulation, SimulationPoint};
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// Yaw rate against the gyro.
+    YawRate,
+    /// Sideslip against the cameras.
+    Sideslip,
+    /// Acceleration to the left against the IMU.
+    Left,
+}
+
+impl Output {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::YawRate, Self::Sideslip, Self::Left];
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::YawRate => "yaw_rate",
+            Self::Sideslip => "sideslip",
+            Self::Left => "left_acceleration",
+        }
+    }
+
+    /// What was measured and what the model says.
+    #[must_use]
+    pub const fn of(self, point: &SimulationPoint) -> [f64; 2] {
+        match self {
+            Self::YawRate => [point.measured_yaw_rate_rad_s, point.yaw_rate_rad_s],
+            Self::Sideslip => [point.measured_sideslip_rad, point.sideslip_rad],
+            Self::Left => [point.measured_left_m_s2, point.left_m_s2],
+        }
+    }
+}
+
+/// How well an output fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OutputScore {
+    /// Which.
+    pub output: Output,
+    /// Mean of |model - measured| over the standard deviation of the measured.
+    pub nmpe: f64,
+    /// 100 (1 - |model - measured| / |measured - mean|), norms over the drive: 100 is
+    /// perfect, 0 no better than the mean.
+    pub fit_percent: f64,
+    /// Root mean square of model - measured, in the output's unit.
+    pub rms: f64,
+}
+
+/// How well the model fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Score {
+    /// The normalised mean prediction error: the mean of those of the outputs.
+    pub nmpe: f64,
+    /// Each output.
+    pub outputs: [OutputScore; 3],
+}
+
+impl Score {
+    pub(super) fn of(simulation: &Simulation) -> Self {
+        let outputs = Output::ALL.map(|output| {
+            let pairs = simulation.points.iter().map(|point| output.of(point));
+            let pairs: Vec<_> = pairs
+                .filter(|[measured, model]| measured.is_finite() && model.is_finite())
+                .collect();
+            let count = pairs.len().max(1) as f64;
+            let mean = pairs.iter().map(|[measured, _]| measured).sum::<f64>() / count;
+            let spread: f64 = pairs.iter().map(|[y, _]| (y - mean) * (y - mean)).sum();
+            let squares: f64 = pairs
+                .iter()
+                .map(|[y, model]| (model - y) * (model - y))
+                .sum();
+            let absolute: f64 = pairs.iter().map(|[y, model]| (model - y).abs()).sum();
+            OutputScore {
+                output,
+                nmpe: absolute / count / (spread / count).sqrt(),
+                fit_percent: 100.0 * (1.0 - (squares / spread).sqrt()),
+                rms: (squares / count).sqrt(),
+            }
+        });
+        Self {
+            nmpe: outputs.iter().map(|output| output.nmpe).sum::<f64>() / outputs.len() as f64,
+            outputs,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! What was found, for programs: JSON, and a vehicle file.
+
+use serde_json::{Value, json};
+use singletrack_analysis::identification::{Identification, Score, ServoFrames, Tyres};
+
+use super::{Identified, Report, table::speeds};
+
+pub(super) fn json(report: &Report) -> String {
+    let document = json!({
+        "tyres": match report.tyres {
+            Tyres::Saturating => "saturating",
+            Tyres::Linear => "linear",
+        },
+        "start": report.vehicle,
+        "vehicle": report.identified.identification.vehicle(),
+        "identification": identified(&report.identified),
+        "validation": report.validated.as_ref().map(identified),
+    });
+    format!("{document:#}\n")
+}
+
+fn identified(identified: &Identified) -> Value {
+    let Identified {
+        path,
+        drive,
+        identification,
+    } = identified;
+    let noise = &identification.noise;
+    let estimates = identification.estimates.iter().map(|estimate| {
+        json!({
+            "parameter": estimate.parameter.name(),
+            "unit": estimate.parameter.unit(),
+            "value": estimate.value,
+            "standard_deviation": estimate.standard_deviation,
+            "interval_95": estimate.interval,
+            "white_deviation": estimate.white_deviation,
+            "robust_deviation": estimate.robust_deviation,
+            "start": estimate.start,
+            "at_bound": estimate.at_bound,
+        })
+    });
+    let correlation = identification.correlation.row_iter();
+    let correlation = correlation.map(|row| row.iter().copied().collect::<Vec<f64>>());
+    let residuals = identification.residuals.iter().map(|residuals| {
+        json!({
+            "channel": residuals.channel.name(),
+            "count": residuals.values.len(),
+            "autocorrelation": residuals.autocorrelation,
+        })
+    });
+    let [slowest, fastest] = speeds(identification);
+    json!({
+        "record": path.display().to_string(),
+        "drive": drive,
+        "seconds": identification.seconds(),
+        "slowest_m_s": slowest,
+        "fastest_m_s": fastest,
+        "servo_frames": frames(identification),
+        "estimates": estimates.collect::<Vec<_>>(),
+        "correlation": correlation.collect::<Vec<_>>(),
+        "noise": {
+            "position_m": noise.position_m,
+            "yaw_rad": noise.yaw_rad,
+            "yaw_rate_rad_s": noise.yaw_rate_rad_s,
+            "left_acceleration_m_s2": noise.left_m_s2,
+            "forward_acceleration_m_s2_per_root_hz": noise.forward_density,
+            "axle_force_n_per_root_hz": noise.force_density,
+        },
+        "score": score(&identification.score),
+        "residuals": residuals.collect::<Vec<_>>(),
+        "warnings": identification.warnings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    })
+}
+
+const fn frames(identification: &Identification) -> &'static str {
+    match identification.frames {
+        ServoFrames::Even => "even",
+        ServoFrames::Odd => "odd",
+        ServoFrames::Every => "every",
+    }
+}
+
+fn score(score: &Score) -> Value {
+    let outputs = score.outputs.iter().map(|output| {
+        json!({
+            "output": output.output.name(),
+            "nmpe": output.nmpe,
+            "fit_percent": output.fit_percent,
+            "rms": output.rms,
+        })
+    });
+    json!({ "nmpe": score.nmpe, "outputs": outputs.collect::<Vec<_>>() })
+}
+
+/// A vehicle file, which a daemon's configuration can take over.
+pub(super) fn vehicle_file(report: &Report) -> String {
+    let identification = &report.identified.identification;
+    let vehicle = identification.vehicle();
+    let mut text = format!(
+        "# Identified by singletrack from {}, drive {}, {:.1} s; NMPE {:.4}.\n",
+        // A line break in the name must not end the comment.
+        report
+            .identified
+            .path
+            .display()
+            .to_string()
+            .replace(['\n', '\r'], " "),
+        report.identified.drive,
+        identification.seconds(),
+        identification.score.nmpe,
+    );
+    for estimate in &identification.estimates {
+        let [low, high] = estimate.interval;
+        text += &format!(
+            "# {} = {} {}, 95 % between {low} and {high}\n",
+            estimate.parameter.name(),
+            estimate.value,
+            estimate.parameter.unit(),
+        );
+    }
+    text += "\n[vehicle]\n";
+    for (key, value) in [
+        ("mass_kg", vehicle.mass_kg),
+        ("yaw_inertia_kg_m2", vehicle.yaw_inertia_kg_m2),
+        ("front_axle_distance_m", vehicle.front_axle_distance_m),
+        ("rear_axle_distance_m", vehicle.rear_axle_distance_m),
+        ("friction", vehicle.friction),
+        (
+            "front_cornering_stiffness_n_rad",
+            vehicle.front_cornering_stiffness_n_rad,
+        ),
+        (
+            "rear_cornering_stiffness_n_rad",
+            vehicle.rear_cornering_stiffness_n_rad,
+        ),
+    ] {
+        // With a point or an exponent, as TOML wants it of a float.
+        text += &format!("{key} = {value:?}\n");
+    }
+    text
+}

@@ -1,0 +1,143 @@
+//! What was found, for a person.
+
+use std::fmt::Write as _;
+
+use singletrack_analysis::identification::{Estimate, Identification, Parameter, Score, Tyres};
+
+use super::{Identified, Report};
+
+/// How a parameter is shown: its unit there, how many of them make one of its own, and
+/// digits behind the point.
+const fn shown(parameter: Parameter) -> (&'static str, f64, usize) {
+    match parameter {
+        Parameter::FrontStiffness | Parameter::RearStiffness => ("N/rad", 1.0, 3),
+        Parameter::YawInertia => ("kg m²", 1.0, 6),
+        Parameter::FrontAxleDistance => ("mm", 1e3, 2),
+        Parameter::Friction | Parameter::SteeringGain => ("", 1.0, 4),
+        Parameter::ServoLag | Parameter::SteeringDelay | Parameter::InertialDelay => ("ms", 1e3, 3),
+        Parameter::SteeringTrim => ("mrad", 1e3, 3),
+        Parameter::LateralBias => ("mm/s²", 1e3, 1),
+    }
+}
+
+pub(super) fn table(report: &Report) -> String {
+    let mut text = String::new();
+    // Writing to a string does not fail.
+    let _ = write(&mut text, report);
+    text
+}
+
+fn write(text: &mut String, report: &Report) -> std::fmt::Result {
+    let Identified {
+        path,
+        drive,
+        identification,
+    } = &report.identified;
+    let speeds = speeds(identification);
+    writeln!(
+        text,
+        "{}, drive {drive}: {:.1} s at {:.2} to {:.2} m/s; tyres {}; servo pulses from {} records",
+        path.display(),
+        identification.seconds(),
+        speeds[0],
+        speeds[1],
+        match report.tyres {
+            Tyres::Saturating => "saturating",
+            Tyres::Linear => "linear",
+        },
+        match identification.frames {
+            singletrack_analysis::identification::ServoFrames::Even => "even",
+            singletrack_analysis::identification::ServoFrames::Odd => "odd",
+            singletrack_analysis::identification::ServoFrames::Every => "all",
+        }
+    )?;
+    writeln!(
+        text,
+        "\n{:14}{:>12} {:6}{:>26}{:>9}{:>12}",
+        "parameter", "estimate", "", "95 % interval", "±", "start"
+    )?;
+    for estimate in &identification.estimates {
+        row(text, estimate)?;
+    }
+    writeln!(text, "\ncorrelation")?;
+    let names = identification.estimates.iter();
+    let names = names.map(|estimate| estimate.parameter.name());
+    write!(text, "{:14}", "")?;
+    for name in names {
+        write!(text, "{name:>13}")?;
+    }
+    writeln!(text)?;
+    for (row, estimate) in identification.estimates.iter().enumerate() {
+        write!(text, "{:14}", estimate.parameter.name())?;
+        for column in 0..=row {
+            write!(text, "{:>13.3}", identification.correlation[(row, column)])?;
+        }
+        writeln!(text)?;
+    }
+    let noise = &identification.noise;
+    writeln!(
+        text,
+        "\nnoise: position {:.2} mm, yaw {:.2} mrad, gyro {:.2} mrad/s, acceleration {:.3} m/s², \
+         unexplained force {:.2} mN/√Hz an axle",
+        1e3 * noise.position_m,
+        1e3 * noise.yaw_rad,
+        1e3 * noise.yaw_rate_rad_s,
+        noise.left_m_s2,
+        1e3 * noise.force_density,
+    )?;
+    writeln!(
+        text,
+        "\nthe model left alone with speed and servo pulses, beside what was measured:"
+    )?;
+    score(text, "identification", &identification.score)?;
+    if let Some(validated) = &report.validated {
+        score(text, "validation", &validated.identification.score)?;
+    }
+    writeln!(
+        text,
+        "NMPE: mean |model - measured| over the standard deviation of the measured, and the mean of that \
+         over the outputs."
+    )
+}
+
+fn row(text: &mut String, estimate: &Estimate) -> std::fmt::Result {
+    let (unit, scale, digits) = shown(estimate.parameter);
+    let [low, high] = estimate.interval.map(|end| scale * end);
+    let relative = 100.0 * estimate.standard_deviation / estimate.value.abs();
+    let part = if Parameter::NUISANCE.contains(&estimate.parameter) {
+        String::new()
+    } else {
+        format!("{:.2} %", 1.96 * relative)
+    };
+    writeln!(
+        text,
+        "{:14}{:>12.digits$} {unit:6}{:>26}{part:>9}{:>12.digits$}",
+        estimate.parameter.name(),
+        scale * estimate.value,
+        format!("{low:.digits$} to {high:.digits$}"),
+        scale * estimate.start,
+    )
+}
+
+fn score(text: &mut String, what: &str, score: &Score) -> std::fmt::Result {
+    writeln!(text, "{what:15} NMPE {:.4}", score.nmpe)?;
+    for output in &score.outputs {
+        writeln!(
+            text,
+            "  {:18} NMPE {:.4}  fit {:5.1} %  rms {:.5}",
+            output.output.name(),
+            output.nmpe,
+            output.fit_percent,
+            output.rms
+        )?;
+    }
+    Ok(())
+}
+
+/// Slowest and fastest of what was used, in m/s.
+pub(super) fn speeds(identification: &Identification) -> [f64; 2] {
+    let speeds = identification.track.iter().map(|point| point.speed_m_s);
+    speeds.fold([f64::INFINITY, 0.0], |[least, most], speed| {
+        [least.min(speed), most.max(speed)]
+    })
+}
