@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
+mod picture;
+
+use picture::{Frame, attribute, covers, labels, pieces, titled};
 use singletrack::figure::{
     Axis, Band, Callout, Callouts, Column, Curve, Estimate, Figure, Grid, Isoline, Level, Look,
     Map, MarkKind, Panel, Scale, Shade, Symbol, Width,
@@ -59,108 +62,8 @@ fn svg(panels: Vec<Panel>) -> String {
     svg
 }
 
-/// The value of an attribute of the element in a line.
-fn attribute<'a>(line: &'a str, name: &str) -> &'a str {
-    let (_, rest) = line.split_once(&format!(" {name}=\"")).unwrap();
-    rest.split_once('"').unwrap().0
-}
-
-fn number(line: &str, name: &str) -> f64 {
-    attribute(line, name).parse().unwrap()
-}
-
-/// The frame of a panel, by which values are found on the page.
-struct Frame {
-    left: f64,
-    top: f64,
-    width: f64,
-    height: f64,
-    x: [f64; 2],
-    y: [f64; 2],
-}
-
-impl Frame {
-    fn of(svg: &str, number_of_panel: usize, x: [f64; 2], y: [f64; 2]) -> Self {
-        let mut frames = svg.lines().filter(|line| line.contains("class=\"frame\""));
-        let line = frames.nth(number_of_panel).unwrap();
-        Self {
-            left: number(line, "x"),
-            top: number(line, "y"),
-            width: number(line, "width"),
-            height: number(line, "height"),
-            x,
-            y,
-        }
-    }
-
-    fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [
-            self.left + self.width * (x - self.x[0]) / (self.x[1] - self.x[0]),
-            self.top + self.height * (self.y[1] - y) / (self.y[1] - self.y[0]),
-        ]
-    }
-}
-
 fn frame(svg: &str) -> Frame {
     Frame::of(svg, 0, [0.0, 8.0], [-0.2, 0.2])
-}
-
-/// The pieces of the path in a line.
-fn pieces(line: &str) -> Vec<Vec<[f64; 2]>> {
-    let data = attribute(line, "d");
-    let pieces = data.split('M').filter(|piece| !piece.is_empty());
-    let point = |text: &str| {
-        let (x, y) = text.trim_end_matches('z').split_once(' ').unwrap();
-        [x.parse().unwrap(), y.parse().unwrap()]
-    };
-    pieces
-        .map(|piece| piece.split('L').map(point).collect())
-        .collect()
-}
-
-/// The paths of a class that have a title: what is in the legend has none.
-fn titled<'a>(svg: &'a str, class: &str, title: &str) -> &'a str {
-    let class = format!("<path class=\"{class}");
-    let title = format!("<title>{title}");
-    let mut found = svg
-        .lines()
-        .filter(|line| line.starts_with(&class) && line.contains(&title));
-    found.next().unwrap()
-}
-
-/// Whether a place is in an odd number of the rings of a shade.
-fn covers(line: &str, [x, y]: [f64; 2]) -> bool {
-    let mut inside = false;
-    for ring in pieces(line) {
-        let next = ring.iter().cycle().skip(1);
-        for (from, to) in ring.iter().zip(next) {
-            let rising = (from[1] > y) != (to[1] > y);
-            if rising && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
-                inside = !inside;
-            }
-        }
-    }
-    inside
-}
-
-/// Text and place of the labels with a slot of their own.
-fn labels(svg: &str) -> Vec<(String, [f64; 2])> {
-    let lines = svg
-        .lines()
-        .filter(|line| line.starts_with("<text class=\"ink label\""));
-    lines
-        .map(|line| {
-            let moved = attribute(line, "transform");
-            let (place, _) = moved
-                .trim_start_matches("translate(")
-                .split_once(')')
-                .unwrap();
-            let (x, y) = place.split_once(' ').unwrap();
-            let (_, text) = line.split_once('>').unwrap();
-            let text = text.trim_end_matches("</text>").to_owned();
-            (text, [x.parse().unwrap(), y.parse().unwrap()])
-        })
-        .collect()
 }
 
 /// Stable below dl = 0.02 v.

@@ -10,5 +10,4 @@ mod scene;
 pub(super) use command::{FiguresArgs, run};
 pub use maps::{eigenvalue, eigenvalues, region};
 pub use sampled::{delay_margin, longest_marker_interval, spectral_radius};
-pub use scene::Scene;
-pub(super) use scene::drawn_deviations;
+pub use scene::{Scene, around_meaningful, drawn_deviations};

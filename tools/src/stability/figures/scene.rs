@@ -4,7 +4,7 @@ use singletrack_analysis::stability::{
     ClosedLoop, HopfPoint, Law, StabilityError, infinite_speed_limit,
 };
 
-use super::super::{Subject, grid as deviations};
+use super::super::{Grid as Deviations, Subject};
 use crate::figure::{Axis, Band, Column, Curve, Grid, GridError, Level, Look, Shade, Symbol};
 
 /// A car under a law, with what is drawn into every map of it: the Hopf curve and the
@@ -78,15 +78,22 @@ impl Scene {
 
 /// The deviations that a figure of stability shows: the physically meaningful ones
 /// with a margin, and for the front-point law as far down as its bifurcations lie.
-pub(in crate::stability) fn drawn_deviations(subject: &Subject, count: usize) -> deviations::Grid {
+#[must_use]
+pub fn drawn_deviations(subject: &Subject, count: usize) -> Deviations {
     let usual = subject.usual_deviations();
     let lowest = usual.values().first().copied().unwrap_or(f64::INFINITY);
-    let [low, high] = around_meaningful(subject);
-    deviations::Grid::spanning([low.min(lowest), high], count)
+    let [low, high] = ends_around_meaningful(subject);
+    Deviations::spanning([low.min(lowest), high], count)
 }
 
-/// The physically meaningful range with a margin.
-pub(super) fn around_meaningful(subject: &Subject) -> [f64; 2] {
+/// The physically meaningful deviations with a margin: what a figure of the sampled
+/// loop shows.
+#[must_use]
+pub fn around_meaningful(subject: &Subject, count: usize) -> Deviations {
+    Deviations::spanning(ends_around_meaningful(subject), count)
+}
+
+fn ends_around_meaningful(subject: &Subject) -> [f64; 2] {
     let [low, high] = ClosedLoop::meaningful_deviations(&subject.vehicle);
     let margin = 0.3 * subject.vehicle.wheelbase_m();
     [low - margin, high + margin]
