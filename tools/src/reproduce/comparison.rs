@@ -17,15 +17,15 @@ use super::{
     steps,
     text::{metres, mm, number, with_digits},
 };
-use crate::figure::{Axis, Look, Symbol, Width};
+use crate::figure::{Axis, Figure, Look, Panel, Symbol, Width};
 
 /// How far behind its place the centre of mass is believed, for the paper's car, in m.
 pub(super) const DEVIATION_M: f64 = 0.01;
 /// How wrong mass and stiffnesses are believed.
 pub(super) const WRONG: f64 = 0.2;
 
-/// Mass and stiffnesses, by name.
-const PARAMETERS: [(&str, &str); 3] = [("m", "mass"), ("C_f", "front"), ("C_r", "rear")];
+/// Mass and stiffnesses, as a figure sets them and by name.
+const PARAMETERS: [(&str, &str); 3] = [("$m$", "mass"), ("$C_f$", "front"), ("$C_r$", "rear")];
 
 fn scaled(vehicle: VehicleParameters, parameter: &str, factor: f64) -> VehicleParameters {
     let mut scaled = vehicle;
@@ -57,12 +57,13 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             LawKind::FrontPoint => "proposed law",
             LawKind::VelocityPoint => "appendix's law",
         };
+        let name = format!("{name}, dl = {}", mm(deviation));
         progress.doing(&format!("comparison, {name}"));
         let experiment = super::drive::Experiment {
             believed,
             ..steps::experiment(setup, law, deviation)
         };
-        section.keep(name, experiment.ideal(setup))
+        section.keep(&name, experiment.ideal(setup))
     };
     let both = [LawKind::FrontPoint, LawKind::VelocityPoint];
     let right = both.map(|law| drive(&mut section, law, 0.0, None));
@@ -81,23 +82,29 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
         }
     }
     let mut believing = Vec::new();
-    for (symbol, parameter) in PARAMETERS {
-        for (sign, factor) in [("low", 1.0 - WRONG), ("high", 1.0 + WRONG)] {
+    for (_, parameter) in PARAMETERS {
+        for (is_low, factor) in [(true, 1.0 - WRONG), (false, 1.0 + WRONG)] {
             let believed = scaled(setup.vehicle, parameter, factor);
             let run = drive(&mut section, LawKind::VelocityPoint, 0.0, Some(believed));
             if let Some(run) = run {
-                let what = format!("{symbol} {sign} by {} %", number(WRONG * 100.0));
+                let sign = if is_low { "low" } else { "high" };
                 section.measurements.add(
                     format!("compare.largest.{parameter}-{sign}.velocity-point"),
                     run.largest_deviation(),
                 );
-                believing.push((what, run));
+                let name = format!("compare-{parameter}-{sign}-velocity-point");
+                section.tables.push(Table::of_rows(name, &run.rows));
+                believing.push(Believing {
+                    parameter,
+                    is_low,
+                    run,
+                });
             }
         }
     }
     let largest = believing
         .iter()
-        .map(|(_, run)| run.largest_deviation())
+        .map(|believing| believing.run.largest_deviation())
         .fold(0.0, f64::max);
     section
         .measurements
@@ -124,6 +131,13 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     stiffnesses(setup, &mut section);
     draw(setup, &right, &wrong, &believing, &mut section);
     section
+}
+
+/// A drive under the appendix's law that believes in another car.
+struct Believing {
+    parameter: &'static str,
+    is_low: bool,
+    run: Run,
 }
 
 /// How long a drive lasted, in s.
@@ -233,7 +247,7 @@ fn draw(
     setup: &Setup,
     right: &[Option<Run>; 2],
     wrong: &[Option<Run>; 2],
-    believing: &[(String, Run)],
+    believing: &[Believing],
     section: &mut Section,
 ) {
     let measured = section.measurements.clone();
@@ -318,36 +332,43 @@ fn ended(run: Option<&Run>) -> String {
 }
 
 /// How far P is off with wrong parameters, over time.
-fn parameter_plate(believing: &[(String, Run)], section: &mut Section) {
+fn parameter_plate(believing: &[Believing], section: &mut Section) {
     let measured = section.measurements.clone();
-    let pictures = believing
+    let panels = PARAMETERS
         .iter()
-        .zip(
-            PARAMETERS
+        .filter_map(|(symbol, parameter)| {
+            let curves: Vec<_> = believing
                 .iter()
-                .flat_map(|(_, parameter)| ["low", "high"].map(|sign| (parameter, sign))),
-        )
-        .map(|((what, run), (parameter, sign))| {
-            let time = run.column(|row| row.t);
-            let curve = pictures::curve("", Look::Actual, &time, run.deviations().collect());
+                .filter(|believing| believing.parameter == *parameter)
+                .map(|believing| {
+                    let (name, look) = if believing.is_low {
+                        ("too low", Look::Actual)
+                    } else {
+                        ("too high", Look::Truth)
+                    };
+                    let run = &believing.run;
+                    let time = run.column(|row| row.t);
+                    pictures::curve(name, look, &time, run.deviations().collect())
+                })
+                .collect();
             let y = Axis {
                 include: Some(0.0),
                 ..Axis::new("deviation of P", Some(Symbol::new("e", "P")), "m")
             };
-            let figure = pictures::over_time(
-                "Deviation of P under the appendix's law with a wrong parameter",
-                "How far P is from where two integrators would be.",
-                y,
-                Width::Column,
-                vec![curve],
-            );
-            Picture::new(
-                format!("compare-parameter-{parameter}-{sign}"),
-                what.clone(),
-                figure,
-            )
+            (!curves.is_empty()).then(|| Panel {
+                title: (*symbol).to_owned(),
+                curves,
+                ..Panel::new(pictures::TIME, y)
+            })
         })
         .collect();
+    let figure = Figure {
+        title: "Deviation of P under the appendix's law with a wrong parameter".to_owned(),
+        caption: "How far P is from where two integrators would be.".to_owned(),
+        width: Width::Page,
+        panels,
+    };
+    let pictures = vec![Picture::new("compare-parameters", "", figure)];
     let get = |name: &str, unit: &str| or_note(measured.get(name), unit);
     let unstable = measured.get("compare.stiffnesses.unstable").unwrap_or(0.0);
     section.plates.push(Plate {

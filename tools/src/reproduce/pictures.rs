@@ -6,7 +6,7 @@ use crate::{
     simulate::Row,
 };
 
-const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
+pub(super) const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
 
 pub(super) fn curve(name: &'static str, look: Look, x: &Column, y: Column) -> Curve {
     Curve {

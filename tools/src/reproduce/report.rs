@@ -82,7 +82,7 @@ fn subtitle(reproduction: &Reproduction) -> String {
 
 fn entry(section: &Section) -> String {
     format!(
-        "<li><a href=\"#section-{}\">{}</a></li>\n",
+        "<li value=\"{0}\"><a href=\"#section-{0}\">{1}</a></li>\n",
         section.number,
         escaped(section.title)
     )
@@ -193,8 +193,13 @@ fn framed(plate: &Plate) -> String {
         );
     }
     let mut html = format!(
-        "<figure class=\"plate\">\n<h3>{}</h3>\n<div class=\"pictures\">\n",
-        plate.title
+        "<figure class=\"plate\">\n<h3>{}</h3>\n<div class=\"pictures{}\">\n",
+        plate.title,
+        if plate.pictures.len() == 3 {
+            " three"
+        } else {
+            ""
+        }
     );
     for picture in &plate.pictures {
         let width = match picture.figure.width {
