@@ -20,8 +20,9 @@ use crate::figure::{
 const HALF_HEIGHT: f64 = 0.42 * TEXT_SIZE;
 /// From a line to a label beside it, in mm.
 const ASIDE: f64 = 0.9;
-/// How long a leader may be, in mm.
-const LEADERS: [f64; 6] = [3.5, 5.0, 7.0, 9.0, 12.0, 15.0];
+/// How long a leader is, in mm, and how long it may be.
+const LEADER: f64 = 3.5;
+const LEADERS: [f64; 8] = [2.0, 2.7, LEADER, 5.0, 7.0, 9.0, 12.0, 15.0];
 /// Directions a leader may have, all round.
 const DIRECTIONS: i32 = 24;
 /// Half the width of an interval's ends, in mm.
@@ -35,7 +36,7 @@ pub(super) struct Placed<'a> {
     leader: Option<Segment>,
 }
 
-/// The labels of a panel's levels and callouts, each clear of the obstacles, to which
+/// The labels of a panel's callouts and levels, which have more choice, each clear of the obstacles, to which
 /// they are added.
 pub(super) fn place<'a>(
     panel: &'a Panel,
@@ -43,17 +44,6 @@ pub(super) fn place<'a>(
     obstacles: &mut Obstacles,
 ) -> Vec<Placed<'a>> {
     let mut placed = Vec::new();
-    for level in &panel.levels {
-        if let Some(slot) = beside(level, area, obstacles) {
-            obstacles.label(&slot);
-            let text = level.label.as_str();
-            placed.push(Placed {
-                slot,
-                text,
-                leader: None,
-            });
-        }
-    }
     for callouts in &panel.callouts {
         let mut before = None;
         for callout in &callouts.points {
@@ -69,6 +59,17 @@ pub(super) fn place<'a>(
                     leader: Some(leader),
                 });
             }
+        }
+    }
+    for level in &panel.levels {
+        if let Some(slot) = beside(level, area, obstacles) {
+            obstacles.label(&slot);
+            let text = level.label.as_str();
+            placed.push(Placed {
+                slot,
+                text,
+                leader: None,
+            });
         }
     }
     placed
@@ -127,7 +128,10 @@ fn led(
             }
             let turn = before.map_or(0.0, |before: f64| 1.0 - (direction - before).cos());
             let crossings = obstacles.crossings(leader) as f64;
-            let cost = reach + 3.0 * turn + 20.0 * crossings + 0.1 * obstacles.beneath(&slot);
+            let cost = (reach - LEADER).abs()
+                + 3.0 * turn
+                + 20.0 * crossings
+                + 0.1 * obstacles.beneath(&slot);
             if best.is_none_or(|(least, ..)| cost < least - 1e-9) {
                 best = Some((cost, slot, leader, direction));
             }

@@ -95,8 +95,9 @@ pub fn around_meaningful(subject: &Subject, count: usize) -> Deviations {
 
 fn ends_around_meaningful(subject: &Subject) -> [f64; 2] {
     let [low, high] = ClosedLoop::meaningful_deviations(&subject.vehicle);
-    let margin = 0.3 * subject.vehicle.wheelbase_m();
-    [low - margin, high + margin]
+    let wheelbase = subject.vehicle.wheelbase_m();
+    // Above, the curve of the velocity-point law goes on.
+    [low - 0.3 * wheelbase, high + 0.5 * wheelbase]
 }
 
 /// Speed and dl of a Hopf point.
