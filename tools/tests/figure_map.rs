@@ -244,6 +244,51 @@ fn labels_keep_clear_of_each_other_and_of_the_curve() {
 }
 
 #[test]
+fn hatching_covers_its_band_and_leaves_labels_free() {
+    let mut map = map(grid(tilted));
+    map.bands[1].shade = Shade::Hatched;
+    let svg = svg(vec![Panel {
+        levels: vec![Level {
+            name: "range".to_owned(),
+            value: 0.1,
+            label: "$l_r$ or so".to_owned(),
+            look: Look::RangeEnd,
+        }],
+        callouts: vec![Callouts {
+            name: "there".to_owned(),
+            points: vec![Callout {
+                point: [2.0, 0.15],
+                label: "0.123".to_owned(),
+            }],
+        }],
+        ..panel(map)
+    }]);
+    let frame = frame(&svg);
+    let hatch = pieces(titled(&svg, "shade hatched", "unstable"));
+    assert!(hatch.len() > 20);
+    for line in &hatch {
+        for [x, y] in line {
+            let v = 8.0 * (x - frame.left) / frame.width;
+            let dl = 0.2 - 0.4 * (y - frame.top) / frame.height;
+            assert!(tilted(v, dl) > -1e-3, "{v} {dl}");
+        }
+    }
+    for (text, [x, y]) in labels(&svg) {
+        for line in &hatch {
+            // Along the text's middle nothing is drawn.
+            let [from, to] = line[..] else {
+                panic!("{line:?}");
+            };
+            if (from[1] - y) * (to[1] - y) < 0.0 {
+                let part = (y - from[1]) / (to[1] - from[1]);
+                let crossing = from[0] + part * (to[0] - from[0]);
+                assert!((crossing - x).abs() > 1.5, "{text}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_level_is_at_its_value_and_one_beyond_the_map_widens_the_axis() {
     let level = |value: f64| Level {
         name: "limit".to_owned(),

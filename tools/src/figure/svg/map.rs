@@ -34,8 +34,8 @@ const WORST: f64 = 3.5;
 /// Candidates for a label are so far from each other along a line, in mm.
 const STEP: f64 = 0.7;
 
-/// The shades, in their order.
-pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area) -> fmt::Result {
+/// The shades, in their order. Hatching leaves the labels free.
+pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area, taken: &[Slot]) -> fmt::Result {
     let sheet = Sheet::new(&map.grid, &area.x, &area.y);
     for band in &map.bands {
         let rings: Vec<Piece> = sheet
@@ -43,7 +43,7 @@ pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area) -> fmt::Resul
             .iter()
             .map(|ring| thin(ring, TOLERANCE))
             .collect();
-        draw_shade(svg, band.shade, &rings)?;
+        draw_shade(svg, band.shade, &rings, taken)?;
         let name = escaped(&typeset::plain(&band.name));
         writeln!(svg, "<title>{name}</title></path>")?;
     }
@@ -51,11 +51,13 @@ pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area) -> fmt::Resul
 }
 
 /// What is in an odd number of the rings, as an open element.
-fn draw_shade(svg: &mut String, shade: Shade, rings: &[Piece]) -> fmt::Result {
+fn draw_shade(svg: &mut String, shade: Shade, rings: &[Piece], taken: &[Slot]) -> fmt::Result {
     open_shade(svg, shade)?;
     if shade == Shade::Hatched {
-        for [from, to] in hatch(rings) {
-            through(svg, &[from, to])?;
+        for line in hatch(rings) {
+            for piece in interrupted(&line, taken) {
+                through(svg, &piece)?;
+            }
         }
     } else {
         for ring in rings {
@@ -77,7 +79,7 @@ pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -
         [left, bottom],
         [left, top],
     ];
-    draw_shade(svg, shade, &[ring])?;
+    draw_shade(svg, shade, &[ring], &[])?;
     svg.push_str("</path>\n");
     Ok(())
 }

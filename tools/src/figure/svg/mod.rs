@@ -19,7 +19,7 @@ use self::{
 use super::{
     Axis, Curve, Figure, Look, Mark, MarkKind, Panel, Rule, Symbol,
     legend::{self, Entry, Key},
-    place::Obstacles,
+    place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
     typeset,
 };
@@ -119,8 +119,11 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         let middle = 0.5 * (left + right);
         text(svg, [middle, top - 1.6], "middle", &panel.title)?;
     }
+    let mut obstacles = obstacles(panel, area);
+    let labels = annotate::place(panel, area, &mut obstacles);
+    let taken: Vec<Slot> = labels.iter().map(|label| label.slot).collect();
     if let Some(map) = &panel.map {
-        map::draw_bands(svg, map, area)?;
+        map::draw_bands(svg, map, area, &taken)?;
     }
     for span in &panel.spans {
         draw_span(svg, panel.span_name, *span, area)?;
@@ -141,10 +144,7 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
             number(bottom - high),
         )?;
     }
-    let mut obstacles = obstacles(panel, area);
-    let labels = annotate::place(panel, area, &mut obstacles);
     if let Some(map) = &panel.map {
-        let taken = labels.iter().map(|label| label.slot).collect();
         let lines = map::isolines(map, area);
         map::draw_isolines(svg, &lines, area, &mut obstacles, taken)?;
     }
