@@ -141,7 +141,8 @@ pub fn critical_speed(
 /// at every speed, for every dl of `deviations` (m): none if no p does that.
 ///
 /// p² v² times Hurwitz' determinant at infinite speed is quadratic in p; as in
-/// [`critical_speed`], the ends of the range decide.
+/// [`critical_speed`], the ends of the range decide. (Below the lesser root, a few mm,
+/// the car is stable as well.)
 ///
 /// # Errors
 ///
