@@ -15,8 +15,8 @@ const SHOWN: f64 = 10.0;
 const MEASURED: &str = "measured";
 const MODEL: &str = "model";
 
-/// Every figure with its name.
-pub(super) fn figures(report: &Report) -> Vec<(String, Figure)> {
+/// Every figure of an identification, with its name.
+pub fn figures(report: &Report) -> Vec<(String, Figure)> {
     let mut figures = of_drive("", "the drive it was identified from", &report.identified);
     if let Some(validated) = &report.validated {
         figures.extend(of_drive(

@@ -28,6 +28,7 @@ use crate::{
 };
 
 pub use collect::{Collector, RecordedDrive, read};
+pub use figures::figures;
 
 /// What `singletrack identify` is asked.
 #[derive(Args, Clone, Debug)]

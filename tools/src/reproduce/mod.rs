@@ -7,6 +7,7 @@ pub mod claims;
 mod comparison;
 mod drive;
 mod folder;
+mod model;
 mod pictures;
 mod progress;
 mod report;
@@ -134,7 +135,8 @@ fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
 /// Computes everything; shows progress on a terminal.
 #[must_use]
 pub fn reproduce(setup: Setup) -> Reproduction {
-    let parts: [fn(&Setup, &Progress) -> Section; 7] = [
+    let parts: [fn(&Setup, &Progress) -> Section; 8] = [
+        model::section,
         steps::section,
         circle::section,
         stability::proposed,
