@@ -307,6 +307,8 @@ fn what_has_no_steady_motion_is_refused_by_name() {
     assert!(refused(P, 0.0, 0.0).contains("speed is 0 m/s"));
     assert!(refused(P, f64::NAN, 0.0).contains("NaN"));
     assert!(refused(P, 1.0, f64::INFINITY).contains("inf"));
+    assert!(refused(P, 1e-200, 0.0).contains("range of numbers"));
+    assert!(refused(1e-300, 1e100, 0.0).contains("range of numbers"));
     let massless = VehicleParameters {
         mass_kg: 0.0,
         ..vehicle

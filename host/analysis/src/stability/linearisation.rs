@@ -1,6 +1,6 @@
 //! The closed loop linearised at its steady motion, and its eigenvalues.
 
-use nalgebra::{Complex, DMatrix, Matrix3, Matrix4, SMatrix, SVector};
+use nalgebra::{Complex, DMatrix, Matrix3, Matrix4, SMatrix, SVector, Schur};
 use num_dual::Dual64;
 
 use super::{
@@ -24,25 +24,28 @@ impl ClosedLoop {
 
     /// The eigenvalues of the steady motion, in 1/s, by ascending real part, of a
     /// complex pair the one with the negative imaginary part first: four under the
-    /// front-point law, three under the velocity-point law.
+    /// front-point law, three under the velocity-point law. Not numbers, should the QR
+    /// algorithm not converge.
     #[must_use]
     pub fn eigenvalues(&self) -> Vec<Complex<f64>> {
-        let mut eigenvalues: Vec<_> = match self.law {
-            Law::FrontPoint => self
-                .front_point()
-                .complex_eigenvalues()
-                .iter()
-                .copied()
-                .collect(),
-            Law::VelocityPoint => self
-                .velocity_point()
-                .complex_eigenvalues()
-                .iter()
-                .copied()
-                .collect(),
+        let found: Option<Vec<_>> = match self.law {
+            Law::FrontPoint => Schur::try_new(self.front_point(), f64::EPSILON, MOST_STEPS)
+                .map(|schur| schur.complex_eigenvalues().iter().copied().collect()),
+            Law::VelocityPoint => Schur::try_new(self.velocity_point(), f64::EPSILON, MOST_STEPS)
+                .map(|schur| schur.complex_eigenvalues().iter().copied().collect()),
         };
+        let mut eigenvalues =
+            found.unwrap_or_else(|| vec![Complex::new(f64::NAN, f64::NAN); self.states()]);
         eigenvalues.sort_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
         eigenvalues
+    }
+
+    /// How many states there are.
+    const fn states(&self) -> usize {
+        match self.law {
+            Law::FrontPoint => 4,
+            Law::VelocityPoint => 3,
+        }
     }
 
     fn front_point(&self) -> Matrix4<f64> {
@@ -53,6 +56,9 @@ impl ClosedLoop {
         jacobian(&VelocityPointField(self))
     }
 }
+
+/// More steps of the QR algorithm than any matrix of this size takes.
+const MOST_STEPS: usize = 10_000;
 
 /// The Jacobian at the origin.
 fn jacobian<const N: usize>(field: &impl VectorField<N>) -> SMatrix<f64, N, N> {

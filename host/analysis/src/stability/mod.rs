@@ -79,6 +79,19 @@ pub enum StabilityError {
     /// No distance.
     #[error("the deviation dl of the centre of mass is {0} m: it must be finite")]
     Deviation(f64),
+    /// Finite, but nothing to compute with.
+    #[error(
+        "with a speed of {speed} m/s, p = {point_distance} m and dl = {deviation} m the equations \
+         leave the range of numbers: choose what a car can have"
+    )]
+    Extreme {
+        /// The speed, in m/s.
+        speed: f64,
+        /// The distance p, in m.
+        point_distance: f64,
+        /// The deviation dl, in m.
+        deviation: f64,
+    },
 }
 
 impl ClosedLoop {
@@ -109,14 +122,28 @@ impl ClosedLoop {
         if !deviation.is_finite() {
             return Err(StabilityError::Deviation(deviation));
         }
-        Ok(Self {
+        Self {
             vehicle,
             law,
             belief: Belief::default(),
             point_distance,
             speed,
             deviation,
-        })
+        }
+        .finite()
+    }
+
+    /// Refuses what is so extreme that it can't be computed with.
+    fn finite(self) -> Result<Self, StabilityError> {
+        if self.jacobian().iter().all(|entry| entry.is_finite()) {
+            Ok(self)
+        } else {
+            Err(StabilityError::Extreme {
+                speed: self.speed,
+                point_distance: self.point_distance,
+                deviation: self.deviation,
+            })
+        }
     }
 
     /// The same with other distances wrong.
@@ -135,7 +162,7 @@ impl ClosedLoop {
         if !deviation.is_finite() {
             return Err(StabilityError::Deviation(deviation));
         }
-        Ok(Self { deviation, ..self })
+        Self { deviation, ..self }.finite()
     }
 
     /// The car.
