@@ -12,13 +12,14 @@ use singletrack_control::VehicleParameters;
 use super::{
     ReproduceError, Reproduction,
     claims::{Judged, Verdict},
-    report, write_error,
+    report, table, write_error,
 };
 
 /// The names of the files.
 const REPORT: &str = "report.html";
 const CLAIMS_JSON: &str = "claims.json";
 const CLAIMS_CSV: &str = "claims.csv";
+const CLAIMS_MARKDOWN: &str = "claims.md";
 /// Folders.
 const FIGURES: &str = "figures";
 const DATA: &str = "data";
@@ -99,11 +100,15 @@ pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBu
             let name = format!("{FIGURES}/{}.svg", picture.name);
             write(name, &picture.figure.to_svg())?;
         }
-        for table in &section.tables {
-            write(format!("{DATA}/{}.csv", table.name), &table.to_csv())?;
+        for data in &section.tables {
+            write(format!("{DATA}/{}.csv", data.name), &data.to_csv())?;
         }
     }
     write(CLAIMS_CSV.to_owned(), &csv(&reproduction.claims))?;
+    write(
+        CLAIMS_MARKDOWN.to_owned(),
+        &table::markdown(&reproduction.claims),
+    )?;
     write(REPORT.to_owned(), &report::report(reproduction))?;
     files.push(CLAIMS_JSON.to_owned());
     let json = Json {

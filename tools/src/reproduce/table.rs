@@ -110,6 +110,29 @@ fn cells(judged: &Judged) -> [String; 5] {
     ]
 }
 
+/// The table in Markdown.
+pub(super) fn markdown(claims: &[Judged]) -> String {
+    let mut table =
+        "| § | claim | the paper | measured | verdict | why |\n|---|---|---|---|---|---|\n"
+            .to_owned();
+    for judged in claims {
+        let [verdict, _, paper, _, why] = cells(judged);
+        let cells = [
+            judged.claim.section.to_string(),
+            judged.claim.claim.clone(),
+            paper,
+            measured(judged).join("; "),
+            verdict,
+            why,
+        ];
+        table += &format!(
+            "| {} |\n",
+            cells.map(|cell| cell.replace('|', "\\|")).join(" | ")
+        );
+    }
+    table
+}
+
 /// Writes cells side by side, each wrapped to its column.
 fn row(out: &mut impl Write, cells: &[String; 5]) -> io::Result<()> {
     let wrapped: Vec<Vec<String>> = cells
@@ -156,7 +179,30 @@ fn wrap(text: &str, width: usize) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::wrap;
+    use super::{
+        super::claims::{Measurements, judge},
+        markdown, wrap,
+    };
+
+    #[test]
+    fn a_bar_in_a_cell_is_no_border_in_markdown() {
+        let claim = crate::reproduce::claims::Claim {
+            id: "deviation",
+            section: 2,
+            claim: "2 |dl|".to_owned(),
+            paper: "none".to_owned(),
+            quantities: Vec::new(),
+            unit: "m",
+            scope: crate::reproduce::claims::Scope::AnyCar,
+            why: "it is so".to_owned(),
+        };
+        let judged = judge(vec![claim], &Measurements::default(), true);
+        let table = markdown(&judged);
+        assert!(
+            table.ends_with("| 2 | 2 \\|dl\\| | none |  | agrees | it is so |\n"),
+            "{table}"
+        );
+    }
 
     #[test]
     fn lines_are_broken_between_words() {
