@@ -248,7 +248,18 @@ fn draw(setup: &Setup, report: &Report, section: &mut Section) {
             format!("{} %", with_digits(own.fit_percent, 3))
         })
     };
-    if let Some(figure) = take("validation-states") {
+    if let Some(mut figure) = take("validation-states") {
+        // As in the paper: the simulation is grey, and the data are black upon it.
+        for panel in &mut figure.panels {
+            for curve in panel
+                .curves
+                .iter_mut()
+                .filter(|curve| curve.look != Look::Actual)
+            {
+                curve.look = Look::Nominal;
+            }
+            panel.curves.sort_by_key(|curve| curve.look == Look::Actual);
+        }
         section.plates.push(Plate {
             title: "Simulation against data".to_owned(),
             paper: "Experimental data (black) and the single-track simulation (grey) of four \

@@ -258,7 +258,8 @@ fn vehicle(reproduction: &Reproduction) -> String {
     .iter()
     .map(|(name, value, unit)| {
         format!(
-            "<tr><th scope=\"row\">{name}</th><td>{} {unit}</td></tr>\n",
+            "<tr><th scope=\"row\">{}</th><td>{} {unit}</td></tr>\n",
+            typeset(name),
             super::text::with_digits(*value, 6)
         )
     })
