@@ -123,6 +123,15 @@ mod tests {
     }
 
     #[test]
+    fn the_documentation_has_every_claim() {
+        let page = include_str!("../../../docs/reproduction.md");
+        for claim in claims(&setup()) {
+            let row = format!("| {} | {} |", claim.section, claim.claim);
+            assert!(page.contains(&row), "docs/reproduction.md lacks {row}");
+        }
+    }
+
+    #[test]
     fn a_slip_cannot_be_what_the_paper_says_as_well() {
         for claim in claims(&setup()) {
             for quantity in &claim.quantities {

@@ -309,12 +309,13 @@ fn many(study: &Study, section: &mut Section) {
             })
             .collect();
         told.push(format!(
-            "{html} at most {} % off, {} of {} intervals hold the truth, spread {} times the \
-             Cramér-Rao bound",
+            "{html} at most {} % off, {} of {} intervals of 95 % hold the truth (standard \
+             deviation by the fits {} %, by Cramér and Rao at least {} %)",
             with_digits(100.0 * summary.worst_relative_error, 2),
             summary.covered,
             study.seeds.len(),
-            with_digits(summary.deviation / summary.bound, 3)
+            with_digits(100.0 * summary.stated_deviation / summary.truth, 2),
+            with_digits(100.0 * summary.bound / summary.truth, 2)
         ));
         panels.push(Panel {
             title: symbol.to_owned(),

@@ -111,7 +111,7 @@ fn proposed(setup: &Setup) -> Vec<Claim> {
             "\"subcritical Hopf bifurcations\": l₁ above 0",
         )
         .agrees("least l₁", "hopf.front.least_l1", Criterion::Above(0.0))
-        .because("exact derivatives; Kuznetsov's normalisation, the sign is any one's"),
+        .because("exact derivatives; Kuznetsov's normalisation, on which the sign does not depend"),
         claim(
             "structurally-stable",
             4,

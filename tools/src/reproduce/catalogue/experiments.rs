@@ -184,7 +184,7 @@ pub(super) fn circle(setup: &Setup) -> Vec<Claim> {
         .on_the_car()
         .because(format!(
             "two integrators under unit gain are a low-pass: 1/√(1 + 0.5²) = {} of the \
-             reference's amplitude, where the paper's figure may well seem the same to the eye",
+             reference's amplitude",
             with_digits(gain, 6)
         )),
         claim(
