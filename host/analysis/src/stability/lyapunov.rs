@@ -34,13 +34,15 @@ type Vector = DVector<Complex<f64>>;
 
 impl Lyapunov {
     /// The coefficient of a loop whose Jacobian has the eigenvalue i `frequency`;
-    /// none if the Jacobian is singular.
+    /// none if the Jacobian is
+    /// singular, or nearly so.
     pub(super) fn of(closed_loop: &ClosedLoop, frequency: f64) -> Option<Self> {
         let jacobian = closed_loop.jacobian();
         let kuznetsov = match closed_loop.law() {
             Law::FrontPoint => kuznetsov(&FrontPointField(closed_loop), &jacobian, frequency),
             Law::VelocityPoint => kuznetsov(&VelocityPointField(closed_loop), &jacobian, frequency),
-        }?;
+        }
+        .filter(|coefficient| coefficient.is_finite())?;
         Some(Self {
             kuznetsov,
             matcont: frequency * kuznetsov,

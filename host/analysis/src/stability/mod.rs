@@ -81,7 +81,7 @@ pub enum StabilityError {
     Deviation(f64),
     /// Finite, but nothing to compute with.
     #[error(
-        "with a speed of {speed} m/s, p = {point_distance} m and dl = {deviation} m the equations \
+        "with a speed of {speed:e} m/s, p = {point_distance:e} m and dl = {deviation:e} m the equations \
          leave the range of numbers: choose what a car can have"
     )]
     Extreme {
