@@ -6,7 +6,7 @@ use std::sync::Arc;
 use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
 
 use super::{Identified, Report};
-use crate::figure::{Axis, Bar, Column, Curve, Figure, Look, Panel, Symbol, Width};
+use crate::figure::{Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width};
 
 const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
 /// Of a long drive the figures over time show this much from its middle, in s: on paper
@@ -27,7 +27,6 @@ pub fn figures(report: &Report) -> Vec<(String, Figure)> {
     }
     let residuals = &report.identified.identification.residuals;
     figures.push(("residuals".to_owned(), errors(residuals)));
-    figures.push(("whiteness".to_owned(), whiteness(residuals)));
     figures
 }
 
@@ -139,8 +138,8 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
                  model: fn(&SimulationPoint) -> f64| Panel {
         begins_row,
         curves: vec![
+            curve(MODEL, Look::Nominal, &time, column(points, model)),
             curve(MEASURED, Look::Actual, &time, column(points, measured)),
-            curve(MODEL, Look::Other, &time, column(points, model)),
         ],
         ..Panel::new(TIME, y)
     };
@@ -191,57 +190,58 @@ const fn named(channel: Channel) -> &'static str {
     }
 }
 
+/// The errors over time, and beside it how much one tells of those after it.
 fn errors(residuals: &[Residuals]) -> Figure {
-    let panels = residuals.iter().enumerate().map(|(index, residuals)| {
+    let panels = residuals.iter().enumerate().flat_map(|(index, residuals)| {
         let x: Column = Arc::from(&residuals.times_s[..]);
         let y: Column = Arc::from(&residuals.values[..]);
-        Panel {
+        let over_time = Panel {
             title: named(residuals.channel).to_owned(),
             begins_row: index > 0,
-            height_mm: 22.0,
-            curves: vec![curve("prediction error", Look::Actual, &x, y)],
-            ..Panel::new(TIME, Axis::new("error", None, "σ"))
-        }
-    });
-    Figure {
-        title: "Prediction errors".to_owned(),
-        caption: "What was measured less what was predicted from everything before, over the \
-                  standard deviation that it should have. If the model is right, they are noise \
-                  that nothing can be read from, nineteen of twenty within two."
-            .to_owned(),
-        width: Width::Page,
-        panels: panels.collect(),
-    }
-}
-
-fn whiteness(residuals: &[Residuals]) -> Figure {
-    let panels = residuals.iter().enumerate().map(|(index, residuals)| {
+            height_mm: 24.0,
+            curves: vec![curve("prediction error", Look::Measured, &x, y)],
+            ..Panel::new(
+                TIME,
+                Axis {
+                    include: Some(4.0),
+                    ..Axis::new("error", None, "σ")
+                },
+            )
+        };
         let bars = residuals.autocorrelation.iter().zip(1..);
         let bars = bars.map(|(height, lag)| {
             let lag = f64::from(lag);
             Bar {
                 span: [lag - 0.35, lag + 0.35],
-                height: *height,
+                height: height.abs(),
             }
         });
-        Panel {
-            title: named(residuals.channel).to_owned(),
-            begins_row: index == 3,
-            height_mm: 30.0,
+        let count = residuals.values.len().max(1) as f64;
+        let memory = Panel {
+            height_mm: 24.0,
             bars: bars.collect(),
+            levels: vec![Level {
+                name: "by chance, 95 %".to_owned(),
+                value: 1.96 / count.sqrt(),
+                label: String::new(),
+                look: Look::RangeEnd,
+            }],
             ..Panel::new(
                 Axis::new("lag", None, "samples"),
                 Axis {
                     include: Some(0.1),
-                    ..Axis::new("autocorrelation", None, "")
+                    ..Axis::new("|autocorrelation|", None, "")
                 },
             )
-        }
+        };
+        [over_time, memory]
     });
     Figure {
-        title: "Autocorrelation of the prediction errors".to_owned(),
-        caption: "How much a prediction error tells of those after it; if the model is right, \
-                  nothing."
+        title: "Prediction errors".to_owned(),
+        caption: "What was measured less what was predicted from everything before, over the \
+                  standard deviation that it should have, and how much of it can be told from \
+                  the errors before. If the model is right, nineteen of twenty are within two, \
+                  and nothing can be told."
             .to_owned(),
         width: Width::Page,
         panels: panels.collect(),

@@ -56,7 +56,12 @@ impl Task<'_> {
             None => ServoFrames::ALL.to_vec(),
         };
         let zero = vec![0.0; self.active.len()];
-        let noise = self.settings.noise;
+        let noise = if self.settings.estimate_noise {
+            self.settings.noise.seen(self.data, self.spans)
+        } else {
+            self.settings.noise
+        };
+        let seen = noise;
         // The frames under which the drive is most likely after a first fit.
         let mut best: Option<(f64, ServoFrames, Vec<f64>)> = None;
         let mut evaluations = 0;
@@ -89,7 +94,7 @@ impl Task<'_> {
             if self.settings.estimate_noise && round < 3 {
                 let values = self.values(&u);
                 noise = noise
-                    .most_likely(if round == 0 { 2 } else { 1 }, |levels| {
+                    .most_likely(&seen, if round == 0 { 2 } else { 1 }, |levels| {
                         pass(
                             self.data,
                             &servo,

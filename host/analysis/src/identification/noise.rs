@@ -1,6 +1,10 @@
 //! How much the sensors and the road err.
 
-use super::filter::{Channel, Passage};
+use super::{
+    data::{DriveData, Span},
+    filter::{Channel, Passage},
+    timeline::wrapped,
+};
 
 /// Standard deviations of everything random.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,17 +98,66 @@ impl NoiseLevels {
         }
     }
 
-    /// The levels under which a passage is most likely, starting from these;
-    /// `pass` goes along the drive with given levels.
+    /// These levels, with those of the sensors as the samples themselves show them,
+    /// whatever the model: by third differences, of which the car's motion has little.
+    pub(super) fn seen(self, data: &DriveData, spans: &[Span]) -> Self {
+        let within = |time: f64| spans.iter().any(|span| span.contains(time));
+        let poses = data
+            .poses
+            .windows(4)
+            .filter(|w| w.iter().all(|p| within(p.time_s)));
+        let (mut position, mut yaw) = (Vec::new(), Vec::new());
+        for window in poses {
+            if let [a, b, c, d] = window {
+                position.push(third([a.x_m, b.x_m, c.x_m, d.x_m]));
+                position.push(third([a.y_m, b.y_m, c.y_m, d.y_m]));
+                let turned = [b, c, d].map(|pose| wrapped(pose.yaw_rad - a.yaw_rad));
+                yaw.push(third([0.0, turned[0], turned[1], turned[2]]));
+            }
+        }
+        let inertial = data.inertial.windows(4);
+        let inertial = inertial.filter(|w| w.iter().all(|i| within(i.time_s)));
+        let (mut yaw_rate, mut left) = (Vec::new(), Vec::new());
+        for window in inertial {
+            if let [a, b, c, d] = window {
+                yaw_rate.push(third([a, b, c, d].map(|sample| sample.yaw_rate_rad_s)));
+                left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
+            }
+        }
+        Self {
+            position_m: deviation(position).unwrap_or(self.position_m),
+            yaw_rad: deviation(yaw).unwrap_or(self.yaw_rad),
+            yaw_rate_rad_s: deviation(yaw_rate).unwrap_or(self.yaw_rate_rad_s),
+            left_m_s2: deviation(left).unwrap_or(self.left_m_s2),
+            ..self
+        }
+    }
+
+    /// These levels with those of the sensors no farther than a factor from what was
+    /// [seen](Self::seen): a wrong model must not make a sensor perfect, nor useless.
+    fn near(self, seen: &Self) -> Self {
+        let near = |level: f64, seen: f64| level.clamp(0.6 * seen, 2.0 * seen);
+        Self {
+            position_m: near(self.position_m, seen.position_m),
+            yaw_rad: near(self.yaw_rad, seen.yaw_rad),
+            yaw_rate_rad_s: near(self.yaw_rate_rad_s, seen.yaw_rate_rad_s),
+            left_m_s2: near(self.left_m_s2, seen.left_m_s2),
+            ..self
+        }
+    }
+
+    /// The levels under which a passage is most likely, starting from these; those of
+    /// the sensors near what was seen. `pass` goes along the drive with given levels.
     pub(super) fn most_likely(
         self,
+        seen: &Self,
         rounds: u32,
         mut pass: impl FnMut(&Self) -> Option<Passage>,
     ) -> Option<Self> {
         let mut levels = self;
         for round in 0..rounds {
             for _ in 0..2 {
-                levels = levels.rescaled(&pass(&levels)?);
+                levels = levels.rescaled(&pass(&levels)?).near(seen);
             }
             let spread = if round == 0 { 6.0 } else { 2.0 };
             for scale in [Self::scale_forward, Self::scale_force] {
@@ -125,7 +178,7 @@ impl NoiseLevels {
                 levels = scale(levels, f64::powf(spread, power));
             }
         }
-        Some(levels.rescaled(&pass(&levels)?))
+        Some(levels.rescaled(&pass(&levels)?).near(seen))
     }
 
     fn scale_forward(mut self, factor: f64) -> Self {
@@ -137,4 +190,22 @@ impl NoiseLevels {
         self.force_density = (self.force_density * factor).max(LEAST_FORCE);
         self
     }
+}
+
+/// The third difference: twenty times the variance of what is white.
+fn third([a, b, c, d]: [f64; 4]) -> f64 {
+    d - 3.0 * c + 3.0 * b - a
+}
+
+/// Standard deviation of white noise with these third differences, by their median, which
+/// jolts do not move; none of too few, or of a signal without any.
+fn deviation(mut differences: Vec<f64>) -> Option<f64> {
+    // Of a normal variable: the median of its size.
+    const MEDIAN: f64 = 0.674_49;
+    for difference in &mut differences {
+        *difference = difference.abs();
+    }
+    differences.sort_by(f64::total_cmp);
+    let median = differences.get(differences.len() / 2)?;
+    (*median > 0.0 && differences.len() >= 100).then(|| median / (MEDIAN * 20_f64.sqrt()))
 }

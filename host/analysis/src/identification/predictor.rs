@@ -208,6 +208,9 @@ impl<D: Number> Traveller<D> for Predictor<'_, D> {
     }
 }
 
+/// Every error, in standard deviations, where the model ends: worse than any fit.
+const OUTSIDE: f64 = 1e4;
+
 /// The question with where the optimiser is.
 pub(super) struct Problem<'a> {
     pub(super) question: Question<'a>,
@@ -228,10 +231,113 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        self.question.residuals(self.u.as_slice())
+        let residuals = self.question.residuals(self.u.as_slice());
+        // A step that leads out of the model is one to take back, not the end.
+        let count = self.question.rows() + self.u.len();
+        Some(residuals.unwrap_or_else(|| DVector::from_element(count, OUTSIDE)))
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
         self.question.jacobian(self.u.as_slice())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{Inertial, NoiseLevels, Pose, filter::pass},
+        *,
+    };
+    use singletrack_control::VehicleParameters;
+
+    /// A drive that no car makes: for derivatives it need not be one.
+    fn drive() -> DriveData {
+        let mut data = DriveData::default();
+        for index in 0..300_u64 {
+            let time_s = 0.01 * index as f64;
+            let yaw = 0.2 * (3.0 * time_s).sin();
+            data.poses.push(Pose {
+                time_s: time_s + 0.0061,
+                x_m: 1.6 * time_s,
+                y_m: 0.1 * (3.0 * time_s).sin(),
+                yaw_rad: yaw,
+            });
+            data.inertial.push(Inertial {
+                time_s: time_s + 0.0033,
+                yaw_rate_rad_s: 0.6 * (3.0 * time_s).cos(),
+                forward_m_s2: 0.3 * (5.0 * time_s).sin(),
+                left_m_s2: (3.0 * time_s).cos(),
+            });
+            data.servo.push(ServoTarget {
+                time_s,
+                period: index,
+                angle_rad: 0.15 * (4.0 * time_s).sin(),
+            });
+        }
+        data
+    }
+
+    #[test]
+    fn the_derivatives_are_those_of_the_prediction_errors() {
+        let data = drive();
+        let start = Values::of(&VehicleParameters::paper()).with(Parameter::InertialDelay, 0.001);
+        let spans = [Span {
+            start_s: 0.5,
+            end_s: 2.8,
+        }];
+        for tyres in [Tyres::Saturating, Tyres::Linear] {
+            let noise = NoiseLevels::usual();
+            let passage = pass(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+            let question = Question {
+                data: &data,
+                servo: &data.servo,
+                spans: &spans,
+                gains: &passage.gains,
+                start: &start,
+                active: &Parameter::ALL,
+                tyres,
+            };
+            let u: Vec<f64> = (0..COUNT).map(|index| 0.01 * index as f64).collect();
+            let jacobian = question.jacobian(&u).unwrap();
+            for column in 0..COUNT {
+                let moved = |by: f64| {
+                    let mut u = u.clone();
+                    u[column] += by;
+                    question.residuals(&u).unwrap()
+                };
+                let h = 1e-5;
+                let difference = (moved(h) - moved(-h)) / (2.0 * h);
+                let exact = jacobian.column(column);
+                let error = (&difference - exact).norm() / exact.norm();
+                assert!(error < 1e-5, "{}: {error}", Parameter::ALL[column]);
+            }
+        }
+    }
+
+    #[test]
+    fn the_prediction_errors_are_the_filters_innovations() {
+        let data = drive();
+        let start = Values::of(&VehicleParameters::paper());
+        let spans = [Span {
+            start_s: 0.5,
+            end_s: 2.8,
+        }];
+        let (tyres, noise) = (Tyres::Saturating, NoiseLevels::usual());
+        let passage = pass(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+        let question = Question {
+            data: &data,
+            servo: &data.servo,
+            spans: &spans,
+            gains: &passage.gains,
+            start: &start,
+            active: &[Parameter::FrontStiffness],
+            tyres,
+        };
+        let sum = question.residuals(&[0.0]).unwrap().norm_squared();
+        let innovations = passage.innovations.iter();
+        let expected: f64 = innovations
+            .map(|innovation| innovation.value * innovation.value / innovation.variance)
+            .sum();
+        assert!((sum / expected - 1.0).abs() < 1e-9, "{sum} {expected}");
     }
 }

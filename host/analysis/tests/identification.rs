@@ -1,0 +1,373 @@
+//! Cars that are known, identified from drives with noise.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+mod synthetic;
+
+use singletrack_analysis::identification::{
+    Channel, DriveData, Identification, IdentificationError, Parameter, ServoFrames, Settings,
+    Tyres, Values, Warning, cramer_rao, identify, validate,
+};
+use singletrack_control::VehicleParameters;
+use synthetic::Course;
+
+/// A car that is believed to be quite another.
+fn wrong() -> VehicleParameters {
+    let car = VehicleParameters::paper();
+    VehicleParameters {
+        front_cornering_stiffness_n_rad: 1.5 * car.front_cornering_stiffness_n_rad,
+        rear_cornering_stiffness_n_rad: 0.6 * car.rear_cornering_stiffness_n_rad,
+        yaw_inertia_kg_m2: 1.6 * car.yaw_inertia_kg_m2,
+        ..car
+    }
+}
+
+fn truth(course: &Course, parameter: Parameter) -> f64 {
+    match parameter {
+        Parameter::SteeringGain => course.steering_gain,
+        Parameter::ServoLag => course.servo_lag,
+        Parameter::SteeringDelay => course.steering_delay,
+        Parameter::SteeringTrim => course.trim,
+        Parameter::InertialDelay => course.inertial_delay,
+        Parameter::LateralBias => course.left_bias,
+        vehicle => Values::of(&course.vehicle).get(vehicle),
+    }
+}
+
+fn relative_error(found: &Identification, course: &Course, parameter: Parameter) -> f64 {
+    let truth = truth(course, parameter);
+    (found.estimate(parameter).unwrap().value - truth).abs() / truth
+}
+
+#[test]
+fn intervals_of_95_percent_hold_the_truth_in_at_least_90_of_100_drives() {
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        noise: Course::weaving(0, 0.0).noise,
+        estimate_noise: false,
+        ..Settings::default()
+    };
+    let start = wrong();
+    let mut covered = vec![0; settings.parameters.len()];
+    let mut squares = vec![0.0; settings.parameters.len()];
+    for seed in 0..100 {
+        let course = Course::weaving(seed, 6.5);
+        let found = identify(&course.drive(), &start, &settings).unwrap();
+        for (index, estimate) in found.estimates.iter().enumerate() {
+            let error = estimate.value - truth(&course, estimate.parameter);
+            let [low, high] = estimate.interval;
+            covered[index] += u32::from((low..=high).contains(&truth(&course, estimate.parameter)));
+            squares[index] += (error / estimate.white_deviation).powi(2);
+        }
+    }
+    for ((parameter, covered), squares) in settings.parameters.iter().zip(covered).zip(squares) {
+        assert!(covered >= 90, "{parameter}: {covered} of 100");
+        // And they are no wider than they must be: 1 but for chance.
+        let ratio = (squares / 100.0_f64).sqrt();
+        assert!((0.75..1.3).contains(&ratio), "{parameter}: {ratio}");
+    }
+}
+
+#[test]
+fn a_car_is_found_from_a_start_that_is_far_off_with_its_noise_and_its_servo() {
+    let course = Course::weaving(1, 21.0);
+    let found = identify(&course.drive(), &wrong(), &Settings::default()).unwrap();
+    for (parameter, within) in [
+        (Parameter::FrontStiffness, 0.01),
+        (Parameter::RearStiffness, 0.02),
+        (Parameter::YawInertia, 0.01),
+        (Parameter::ServoLag, 0.02),
+    ] {
+        let error = relative_error(&found, &course, parameter);
+        assert!(error < within, "{parameter}: {error}");
+    }
+    assert_eq!(found.frames, ServoFrames::Even);
+    for (name, found, truth) in [
+        ("position", found.noise.position_m, course.noise.position_m),
+        ("yaw", found.noise.yaw_rad, course.noise.yaw_rad),
+        (
+            "gyro",
+            found.noise.yaw_rate_rad_s,
+            course.noise.yaw_rate_rad_s,
+        ),
+        ("left", found.noise.left_m_s2, course.noise.left_m_s2),
+    ] {
+        assert!(
+            (found / truth - 1.0).abs() < 0.06,
+            "{name}: {found} {truth}"
+        );
+    }
+    assert_eq!(found.warnings, []);
+    // What is not asked for stays as it was.
+    assert_eq!(found.vehicle().mass_kg, course.vehicle.mass_kg);
+    assert_eq!(
+        found.vehicle().front_axle_distance_m,
+        course.vehicle.front_axle_distance_m
+    );
+}
+
+#[test]
+fn no_estimate_is_surer_than_cramer_and_rao_allow() {
+    let course = Course::weaving(2, 10.0);
+    let data = course.drive();
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        ..Settings::default()
+    };
+    let found = identify(&data, &course.vehicle, &settings).unwrap();
+    let bounds = cramer_rao(
+        &data,
+        &found.values,
+        &course.noise,
+        ServoFrames::Even,
+        &settings,
+    )
+    .unwrap();
+    for (estimate, bound) in found.estimates.iter().zip(bounds) {
+        let ratio = estimate.standard_deviation / bound;
+        // The noise is estimated, and so may be somewhat less than it is.
+        assert!(
+            (0.9..2.0).contains(&ratio),
+            "{}: {ratio}",
+            estimate.parameter
+        );
+    }
+}
+
+#[test]
+fn where_the_centre_of_mass_is_and_how_far_the_wheels_turn_can_be_found_too() {
+    let course = Course {
+        vehicle: VehicleParameters::paper().with_centre_of_mass_at(0.13),
+        steering_gain: 1.04,
+        speed: [1.5, 0.4],
+        ..Course::weaving(3, 20.0)
+    };
+    let asked = [
+        Parameter::FrontStiffness,
+        Parameter::RearStiffness,
+        Parameter::YawInertia,
+        Parameter::FrontAxleDistance,
+        Parameter::SteeringGain,
+    ];
+    let found = identify(
+        &course.drive(),
+        &VehicleParameters::paper(),
+        &Settings::of(&asked),
+    )
+    .unwrap();
+    for parameter in asked {
+        let estimate = found.estimate(parameter).unwrap();
+        let error = (estimate.value - truth(&course, parameter)).abs();
+        assert!(
+            error < 3.5 * estimate.standard_deviation,
+            "{parameter}: {estimate:?}"
+        );
+    }
+    let front_axle = found.estimate(Parameter::FrontAxleDistance).unwrap();
+    assert!((front_axle.value - 0.13).abs() < 1e-3, "{front_axle:?}");
+    // The wheelbase is kept.
+    assert!((found.vehicle().wheelbase_m() - 0.26).abs() < 1e-12);
+}
+
+#[test]
+fn linear_tyres_make_a_car_that_slides_too_soft() {
+    let course = Course::weaving(4, 15.0);
+    let data = course.drive();
+    let settings = |tyres| Settings {
+        tyres,
+        frames: Some(ServoFrames::Even),
+        ..Settings::default()
+    };
+    let right = identify(&data, &course.vehicle, &settings(Tyres::Saturating)).unwrap();
+    let linear = identify(&data, &course.vehicle, &settings(Tyres::Linear)).unwrap();
+    for parameter in [Parameter::FrontStiffness, Parameter::RearStiffness] {
+        let [right, linear] = [&right, &linear].map(|found| found.estimate(parameter).unwrap());
+        assert!(
+            linear.value < 0.95 * right.value,
+            "{parameter}: {} {}",
+            linear.value,
+            right.value
+        );
+    }
+    // And it shows.
+    assert!(linear.score.nmpe > 1.2 * right.score.nmpe);
+    assert!(linear.noise.force_density > 10.0 * right.noise.force_density);
+    assert!(!linear.warnings.is_empty());
+    // But it makes no sensor perfect.
+    assert!(linear.noise.left_m_s2 > 0.5 * course.noise.left_m_s2);
+    assert!(linear.noise.yaw_rate_rad_s > 0.5 * course.noise.yaw_rate_rad_s);
+}
+
+#[test]
+fn a_drive_straight_on_tells_no_stiffness_and_says_so() {
+    let course = Course {
+        steering: 0.0,
+        trim: 0.0,
+        ..Course::weaving(5, 12.0)
+    };
+    let found = identify(&course.drive(), &course.vehicle, &Settings::default()).unwrap();
+    for parameter in [Parameter::FrontStiffness, Parameter::YawInertia] {
+        assert!(
+            found.warnings.iter().any(|warning| matches!(
+                warning,
+                Warning::NotTold { parameter: told, .. } if *told == parameter
+            )),
+            "{parameter}: {:?}",
+            found.warnings
+        );
+    }
+}
+
+#[test]
+fn a_short_and_a_slow_drive_are_used_with_a_warning() {
+    let short = identify(
+        &Course::weaving(6, 8.0).drive(),
+        &VehicleParameters::paper(),
+        &Settings::default(),
+    )
+    .unwrap();
+    assert!(
+        matches!(short.warnings[..], [Warning::Short { seconds }] if (7.0..8.0).contains(&seconds)),
+        "{:?}",
+        short.warnings
+    );
+    let slow = Course {
+        speed: [0.7, 0.1],
+        ..Course::weaving(7, 22.0)
+    };
+    let slow = identify(&slow.drive(), &slow.vehicle, &Settings::default()).unwrap();
+    assert!(
+        slow.warnings
+            .iter()
+            .any(|warning| matches!(warning, Warning::Slow { .. })),
+        "{:?}",
+        slow.warnings
+    );
+}
+
+#[test]
+fn what_the_model_does_not_know_colours_the_errors() {
+    // A gyro that swings with a period of four samples.
+    let mut data = Course::weaving(8, 10.0).drive();
+    for (sample, sign) in data
+        .inertial
+        .iter_mut()
+        .zip([1.0, 1.0, -1.0, -1.0].iter().cycle())
+    {
+        sample.yaw_rate_rad_s += 0.01 * sign;
+    }
+    let found = identify(&data, &VehicleParameters::paper(), &Settings::default()).unwrap();
+    assert!(
+        found.warnings.iter().any(|warning| matches!(
+            warning,
+            Warning::Coloured {
+                channel: Channel::YawRate,
+                ..
+            }
+        )),
+        "{:?}",
+        found.warnings
+    );
+}
+
+#[test]
+fn lost_markers_split_a_drive_and_do_not_spoil_it() {
+    let course = Course::weaving(9, 20.0);
+    let mut data = course.drive();
+    data.poses
+        .retain(|pose| !(6.0..6.5).contains(&pose.time_s) && !(11.0..11.2).contains(&pose.time_s));
+    let found = identify(&data, &wrong(), &Settings::default()).unwrap();
+    // 0.2 s are bridged, 0.5 s are not.
+    assert_eq!(found.stretches.len(), 2, "{:?}", found.stretches);
+    let error = relative_error(&found, &course, Parameter::RearStiffness);
+    assert!(error < 0.02, "{error}");
+}
+
+#[test]
+fn another_drive_is_predicted_as_well_with_its_own_biases() {
+    let settings = Settings::default();
+    let course = Course::weaving(10, 15.0);
+    let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+    let other = Course {
+        left_bias: -0.1,
+        gyro_bias: -0.01,
+        inertial_delay: 0.0022,
+        ..Course::weaving(11, 12.0)
+    };
+    let validated = validate(&other.drive(), &found, &settings).unwrap();
+    let ratio = validated.score.nmpe / found.score.nmpe;
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
+    assert_eq!(validated.vehicle(), found.vehicle());
+    let bias = validated.estimate(Parameter::LateralBias).unwrap().value;
+    assert!((bias + 0.1).abs() < 0.01, "{bias}");
+    // A car that is another one is not predicted as well.
+    let heavy = Course {
+        vehicle: VehicleParameters {
+            rear_cornering_stiffness_n_rad: 90.0,
+            ..other.vehicle
+        },
+        ..other
+    };
+    let validated = validate(&heavy.drive(), &found, &settings).unwrap();
+    assert!(validated.score.nmpe > 1.5 * found.score.nmpe);
+}
+
+fn refused(data: &DriveData) -> IdentificationError {
+    match identify(data, &VehicleParameters::paper(), &Settings::default()) {
+        Err(error) => error,
+        Ok(found) => panic!("{:?}", found.estimates),
+    }
+}
+
+#[test]
+fn a_drive_that_tells_nothing_is_refused_by_name() {
+    let data = Course::weaving(12, 6.0).drive();
+    let without = |change: fn(&mut DriveData)| {
+        let mut data = data.clone();
+        change(&mut data);
+        refused(&data).to_string()
+    };
+    let text = without(|data| data.inertial.clear());
+    assert!(text.contains("0 samples of the IMU"), "{text}");
+    let text = without(|data| data.poses.clear());
+    assert!(text.contains("0 poses of the motion capture"), "{text}");
+    let text = without(|data| data.servo.clear());
+    assert!(text.contains("0 servo pulses"), "{text}");
+    let text = without(|data| data.poses[17].x_m = f64::NAN);
+    assert!(text.contains("number 17 of the poses"), "{text}");
+    let text = without(|data| data.inertial.swap(3, 4));
+    assert!(
+        text.contains("number 4 of the samples of the IMU"),
+        "{text}"
+    );
+    let text = without(|data| data.poses.truncate(400));
+    assert!(
+        text.contains("only 3.9 s") || text.contains("only 4.0 s"),
+        "{text}"
+    );
+    let slow = Course {
+        speed: [0.3, 0.05],
+        ..Course::weaving(13, 8.0)
+    };
+    let text = refused(&slow.drive()).to_string();
+    assert!(text.contains("never faster than 0.3"), "{text}");
+    let nothing = Settings {
+        parameters: Vec::new(),
+        ..Settings::default()
+    };
+    assert_eq!(
+        identify(&data, &VehicleParameters::paper(), &nothing).err(),
+        Some(IdentificationError::NoParameter)
+    );
+}
+
+#[test]
+fn the_same_drive_gives_the_same_bits() {
+    let data = Course::weaving(14, 6.0).drive();
+    let once = || {
+        identify(&data, &wrong(), &Settings::default())
+            .unwrap()
+            .values
+    };
+    assert_eq!(once(), once());
+}
