@@ -192,10 +192,47 @@ fn linear_tyres_make_a_car_that_slides_too_soft() {
     // And it shows.
     assert!(linear.score.nmpe > 1.2 * right.score.nmpe);
     assert!(linear.noise.force_density > 10.0 * right.noise.force_density);
-    assert!(!linear.warnings.is_empty());
+    assert!(
+        linear
+            .warnings
+            .iter()
+            .any(|warning| matches!(warning, Warning::LinearTyres { share } if *share > 0.5)),
+        "{:?}",
+        linear.warnings
+    );
     // But it makes no sensor perfect.
     assert!(linear.noise.left_m_s2 > 0.5 * course.noise.left_m_s2);
     assert!(linear.noise.yaw_rate_rad_s > 0.5 * course.noise.yaw_rate_rad_s);
+}
+
+#[test]
+fn a_centre_of_mass_that_is_wrong_shows_in_forces_that_nothing_explains() {
+    let course = Course::weaving(15, 21.0);
+    let wrong = course.vehicle.with_centre_of_mass_at(0.1418);
+    let settings = |parameters: &[Parameter]| Settings {
+        frames: Some(ServoFrames::Even),
+        ..Settings::of(parameters)
+    };
+    let data = course.drive();
+    let believed = identify(&data, &wrong, &settings(&Parameter::VEHICLE)).unwrap();
+    let unexplained = |warning: &Warning| matches!(warning, Warning::Unexplained { .. });
+    assert!(
+        believed.warnings.iter().any(unexplained),
+        "{:?} {:?}",
+        believed.warnings,
+        believed.noise
+    );
+    // Estimated along, as the warning says, it is found.
+    let mut asked = Parameter::VEHICLE.to_vec();
+    asked.extend([Parameter::FrontAxleDistance, Parameter::Friction]);
+    let found = identify(&data, &wrong, &settings(&asked)).unwrap();
+    assert!(
+        !found.warnings.iter().any(unexplained),
+        "{:?}",
+        found.warnings
+    );
+    let error = relative_error(&found, &course, Parameter::RearStiffness);
+    assert!(error < 0.03, "{error}");
 }
 
 #[test]

@@ -206,7 +206,7 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
             .into_iter()
             .flat_map(|i| &i.identification.warnings)
         {
-            eprintln!("singletrack: warning: {what}{warning}");
+            tell(&format!("warning: {what}{warning}"));
         }
     }
     let text = match args.format {
@@ -220,7 +220,7 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     }
     if let Some(folder) = &args.out {
         for path in write(&report, folder)? {
-            eprintln!("singletrack: wrote {}", path.display());
+            tell(&format!("wrote {}", path.display()));
         }
     }
     Ok(())
@@ -322,9 +322,14 @@ impl RecordedDrive {
 
 fn told(recorded: RecordedDrive) -> RecordedDrive {
     for note in &recorded.notes {
-        eprintln!("singletrack: {}: {note}", recorded.path.display());
+        tell(&format!("{}: {note}", recorded.path.display()));
     }
     recorded
+}
+
+/// A line on standard error; whoever closed it has read enough.
+fn tell(what: &str) {
+    let _ = writeln!(io::stderr().lock(), "singletrack: {what}");
 }
 
 /// Hidden when standard error is no terminal.

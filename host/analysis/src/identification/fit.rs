@@ -24,6 +24,12 @@ pub(super) struct Fit {
     pub(super) frames: ServoFrames,
     pub(super) passage: Passage,
     pub(super) spread: Spread,
+    /// By how much more likely these frames are than the next, as a logarithm; infinite
+    /// if they were given.
+    pub(super) lead: f64,
+    /// How far, in standard deviations, the last turn moved a parameter, if it was not
+    /// little enough to stop.
+    pub(super) unsettled: Option<f64>,
     /// Evaluations of the prediction errors.
     pub(super) evaluations: usize,
 }
@@ -62,51 +68,49 @@ impl Task<'_> {
             self.settings.noise
         };
         let seen = noise;
-        // The frames under which the drive is most likely after a first fit.
-        let mut best: Option<(f64, ServoFrames, Vec<f64>)> = None;
+        // The frames under which the drive is most likely, each with its own noise: with
+        // the noise of the start, or with another's, the wrong ones may seem the likelier.
+        let mut tried: Vec<(f64, ServoFrames, Vec<f64>)> = Vec::new();
         let mut evaluations = 0;
         let single = candidates.len() == 1;
         for frames in candidates {
             let servo = frames.of(&self.data.servo);
             let mut u = zero.clone();
+            let mut noise = noise;
             // A start that is far away shows only when the gains have followed.
-            for _ in 0..2 {
+            for turn in 0..if single { 2 } else { 3 } {
+                if turn == 2 {
+                    noise = self.likely(&servo, &u, noise, &seen, 2)?;
+                }
                 let passage = self.pass(&servo, &u, &noise)?;
                 let (next, count) = self.minimise(&servo, &passage, &u, 2 * PATIENCE)?;
                 evaluations += count;
                 u = next;
             }
-            if single {
-                best = Some((0.0, frames, u));
-                break;
-            }
-            let likelihood = self.pass(&servo, &u, &noise)?.likelihood();
-            if best.as_ref().is_none_or(|best| likelihood > best.0) {
-                best = Some((likelihood, frames, u));
-            }
+            let noise = if single {
+                noise
+            } else {
+                self.likely(&servo, &u, noise, &seen, 1)?
+            };
+            tried.push((self.pass(&servo, &u, &noise)?.likelihood(), frames, u));
         }
-        let (_, frames, mut u) = best.ok_or(IdentificationError::Diverged {
-            vehicle: self.vehicle(),
-        })?;
+        tried.sort_by(|one, other| other.0.total_cmp(&one.0));
+        let lead = match tried.get(..2) {
+            Some([first, second]) => first.0 - second.0,
+            _ => f64::INFINITY,
+        };
+        let (_, frames, mut u) = tried
+            .into_iter()
+            .next()
+            .ok_or(IdentificationError::Diverged {
+                vehicle: self.vehicle(),
+            })?;
         let servo = frames.of(&self.data.servo);
         let mut noise = noise;
         for round in 0..ROUNDS {
             if self.settings.estimate_noise && round < 3 {
-                let values = self.values(&u);
-                noise = noise
-                    .most_likely(&seen, if round == 0 { 2 } else { 1 }, |levels| {
-                        pass(
-                            self.data,
-                            &servo,
-                            self.spans,
-                            &values,
-                            self.settings.tyres,
-                            levels,
-                        )
-                    })
-                    .ok_or(IdentificationError::Diverged {
-                        vehicle: values.vehicle(),
-                    })?;
+                let rounds = if round == 0 { 2 } else { 1 };
+                noise = self.likely(&servo, &u, noise, &seen, rounds)?;
             }
             let passage = self.pass(&servo, &u, &noise)?;
             let (next, count) = self.minimise(&servo, &passage, &u, PATIENCE)?;
@@ -120,7 +124,8 @@ impl Task<'_> {
                 .map(|((next, last), deviation)| (next - last).abs() / deviation)
                 .fold(0.0, f64::max);
             u = next;
-            if (moved < SETTLED && round >= 2) || round + 1 == ROUNDS {
+            let settled = moved < SETTLED && round >= 2;
+            if settled || round + 1 == ROUNDS {
                 let passage = self.pass(&servo, &u, &noise)?;
                 return Ok(Fit {
                     values: self.values(&u),
@@ -129,11 +134,34 @@ impl Task<'_> {
                     frames,
                     passage,
                     spread,
+                    lead,
+                    unsettled: (!settled).then_some(moved),
                     evaluations,
                 });
             }
         }
         Err(self.diverged(&u))
+    }
+
+    /// The most likely levels of noise, or those given if they are not to be estimated.
+    fn likely(
+        &self,
+        servo: &[ServoTarget],
+        u: &[f64],
+        noise: NoiseLevels,
+        seen: &NoiseLevels,
+        rounds: u32,
+    ) -> Result<NoiseLevels, IdentificationError> {
+        if !self.settings.estimate_noise {
+            return Ok(noise);
+        }
+        let values = self.values(u);
+        let tyres = self.settings.tyres;
+        noise
+            .most_likely(seen, rounds, |levels| {
+                pass(self.data, servo, self.spans, &values, tyres, levels)
+            })
+            .ok_or_else(|| self.diverged(u))
     }
 
     /// The smallest standard deviations, with the car as it is at the start.

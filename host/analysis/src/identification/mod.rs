@@ -294,13 +294,14 @@ pub fn identify_from(
     let estimates = estimates(start, settings, &fit);
     let residuals = residuals(&fit);
     let correlation = correlation(&fit);
-    let warnings = warning::warnings(
+    let mut warnings = warning::of_fit(&fit, settings.tyres);
+    warnings.extend(warning::warnings(
         &estimates,
         |row, column| correlation[(row, column)],
         &residuals,
         &stretches,
         &fit.passage.track,
-    );
+    ));
     Ok(Identification {
         correlation,
         estimates,

@@ -1,6 +1,8 @@
 //! What whoever uses the estimates should know of them.
 
-use super::{Channel, Estimate, Parameter, Residuals, Span, TrackPoint};
+use singletrack_control::GRAVITY;
+
+use super::{Channel, Estimate, Parameter, Residuals, Span, TrackPoint, Tyres, fit::Fit};
 
 /// Something about an identification that makes it less than it seems.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -32,14 +34,53 @@ pub enum Warning {
     },
     /// Two can't be told from each other.
     #[error(
-        "{} and {} can't be told apart on this drive (correlation {correlation:.3}): estimate one of them only, \
-         or drive at several speeds", .parameters[0], .parameters[1]
+        "{} and {} can't be told apart on this drive (correlation {correlation:.3}): drive another, \
+         at several speeds and with steps of the steering to both sides", .parameters[0], .parameters[1]
     )]
     Alike {
         /// Which two.
         parameters: [Parameter; 2],
         /// Their correlation.
         correlation: f64,
+    },
+    /// The fit was still moving.
+    #[error(
+        "the fit has not settled: its last turn moved a parameter by {moved:.2} standard deviations; \
+         take the estimates for a start (--vehicle) of another"
+    )]
+    NotSettled {
+        /// How far, in standard deviations.
+        moved: f64,
+    },
+    /// Which records begin a servo pulse is a guess.
+    #[error(
+        "which of the board's records begin a servo pulse can hardly be told from this drive (log-likelihood \
+         {lead:.1} above the next): delay, lag and {} may be off by more than their intervals say; \
+         steer in faster steps",
+        Parameter::YawInertia
+    )]
+    FramesGuessed {
+        /// How much likelier than the next, as a logarithm.
+        lead: f64,
+    },
+    /// Forces that the model does not know.
+    #[error(
+        "forces that the model does not know are {:.0} mN/√Hz on an axle: mass, l_f, friction or the steering's \
+         gain may be wrong, and the estimates with them by far more than their intervals say; estimate \
+         l_f and friction along (--parameters c_f,c_r,i_z,l_f,friction)", 1e3 * density
+    )]
+    Unexplained {
+        /// Their density, in N/√Hz.
+        density: f64,
+    },
+    /// Linear tyres never slide.
+    #[error(
+        "linear tyres fit a car that does not slide, and this one reached {:.0} % of the friction: beyond \
+         half of it the stiffnesses come out too small (docs/identification.md)", 100.0 * share
+    )]
+    LinearTyres {
+        /// The largest acceleration to the side over μ g.
+        share: f64,
     },
     /// Little was used.
     #[error(
@@ -84,6 +125,34 @@ const ALIKE: f64 = 0.995;
 /// An autocorrelation beyond this is no chance.
 const COLOURED: f64 = 0.2;
 
+/// Two kinds of frames this close are a guess.
+const GUESS: f64 = 5.0;
+/// A force this part of an axle's mean load is not the sensors', in 1/√Hz.
+const UNEXPLAINED: f64 = 5e-5;
+
+/// What the fit says of itself.
+pub(super) fn of_fit(fit: &Fit, tyres: Tyres) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    if let Some(moved) = fit.unsettled {
+        warnings.push(Warning::NotSettled { moved });
+    }
+    if fit.lead < GUESS {
+        warnings.push(Warning::FramesGuessed { lead: fit.lead });
+    }
+    let vehicle = fit.values.vehicle();
+    let density = fit.noise.force_density;
+    if density > UNEXPLAINED * 0.5 * vehicle.mass_kg * GRAVITY {
+        warnings.push(Warning::Unexplained { density });
+    }
+    if tyres == Tyres::Linear {
+        let track = fit.passage.track.iter();
+        let aside = track.map(|point| (point.speed_m_s * point.yaw_rate_rad_s).abs());
+        let share = aside.fold(0.0, f64::max) / (vehicle.friction * GRAVITY);
+        warnings.push(Warning::LinearTyres { share });
+    }
+    warnings
+}
+
 pub(super) fn warnings(
     estimates: &[Estimate],
     correlation: impl Fn(usize, usize) -> f64,
@@ -118,7 +187,11 @@ pub(super) fn warnings(
     for (index, one) in estimates.iter().enumerate() {
         for (offset, other) in estimates.iter().skip(index + 1).enumerate() {
             let correlation = correlation(index, index + 1 + offset);
-            if correlation.abs() > ALIKE {
+            let vague = |estimate: &Estimate| {
+                estimate.standard_deviation.is_nan()
+                    || estimate.standard_deviation > VAGUE * estimate.value.abs()
+            };
+            if correlation.abs() > ALIKE && (vague(one) || vague(other)) {
                 warnings.push(Warning::Alike {
                     parameters: [one.parameter, other.parameter],
                     correlation,
