@@ -7,6 +7,7 @@ use singletrackd::config::{LawKind, OuterLoopSection, ReferenceSection};
 use super::{
     Setup,
     drive::{Experiment, Run},
+    extreme::{largest, least},
     pictures,
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
@@ -180,8 +181,7 @@ fn measure(drives: &Drives, section: &mut Section) {
         }
         if all.len() == drives.tracked.len() {
             let spread = |value: fn(&Tracking) -> f64| {
-                let most = all.iter().map(value).fold(f64::NEG_INFINITY, f64::max);
-                most - all.iter().map(value).fold(f64::INFINITY, f64::min)
+                largest(all.iter().map(value)) - least(all.iter().map(value))
             };
             let apart = spread(|tracking| tracking.amplitude_m).max(spread(|one| one.lag_rad));
             measurements.add(format!("circle.spread.{plant}"), apart);

@@ -14,9 +14,11 @@ use super::text::number;
 pub struct Measurements(BTreeMap<String, f64>);
 
 impl Measurements {
-    /// Takes in a number.
+    /// Takes in a number. What is not finite was not measured.
     pub fn add(&mut self, name: impl Into<String>, value: f64) {
-        self.0.insert(name.into(), value);
+        if value.is_finite() {
+            self.0.insert(name.into(), value);
+        }
     }
 
     /// Takes in all of another's.
@@ -31,7 +33,7 @@ impl Measurements {
     }
 }
 
-/// What a number must be for a statement to hold. What is not a number never is it.
+/// What a number must be for a statement to hold. What is not finite never is it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Criterion {
     /// As far as the tolerance from a value, at most.
@@ -51,6 +53,9 @@ impl Criterion {
     /// Whether the number is such.
     #[must_use]
     pub fn holds(self, measured: f64) -> bool {
+        if !measured.is_finite() {
+            return false;
+        }
         match self {
             Self::Near { value, tolerance } => (measured - value).abs() <= tolerance,
             Self::Below(bound) => measured < bound,
@@ -307,7 +312,7 @@ mod tests {
         assert_eq!(of(0.991), (Verdict::Agrees, false));
         assert_eq!(of(1.011), (Verdict::Differs, true));
         assert_eq!(of(f64::NAN), (Verdict::Differs, true));
-        assert_eq!(of(f64::INFINITY), (Verdict::Differs, true));
+        assert_eq!(of(f64::INFINITY), (Verdict::NotMeasured, true));
     }
 
     #[test]

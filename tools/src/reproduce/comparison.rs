@@ -11,6 +11,7 @@ use singletrackd::config::LawKind;
 use super::{
     Setup,
     drive::Run,
+    extreme::largest,
     pictures,
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
@@ -102,13 +103,14 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             }
         }
     }
-    let largest = believing
-        .iter()
-        .map(|believing| believing.run.largest_deviation())
-        .fold(0.0, f64::max);
-    section
-        .measurements
-        .add("compare.largest.parameters.velocity-point", largest);
+    // One that was not driven may have been the worst.
+    if believing.len() == 2 * PARAMETERS.len() {
+        let deviations = believing.iter().map(|one| one.run.largest_deviation());
+        section.measurements.add(
+            "compare.largest.parameters.velocity-point",
+            largest(deviations),
+        );
+    }
     // The proposed law is not told any of them: only the car can differ.
     let own = PARAMETERS.iter().flat_map(|(_, parameter)| {
         [1.0 - WRONG, 1.0 + WRONG].map(|factor| scaled(setup.vehicle, parameter, factor))
@@ -312,7 +314,7 @@ fn draw(
                 || "(not driven)".to_owned(),
                 |run| {
                     let steepest = run.rows.iter().map(|row| row.steering.abs());
-                    format!("{} rad", with_digits(steepest.fold(0.0, f64::max), 3))
+                    format!("{} rad", with_digits(largest(steepest), 3))
                 }
             )
         ),

@@ -5,6 +5,7 @@ use singletrack_record::{Entry, Reader, RecordError, Topic};
 use singletrackd::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 use super::Setup;
+use super::extreme::largest;
 use crate::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection, SteeringHold,
@@ -217,7 +218,7 @@ impl Run {
 
     /// The largest of them, in m.
     pub(super) fn largest_deviation(&self) -> f64 {
-        self.deviations().fold(0.0, f64::max)
+        largest(self.deviations())
     }
 
     /// Their root mean square, in m.
@@ -228,11 +229,8 @@ impl Run {
 
     /// How far its P is from that of another drive of the same experiment at most, in m.
     pub(super) fn largest_difference(&self, other: &Self) -> f64 {
-        self.rows
-            .iter()
-            .zip(&other.rows)
-            .map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p))
-            .fold(0.0, f64::max)
+        let both = self.rows.iter().zip(&other.rows);
+        largest(both.map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p)))
     }
 
     /// The length of P's path, in m.

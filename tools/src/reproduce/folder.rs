@@ -25,23 +25,14 @@ const FIGURES: &str = "figures";
 const DATA: &str = "data";
 
 /// Makes the folder and sees that it can be written to and that nothing of somebody
-/// else's is in it; removes what an earlier reproduction left there.
+/// else's is in it. It takes minutes until there is something to write; what an earlier
+/// reproduction left stays until then.
 pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
     fs::create_dir_all(folder).map_err(write_error(folder))?;
-    if let Some(files) = earlier(folder)? {
-        for file in files {
-            match fs::remove_file(folder.join(&file)) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(write_error(&folder.join(file))(error));
-                }
-                _ => {}
-            }
-        }
-    }
-    // It takes minutes until there is something to write.
-    let probe = folder.join(CLAIMS_JSON);
-    fs::write(&probe, "").map_err(write_error(&probe))?;
-    fs::remove_file(&probe).map_err(write_error(&probe))
+    earlier(folder)?;
+    tempfile::tempfile_in(folder)
+        .map(drop)
+        .map_err(write_error(folder))
 }
 
 /// What `claims.json` says of the folder.
@@ -73,7 +64,7 @@ fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
             })
             .collect();
         match parts.as_deref() {
-            Some([name]) => [REPORT, CLAIMS_JSON, CLAIMS_CSV]
+            Some([name]) => [REPORT, CLAIMS_JSON, CLAIMS_CSV, CLAIMS_MARKDOWN]
                 .iter()
                 .any(|own| name == own),
             Some([folder, _]) => *folder == FIGURES || *folder == DATA,
@@ -83,45 +74,72 @@ fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
     Ok(Some(contents.files.into_iter().filter(ours).collect()))
 }
 
-/// Writes everything; returns the path of the report.
+/// Writes everything in place of an earlier reproduction; returns the path of the
+/// report. `claims.json`, which tells what is ours, is there before any other file, so
+/// that whatever interrupts this can be written over.
 pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf, ReproduceError> {
-    let mut files = Vec::new();
-    let mut write = |name: String, text: &str| {
-        let path = folder.join(&name);
-        if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent).map_err(write_error(parent))?;
-        }
-        fs::write(&path, text).map_err(write_error(&path))?;
-        files.push(name);
-        Ok::<(), ReproduceError>(())
+    let mut texts = texts(reproduction);
+    let mut files: Vec<String> = texts.iter().map(|(name, _)| name.clone()).collect();
+    files.push(CLAIMS_JSON.to_owned());
+    let earlier: Vec<PathBuf> = earlier(folder)?.unwrap_or_default();
+    let outdated = || {
+        let kept = |file: &&PathBuf| files.iter().any(|name| Path::new(name) == *file);
+        earlier.iter().filter(move |file| !kept(file))
     };
+    let listed = |files: &[String]| {
+        let json = Json {
+            vehicle: reproduction.setup.vehicle,
+            quick: reproduction.setup.quick,
+            claims: reproduction.claims.iter().map(Row::of).collect(),
+            files,
+        };
+        serde_json::to_string_pretty(&json)
+            .map(|text| text + "\n")
+            .map_err(|error| write_error(&folder.join(CLAIMS_JSON))(io::Error::other(error)))
+    };
+    let mut all = files.clone();
+    all.extend(outdated().map(|file| file.to_string_lossy().into_owned()));
+    put(folder, CLAIMS_JSON, &listed(&all)?)?;
+    for file in outdated() {
+        match fs::remove_file(folder.join(file)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(write_error(&folder.join(file))(error));
+            }
+            _ => {}
+        }
+    }
+    texts.push((CLAIMS_JSON.to_owned(), listed(&files)?));
+    for (name, text) in &texts {
+        put(folder, name, text)?;
+    }
+    Ok(folder.join(REPORT))
+}
+
+/// The files but `claims.json`, each with its text.
+fn texts(reproduction: &Reproduction) -> Vec<(String, String)> {
+    let mut texts = Vec::new();
     for section in &reproduction.sections {
         for picture in section.plates.iter().flat_map(|plate| &plate.pictures) {
             let name = format!("{FIGURES}/{}.svg", picture.name);
-            write(name, &picture.figure.to_svg())?;
+            texts.push((name, picture.figure.to_svg()));
         }
         for data in &section.tables {
-            write(format!("{DATA}/{}.csv", data.name), &data.to_csv())?;
+            texts.push((format!("{DATA}/{}.csv", data.name), data.to_csv()));
         }
     }
-    write(CLAIMS_CSV.to_owned(), &csv(&reproduction.claims))?;
-    write(
-        CLAIMS_MARKDOWN.to_owned(),
-        &table::markdown(&reproduction.claims),
-    )?;
-    write(REPORT.to_owned(), &report::report(reproduction))?;
-    files.push(CLAIMS_JSON.to_owned());
-    let json = Json {
-        vehicle: reproduction.setup.vehicle,
-        quick: reproduction.setup.quick,
-        claims: reproduction.claims.iter().map(Row::of).collect(),
-        files: &files,
-    };
-    let path = folder.join(CLAIMS_JSON);
-    let text = serde_json::to_string_pretty(&json)
-        .map_err(|error| write_error(&path)(io::Error::other(error)))?;
-    fs::write(&path, text + "\n").map_err(write_error(&path))?;
-    Ok(folder.join(REPORT))
+    let claims = &reproduction.claims;
+    texts.push((CLAIMS_CSV.to_owned(), csv(claims)));
+    texts.push((CLAIMS_MARKDOWN.to_owned(), table::markdown(claims)));
+    texts.push((REPORT.to_owned(), report::report(reproduction)));
+    texts
+}
+
+/// Writes a file, and the folder that it is in.
+fn put(folder: &Path, name: &str, text: &str) -> Result<(), ReproduceError> {
+    let path = folder.join(name);
+    let parent = path.parent().unwrap_or(folder);
+    fs::create_dir_all(parent).map_err(write_error(parent))?;
+    fs::write(&path, text).map_err(write_error(&path))
 }
 
 /// `claims.json`.
@@ -257,6 +275,50 @@ mod tests {
             error.contains("thesis.tex") && error.contains("--out"),
             "{error}"
         );
+    }
+
+    fn reproduction() -> Reproduction {
+        let setup = super::super::Setup {
+            vehicle: VehicleParameters::paper(),
+            name: String::new(),
+            quick: true,
+        };
+        let table = |name: &str| super::super::Table {
+            name: name.to_owned(),
+            header: "t".to_owned(),
+            rows: vec![vec![1.0]],
+        };
+        let section = super::super::Section {
+            tables: vec![table("one"), table("two")],
+            ..super::super::Section::default()
+        };
+        Reproduction {
+            setup,
+            sections: vec![section],
+            claims: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn an_earlier_result_stays_until_there_is_a_new_one_and_then_goes_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut reproduction = reproduction();
+        write(folder.path(), &reproduction).unwrap();
+        let (one, two) = (
+            folder.path().join("data/one.csv"),
+            folder.path().join("data/two.csv"),
+        );
+        // Interrupted while it computes.
+        prepare(folder.path()).unwrap();
+        assert!(one.exists() && two.exists());
+        reproduction.sections[0].tables.pop();
+        write(folder.path(), &reproduction).unwrap();
+        assert!(one.exists() && !two.exists());
+        // Interrupted while it wrote: the list of what is ours is there first.
+        fs::remove_file(folder.path().join(REPORT)).unwrap();
+        prepare(folder.path()).unwrap();
+        write(folder.path(), &reproduction).unwrap();
+        assert!(folder.path().join(REPORT).exists());
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod circle;
 pub mod claims;
 mod comparison;
 mod drive;
+mod extreme;
 mod folder;
 mod model;
 mod pictures;
@@ -25,6 +26,7 @@ use std::{
 };
 
 use clap::Args;
+use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
 
 pub use section::{Picture, Plate, Section, Table};
 pub use setup::Setup;
@@ -167,10 +169,34 @@ pub fn reproduce(setup: Setup) -> Reproduction {
 fn basics(setup: &Setup) -> Measurements {
     let mut measurements = Measurements::default();
     measurements.add("vehicle.l_r", setup.vehicle.rear_axle_distance_m);
-    // The corners of the ranges that the paper states, in degrees.
-    let (sideslip, steering) = (40.0_f64, 50.0_f64);
-    measurements.add("law.largest_angle", sideslip + steering);
+    // A corner of the ranges that the paper states.
+    if let Some(cosine) = cosine_refused(setup, 40.0, -50.0) {
+        measurements.add("law.cosine_at_corner", cosine);
+    }
     measurements
+}
+
+/// cos(β - δ) at which the law refuses to answer, if it does at these angles, in
+/// degrees.
+fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
+    let motion = Motion {
+        yaw: 0.0,
+        yaw_rate: 0.0,
+        sideslip: sideslip.to_radians(),
+    };
+    let vehicle = &setup.vehicle;
+    let law = FrontPointLaw::new(
+        vehicle.front_axle_distance_m,
+        setup.point_distance_m(),
+        vehicle.wheelbase_m(),
+    );
+    match law
+        .ok()?
+        .command(&motion, steering.to_radians(), &direction(0.0))
+    {
+        Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
+        _ => None,
+    }
 }
 
 fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> {
@@ -180,9 +206,7 @@ fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> 
 
 #[cfg(test)]
 mod tests {
-    use singletrack_control::{
-        FrontPointLaw, Motion, Singularity, VehicleParameters, Velocity, direction,
-    };
+    use singletrack_control::VehicleParameters;
 
     use super::*;
 
@@ -223,23 +247,20 @@ mod tests {
 
     #[test]
     fn the_law_has_no_answer_at_the_corner_of_the_stated_ranges() {
-        let vehicle = VehicleParameters::paper();
-        let l_f = vehicle.front_axle_distance_m;
-        let law = FrontPointLaw::new(l_f, 0.35, vehicle.wheelbase_m()).unwrap();
-        let at = |sideslip: f64, steering: f64| {
-            let motion = Motion {
-                yaw: 0.0,
-                yaw_rate: 0.0,
-                sideslip: sideslip.to_radians(),
-            };
-            let velocity: Velocity = direction(0.0);
-            law.command(&motion, steering.to_radians(), &velocity)
-        };
-        assert!(matches!(
-            at(40.0, -50.0),
-            Err(Singularity::WheelsAcrossVelocity { .. })
-        ));
-        assert!(at(40.0, -26.0).is_ok());
+        let cosine = cosine_refused(&setup(), 40.0, -50.0).unwrap();
+        assert!(cosine.abs() < 1e-15, "{cosine}");
+        assert_eq!(cosine_refused(&setup(), 40.0, -26.0), None);
+    }
+
+    #[test]
+    fn without_measurements_nothing_agrees_and_every_claim_is_a_surprise() {
+        let judged = judge(catalogue::claims(&setup()), &Measurements::default(), true);
+        assert_eq!(surprises(&judged), judged.len());
+        assert!(
+            judged
+                .iter()
+                .all(|one| one.verdict != claims::Verdict::Agrees)
+        );
     }
 
     #[test]

@@ -134,21 +134,21 @@ const NAMES: [(&str, &str, &str); 3] = [
     ("i_z", "$I_z$", "I<sub>z</sub>"),
 ];
 
-fn validation(report: &Report) -> &Identification {
-    report
-        .validated
-        .as_ref()
-        .map_or(&report.identified.identification, |validated| {
-            &validated.identification
-        })
+/// What the other drive showed.
+fn validation(report: &Report) -> Option<&Identification> {
+    let validated = report.validated.as_ref();
+    validated.map(|validated| &validated.identification)
 }
 
 fn measure(setup: &Setup, report: &Report, section: &mut Section) {
     let found = &report.identified.identification;
     let measurements = &mut section.measurements;
     measurements.add("model.nmpe.identification", found.score.nmpe);
-    measurements.add("model.nmpe.validation", validation(report).score.nmpe);
-    for output in &validation(report).score.outputs {
+    let score = validation(report).map(|validation| &validation.score);
+    if let Some(score) = score {
+        measurements.add("model.nmpe.validation", score.nmpe);
+    }
+    for output in score.iter().flat_map(|score| &score.outputs) {
         let name = match output.output {
             Output::YawRate => "yaw-rate",
             Output::Sideslip => "sideslip",
@@ -181,9 +181,8 @@ fn measure(setup: &Setup, report: &Report, section: &mut Section) {
                  measured_x_m,measured_y_m,x_m,y_m"
             .to_owned(),
         rows: validation(report)
-            .simulation
-            .points
             .iter()
+            .flat_map(|validation| &validation.simulation.points)
             .map(|point| {
                 let [[measured_x, measured_y], [x, y]] = [point.measured_m, point.position_m];
                 vec![
@@ -235,18 +234,19 @@ fn draw(setup: &Setup, report: &Report, section: &mut Section) {
                 .to_owned(),
             ours: format!(
                 "Ten seconds of the second drive, and the path that the model drives from the \
-                 first pose on without correction. Identified from the first: {}.",
+                 first pose on, given the speed. Identified from the first: {}.",
                 estimates.join(", ")
             ),
             pictures: vec![Picture::new("model-inputs", "", figure)],
         });
     }
     let fit = |output| {
-        let outputs = &validation(report).score.outputs;
-        let found = outputs.iter().find(|own| own.output == output);
-        found.map_or_else(String::new, |own| {
-            format!("{} %", with_digits(own.fit_percent, 3))
-        })
+        let found = validation(report)
+            .and_then(|own| own.score.outputs.iter().find(|own| own.output == output));
+        found.map_or_else(
+            || "(not validated)".to_owned(),
+            |own| format!("{} %", with_digits(own.fit_percent, 3)),
+        )
     };
     if let Some(mut figure) = take("validation-states") {
         // As in the paper: the simulation is grey, and the data are black upon it.
@@ -268,12 +268,14 @@ fn draw(setup: &Setup, report: &Report, section: &mut Section) {
                 .to_owned(),
             ours: format!(
                 "The same of the second drive: the model fits {} of the yaw rate, {} of the \
-                 sideslip and {} of the lateral acceleration, of which the rest is mostly the \
-                 sensors' noise; an NMPE of {} ({} on the drive that it was identified from).",
+                 sideslip and {} of the lateral acceleration, an NMPE of {} ({} on the drive that it was identified from).",
                 fit(Output::YawRate),
                 fit(Output::Sideslip),
                 fit(Output::Left),
-                with_digits(validation(report).score.nmpe, 3),
+                validation(report).map_or_else(
+                    || "(not validated)".to_owned(),
+                    |validation| with_digits(validation.score.nmpe, 3)
+                ),
                 with_digits(found.score.nmpe, 3),
             ),
             pictures: vec![Picture::new("model-states", "", figure)],

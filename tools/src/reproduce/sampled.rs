@@ -5,6 +5,7 @@ use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
 use super::{
     Setup,
+    extreme::largest,
     progress::Progress,
     section::{Plate, Section, Table},
     stability::{picture, scene, subject},
@@ -52,10 +53,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     let Some(map) = section.or_note("the sampled loop", map) else {
         return section;
     };
-    let largest = map
-        .iter()
-        .map(|row| row.spectral_radius)
-        .fold(0.0, f64::max);
+    let largest = largest(map.iter().map(|row| row.spectral_radius));
     section
         .measurements
         .add("sampled.front.largest_radius", largest);

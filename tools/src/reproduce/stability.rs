@@ -2,10 +2,12 @@
 
 use singletrack_analysis::stability::{
     Belief, ClosedLoop, HopfPoint, Law, critical_speed, hopf_points, infinite_speed_limit,
+    smallest_point_distance,
 };
 
 use super::{
     Setup,
+    extreme::{largest, least},
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
     text::{metres, mm, number, with_digits},
@@ -105,14 +107,6 @@ fn hopf_table(name: &str, curve: &[HopfPoint]) -> Table {
     }
 }
 
-fn least(values: impl Iterator<Item = f64>) -> f64 {
-    values.fold(f64::INFINITY, f64::min)
-}
-
-fn most(values: impl Iterator<Item = f64>) -> f64 {
-    values.fold(f64::NEG_INFINITY, f64::max)
-}
-
 /// The first Lyapunov coefficients along a curve, in a sentence.
 fn lyapunov(curve: &[HopfPoint]) -> String {
     let range = |value: fn(&HopfPoint) -> f64| {
@@ -120,7 +114,7 @@ fn lyapunov(curve: &[HopfPoint]) -> String {
         format!(
             "between {} and {}",
             with_digits(least(values()), 3),
-            with_digits(most(values()), 3)
+            with_digits(largest(values()), 3)
         )
     };
     let subcritical = curve.iter().all(|point| point.lyapunov.kuznetsov > 0.0);
@@ -153,7 +147,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
         metres(behind)
     ));
     let limit = infinite_speed_limit(setup.vehicle, setup.point_distance_m())
-        .map_or(f64::NAN, |limits| most(limits.into_iter()));
+        .map_or(f64::NAN, |limits| largest(limits.into_iter()));
     let subject = subject(setup, Law::FrontPoint);
     // Dense in the range that matters, and far beyond the speeds of any car.
     let unstable = Grid::spanning([ahead, behind], 201)
@@ -185,12 +179,16 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
     let deviations = || curve.iter().map(|point| point.deviation);
     let measurements = &mut section.measurements;
     measurements.add("hopf.front.points", curve.len() as f64);
-    measurements.add("hopf.front.largest_dl", most(deviations()));
+    measurements.add("hopf.front.largest_dl", largest(deviations()));
     measurements.add(
         "hopf.front.least_l1",
         least(curve.iter().map(|point| point.lyapunov.kuznetsov)),
     );
     measurements.add("hopf.front.limit", limit);
+    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    if let Ok(Some(smallest)) = smallest_point_distance(setup.vehicle, range) {
+        measurements.add("point.smallest", smallest);
+    }
     measurements.add("hopf.front.unstable_in_range", unstable as f64);
     section.tables.push(hopf_table("hopf-front-point", &curve));
     let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
@@ -205,7 +203,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
             number(SPEEDS[0] * setup.scale()),
             number(SPEEDS[1] * setup.scale()),
             metres(least(deviations())),
-            metres(most(deviations())),
+            metres(largest(deviations())),
             lyapunov(&curve),
         ),
         pictures,
@@ -215,7 +213,7 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
 
 /// The largest real part of an eigenvalue at the deviations within a range.
 fn largest_within(map: &[EigenvalueRow], index: usize, [from, to]: [f64; 2]) -> f64 {
-    most(
+    largest(
         map.iter()
             .filter(|row| (from..=to).contains(&row.deviation))
             .filter_map(|row| row.eigenvalues.get(index).map(|value| value.re)),
@@ -377,7 +375,7 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
     let leaves = curve
         .iter()
         .find(|point| point.deviation > behind)
-        .map_or(f64::INFINITY, |point| point.speed);
+        .map_or(f64::NAN, |point| point.speed);
     let measurements = &mut section.measurements;
     measurements.add("hopf.velocity.threshold_mm", both * 1000.0);
     measurements.add("hopf.velocity.threshold_front_only_mm", front * 1000.0);

@@ -5,6 +5,7 @@ use singletrackd::config::{LawKind, OuterLoopSection, ReferenceSection, StepSect
 use super::{
     Setup,
     drive::{Experiment, Run},
+    extreme::largest,
     pictures,
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
@@ -140,11 +141,10 @@ fn measure(setup: &Setup, drives: &Drives, section: &mut Section) {
         }
     }
     if let [_, Some(rear)] = &drives.ideal {
-        let residual = rear
+        let both = rear
             .deviations()
-            .zip(predicted(setup.rear_deviation_m(), rear))
-            .map(|(measured, predicted)| (measured - predicted).abs())
-            .fold(0.0, f64::max);
+            .zip(predicted(setup.rear_deviation_m(), rear));
+        let residual = largest(both.map(|(measured, predicted)| (measured - predicted).abs()));
         measurements.add("steps.residual.rear.ideal", residual);
     }
     if let [Some(right), Some(rear)] = &drives.car {
@@ -193,12 +193,7 @@ fn pictures_of(
 
 /// The peaks of the steering angle of a drive, largest first, in rad.
 fn steepest(run: Option<&Run>) -> Option<f64> {
-    run.map(|run| {
-        run.rows
-            .iter()
-            .map(|row| row.steering.abs())
-            .fold(0.0, f64::max)
-    })
+    run.map(|run| largest(run.rows.iter().map(|row| row.steering.abs())))
 }
 
 fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
@@ -209,11 +204,7 @@ fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Secti
     let [car_right, car_rear] = &drives.car;
 
     if let Some(run) = ideal_right.as_ref().or(car_right.as_ref()) {
-        let fastest = run
-            .rows
-            .iter()
-            .map(|row| row.v_px.hypot(row.v_py))
-            .fold(0.0, f64::max);
+        let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
         section.plates.push(Plate {
             title: "Commanded velocity of P".to_owned(),
             paper: "The two components of the velocity, steps that both tests share.".to_owned(),

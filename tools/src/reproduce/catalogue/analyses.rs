@@ -104,6 +104,25 @@ fn proposed(setup: &Setup) -> Vec<Claim> {
              that the limit is so near (5.9 mm)",
         ),
         claim(
+            "point-anywhere",
+            4,
+            Scope::PaperCar,
+            "P may be at any distance p but zero, the nearer the better",
+            "\"can be arbitrarily selected\", \"the closer ... the more accurately\": stability asks \
+             for no least p",
+        )
+        .unit("m")
+        .differs(
+            "p for every speed",
+            "point.smallest",
+            Criterion::Below(0.01),
+            near(0.341_386, 1e-6),
+        )
+        .because(
+            "stable over the whole meaningful range at every speed from this p on, in closed \
+             form; the paper's 0.35 m is 9 mm more, and with p = 0.2 m it is so up to 7.5 m/s",
+        ),
+        claim(
             "hopf-subcritical",
             4,
             Scope::PaperCar,

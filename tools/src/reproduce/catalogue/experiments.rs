@@ -126,12 +126,11 @@ pub(super) fn steps(setup: &Setup) -> Vec<Claim> {
             "The singularity β − δ = 90° is out of reach",
             "\"never satisfied\" for sideslip up to ±40° and steering up to ±50°",
         )
-        .unit("°")
         .differs(
-            "largest |β − δ|",
-            "law.largest_angle",
-            Criterion::Below(90.0),
-            near(90.0, 0.0),
+            "cos(β − δ) at 40°, −50°",
+            "law.cosine_at_corner",
+            Criterion::Above(0.1),
+            near(0.0, 1e-15),
         )
         .because(
             "the corner of the stated ranges is 40° + 50° = 90°, where the law refuses to answer; \
