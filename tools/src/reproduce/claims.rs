@@ -311,7 +311,7 @@ mod tests {
         assert_eq!(of(1.009), (Verdict::Agrees, false));
         assert_eq!(of(0.991), (Verdict::Agrees, false));
         assert_eq!(of(1.011), (Verdict::Differs, true));
-        assert_eq!(of(f64::NAN), (Verdict::Differs, true));
+        assert_eq!(of(f64::NAN), (Verdict::NotMeasured, true));
         assert_eq!(of(f64::INFINITY), (Verdict::NotMeasured, true));
     }
 
