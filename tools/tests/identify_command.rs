@@ -151,6 +151,10 @@ fn the_table_is_for_a_person_and_warns_of_a_short_drive() {
         "{table}"
     );
     assert!(!table.contains("\nc_f"), "{table}");
+    assert!(
+        table.contains("take as exact: mass (1.9 kg), l_f (0.1368 m), friction (0.25)"),
+        "{table}"
+    );
     assert!(table.contains("NMPE"), "{table}");
     assert!(
         said(&output).contains("warning: only 8 s of the drive were used"),
@@ -250,6 +254,28 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
     recorder.finish().unwrap();
     let text = refused(&numb, &[]);
     assert!(text.contains("there are 0 samples of the IMU"), "{text}");
+}
+
+#[test]
+fn a_vehicle_file_of_somebodys_is_not_written_over_nor_a_folder_tried_too_late() {
+    let folder = tempfile::tempdir().unwrap();
+    // Refused before the record is even looked at.
+    let record = folder.path().join("none.mcap");
+    let mine = folder.path().join("identified.toml");
+    fs::write(&mine, "# measured with scales\n[vehicle]\n").unwrap();
+    let out = ["--out", folder.path().to_str().unwrap()];
+    let error = refused(&record, &out);
+    assert!(
+        error.contains("identified.toml") && error.contains("--out"),
+        "{error}"
+    );
+    assert!(fs::read_to_string(&mine).unwrap().contains("scales"));
+    let file = mine.join("below");
+    let error = refused(&record, &["--out", file.to_str().unwrap()]);
+    assert!(
+        error.contains("can't write") && error.contains("--out"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -161,6 +161,12 @@ pub enum IdentifyError {
         /// What the system says.
         source: io::Error,
     },
+    /// A vehicle file of somebody's is where ours would go.
+    #[error(
+        "{} is not of an earlier identification; choose another folder with --out, or rename it",
+        .0.display()
+    )]
+    Foreign(PathBuf),
     /// Standard output can't be written.
     #[error("can't write to standard output: {0}")]
     Output(io::Error),
@@ -197,6 +203,9 @@ pub struct Report {
 ///
 /// When a record or the drive in it says nothing, or something can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
+    if let Some(folder) = &args.out {
+        prepare(folder)?;
+    }
     let report = identify(args)?;
     for (identified, what) in [
         (Some(&report.identified), ""),
@@ -273,6 +282,27 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
     })
 }
 
+/// Sees, before anything is computed, that `folder` can be written to and that no
+/// vehicle file that somebody keeps there is lost.
+fn prepare(folder: &Path) -> Result<(), IdentifyError> {
+    fs::create_dir_all(folder)
+        .and_then(|()| tempfile::tempfile_in(folder).map(drop))
+        .map_err(|source| IdentifyError::Write {
+            path: folder.to_owned(),
+            source,
+        })?;
+    let vehicle = folder.join(VEHICLE_FILE);
+    match fs::read(&vehicle) {
+        Ok(text) if !text.starts_with(output::VEHICLE_FILE_BEGINS.as_bytes()) => {
+            Err(IdentifyError::Foreign(vehicle))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The vehicle file that is written.
+const VEHICLE_FILE: &str = "identified.toml";
+
 /// Writes figures and files into `folder`, and returns their paths.
 ///
 /// # Errors
@@ -285,7 +315,7 @@ pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyErr
     };
     fs::create_dir_all(folder).map_err(failed(folder))?;
     let mut files = vec![
-        ("identified.toml".to_owned(), output::vehicle_file(report)),
+        (VEHICLE_FILE.to_owned(), output::vehicle_file(report)),
         ("identification.json".to_owned(), output::json(report)),
     ];
     files.extend(

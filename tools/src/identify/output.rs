@@ -1,7 +1,7 @@
 //! What was found, for programs: JSON, and a vehicle file.
 
 use serde_json::{Value, json};
-use singletrack_analysis::identification::{Identification, Score, ServoFrames, Tyres};
+use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames, Tyres};
 
 use super::{Identified, Report, table::speeds};
 
@@ -12,11 +12,49 @@ pub(super) fn json(report: &Report) -> String {
             Tyres::Linear => "linear",
         },
         "start": report.vehicle,
+        "taken_as_exact": taken_as_exact(report)
+            .map(|(name, _)| name)
+            .collect::<Vec<_>>(),
         "vehicle": report.identified.identification.vehicle(),
         "identification": identified(&report.identified),
         "validation": report.validated.as_ref().map(identified),
     });
     format!("{document:#}\n")
+}
+
+/// What the intervals rest on and know nothing of: name, and value with unit.
+pub(super) fn taken_as_exact(report: &Report) -> impl Iterator<Item = (&'static str, String)> {
+    let vehicle = &report.vehicle;
+    let given = [
+        ("mass", None, format!("{} kg", vehicle.mass_kg)),
+        (
+            "l_f",
+            Some(Parameter::FrontAxleDistance),
+            format!("{} m", vehicle.front_axle_distance_m),
+        ),
+        (
+            "friction",
+            Some(Parameter::Friction),
+            format!("{}", vehicle.friction),
+        ),
+        (
+            "steering_gain",
+            Some(Parameter::SteeringGain),
+            "the servo's calibration".to_owned(),
+        ),
+    ];
+    let identification = &report.identified.identification;
+    let free: Vec<bool> = given
+        .iter()
+        .map(|(_, parameter, _)| {
+            parameter.is_some_and(|parameter| identification.estimate(parameter).is_some())
+        })
+        .collect();
+    given
+        .into_iter()
+        .zip(free)
+        .filter(|(_, free)| !free)
+        .map(|((name, _, value), _)| (name, value))
 }
 
 fn identified(identified: &Identified) -> Value {
@@ -92,12 +130,15 @@ fn score(score: &Score) -> Value {
     json!({ "nmpe": score.nmpe, "outputs": outputs.collect::<Vec<_>>() })
 }
 
+/// How a vehicle file of ours begins.
+pub(super) const VEHICLE_FILE_BEGINS: &str = "# Identified by singletrack ";
+
 /// A vehicle file, which a daemon's configuration can take over.
 pub(super) fn vehicle_file(report: &Report) -> String {
     let identification = &report.identified.identification;
     let vehicle = identification.vehicle();
     let mut text = format!(
-        "# Identified by singletrack from {}, drive {}, {:.1} s; NMPE {:.4}.\n",
+        "{VEHICLE_FILE_BEGINS}from {}, drive {}, {:.1} s; NMPE {:.4}.\n",
         // A line break in the name must not end the comment.
         report
             .identified

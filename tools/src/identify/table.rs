@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use singletrack_analysis::identification::{Estimate, Identification, Parameter, Score, Tyres};
 
-use super::{Identified, Report};
+use super::{Identified, Report, output::taken_as_exact};
 
 /// How a parameter is shown: its unit there, how many of them make one of its own, and
 /// digits behind the point.
@@ -59,6 +59,15 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
     for estimate in &identification.estimates {
         row(text, estimate)?;
     }
+    let exact: Vec<String> = taken_as_exact(report)
+        .map(|(name, value)| format!("{name} ({value})"))
+        .collect();
+    writeln!(text, "\nthe intervals take as exact: {}", exact.join(", "))?;
+    writeln!(
+        text,
+        "with 1 % more mass c_f, c_r and i_z are 1 % more; the others can be estimated along \
+         (--parameters)"
+    )?;
     writeln!(text, "\ncorrelation")?;
     let names = identification.estimates.iter();
     let names = names.map(|estimate| estimate.parameter.name());
