@@ -269,8 +269,6 @@ pub enum MarkKind {
     End,
     /// A value that was found: a dot.
     Found,
-    /// A value that is known to be right: a cross.
-    Known,
 }
 
 impl MarkKind {
@@ -281,7 +279,6 @@ impl MarkKind {
             Self::Start => "start",
             Self::End => "end",
             Self::Found => "found",
-            Self::Known => "known",
         }
     }
 }

@@ -7,8 +7,6 @@ pub enum Scale {
     Linear,
     /// By their logarithm: decades are as long as each other. Values above zero only.
     Log,
-    /// Things that have a name instead of a value: the first is at 1, the second at 2.
-    Named(&'static [&'static str]),
 }
 
 /// An axis with its ends, on the page.
@@ -45,7 +43,7 @@ impl Ruler {
 
     fn even(&self, value: f64) -> f64 {
         match self.scale {
-            Scale::Linear | Scale::Named(_) => value,
+            Scale::Linear => value,
             Scale::Log => value.log10(),
         }
     }
@@ -85,11 +83,6 @@ impl Ruler {
                     .map(|(value, power, factor)| (value, power_text(value, power, factor)))
                     .collect()
             }
-            Scale::Named(names) => names
-                .iter()
-                .zip(1..)
-                .map(|(name, index)| (f64::from(index), (*name).to_owned()))
-                .collect(),
         }
     }
 }
@@ -209,14 +202,6 @@ mod tests {
         let ruler = Ruler::new(Scale::Log, [20.0, 30_000.0], [0.0, 1.0]);
         let texts: Vec<_> = ruler.ticks(9).into_iter().map(|(_, text)| text).collect();
         assert_eq!(texts, ["100", "1000", "10\u{2074}"]);
-    }
-
-    #[test]
-    fn named_things_stand_at_their_numbers() {
-        let ruler = Ruler::new(Scale::Named(&["a", "b"]), [0.5, 2.5], [0.0, 20.0]);
-        let ticks = ruler.ticks(1);
-        assert_eq!(ticks, [(1.0, "a".to_owned()), (2.0, "b".to_owned())]);
-        assert!((ruler.at(2.0) - 15.0).abs() < 1e-12);
     }
 
     #[test]

@@ -304,19 +304,23 @@ fn draw(
         Some(Picture::new(name, label, run.steering()))
     })
     .collect();
+    let steepest = |law: usize| {
+        let run = wrong.get(law).and_then(Option::as_ref);
+        run.map_or_else(
+            || "(not driven)".to_owned(),
+            |run| {
+                let angles = run.rows.iter().map(|row| row.steering.abs());
+                format!("{} rad", with_digits(largest(angles), 3))
+            },
+        )
+    };
     section.plates.push(Plate {
         title: "Steering under both laws".to_owned(),
         paper: "No figure.".to_owned(),
         ours: format!(
-            "Under the proposed law it decays after every turn; under the appendix's law it \
-             reaches {}.",
-            wrong.get(1).and_then(Option::as_ref).map_or_else(
-                || "(not driven)".to_owned(),
-                |run| {
-                    let steepest = run.rows.iter().map(|row| row.steering.abs());
-                    format!("{} rad", with_digits(largest(steepest), 3))
-                }
-            )
+            "At its largest it is {} under the proposed law and {} under the appendix's.",
+            steepest(0),
+            steepest(1),
         ),
         pictures: steering,
     });

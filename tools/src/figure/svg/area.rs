@@ -169,7 +169,6 @@ fn range(panel: &Panel, axis: usize) -> [f64; 2] {
     }
     let histogram = !panel.bars.is_empty();
     match description.scale {
-        Scale::Named(names) => [0.5, names.len() as f64 + 0.5],
         // A map fills its frame.
         _ if panel.map.is_some() => ends,
         Scale::Log => [

@@ -342,7 +342,6 @@ fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> fmt::Result
             "#ffffff",
         ),
         MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
-        MarkKind::Known => ("m-0.9 -0.9l1.8 1.8m0 -1.8l-1.8 1.8", "none"),
     };
     write!(
         svg,
