@@ -21,3 +21,4 @@ pub mod virtual_drive;
 pub mod virtual_record;
 
 mod interrupt;
+mod template;

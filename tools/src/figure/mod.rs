@@ -26,6 +26,7 @@ pub use note::{Callout, Callouts, Estimate, Level};
 pub use scale::Scale;
 pub(crate) use svg::escaped;
 pub use typeset::plain;
+pub(crate) use typeset::superscript;
 
 /// Numbers of a curve, shared by all that draw them.
 pub type Column = Arc<[f64]>;

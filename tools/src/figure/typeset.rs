@@ -98,6 +98,27 @@ fn plain_width(text: &str) -> f64 {
     TEXT_SIZE * text.chars().map(per_letter).sum::<f64>()
 }
 
+/// The digits of a power, raised.
+pub(crate) fn superscript(digits: &str) -> String {
+    digits
+        .chars()
+        .map(|digit| match digit {
+            '-' => '⁻',
+            '0' => '⁰',
+            '1' => '¹',
+            '2' => '²',
+            '3' => '³',
+            '4' => '⁴',
+            '5' => '⁵',
+            '6' => '⁶',
+            '7' => '⁷',
+            '8' => '⁸',
+            '9' => '⁹',
+            other => other,
+        })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,7 +6,10 @@ use super::{
     table,
     text::number,
 };
-use crate::figure::{Width, escaped};
+use crate::{
+    figure::{Width, escaped},
+    template,
+};
 
 /// The report of a reproduction.
 pub(super) fn report(reproduction: &Reproduction) -> String {
@@ -27,31 +30,7 @@ pub(super) fn report(reproduction: &Reproduction) -> String {
         ),
         ("vehicle", vehicle(reproduction)),
     ];
-    fill(include_str!("report/page.html"), &parts)
-}
-
-/// Puts the parts in their places. What is in a part is not looked at again.
-fn fill(template: &str, parts: &[(&str, String)]) -> String {
-    let mut page = String::new();
-    let mut rest = template;
-    while let Some((before, after)) = rest.split_once('{') {
-        page.push_str(before);
-        let known = after.split_once('}').and_then(|(name, after)| {
-            let part = parts.iter().find(|(known, _)| *known == name);
-            part.map(|(_, part)| (part, after))
-        });
-        match known {
-            Some((part, after)) => {
-                page.push_str(part);
-                rest = after;
-            }
-            None => {
-                page.push('{');
-                rest = after;
-            }
-        }
-    }
-    page + rest
+    template::fill(include_str!("report/page.html"), &parts)
 }
 
 fn subtitle(reproduction: &Reproduction) -> String {
@@ -290,7 +269,7 @@ mod tests {
             "vehicle",
         ];
         let parts = names.map(|name| (name, "{style}".to_owned()));
-        let page = fill(template, &parts);
+        let page = template::fill(template, &parts);
         assert_eq!(page.matches("{style}").count(), names.len(), "{page}");
         assert_eq!(page.matches('{').count(), names.len());
     }

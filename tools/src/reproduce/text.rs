@@ -1,5 +1,7 @@
 //! Numbers for people.
 
+use crate::figure::superscript;
+
 /// A number with about five significant digits, without needless zeros; tiny and
 /// huge ones as a power of ten.
 pub(super) fn number(value: f64) -> String {
@@ -57,26 +59,6 @@ fn trimmed(text: &str) -> &str {
 fn signed(text: &str) -> String {
     text.strip_prefix('-')
         .map_or_else(|| text.to_owned(), |digits| format!("\u{2212}{digits}"))
-}
-
-fn superscript(digits: &str) -> String {
-    digits
-        .chars()
-        .map(|digit| match digit {
-            '-' => '⁻',
-            '0' => '⁰',
-            '1' => '¹',
-            '2' => '²',
-            '3' => '³',
-            '4' => '⁴',
-            '5' => '⁵',
-            '6' => '⁶',
-            '7' => '⁷',
-            '8' => '⁸',
-            '9' => '⁹',
-            other => other,
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -13,7 +13,10 @@ use super::{
     read::Record,
     summary::{self, Line},
 };
-use crate::figure::{Figure, Width, escaped};
+use crate::{
+    figure::{Figure, Width, escaped},
+    template,
+};
 
 /// More lines of the log than anybody reads are left out; warnings and errors last.
 const MOST_LOG_LINES: usize = 2_000;
@@ -57,29 +60,9 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
     ])
 }
 
-/// Puts the parts in their places. What is in a part is not looked at again.
+/// The page with its parts.
 fn fill(parts: &[(&str, &str)]) -> String {
-    let template = include_str!("page.html");
-    let mut page = String::with_capacity(parts.iter().map(|(_, part)| part.len()).sum());
-    let mut rest = template;
-    while let Some((before, after)) = rest.split_once('{') {
-        page.push_str(before);
-        let known = after.split_once('}').and_then(|(name, after)| {
-            let part = parts.iter().find(|(known, _)| *known == name);
-            part.map(|(_, part)| (*part, after))
-        });
-        match known {
-            Some((part, after)) => {
-                page.push_str(part);
-                rest = after;
-            }
-            None => {
-                page.push('{');
-                rest = after;
-            }
-        }
-    }
-    page + rest
+    template::fill(include_str!("page.html"), parts)
 }
 
 fn subtitle(drive: &Drive) -> String {

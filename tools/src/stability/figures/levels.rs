@@ -1,6 +1,6 @@
 //! Which lines of equal value a map has, and how its numbers are written.
 
-use crate::figure::{Grid, Isoline};
+use crate::figure::{Grid, Isoline, superscript};
 
 /// No more lines of equal value than this.
 const MOST_ISOLINES: usize = 9;
@@ -12,27 +12,10 @@ pub(super) fn significant(value: f64) -> String {
     let small = value != 0.0 && value.abs() < 1e-3;
     match parts {
         Some((factor, power)) if small => {
-            let raised: String = power.chars().map(superscript).collect();
+            let raised = superscript(power);
             format!("{}·10{raised}", factor.replace('-', "−"))
         }
         _ => Isoline::new(value, digits(value) + 1).label,
-    }
-}
-
-fn superscript(letter: char) -> char {
-    match letter {
-        '-' => '⁻',
-        '0' => '⁰',
-        '1' => '¹',
-        '2' => '²',
-        '3' => '³',
-        '4' => '⁴',
-        '5' => '⁵',
-        '6' => '⁶',
-        '7' => '⁷',
-        '8' => '⁸',
-        '9' => '⁹',
-        other => other,
     }
 }
 
