@@ -9,9 +9,10 @@ use std::{
 use clap::{Parser, Subcommand, ValueEnum};
 use singletrack::{
     control::{self, ControlCommand},
-    demo, dump, identify, plot, recover, replay, reproduce, set_reference, setpoint, simulate,
-    stability,
+    dump, recover, replay, set_reference, setpoint, simulate,
 };
+#[cfg(feature = "desk")]
+use singletrack::{demo, identify, plot, reproduce, stability};
 
 /// Drive a small car by feedback linearisation: simulate, drive, look.
 #[derive(Parser)]
@@ -23,16 +24,19 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    #[cfg(feature = "desk")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
     /// Print or count what is in a record, what the daemon sees now, or what is on the line.
     Dump(dump::DumpArgs),
+    #[cfg(feature = "desk")]
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),
     /// Make a complete record of one that was cut or damaged.
     Recover(recover::RecoverArgs),
     /// Give the pilot what it saw in a record again, and compare what it does.
     Replay(replay::ReplayArgs),
+    #[cfg(feature = "desk")]
     /// Repeat the paper's experiments and analyses, and compare its claims with what they come to.
     Reproduce(reproduce::ReproduceArgs),
     /// Run a scenario in virtual time and print its trajectory.
@@ -46,8 +50,10 @@ enum Command {
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
     },
+    #[cfg(feature = "desk")]
     /// Where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
     Stability(stability::StabilityArgs),
+    #[cfg(feature = "desk")]
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
     /// Ask the daemon how it is doing.
@@ -82,13 +88,18 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
     match &cli.command {
+        #[cfg(feature = "desk")]
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
+        #[cfg(feature = "desk")]
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),
         Command::Replay(args) => Ok(replay::run(args)?),
+        #[cfg(feature = "desk")]
         Command::Stability(args) => Ok(stability::run(args)?),
+        #[cfg(feature = "desk")]
         Command::Reproduce(args) => Ok(reproduce::run(args)?),
+        #[cfg(feature = "desk")]
         Command::Identify(args) => Ok(identify::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),

@@ -24,8 +24,10 @@ use std::sync::Arc;
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
 pub use note::{Callout, Callouts, Estimate, Level};
 pub use scale::Scale;
+#[cfg(feature = "desk")]
 pub(crate) use svg::escaped;
 pub use typeset::plain;
+#[cfg(feature = "desk")]
 pub(crate) use typeset::superscript;
 
 /// Numbers of a curve, shared by all that draw them.

@@ -99,6 +99,7 @@ fn plain_width(text: &str) -> f64 {
 }
 
 /// The digits of a power, raised.
+#[cfg(feature = "desk")]
 pub(crate) fn superscript(digits: &str) -> String {
     digits
         .chars()

@@ -12,13 +12,14 @@ use singletrack_mocap::codec::{
 fn package_folder() -> PathBuf {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)
-        .args(["metadata", "--format-version", "1", "--manifest-path"])
-        .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"))
+        .args(["metadata", "--locked", "--format-version", "1"])
+        .args(["--manifest-path", "tests/real-packets/Cargo.toml"])
         .output()
         .unwrap();
     assert!(
         output.status.success(),
-        "cargo metadata: {}",
+        "`cargo fetch --manifest-path host/mocap/tests/real-packets/Cargo.toml` brings the \
+         packets: {}",
         String::from_utf8_lossy(&output.stderr)
     );
     let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -1,12 +1,4 @@
-//! The live view: the messages of the record, as they are made, for Foxglove,
-//! Lichtblick and PlotJuggler.
-//!
-//! It only tells. Whoever connects can subscribe and nothing else, since nobody has
-//! to say who he is: commands go through the control socket. It has a thread of its
-//! own and a ring of its own, so that neither viewers nor the want of them hold up the
-//! others. A viewer that is too slow is shown what the kernel has queued for it, up to
-//! some MB, and misses messages after that. Nobody counts connections: whoever may
-//! reach the port may also open as many as the process may have files.
+//! The live view's thread and its server.
 
 use std::{
     io,
@@ -24,10 +16,10 @@ use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer,
     WebSocketServerHandle,
 };
-use serde::Serialize;
 use singletrack_record::{Channel, ClockMapping, Encoder, FeedInput, FeedOutput, feed};
 use tokio::runtime::{self, Runtime};
 
+use super::{LiveError, LiveView};
 use crate::config::LiveSection;
 
 /// Entries that may wait to be encoded, most of a second.
@@ -42,50 +34,6 @@ const LOOK: Duration = Duration::from_millis(5);
 
 /// How long viewers may take to hear that it is over.
 const GOODBYE: Duration = Duration::from_millis(50);
-
-/// Why there is no live view.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveError {
-    /// Somebody else listens there, or nobody may.
-    #[error(
-        "can't listen on {address} for the live view: {source}; choose another live.address or \
-         live.port, or set live.enabled = false"
-    )]
-    Listen {
-        /// Where.
-        address: SocketAddr,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The server does not start.
-    #[error("the live view does not start: {0}; or set live.enabled = false")]
-    Server(String),
-}
-
-/// How the live view is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct LiveStatus {
-    /// Where it listens.
-    pub address: SocketAddr,
-    /// How many watch.
-    pub viewers: u64,
-}
-
-/// What others may look at.
-#[derive(Clone, Debug)]
-pub(crate) struct LiveView {
-    address: SocketAddr,
-    viewers: Arc<AtomicU64>,
-}
-
-impl LiveView {
-    pub(crate) fn status(&self) -> LiveStatus {
-        LiveStatus {
-            address: self.address,
-            viewers: self.viewers.load(Ordering::Relaxed),
-        }
-    }
-}
 
 /// The server's thread.
 #[derive(Debug)]
