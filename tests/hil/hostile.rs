@@ -15,7 +15,8 @@ use crate::Scenario;
 pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
     "a_flood_of_foreign_datagrams_changes_nothing_about_the_drive",
     flooded,
-)];
+)
+.alone()];
 
 /// For so long, and so many each millisecond.
 const FLOOD: Duration = Duration::from_secs(5);

@@ -11,7 +11,12 @@ mod process;
 mod stop;
 mod viewers;
 
-use std::{path::PathBuf, process::ExitCode, time::Duration};
+use std::{
+    path::PathBuf,
+    process::ExitCode,
+    sync::{Mutex, PoisonError, RwLock},
+    time::Duration,
+};
 
 use clap::Parser;
 use libtest_mimic::{Arguments, Completion, Failed, Trial};
@@ -53,6 +58,8 @@ struct Options {
 struct Scenario {
     name: &'static str,
     needs: &'static [Need],
+    /// Loads the machine itself, or measures how the load of others is borne.
+    alone: bool,
     run: fn(&mut Bench) -> Outcome,
 }
 
@@ -61,6 +68,7 @@ impl Scenario {
         Self {
             name,
             needs: &[],
+            alone: false,
             run,
         }
     }
@@ -68,7 +76,25 @@ impl Scenario {
     const fn needing(self, needs: &'static [Need]) -> Self {
         Self { needs, ..self }
     }
+
+    /// No other test runs at the same time.
+    const fn alone(self) -> Self {
+        Self {
+            alone: true,
+            ..self
+        }
+    }
 }
+
+/// So many tests run at the same time, unless told otherwise: each waits for most of its
+/// time. A rig that gets too little of the machine says so, and its test is repeated.
+const TOGETHER: usize = 4;
+
+/// Held by every test, alone by those that must be.
+static MACHINE: RwLock<()> = RwLock::new(());
+
+/// The latest that any rig was.
+static LATEST: Mutex<Duration> = Mutex::new(Duration::ZERO);
 
 /// So often a test is run that has shown nothing.
 const ATTEMPTS: u64 = 4;
@@ -83,8 +109,13 @@ const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
 fn main() -> ExitCode {
     let options = Options::parse();
     let mut libtest = options.libtest.clone();
-    // Each test needs the machine's real time for itself.
-    libtest.test_threads.get_or_insert(1);
+    // There is one physical board.
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let together = match options.port {
+        Some(_) => 1,
+        None => TOGETHER.min(2 * processors),
+    };
+    libtest.test_threads.get_or_insert(together);
     let measurements = Measurements::default();
     let scenarios = [
         drive::SCENARIOS,
@@ -128,11 +159,28 @@ fn main() -> ExitCode {
     if !table.is_empty() {
         println!("measured, and the limits:\n{table}");
     }
+    if !libtest.list {
+        let latest = *LATEST.lock().unwrap_or_else(PoisonError::into_inner);
+        println!(
+            "the rig was late by {latest:.1?} at most; a test counts up to {TOLERATED_LATENESS:?}"
+        );
+    }
     conclusion.exit_code()
 }
 
-/// Runs a scenario, again if it has shown nothing.
+/// Runs a scenario beside others, or alone.
 fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
+    if scenario.alone {
+        let _alone = MACHINE.write().unwrap_or_else(PoisonError::into_inner);
+        run_until_it_shows(scenario, equipment)
+    } else {
+        let _beside = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
+        run_until_it_shows(scenario, equipment)
+    }
+}
+
+/// Runs a scenario, again if it has shown nothing.
+fn run_until_it_shows(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
     let needs = scenario.needs.iter();
     if let Some(lack) = needs.clone().find_map(|&need| equipment.lacks(need)) {
         return Ok(Completion::ignored_with(lack));
@@ -143,10 +191,15 @@ fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed>
         if let Some(lack) = needs.clone().find_map(|&need| bench.lacks(need)) {
             return Ok(Completion::ignored_with(lack));
         }
-        let Err(failure) = (scenario.run)(&mut bench) else {
+        let result = (scenario.run)(&mut bench);
+        let lateness = bench.rig().lateness().unwrap_or_default();
+        {
+            let mut latest = LATEST.lock().unwrap_or_else(PoisonError::into_inner);
+            *latest = lateness.max(*latest);
+        }
+        let Err(failure) = result else {
             return Ok(Completion::Completed);
         };
-        let lateness = bench.rig().lateness().unwrap_or_default();
         let void = matches!(failure, Failure::Void(_)) || lateness > TOLERATED_LATENESS;
         if !void || attempt == ATTEMPTS {
             let log = bench.last_log();

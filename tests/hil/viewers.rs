@@ -15,7 +15,8 @@ use crate::Scenario;
 pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
     "twenty_viewers_that_never_read_change_nothing_about_the_drive",
     looked_at,
-)];
+)
+.alone()];
 
 const VIEWERS: usize = 20;
 

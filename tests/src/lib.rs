@@ -13,10 +13,11 @@
 //! ```
 //!
 //! Board and car are simulated in this process, behind a pseudo-terminal; the
-//! cameras behind UDP on the loopback interface. The tests run one after the
-//! other: each needs the machine's real time for itself. A test that fails
-//! while the rig itself (simulator or pseudo-terminal) was late is repeated,
-//! because it has shown nothing: let nothing else compile meanwhile.
+//! cameras behind UDP on the loopback interface. Four tests run at a time, since
+//! each waits for most of its time; those that load the machine run alone. A test
+//! that fails while its rig (simulator or pseudo-terminal) was late is repeated,
+//! because it has shown nothing: let nothing else compile meanwhile. The suite
+//! prints how late the rigs were.
 //!
 //! # Against a physical UNO
 //!

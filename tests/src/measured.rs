@@ -62,9 +62,12 @@ impl Measurements {
     #[must_use]
     pub fn table(&self) -> String {
         let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lines: Vec<&Line> = lines.iter().collect();
+        // Tests overlap, and so do their lines.
+        lines.sort_by_key(|line| &line.test);
         let mut table = String::new();
         let mut test = "";
-        for line in lines.iter() {
+        for line in lines {
             if line.test != test {
                 test = &line.test;
                 table.push_str(&format!("{test}\n"));

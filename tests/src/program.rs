@@ -18,9 +18,12 @@ use crate::{Failure, Outcome};
 /// It does not build; the compiler has said why.
 pub fn build() -> Outcome<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let output = Command::new(&cargo)
-        .current_dir(&root)
+    let mut command = Command::new(&cargo);
+    // Cargo sets it for a test: where the checkout is now, not where it was compiled.
+    if let Some(package) = std::env::var_os("CARGO_MANIFEST_DIR") {
+        command.current_dir(Path::new(&package).join(".."));
+    }
+    let output = command
         // With the features that the suite itself was built with: the libraries
         // are there already.
         .args(["build", "--release", "--bins"])
