@@ -24,15 +24,29 @@ fn demo(out: &Path, options: &[&str]) -> Output {
 }
 
 #[test]
-fn a_demo_in_a_pipe_names_its_report_alone_and_leaves_what_it_promises() {
+fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     let folder = tempfile::tempdir().unwrap();
-    let output = demo(folder.path(), &["--duration", "2s"]);
+    let output = demo(folder.path(), &["--duration", "2s", "--live", "0"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{said}");
-    let report = folder.path().join("report.html");
-    assert_eq!(
-        String::from_utf8_lossy(&output.stdout),
-        format!("Open {}\n", report.display())
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let open = format!("Open {}\n", folder.path().join("report.html").display());
+    assert!(printed.ends_with(&open), "{printed}");
+    for line in [
+        "Drove 2.0 s of the paper's circle.\n",
+        "  theory, settled     amplitude 0.894 m, lag 0.464 rad, RMS error 447.2 mm",
+        "  cameras  ",
+    ] {
+        assert!(printed.contains(line), "{line}\n{printed}");
+    }
+    // The address of the live view, and no progress in a pipe.
+    let port = said
+        .strip_prefix("Live view: ws://127.0.0.1:")
+        .and_then(|rest| rest.split_once(' '))
+        .map(|(port, _)| port.parse::<u16>());
+    assert!(
+        matches!(port, Some(Ok(1..))) && said.lines().count() == 1,
+        "{said}"
     );
 
     let mut names: Vec<_> = std::fs::read_dir(folder.path())

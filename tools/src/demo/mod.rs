@@ -221,7 +221,15 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             ..StartOptions::default()
         },
     )?;
-    let mut progress = Progress::new(args.duration);
+    if let Some(live) = daemon.snapshot().live {
+        eprintln!(
+            "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
+             PlotJuggler)",
+            live.address
+        );
+    }
+    let expected = settings::expected(args.feed_forward);
+    let mut progress = Progress::new(args.duration, expected.error_m);
     let start_ns = start(&daemon, &simulator, &progress, &interrupt)?;
     let ended = drive(
         &daemon,

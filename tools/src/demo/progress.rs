@@ -8,16 +8,18 @@ use singletrackd::Snapshot;
 
 pub(super) struct Progress {
     bar: ProgressBar,
+    expected_m: f64,
 }
 
 impl Progress {
-    pub(super) fn new(duration: Duration) -> Self {
+    /// For a drive of this duration, whose error is expected to settle at a value.
+    pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
         // Hidden when standard error is no terminal.
         let bar = ProgressBar::new(u64::try_from(duration.as_millis()).unwrap_or(u64::MAX));
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
-        Self { bar }
+        Self { bar, expected_m }
     }
 
     pub(super) fn waiting(&self, mode: Mode, reason: Option<Reason>) {
@@ -31,8 +33,9 @@ impl Progress {
         self.bar.set_position((time * 1000.0) as u64);
         let held = snapshot.tick.is_some_and(|tick| tick.held);
         self.bar.set_message(format!(
-            "{time:5.1} s  P is {:5.1} mm from its reference{}",
+            "{time:5.1} s  P is {:5.1} mm from its reference (theory: {:.0} mm once settled){}",
             error_m * 1000.0,
+            self.expected_m * 1000.0,
             if held { "  (markers lost)" } else { "" }
         ));
     }

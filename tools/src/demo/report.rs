@@ -1,9 +1,6 @@
 //! What the demo leaves behind: a summary, figures, and a few lines to read.
 
-use std::{
-    io::{IsTerminal, Write as _},
-    path::Path,
-};
+use std::io::{self, Write};
 
 use serde::Serialize;
 use singletrack_control::Reason;
@@ -40,6 +37,8 @@ struct DemoSummary<'a> {
     frames: &'a singletrackd::Frames,
     mocap: Mocap<'a>,
     tracking: Option<Tracking>,
+    /// What theory expects of it.
+    expected: settings::Expected,
     latency_ms: Latency,
     /// With `--board uno` only.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -94,6 +93,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
             detail: &figures.mocap,
         },
         tracking,
+        expected: settings::expected(args.feed_forward),
         latency_ms: Latency {
             capture_to_command: Milliseconds {
                 p50: figures.capture_to_command_us.p50 / 1000.0,
@@ -109,15 +109,14 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         source: error.into(),
     })?;
     write_file(&args.out.join(SUMMARY), &format!("{json}\n"))?;
-    // Nobody reads a report that goes into a pipe.
-    if std::io::stdout().is_terminal() {
-        print(&args.out, drive, tracking.as_ref());
-    }
-    if plotted {
-        let report = args.out.join(REPORT);
-        // Whoever read the output may have seen enough.
-        let _ = writeln!(std::io::stdout(), "Open {}", report.display());
-    }
+    // The reader of a pipe may have seen enough.
+    let _ = print(
+        &mut io::stdout().lock(),
+        args,
+        drive,
+        tracking.as_ref(),
+        plotted,
+    );
     Ok(())
 }
 
@@ -173,49 +172,88 @@ fn true_samples(truth: &[TimedTruth], drive: &plot::drive::Drive) -> Vec<TruthSa
         .collect()
 }
 
-fn print(folder: &Path, drive: &Drive, tracking: Option<&Tracking>) {
+/// The summary, for a person.
+fn print(
+    out: &mut impl Write,
+    args: &DemoArgs,
+    drive: &Drive,
+    tracking: Option<&Tracking>,
+    plotted: bool,
+) -> io::Result<()> {
+    let folder = &args.out;
+    let expected = settings::expected(args.feed_forward);
     let figures = &drive.summary.figures;
-    println!("Drove {:.1} s of the paper's circle.", drive.duration_s);
+    writeln!(
+        out,
+        "Drove {:.1} s of the paper's circle.",
+        drive.duration_s
+    )?;
     match tracking {
-        Some(tracking) => println!(
+        Some(tracking) => writeln!(
+            out,
             "  P, last full turn   amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm",
             tracking.amplitude_m,
             tracking.lag_rad,
             tracking.rms_error_m * 1000.0
-        ),
-        None => println!("  P                   no full turn: a turn takes 12.6 s"),
+        )?,
+        None => writeln!(
+            out,
+            "  P                   no full turn: a turn takes 12.6 s"
+        )?,
     }
-    println!(
+    writeln!(
+        out,
+        "  theory, settled     amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm{}",
+        expected.amplitude_m,
+        expected.lag_rad,
+        expected.error_m * 1000.0,
+        if args.feed_forward {
+            ""
+        } else {
+            " (unit gain alone; --feed-forward: 0)"
+        }
+    )?;
+    writeln!(
+        out,
         "  ticks               {}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
         figures.ticks, figures.deadline_misses, figures.lateness_us.p50, figures.lateness_us.p99
-    );
-    println!(
+    )?;
+    writeln!(
+        out,
         "  capture to command  {:.1} ms at the median, {:.1} ms at p99",
         figures.capture_to_command_us.p50 / 1000.0,
         figures.capture_to_command_us.p99 / 1000.0
-    );
-    println!(
+    )?;
+    writeln!(
+        out,
         "  cameras             {} frames, {} without a pose while driving, {} ticks held",
         figures.mocap.frames, figures.mocap.missing_while_driving, figures.mocap.held_ticks
-    );
-    println!(
+    )?;
+    writeln!(
+        out,
         "  line                {} frames out, {} in, {} damaged",
         figures.frames.sent,
         figures.frames.received,
         figures.frames.crc_errors + figures.frames.decode_errors
-    );
+    )?;
     if let Some(board) = &drive.board {
-        println!(
+        writeln!(
+            out,
             "  board               {} B of flash, {} B of SRAM, {:.1} % busy, longest interrupt {} cycles, pulse jitter {:.3} us",
             board.flash_bytes,
             board.sram_bytes,
             board.cpu_percent,
             board.isr_max_cycles,
             board.pulse_jitter_us
-        );
+        )?;
     }
-    println!(
+    writeln!(
+        out,
         "In {}: {FIGURES}/, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
         folder.display()
-    );
+    )?;
+    if plotted {
+        writeln!(out, "Open {}", folder.join(REPORT).display())?;
+    }
+    Ok(())
 }
