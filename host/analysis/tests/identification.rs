@@ -40,7 +40,13 @@ fn relative_error(found: &Identification, course: &Course, parameter: Parameter)
 }
 
 #[test]
-fn intervals_of_95_percent_hold_the_truth_in_at_least_90_of_100_drives() {
+fn intervals_of_95_percent_hold_the_truth_in_at_least_90_percent_of_the_drives() {
+    let drives: u32 = match std::env::var("IDENTIFICATION_DRIVES") {
+        Ok(number) => number.parse().unwrap(),
+        // As many as show an interval that is too narrow by a third. The documentation has
+        // the figures of 100.
+        Err(_) => 40,
+    };
     let settings = Settings {
         frames: Some(ServoFrames::Even),
         noise: Course::weaving(0, 0.0).noise,
@@ -50,7 +56,7 @@ fn intervals_of_95_percent_hold_the_truth_in_at_least_90_of_100_drives() {
     let start = wrong();
     let mut covered = vec![0; settings.parameters.len()];
     let mut squares = vec![0.0; settings.parameters.len()];
-    for seed in 0..100 {
+    for seed in 0..u64::from(drives) {
         let course = Course::weaving(seed, 6.5);
         let found = identify(&course.drive(), &start, &settings).unwrap();
         for (index, estimate) in found.estimates.iter().enumerate() {
@@ -61,9 +67,12 @@ fn intervals_of_95_percent_hold_the_truth_in_at_least_90_of_100_drives() {
         }
     }
     for ((parameter, covered), squares) in settings.parameters.iter().zip(covered).zip(squares) {
-        assert!(covered >= 90, "{parameter}: {covered} of 100");
+        assert!(
+            10 * covered >= 9 * drives,
+            "{parameter}: {covered} of {drives}"
+        );
         // And they are no wider than they must be: 1 but for chance.
-        let ratio = (squares / 100.0_f64).sqrt();
+        let ratio = (squares / f64::from(drives)).sqrt();
         assert!((0.75..1.3).contains(&ratio), "{parameter}: {ratio}");
     }
 }

@@ -31,7 +31,7 @@ use singletrack_record::{
 const RECORD: &str = "record-until-killed";
 const KILLS: u64 = 50;
 /// So many at a time, not to measure how a disk takes fifty records at once.
-const WAVE: u64 = 10;
+const WAVE: u64 = 25;
 const PERIOD: Duration = Duration::from_millis(10);
 /// The first and the last moment to kill.
 const FROM: Duration = Duration::from_millis(300);

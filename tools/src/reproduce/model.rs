@@ -51,9 +51,15 @@ fn drive(setup: &Setup, text: &str, seed: u64, record: &Path) -> Result<(), Mode
     scenario.vehicle = setup.vehicle;
     scenario.law.front_axle_distance_m = setup.vehicle.front_axle_distance_m;
     scenario.run.seed = seed;
+    if setup.quick {
+        scenario.run.duration_s = scenario.run.duration_s.min(QUICK_S);
+    }
     simulate::simulate_recorded(&scenario, record)?;
     Ok(())
 }
+
+/// The drives of a quick run are no longer than this.
+const QUICK_S: f64 = 30.0;
 
 /// Identifies the car from a drive, and validates it on another.
 fn identified(setup: &Setup) -> Result<Report, ModelError> {
