@@ -86,8 +86,8 @@ impl Scenario {
     }
 }
 
-/// So many tests run at the same time, unless told otherwise: each waits for most of its
-/// time. A rig that gets too little of the machine says so, and its test is repeated.
+/// Tests that run at the same time, unless told otherwise: each waits for most of its
+/// time. A rig that gets too little of the machine reports it, and its test is repeated.
 const TOGETHER: usize = 4;
 
 /// Held by every test, alone by those that must be.

@@ -1,37 +1,25 @@
 //! `cargo demo`: builds what the demo needs and becomes it.
 
-use std::{
-    io::{self, IsTerminal},
-    os::unix::process::CommandExt,
-};
-
 use crate::{
     image::{self, Progress},
-    step::{Failure, cargo_here},
+    process::Failure,
+    release,
+    workspace::cargo_here,
 };
 
 /// Returns only when it fails. The demo writes where it is called from, so
 /// this stays there; stdout is the demo's alone.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    let quiet = !io::stderr().is_terminal();
-    if drives_the_image(arguments) {
-        image::ensure(if quiet {
-            Progress::Quiet
-        } else {
-            Progress::Shown
-        })?;
-    }
+    release::announce("singletrack")?;
     let mut cargo = cargo_here();
+    if drives_the_image(arguments) {
+        let image = image::ensure(Progress::of_stderr())?;
+        cargo.env("SINGLETRACK_UNO", image.folder);
+    }
     cargo
         .args(["run", "--release", "--package", "singletrack"])
-        .args(["--bin", "singletrack"])
-        .args(quiet.then_some("--quiet"))
-        .args(["--", "demo"])
-        .args(arguments);
-    Err(Failure::new(format!(
-        "cargo does not start: {}",
-        cargo.exec()
-    )))
+        .args(["--bin", "singletrack"]);
+    release::become_program(cargo, &[&["demo".to_owned()], arguments].concat())
 }
 
 /// Whether the demo will want the Arduino's image. Whether the arguments are

@@ -1,29 +1,24 @@
 //! `cargo faults`: builds what the fault campaign needs and becomes it.
 
-use std::os::unix::process::CommandExt;
-
 use crate::{
     demo::drives_the_image,
     image::{self, Progress},
-    step::{Failure, cargo_here},
+    process::Failure,
+    release,
+    workspace::cargo_here,
 };
 
 /// Returns only when it fails. A schedule to replay may be a file named from
 /// where this is called, so this stays there.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    if drives_the_image(arguments) || replays_the_image(arguments) {
-        image::ensure(Progress::Quiet)?;
-    }
+    release::announce("singletrack-faults")?;
     let mut cargo = cargo_here();
-    cargo
-        .args(["run", "--release", "--quiet"])
-        .args(["--package", "singletrack-faults"])
-        .arg("--")
-        .args(arguments);
-    Err(Failure::new(format!(
-        "cargo does not start: {}",
-        cargo.exec()
-    )))
+    if drives_the_image(arguments) || replays_the_image(arguments) {
+        let image = image::ensure(Progress::of_stderr())?;
+        cargo.env("SINGLETRACK_UNO", image.folder);
+    }
+    cargo.args(["run", "--release", "--package", "singletrack-faults"]);
+    release::become_program(cargo, arguments)
 }
 
 /// Whether a schedule to replay, in the arguments or in a file that they name,

@@ -1,6 +1,6 @@
 //! What the image costs while it runs, and the table of it all.
 
-use crate::{gates::Size, step::Failure};
+use crate::{gates::Size, process::Failure};
 
 /// Half of the processor's flash.
 const FLASH_BUDGET: f64 = 16_384.0;

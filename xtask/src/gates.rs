@@ -2,7 +2,7 @@
 
 use std::{path::Path, process::Command};
 
-use crate::step::{Failure, output};
+use crate::process::{Failure, output};
 
 /// What the image takes, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -2,15 +2,19 @@
 //! simulator looks for them: in `uno` in the target folder.
 
 use std::{
+    io::{self, IsTerminal},
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
 use crate::{
-    debian,
-    debian_cargo::debian_cargo,
-    step::{Failure, cargo, check, root},
+    compiler::{self, AVR, Compiler},
+    cross_cargo::cross_cargo,
+    machine::Machine,
+    prerequisites,
+    process::{Failure, check},
     target,
+    workspace::{cargo, root},
 };
 
 /// How loud the builds are.
@@ -20,6 +24,22 @@ pub(crate) enum Progress {
     Shown,
     /// Warnings and errors only.
     Quiet,
+}
+
+impl Progress {
+    /// Shown on a terminal.
+    pub(crate) fn of_stderr() -> Self {
+        if io::stderr().is_terminal() {
+            Self::Shown
+        } else {
+            Self::Quiet
+        }
+    }
+
+    /// Cargo's.
+    pub(crate) fn option(self) -> Option<&'static str> {
+        (self == Self::Quiet).then_some("--quiet")
+    }
 }
 
 /// Where the image is.
@@ -34,20 +54,36 @@ pub(crate) struct Image {
 
 /// Installs what it takes, builds image and simulator, puts them in place.
 pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
-    debian::ensure(&[debian::IMAGE, debian::SIMULATOR])?;
+    let machine = Machine::this();
+    prerequisites::ensure(&machine, &prerequisites::IMAGE, &mut |found| {
+        if progress == Progress::Shown {
+            eprintln!("{found}");
+        }
+    })?;
+    build(progress, || {
+        check(
+            cargo()
+                .args(["build", "--release", "--package", "singletrack-simavr"])
+                .args(["--features", "simavr"])
+                .args(progress.option())
+                .stdout(Stdio::null()),
+        )
+    })
+}
+
+/// Builds the image, has the simulator built, and puts both in place.
+pub(crate) fn build(
+    progress: Progress,
+    build_simulator: impl FnOnce() -> Result<(), Failure>,
+) -> Result<Image, Failure> {
     let target = target::folder()?;
     let build = build_folder(&target);
-    let quiet = (progress == Progress::Quiet).then_some("--quiet");
-    check(uno_cargo("build", &build).args(quiet).stdout(Stdio::null()))?;
     check(
-        cargo()
-            // Else it would lie in a folder of that target.
-            .env_remove("CARGO_BUILD_TARGET")
-            .args(["build", "--release", "--package", "singletrack-simavr"])
-            .args(["--features", "simavr"])
-            .args(quiet)
+        uno_cargo(&compiler()?, "build", &build)
+            .args(progress.option())
             .stdout(Stdio::null()),
     )?;
+    build_simulator()?;
 
     let built = build.join("avr-none/release");
     let folder = target.join("uno");
@@ -65,17 +101,23 @@ pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
     Ok(image)
 }
 
+/// The compiler of the image.
+fn compiler() -> Result<Compiler, Failure> {
+    compiler::find(&Machine::this(), AVR).map_err(|reasons| Failure::new(reasons.join("\n")))
+}
+
 /// Neither compiler nor clippy warns of the image.
 pub(crate) fn lint() -> Result<(), Failure> {
-    debian::ensure(&[debian::IMAGE, debian::IMAGE_LINTS])?;
+    let compiler = compiler()?;
+    let clippy = compiler.clippy(&Machine::this()).map_err(Failure::new)?;
     let build = build_folder(&target::folder()?);
     // RUSTFLAGS would replace those that the image is built with.
     let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
-    check(uno_cargo("build", &build).args(deny))?;
+    check(uno_cargo(&compiler, "build", &build).args(deny))?;
     check(
-        uno_cargo("check", &build)
+        uno_cargo(&compiler, "check", &build)
             .args(deny)
-            .env("RUSTC_WORKSPACE_WRAPPER", "/usr/bin/clippy-driver"),
+            .env("RUSTC_WORKSPACE_WRAPPER", clippy),
     )
 }
 
@@ -90,8 +132,8 @@ fn build_folder(target: &Path) -> PathBuf {
 
 /// What is the same for every command. The image's `.cargo/config.toml` says
 /// everything else.
-fn uno_cargo(command: &str, target: &Path) -> Command {
-    let mut cargo = debian_cargo(&folder());
+fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
+    let mut cargo = cross_cargo(compiler, &folder());
     cargo
         // It warns that AVR's linker does not know -no-pie, and does without.
         .env("RUSTC_LOG", "error")

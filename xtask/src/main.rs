@@ -4,22 +4,28 @@
 //! It depends on nothing, so that it is there at once on a machine that has
 //! nothing but a Rust toolchain.
 
+mod compiler;
+mod cross_cargo;
 mod debian;
-mod debian_cargo;
 mod demo;
 mod faults;
 mod figures;
 mod gates;
 mod image;
+mod machine;
 mod odroid;
 mod packages;
+mod prerequisites;
+mod process;
 mod readers;
+mod release;
 mod same_bits;
 mod step;
 mod target;
 mod units;
 mod uno;
 mod verify;
+mod workspace;
 
 use std::process::ExitCode;
 
@@ -29,17 +35,16 @@ fn main() -> ExitCode {
         eprintln!("usage: cargo demo | faults | uno | odroid | verify, each with --help");
         return ExitCode::FAILURE;
     };
-    let result = match command.as_str() {
+    let result = workspace::find().and_then(|_| match command.as_str() {
         "demo" => demo::main(arguments),
         "faults" => faults::main(arguments),
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
         "verify" => verify::main(arguments),
-        _ => {
-            eprintln!("there is no {command:?}: cargo demo | faults | uno | odroid | verify");
-            return ExitCode::FAILURE;
-        }
-    };
+        unknown => Err(process::Failure::new(format!(
+            "unknown command {unknown:?}; known: cargo demo | faults | uno | odroid | verify"
+        ))),
+    });
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

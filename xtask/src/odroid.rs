@@ -6,11 +6,14 @@ use std::{
 };
 
 use crate::{
-    debian,
-    debian_cargo::debian_cargo,
-    same_bits,
-    step::{Failure, check, output, root},
-    target,
+    compiler::{self, ARM},
+    cross_cargo::cross_cargo,
+    machine::Machine,
+    prerequisites,
+    process::{Failure, check, output},
+    release::Release,
+    same_bits, target,
+    workspace::root,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -23,10 +26,17 @@ Installs the Debian packages that are missing.
 const TARGET: &str = "armv7-unknown-linux-gnueabihf";
 const COMPILER: &str = "arm-linux-gnueabihf-gcc";
 
+/// Runs programs for the Odroid here, with the C library that Debian has for them.
+pub(crate) const EMULATOR: &str = "qemu-arm-static";
+pub(crate) const EMULATOR_OPTIONS: [&str; 2] = ["-L", "/usr/arm-linux-gnueabihf"];
+
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
         [] => {
-            let folder = build()?;
+            prerequisites::ensure(&Machine::this(), &prerequisites::ODROID, &mut |found| {
+                eprintln!("{found}");
+            })?;
+            let folder = build(Programs::AsInstalled)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }
@@ -44,8 +54,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// The Odroid computes what this machine computes, to the bit: a record made on
 /// the car is replayed here.
-pub(crate) fn verify() -> Result<(), Failure> {
-    let folder = build()?;
+pub(crate) fn verify(release: Release) -> Result<(), Failure> {
+    let folder = build(Programs::AsCompared)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
         let answer = output(emulated(&daemon).arg(question))?;
@@ -58,7 +68,7 @@ pub(crate) fn verify() -> Result<(), Failure> {
     for scenario in same_bits::SCENARIOS {
         same_bits::compare(
             scenario,
-            ("this machine", &mut same_bits::simulate(scenario)),
+            ("this machine", &mut same_bits::simulate(release, scenario)?),
             (
                 "ARMv7",
                 emulated(&folder.join("singletrack")).args(["simulate", scenario]),
@@ -68,21 +78,55 @@ pub(crate) fn verify() -> Result<(), Failure> {
     Ok(())
 }
 
+/// What is built of the two programs.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Programs {
+    /// Everything.
+    AsInstalled,
+    /// Neither live view nor figures: they take most of the time, and nothing of theirs is
+    /// compared.
+    AsCompared,
+}
+
+impl Programs {
+    fn profile(self) -> &'static [&'static str] {
+        match self {
+            // It is not debugged here, and that is a third of the time.
+            Self::AsInstalled => &["--release", "--config", "profile.release.debug=false"],
+            Self::AsCompared => &[
+                "--profile",
+                "compared",
+                // What is built with these features is linted nowhere else.
+                "-Zwarnings",
+                "--config",
+                "build.warnings=\"deny\"",
+            ],
+        }
+    }
+
+    fn folder(self) -> &'static str {
+        match self {
+            Self::AsInstalled => "release",
+            Self::AsCompared => "compared",
+        }
+    }
+}
+
 /// Builds both programs and returns the folder that they are in.
-fn build() -> Result<PathBuf, Failure> {
-    debian::ensure(&[debian::ODROID])?;
+fn build(programs: Programs) -> Result<PathBuf, Failure> {
+    let compiler = compiler::find(&Machine::this(), ARM)
+        .map_err(|reasons| Failure::new(reasons.join("\n")))?;
     let target = target::folder()?.join("odroid");
     check(
-        debian_cargo(&root())
+        cross_cargo(&compiler, root())
             .env(
                 "CARGO_TARGET_ARMV7_UNKNOWN_LINUX_GNUEABIHF_LINKER",
                 COMPILER,
             )
             // zstd is C.
             .env("CC_armv7_unknown_linux_gnueabihf", COMPILER)
-            .args(["build", "--release", "--locked"])
-            // Nobody debugs it here, and it is a third of the time.
-            .args(["--config", "profile.release.debug=false"])
+            .args(["build", "--locked"])
+            .args(programs.profile())
             .args([
                 "-Zbuild-std=std,panic_unwind",
                 "--target",
@@ -91,17 +135,18 @@ fn build() -> Result<PathBuf, Failure> {
             ])
             .arg(&target)
             .args(["--package", "singletrackd", "--package", "singletrack"])
+            .args((programs == Programs::AsCompared).then_some("--no-default-features"))
             .stdout(Stdio::null()),
     )?;
-    Ok(target.join(TARGET).join("release"))
+    Ok(target.join(TARGET).join(programs.folder()))
 }
 
 /// A program for the Odroid, on this machine.
 fn emulated(program: &Path) -> Command {
-    let mut command = Command::new("qemu-arm-static");
+    let mut command = Command::new(EMULATOR);
     command
         .current_dir(root())
-        .env("QEMU_LD_PREFIX", "/usr/arm-linux-gnueabihf")
+        .args(EMULATOR_OPTIONS)
         .arg(program);
     command
 }

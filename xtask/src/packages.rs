@@ -1,22 +1,19 @@
-//! Each package must build alone. In the workspace's build a package has the
-//! features that any other asks for, which hides the ones it forgot. (The suites for
-//! hardware in the loop and for faults are built alone to be run.)
+//! Each pure package must build alone. In the workspace's build a package has the
+//! features that any other asks for, which hides the ones that it forgot. For the packages
+//! of the host that would take longer than it is worth: they are not used one by one.
 
-use crate::step::{Failure, cargo, check};
+use crate::{
+    process::{Failure, check},
+    workspace::cargo,
+};
 
-const PACKAGES: [&str; 12] = [
+const PACKAGES: [&str; 6] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
-    "singletrack-analysis",
     "singletrack-mocap",
     "singletrack-link",
-    "singletrack-record",
-    "singletrackd",
-    "singletrack-simavr",
-    "singletrack-sim",
-    "singletrack",
-    "singletrack-fuzz",
+    "singletrack-analysis",
 ];
 
 pub(crate) fn check_all() -> Result<(), Failure> {

@@ -4,8 +4,10 @@
 use std::{path::PathBuf, process::Command};
 
 use crate::{
-    step::{Failure, cargo, check as check_command, output, root},
+    process::{Failure, check as check_command, output},
+    release::Release,
     target, verify,
+    workspace::root,
 };
 
 /// One scenario of each plant.
@@ -15,15 +17,15 @@ pub(crate) const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle-car.toml",
 ];
 
-pub(crate) fn check() -> Result<(), Failure> {
-    let debug = debug_program()?;
+pub(crate) fn check(release: Release) -> Result<(), Failure> {
+    let debug = debug_program(release)?;
     for scenario in SCENARIOS {
         let mut debug = Command::new(&debug);
         debug.current_dir(root()).args(["simulate", scenario]);
         compare(
             scenario,
             ("debug", &mut debug),
-            ("release", &mut simulate(scenario)),
+            ("release", &mut simulate(release, scenario)?),
         )?;
     }
     Ok(())
@@ -31,22 +33,16 @@ pub(crate) fn check() -> Result<(), Failure> {
 
 /// The debug build that the tests have made: built for itself, it would have other
 /// features, and all its libraries would be built again.
-fn debug_program() -> Result<PathBuf, Failure> {
-    check_command(cargo().args(verify::TESTS).args(["--no-run", "--quiet"]))?;
+fn debug_program(release: Release) -> Result<PathBuf, Failure> {
+    check_command(verify::debug_tests(release).args(["--no-run", "--quiet"]))?;
     Ok(target::folder()?.join("debug").join("singletrack"))
 }
 
 /// Simulates a scenario with the release build of this machine.
-pub(crate) fn simulate(scenario: &str) -> Command {
-    let mut command = cargo();
-    command.args(["run", "--quiet", "--release"]).args([
-        "--bin",
-        "singletrack",
-        "--",
-        "simulate",
-        scenario,
-    ]);
-    command
+pub(crate) fn simulate(release: Release, scenario: &str) -> Result<Command, Failure> {
+    let mut command = release.program("singletrack")?;
+    command.args(["simulate", scenario]);
+    Ok(command)
 }
 
 /// Runs two builds and compares what they print, to the byte.

@@ -5,13 +5,34 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::step::{Failure, cargo, output};
+use crate::{
+    process::{Failure, check, output},
+    workspace::{cargo, root},
+};
 
 /// Where cargo builds the workspace, whatever environment or configuration say.
 pub(crate) fn folder() -> Result<PathBuf, Failure> {
     let metadata = output(cargo().args(["metadata", "--no-deps", "--format-version", "1"]))?;
     target_directory(&String::from_utf8_lossy(&metadata))
         .ok_or_else(|| Failure::new("`cargo metadata` does not tell the target folder".to_owned()))
+}
+
+/// Rebuilds the workspace's own programs if the target folder came from another checkout:
+/// tests know the paths of the checkout where they were compiled, and cargo takes those of
+/// a copied or moved one as fresh.
+pub(crate) fn adopt() -> Result<(), Failure> {
+    let folder = folder()?;
+    let note = folder.join("checkout.txt");
+    let here = root().display().to_string();
+    if fs::read_to_string(&note).is_ok_and(|from| from != here) {
+        println!("The target folder came from another checkout: building the workspace again");
+        for profile in ["dev", "release"] {
+            check(cargo().args(["clean", "--workspace", "--profile", profile]))?;
+        }
+    }
+    fs::create_dir_all(&folder)
+        .and_then(|()| fs::write(&note, here))
+        .map_err(|error| Failure::new(format!("cannot write {}: {error}", note.display())))
 }
 
 /// The one string in cargo's JSON that is of interest.

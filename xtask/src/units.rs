@@ -3,9 +3,9 @@
 use std::{fs, io, path::Path, process::Command};
 
 use crate::{
-    debian,
-    step::{Failure, output, root},
+    process::{Failure, output},
     target,
+    workspace::root,
 };
 
 const UNIT: &str = "singletrackd.service";
@@ -18,7 +18,6 @@ const MOST_EXPOSED: f64 = 1.6;
 
 /// Verifies the unit with and without the Odroid's drop-in, and how exposed it is.
 pub(crate) fn check() -> Result<(), Failure> {
-    debian::ensure(&[debian::UNITS])?;
     let folder = target::folder()?.join("units");
     for drop_in in [None, Some(DROP_IN)] {
         let folder = folder.join(drop_in.map_or("plain", |_| "xu4"));

@@ -1,249 +1,339 @@
 //! `cargo verify`: every check of the project.
 
-use std::{path::PathBuf, process::Command};
+use std::process::Command;
 
 use crate::{
-    debian,
-    image::{self, Progress},
-    odroid, packages, readers, same_bits,
-    step::{Failure, Step, cargo, check, quiet, run_all},
-    units, uno,
+    image::{self, Image, Progress},
+    machine::Machine,
+    odroid, packages,
+    prerequisites::{self, Part},
+    process::{Failure, check},
+    readers,
+    release::{Release, features},
+    same_bits,
+    step::{Step, run_all},
+    target, units, uno,
+    workspace::cargo,
 };
 
 pub(crate) const USAGE: &str = "\
-usage: cargo verify [STEP...]
+usage: cargo verify [STEP...] [--without PART[,PART...]]
 
-Runs every check of the project, or the steps named. Says what it runs and how
-long each step took, and stops at the first that fails. Installs the Debian
-packages that are missing.
+Runs every check of the project, or the steps named. Tries first whether the machine
+can do what they need, and installs the Debian packages that are missing or too old.
+Prints how long each step took, stops at the first that fails, and lists what was not
+run.
+
+  --without PART   leaves out all steps of a part: uno, odroid, readers, units
+  -h, --help       prints this
 ";
 
+/// The first step, which always runs.
+const PREREQUISITES: &str = "prerequisites";
+
+/// What is asked for.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Request {
+    steps: Vec<String>,
+    without: Vec<Part>,
+}
+
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    let steps = steps();
     if arguments
         .iter()
-        .any(|name| name == "--help" || name == "-h")
+        .any(|argument| argument == "--help" || argument == "-h")
     {
-        print!("{USAGE}\nSteps:\n");
-        for step in &steps {
-            println!("  {:22} {}", step.name, step.what);
+        print!("{USAGE}\nSteps, and the part that each belongs to:\n");
+        println!(
+            "  {PREREQUISITES:14} {:8} the machine can do what the steps need; always first",
+            ""
+        );
+        for step in steps(&[]) {
+            let part = step.part.map_or("", Part::name);
+            println!("  {:14} {part:8} {}", step.name, step.what);
         }
         return Ok(());
     }
-    run_all(&steps, arguments)
+    let request = parse(arguments)?;
+    let steps = steps(&request.without);
+    request.check(&steps)?;
+    target::adopt()?;
+    let parts = request.parts_needed(&steps);
+    let first = Step::new(
+        PREREQUISITES,
+        "the machine can do what the checks need",
+        move || {
+            let wanted = prerequisites::of_parts(&parts);
+            prerequisites::ensure(&Machine::this(), &wanted, &mut |found| println!("{found}"))
+        },
+    );
+    let steps: Vec<Step> = [first].into_iter().chain(steps).collect();
+    let result = run_all(&steps, &|step| {
+        step.name == PREREQUISITES || request.chooses(step)
+    });
+    if !request.without.is_empty() {
+        let parts: Vec<&str> = request.without.iter().map(|part| part.name()).collect();
+        println!("Left out, by --without: {}", parts.join(", "));
+    }
+    if request.without.contains(&Part::Uno) {
+        println!("Without uno, lints and tests leave out the simulated Arduino and its image.");
+    }
+    result
 }
 
-/// All tests that take no more time than they need.
-pub(crate) const TESTS: [&str; 4] = ["test", "--workspace", "--exclude", "singletrack-hil"];
+impl Request {
+    /// Whether a step is to run.
+    fn chooses(&self, step: &Step) -> bool {
+        !step.part.is_some_and(|part| self.without.contains(&part))
+            && (self.steps.is_empty() || self.steps.iter().any(|name| name == step.name))
+    }
+
+    /// Refuses steps that there are not, or that are left out.
+    fn check(&self, steps: &[Step]) -> Result<(), Failure> {
+        for name in self.steps.iter().filter(|name| *name != PREREQUISITES) {
+            let Some(step) = steps.iter().find(|step| step.name == name) else {
+                return Err(Failure::new(format!(
+                    "unknown step {name:?}; `cargo verify --help` lists the steps"
+                )));
+            };
+            if !self.chooses(step) {
+                return Err(Failure::new(format!(
+                    "the step {name} is asked for, and left out by --without"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The parts whose prerequisites the chosen steps need. The step `prerequisites`, asked
+    /// for by name, tries those of everything that is not left out.
+    fn parts_needed(&self, steps: &[Step]) -> Vec<Part> {
+        let everything = self.steps.iter().any(|name| name == PREREQUISITES);
+        let needed: Vec<Part> = steps
+            .iter()
+            .filter(|step| everything || self.chooses(step))
+            .flat_map(Step::parts_needed)
+            .collect();
+        Part::ALL
+            .into_iter()
+            .filter(|part| needed.contains(part) && !self.without.contains(part))
+            .collect()
+    }
+}
+
+fn parse(arguments: &[String]) -> Result<Request, Failure> {
+    let mut request = Request::default();
+    let mut arguments = arguments.iter().map(String::as_str);
+    while let Some(argument) = arguments.next() {
+        let list = match argument.strip_prefix("--without") {
+            Some("") => arguments.next().ok_or_else(|| {
+                Failure::new(format!("--without needs the names of parts\n\n{USAGE}"))
+            })?,
+            Some(list) if list.starts_with('=') => &list[1..],
+            _ if argument.starts_with('-') => {
+                return Err(Failure::new(format!(
+                    "unknown option {argument:?}\n\n{USAGE}"
+                )));
+            }
+            _ => {
+                request.steps.push(argument.to_owned());
+                continue;
+            }
+        };
+        for name in list.split(',') {
+            let part = Part::ALL
+                .into_iter()
+                .find(|part| part.name() == name)
+                .ok_or_else(|| {
+                    Failure::new(format!(
+                        "--without {name:?}: the parts are uno, odroid, readers, units"
+                    ))
+                })?;
+            if !request.without.contains(&part) {
+                request.without.push(part);
+            }
+        }
+    }
+    Ok(request)
+}
+
+/// All tests that take no more time than they need, in debug builds: overflow is checked.
+pub(crate) fn debug_tests(release: Release) -> Command {
+    let mut tests = cargo();
+    tests
+        .args(["test", "--workspace", "--exclude", "singletrack-hil"])
+        .args(features(release.uno));
+    tests
+}
 
 /// The checks, in order: the quick ones first, those in real time last.
-fn steps() -> Vec<Step> {
-    [quick_steps(), program_steps(), real_time_steps()]
-        .into_iter()
-        .flatten()
-        .collect()
+fn steps(without: &[Part]) -> Vec<Step> {
+    let release = Release {
+        uno: !without.contains(&Part::Uno),
+    };
+    [
+        text_steps(release),
+        program_steps(release),
+        real_time_steps(release),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 /// What is wrong with the text of the programs.
-fn quick_steps() -> Vec<Step> {
+fn text_steps(release: Release) -> Vec<Step> {
     vec![
-        Step::new(
-            "prerequisites",
-            "rustfmt, clippy, a C compiler, and Debian's packages for Arduino, Odroid and service",
-            prerequisites,
-        ),
         Step::new("format", "the code is formatted", format),
         Step::cargo(
             "lints",
             "no warning from compiler or clippy",
-            &[
-                "clippy",
-                "--workspace",
-                "--features",
-                "singletrack-simavr/simavr,singletrack-sim/uno",
-                "--all-targets",
-                "--",
-                "-D",
-                "warnings",
-            ],
-        ),
-        Step::new("lints-uno", "none in the Arduino's image", image::lint),
+            ["clippy", "--workspace", "--all-targets"]
+                .into_iter()
+                .chain(features(release.uno))
+                .chain(["--", "-D", "warnings"]),
+        )
+        .needing(release.part()),
+        Step::new("lints-uno", "none in the Arduino's image", image::lint).of(Part::Uno),
         Step::new(
             "packages",
-            "each package builds alone, with the features that it asks for itself",
+            "each pure package builds alone, with the features that it asks for itself",
             packages::check_all,
         ),
-        Step::cargo(
+        Step::new(
             "documentation",
             "the documentation builds without a warning",
-            &["doc", "--workspace", "--no-deps"],
-        )
-        .env("RUSTDOCFLAGS", "-D warnings"),
+            || {
+                check(
+                    cargo()
+                        .args(["doc", "--workspace", "--no-deps"])
+                        .env("RUSTDOCFLAGS", "-D warnings"),
+                )
+            },
+        ),
         Step::new(
             "units",
-            "systemd takes the service's unit without a word, and finds it hardly exposed",
+            "systemd accepts the service's unit without a warning and rates it as hardly exposed",
             units::check,
-        ),
+        )
+        .of(Part::Units),
     ]
 }
 
 /// What is wrong with the programs, in as little time as they take.
-fn program_steps() -> Vec<Step> {
+fn program_steps(release: Release) -> Vec<Step> {
     vec![
+        Step::new("programs", "release builds of all programs", move || {
+            release.build()
+        })
+        .needing(release.part()),
         Step::new(
             "uno",
             "the Arduino's image contains nothing miscompiled and keeps to its budgets",
-            || uno::build_and_check().map(drop),
-        ),
-        Step::cargo("tests", "unit, property and virtual-time tests", &TESTS),
-        Step::cargo(
-            "simavr",
-            "the simulated Arduino",
-            &[
-                "test",
-                "--release",
-                "--package",
-                "singletrack-simavr",
-                "--features",
-                "simavr",
-            ],
-        ),
+            move || {
+                uno::check_image(
+                    &with_simulator(release)?,
+                    &mut release.program("uno-figures")?,
+                )
+            },
+        )
+        .of(Part::Uno),
+        Step::new(
+            "tests",
+            if release.uno {
+                "unit, property and virtual-time tests, of the Arduino's image too"
+            } else {
+                "unit, property and virtual-time tests, not of the Arduino's image"
+            },
+            move || {
+                let mut tests = debug_tests(release);
+                if release.uno {
+                    with_image(release, &mut tests)
+                } else {
+                    check(&mut tests)
+                }
+            },
+        )
+        .needing(release.part()),
         Step::new(
             "same-bits",
             "debug and release builds simulate the same bits",
-            same_bits::check,
-        ),
+            move || same_bits::check(release),
+        )
+        .needing(release.part()),
         Step::new(
             "readers",
-            "others read from a record what we say it holds, and from a recovered one",
-            readers::check,
-        ),
+            "independent readers find in a record what it holds, and in a recovered one",
+            move || readers::check(release),
+        )
+        .of(Part::Readers)
+        .needing(release.part()),
         Step::new(
-            "image",
-            "the image does what the board does, under faults too, in virtual time",
-            || {
-                with_image(&[
-                    "test",
-                    "--release",
-                    "--package",
-                    "singletrack-sim",
-                    "--features",
-                    "uno",
-                    "--test",
-                    "uno",
-                ])
-            },
-        ),
-        Step::cargo(
             "faults",
             "random faults in virtual time break nothing that must hold",
-            &[
-                "run",
-                "--release",
-                "--package",
-                "singletrack-faults",
-                "--",
-                "--count",
-                "300",
-            ],
-        ),
-        Step::new("faults-uno", "nor with the Arduino's image", || {
-            with_image(&[
-                "run",
-                "--release",
-                "--package",
-                "singletrack-faults",
-                "--",
-                "--count",
-                "8",
-                "--board",
-                "uno",
-            ])
-        }),
+            move || {
+                check(
+                    release
+                        .program("singletrack-faults")?
+                        .args(["--count", "300"]),
+                )
+            },
+        )
+        .needing(release.part()),
+        Step::new("faults-uno", "nor with the Arduino's image", move || {
+            with_image(
+                release,
+                release
+                    .program("singletrack-faults")?
+                    .args(["--count", "8", "--board", "uno"]),
+            )
+        })
+        .of(Part::Uno),
         Step::new(
             "odroid",
             "daemon and tools build for the Odroid, and simulate the same bits there",
-            odroid::verify,
-        ),
+            move || odroid::verify(release),
+        )
+        .of(Part::Odroid)
+        .needing(release.part()),
     ]
 }
 
-/// What only shows in real time. One test at a time: each needs the machine to
-/// itself.
-fn real_time_steps() -> Vec<Step> {
+/// What only shows in real time.
+fn real_time_steps(release: Release) -> Vec<Step> {
+    let suite = move |board| {
+        let mut suite = release.suite();
+        suite
+            .args(["--board", board, "--daemon"])
+            .arg(release.path("singletrackd")?);
+        Ok::<_, Failure>(suite)
+    };
     vec![
-        Step::cargo(
+        Step::new(
             "hil-native",
             "hardware in the loop: the shipped daemon against the simulated board",
-            &[
-                "test",
-                "--release",
-                "--package",
-                "singletrack-hil",
-                "--test",
-                "hil",
-                "--",
-                "--board",
-                "native",
-                "--test-threads=1",
-            ],
-        ),
-        Step::new("hil-uno", "the same against the Arduino's image", || {
-            with_image(&[
-                "test",
-                "--release",
-                "--package",
-                "singletrack-hil",
-                "--test",
-                "hil",
-                "--",
-                "--board",
-                "uno",
-                "--test-threads=1",
-            ])
-        }),
+            move || check(&mut suite("native")?),
+        )
+        .needing(release.part()),
+        Step::new(
+            "hil-uno",
+            "the same against the Arduino's image",
+            move || with_image(release, &mut suite("uno")?),
+        )
+        .of(Part::Uno),
     ]
 }
 
-/// Cargo with the image of this source: chosen alone, a step must not test one
-/// that was left behind, nor one that somebody's environment names.
-fn with_image(arguments: &[&str]) -> Result<(), Failure> {
-    let image = image::ensure(Progress::Quiet)?;
-    check(
-        cargo()
-            .env("SINGLETRACK_UNO", &image.folder)
-            .args(arguments),
-    )
+/// The image of this source, with its simulator of this release build.
+fn with_simulator(release: Release) -> Result<Image, Failure> {
+    image::build(Progress::Shown, || release.build())
 }
 
-/// Names what is missing and how to get it, or gets it, before anything else
-/// fails over it.
-fn prerequisites() -> Result<(), Failure> {
-    for (component, arguments) in [
-        ("rustfmt", ["fmt", "--version"]),
-        ("clippy", ["clippy", "--version"]),
-    ] {
-        quiet(cargo().args(arguments)).map_err(|_| {
-            Failure::new(format!(
-                "cargo {} does not work: install it with `rustup component add {component}`",
-                arguments[0]
-            ))
-        })?;
-    }
-    let compiler = std::env::var_os("CC").map_or_else(|| PathBuf::from("cc"), PathBuf::from);
-    quiet(Command::new(&compiler).arg("--version")).map_err(|_| {
-        Failure::new(format!(
-            "no C compiler: {} does not run; on Debian, `apt-get install gcc libc6-dev`",
-            compiler.display()
-        ))
-    })?;
-    debian::ensure(&[
-        debian::IMAGE,
-        debian::IMAGE_LINTS,
-        debian::SIMULATOR,
-        debian::ODROID,
-        debian::UNITS,
-    ])
+/// Runs a command with the image of this source: chosen alone, a step must not test one
+/// that was left behind, nor one that the environment names.
+fn with_image(release: Release, command: &mut Command) -> Result<(), Failure> {
+    let image = with_simulator(release)?;
+    check(command.env("SINGLETRACK_UNO", &image.folder))
 }
 
 /// That of the workspace, and of the image, which is no member of it.
@@ -258,15 +348,82 @@ fn format() -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use super::steps;
+    use super::*;
+
+    fn parsed(line: &str) -> Result<Request, Failure> {
+        let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        parse(&arguments)
+    }
 
     #[test]
-    fn no_step_runs_an_image_that_it_has_not_built() {
-        let names: Vec<&str> = steps()
-            .iter()
-            .filter(|step| step.arguments().contains(&"uno"))
-            .map(|step| step.name)
-            .collect();
-        assert_eq!(names, [""; 0]);
+    fn parts_are_left_out_in_either_form_and_once() {
+        let without = vec![Part::Uno, Part::Readers];
+        for line in [
+            "--without uno,readers",
+            "--without=uno,readers",
+            "--without uno --without=readers,uno",
+        ] {
+            assert_eq!(parsed(line).unwrap().without, without, "{line}");
+        }
+        let request = parsed("format --without uno tests").unwrap();
+        assert_eq!(request.steps, ["format", "tests"]);
+    }
+
+    #[test]
+    fn an_unknown_part_or_option_is_refused_with_the_known_ones() {
+        let why = parsed("--without arduino").unwrap_err().to_string();
+        assert!(why.contains("\"arduino\"") && why.contains("uno, odroid, readers, units"));
+        for line in ["--without", "--witout uno", "--without=", "-x"] {
+            assert!(parsed(line).is_err(), "{line}");
+        }
+    }
+
+    #[test]
+    fn each_step_chosen_alone_has_what_it_needs() {
+        let needed = |line: &str| {
+            let request = parsed(line).unwrap();
+            request.parts_needed(&steps(&request.without))
+        };
+        let uno = vec![Part::Uno];
+        for line in [
+            "lints",
+            "tests",
+            "programs",
+            "same-bits",
+            "faults",
+            "hil-native",
+            "uno",
+        ] {
+            assert_eq!(needed(line), uno, "{line}");
+        }
+        assert_eq!(needed("format documentation packages"), []);
+        assert_eq!(needed("readers"), [Part::Uno, Part::Readers]);
+        assert_eq!(needed("odroid"), [Part::Uno, Part::Odroid]);
+        assert_eq!(needed(""), Part::ALL);
+        assert_eq!(needed("prerequisites"), Part::ALL);
+    }
+
+    #[test]
+    fn what_is_left_out_needs_nothing() {
+        for line in ["--without uno,odroid", "prerequisites --without uno,odroid"] {
+            let request = parsed(line).unwrap();
+            let steps = steps(&request.without);
+            assert_eq!(request.parts_needed(&steps), [Part::Readers, Part::Units]);
+        }
+        let request = parsed("tests --without uno").unwrap();
+        assert_eq!(request.parts_needed(&steps(&request.without)), []);
+    }
+
+    #[test]
+    fn a_step_that_is_unknown_or_left_out_is_refused() {
+        let why = |line: &str| {
+            let request = parsed(line).unwrap();
+            request
+                .check(&steps(&request.without))
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(why("test").contains("unknown step \"test\""));
+        assert!(why("uno --without uno").contains("left out by --without"));
     }
 }

@@ -16,7 +16,7 @@ impl Progress {
     pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
         // Hidden when standard error is no terminal.
         let bar = ProgressBar::new(u64::try_from(duration.as_millis()).unwrap_or(u64::MAX));
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:16} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
         Self { bar, expected_m }
@@ -33,7 +33,8 @@ impl Progress {
         self.bar.set_position((time * 1000.0) as u64);
         let held = snapshot.tick.is_some_and(|tick| tick.held);
         self.bar.set_message(format!(
-            "{time:5.1} s  P is {:5.1} mm from its reference (theory: {:.0} mm once settled){}",
+            // 80 columns wide, with the bar.
+            "{time:4.1} s  P is {:5.1} mm off its reference (theory: {:.0} mm){}",
             error_m * 1000.0,
             self.expected_m * 1000.0,
             if held { "  (markers lost)" } else { "" }

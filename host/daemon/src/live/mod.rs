@@ -1,12 +1,12 @@
 //! The live view: the messages of the record, as they are made, for Foxglove,
 //! Lichtblick and PlotJuggler.
 //!
-//! It only tells. Whoever connects can subscribe and nothing else, since nobody has
-//! to say who he is: commands go through the control socket. It has a thread of its
+//! It only publishes: a client can subscribe and nothing else, since there is no
+//! authentication. Commands go through the control socket. It has a thread of its
 //! own and a ring of its own, so that neither viewers nor the want of them hold up the
 //! others. A viewer that is too slow is shown what the kernel has queued for it, up to
-//! some MB, and misses messages after that. Nobody counts connections: whoever may
-//! reach the port may also open as many as the process may have files.
+//! some MB, and misses messages after that. Connections are not counted: a client that
+//! reaches the port can open as many as the process may have files.
 
 #[cfg(feature = "live")]
 mod server;
@@ -28,7 +28,7 @@ pub(crate) use server::LiveThread;
 /// Why there is no live view.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// Somebody else listens there, or nobody may.
+    /// Another program listens there, or listening is not permitted.
     #[error(
         "can't listen on {address} for the live view: {source}; choose another live.address or \
          live.port, or set live.enabled = false"

@@ -1,15 +1,16 @@
-//! Cargo with Debian's compiler, which comes with the sources of its standard
-//! library: what rustup's toolchains build for other processors would take
-//! downloads of their own.
+//! Cargo with the compiler for another processor.
 
 use std::{env, path::Path, process::Command};
 
-use crate::step::cargo_here;
+use crate::{compiler::Compiler, workspace::cargo_here};
 
 /// Cargo in a folder, with nothing in the environment that would make another
 /// program: what is tested is what is flashed and installed.
-pub(crate) fn debian_cargo(folder: &Path) -> Command {
-    let mut cargo = cargo_here();
+pub(crate) fn cross_cargo(compiler: &Compiler, folder: &Path) -> Command {
+    let mut cargo = compiler
+        .cargo
+        .as_ref()
+        .map_or_else(cargo_here, Command::new);
     for (name, _) in env::vars_os() {
         if name.to_str().is_some_and(changes_a_build) {
             cargo.env_remove(name);
@@ -20,7 +21,8 @@ pub(crate) fn debian_cargo(folder: &Path) -> Command {
         // Empty: not even the one in the user's configuration.
         .envs([("RUSTC_WRAPPER", ""), ("RUSTC_WORKSPACE_WRAPPER", "")])
         // With its unstable options: building the standard library is one.
-        .envs([("RUSTC", "/usr/bin/rustc"), ("RUSTC_BOOTSTRAP", "1")]);
+        .env("RUSTC", &compiler.rustc)
+        .env("RUSTC_BOOTSTRAP", "1");
     cargo
 }
 

@@ -1,0 +1,232 @@
+//! How each prerequisite is tried: what was found in working order, or why not.
+
+use std::path::{Path, PathBuf};
+
+use crate::{
+    compiler::{self, AVR, Target},
+    machine::{Answer, Machine, Scratch, answer},
+};
+
+/// Whether a component of the toolchain that runs this is there.
+pub(super) fn of_this_toolchain(machine: &Machine, command: &str) -> Result<String, String> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    runs(machine, &cargo, [command, "--version"])
+}
+
+/// The first line that a program prints, if it succeeds.
+pub(super) fn runs<const N: usize>(
+    machine: &Machine,
+    program: impl AsRef<std::ffi::OsStr>,
+    arguments: [&str; N],
+) -> Result<String, String> {
+    let name = program.as_ref().to_string_lossy().into_owned();
+    match machine.ask(&program, arguments) {
+        None => Err(format!("no {name}")),
+        Some(Answer { success, text, .. }) => {
+            let line = text.lines().next().unwrap_or_default().to_owned();
+            if success {
+                Ok(line)
+            } else {
+                Err(format!("{name} fails: {line}"))
+            }
+        }
+    }
+}
+
+/// Clippy's minor release is rustc's.
+pub(super) fn clippy(machine: &Machine) -> Result<String, String> {
+    let found = of_this_toolchain(machine, "clippy")?;
+    let minor = |text: &str, prefix: &str| {
+        let (_, rest) = text.split_once(prefix)?;
+        let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+        Some(digits)
+    };
+    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let rustc = runs(machine, &rustc, ["--version"])?;
+    if minor(&found, "clippy 0.1.") == minor(&rustc, "rustc 1.") {
+        Ok(found)
+    } else {
+        Err(format!("{found}, not that of {rustc}"))
+    }
+}
+
+pub(super) fn rust(machine: &Machine, target: Target) -> Result<String, String> {
+    compiler::find(machine, target)
+        .map(|found| found.to_string())
+        .map_err(|reasons| reasons.join("\n"))
+}
+
+pub(super) fn image_clippy(machine: &Machine) -> Result<String, String> {
+    let compiler = compiler::find(machine, AVR)
+        .map_err(|_| "no compiler for the Arduino to belong to".to_owned())?;
+    let driver = compiler.clippy(machine)?;
+    Ok(driver.display().to_string())
+}
+
+/// Links a C program with a compiler and returns it.
+fn link(
+    machine: &Machine,
+    scratch: &Scratch,
+    compiler: &str,
+    source: &str,
+    before: &[&str],
+    after: &[&str],
+) -> Result<PathBuf, String> {
+    let mut words = compiler.split_whitespace();
+    let name = words.next().unwrap_or_default();
+    let file = scratch
+        .file("probe.c", source)
+        .map_err(|error| format!("cannot write a file to compile: {error}"))?;
+    let program = scratch.path().join("probe");
+    let linked = answer(
+        machine
+            .command(name)
+            .args(words)
+            .args(before)
+            .arg(file)
+            .arg("-o")
+            .arg(&program)
+            .args(after),
+    );
+    match linked {
+        None => Err(format!("no {name}")),
+        Some(Answer { success: true, .. }) => Ok(program),
+        Some(Answer { text, .. }) => Err(format!(
+            "{name} does not link a program: {}",
+            text.lines()
+                .find(|line| line.contains("error") || line.contains("cannot"))
+                .or_else(|| text.lines().next())
+                .unwrap_or_default()
+        )),
+    }
+}
+
+/// A folder for a probe's files.
+fn scratch(name: &str) -> Result<Scratch, String> {
+    Scratch::new(name).map_err(|error| format!("cannot make a folder for a probe: {error}"))
+}
+
+/// cc, or the one that the environment names, with a wrapper perhaps.
+fn cc() -> String {
+    std::env::var("CC").unwrap_or_else(|_| "cc".to_owned())
+}
+
+pub(super) fn c_compiler(machine: &Machine) -> Result<String, String> {
+    let cc = cc();
+    link(
+        machine,
+        &scratch("cc")?,
+        &cc,
+        "#include <stdio.h>\nint main(void) { return puts(\"\") < 0; }\n",
+        &[],
+        &[],
+    )?;
+    Ok(format!("{cc} links a program"))
+}
+
+pub(super) fn image_linker(machine: &Machine) -> Result<String, String> {
+    link(
+        machine,
+        &scratch("avr")?,
+        "avr-gcc",
+        "#include <avr/io.h>\nint main(void) { return PORTB; }\n",
+        &["-mmcu=atmega328p"],
+        &[],
+    )?;
+    for tool in ["avr-nm", "avr-size", "avr-objcopy"] {
+        runs(machine, tool, ["--version"])?;
+    }
+    runs(machine, "avr-gcc", ["--version"])
+}
+
+pub(super) fn simavr(machine: &Machine) -> Result<String, String> {
+    let scratch = scratch("simavr")?;
+    let program = link(
+        machine,
+        &scratch,
+        &cc(),
+        "#include <sim_avr.h>\n\
+         int main(void) { return avr_make_mcu_by_name(\"atmega328p\") ? 0 : 1; }\n",
+        &["-I/usr/include/simavr"],
+        // As the simulator does: the static library.
+        &["-l:libsimavr.a", "-lelf"],
+    )?;
+    runs(machine, &program, [])
+        .map_err(|why| format!("a program that makes an ATmega328P: {why}"))?;
+    Ok("makes an ATmega328P".to_owned())
+}
+
+/// What the program for the emulator exits with.
+const ANSWER: i32 = 42;
+
+fn link_for_odroid(machine: &Machine, scratch: &Scratch) -> Result<PathBuf, String> {
+    link(
+        machine,
+        scratch,
+        "arm-linux-gnueabihf-gcc",
+        &format!("#include <stdlib.h>\nint main(void) {{ exit({ANSWER}); }}\n"),
+        &[],
+        &[],
+    )
+}
+
+pub(super) fn odroid_linker(machine: &Machine) -> Result<String, String> {
+    link_for_odroid(machine, &scratch("arm")?)?;
+    runs(machine, "arm-linux-gnueabihf-gcc", ["--version"])
+}
+
+pub(super) fn emulator(machine: &Machine) -> Result<String, String> {
+    let scratch = scratch("qemu")?;
+    let program =
+        link_for_odroid(machine, &scratch).map_err(|why| format!("no program to run: {why}"))?;
+    let status = machine
+        .command(crate::odroid::EMULATOR)
+        .args(crate::odroid::EMULATOR_OPTIONS)
+        .arg(program)
+        .status()
+        .map_err(|_| format!("no {}", crate::odroid::EMULATOR))?;
+    if status.code() != Some(ANSWER) {
+        return Err(format!(
+            "{} does not run a program: {status}",
+            crate::odroid::EMULATOR
+        ));
+    }
+    runs(machine, crate::odroid::EMULATOR, ["--version"])
+}
+
+pub(super) fn systemd(machine: &Machine) -> Result<String, String> {
+    const OLDEST: u32 = 250;
+    let said = runs(machine, "systemd-analyze", ["--version"])?;
+    let version: Option<u32> = said.split_whitespace().nth(1).and_then(|word| {
+        let digits: String = word.chars().take_while(char::is_ascii_digit).collect();
+        digits.parse().ok()
+    });
+    if version.is_none_or(|version| version < OLDEST) {
+        return Err(format!("{said}, not {OLDEST} or later"));
+    }
+    // The unit reloads the daemon with it.
+    if !Path::new("/bin/kill").exists() {
+        return Err("no /bin/kill, which the unit calls".to_owned());
+    }
+    Ok(said)
+}
+
+/// A Python that makes environments: the one in the path, else Debian's, which keeps what
+/// that takes in a package of its own.
+pub(crate) fn python(machine: &Machine) -> Result<PathBuf, String> {
+    const NEEDED: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))";
+    let mut found = Vec::new();
+    for python in ["python3", "/usr/bin/python3"] {
+        match machine.ask(python, ["-c", NEEDED]) {
+            Some(Answer { success: true, .. }) => return Ok(python.into()),
+            Some(_) => {
+                let version = runs(machine, python, ["--version"]).unwrap_or_default();
+                found.push(format!(
+                    "{python} ({version}) lacks venv or ensurepip, or is older"
+                ));
+            }
+            None => found.push(format!("no {python}")),
+        }
+    }
+    Err(found.join("; "))
+}

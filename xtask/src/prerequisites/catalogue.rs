@@ -1,0 +1,158 @@
+//! The prerequisites, one by one.
+
+use super::{
+    Part, Prerequisite,
+    attempt::{
+        c_compiler, clippy, emulator, image_clippy, image_linker, odroid_linker, of_this_toolchain,
+        python, runs, rust, simavr, systemd,
+    },
+};
+use crate::compiler::{ARM, AVR};
+
+pub(crate) const FORMATTER: Prerequisite = Prerequisite {
+    name: "rustfmt",
+    needed: "cargo fmt",
+    packages: &[],
+    otherwise: "rustup component add rustfmt\nor, with Debian's Rust: apt-get install rustfmt-web",
+    part: None,
+    attempt: |machine| of_this_toolchain(machine, "fmt"),
+};
+
+pub(crate) const CLIPPY: Prerequisite = Prerequisite {
+    name: "clippy",
+    needed: "cargo clippy of the release of rustc",
+    packages: &[],
+    otherwise: "rustup component add clippy\nor, with Debian's Rust: apt-get install rust-web-clippy",
+    part: None,
+    attempt: clippy,
+};
+
+pub(crate) const C_COMPILER: Prerequisite = Prerequisite {
+    name: "C compiler",
+    needed: "cc (or the one that CC names) links a program",
+    packages: &["gcc", "libc6-dev"],
+    otherwise: "",
+    part: None,
+    attempt: c_compiler,
+};
+
+pub(crate) const IMAGE_COMPILER: Prerequisite = Prerequisite {
+    name: AVR.name,
+    needed: concat!(
+        "a rustc ",
+        env!("CARGO_PKG_RUST_VERSION"),
+        " or later that compiles for avr-none, with the sources of core"
+    ),
+    packages: &["rustc-web", "rust-web-src"],
+    otherwise: "rustup toolchain install nightly --component rust-src,clippy\n\
+                or name one: SINGLETRACK_RUSTC=/path/to/rustc",
+    part: Some(Part::Uno),
+    attempt: |machine| rust(machine, AVR),
+};
+
+pub(crate) const IMAGE_CLIPPY: Prerequisite = Prerequisite {
+    name: "clippy for the Arduino",
+    needed: "the clippy-driver of the very rustc that builds the image",
+    packages: &["rust-web-clippy"],
+    otherwise: "rustup component add clippy --toolchain nightly",
+    part: Some(Part::Uno),
+    attempt: image_clippy,
+};
+
+pub(crate) const IMAGE_LINKER: Prerequisite = Prerequisite {
+    name: "C and binutils for the Arduino",
+    needed: "avr-gcc links a program for the ATmega328P; avr-nm, avr-size, avr-objcopy",
+    packages: &["gcc-avr", "avr-libc", "binutils-avr"],
+    otherwise: "",
+    part: Some(Part::Uno),
+    attempt: image_linker,
+};
+
+pub(crate) const SIMULATOR: Prerequisite = Prerequisite {
+    name: "simavr",
+    needed: "a program linked with simavr makes an ATmega328P",
+    packages: &["libsimavr-dev", "libelf-dev"],
+    otherwise: "",
+    part: Some(Part::Uno),
+    attempt: simavr,
+};
+
+pub(crate) const ODROID_COMPILER: Prerequisite = Prerequisite {
+    name: ARM.name,
+    needed: concat!(
+        "a rustc ",
+        env!("CARGO_PKG_RUST_VERSION"),
+        " or later that compiles for armv7-unknown-linux-gnueabihf, with the sources of std"
+    ),
+    packages: &["rustc-web", "rust-web-src"],
+    otherwise: "rustup toolchain install nightly --component rust-src\n\
+                or name one: SINGLETRACK_RUSTC=/path/to/rustc",
+    part: Some(Part::Odroid),
+    attempt: |machine| rust(machine, ARM),
+};
+
+pub(crate) const ODROID_LINKER: Prerequisite = Prerequisite {
+    name: "C for the Odroid",
+    needed: "arm-linux-gnueabihf-gcc links a program",
+    packages: &["gcc-arm-linux-gnueabihf", "libc6-dev-armhf-cross"],
+    otherwise: "",
+    part: Some(Part::Odroid),
+    attempt: odroid_linker,
+};
+
+pub(crate) const EMULATOR: Prerequisite = Prerequisite {
+    name: "qemu",
+    needed: "qemu-arm-static runs a program for the Odroid",
+    packages: &["qemu-user-static"],
+    otherwise: "",
+    part: Some(Part::Odroid),
+    attempt: emulator,
+};
+
+pub(crate) const SYSTEMD: Prerequisite = Prerequisite {
+    name: "systemd-analyze",
+    needed: "systemd 250 or later, which judges units that are not installed; and /bin/kill",
+    packages: &["systemd", "procps"],
+    otherwise: "",
+    part: Some(Part::Units),
+    attempt: systemd,
+};
+
+pub(crate) const PYTHON: Prerequisite = Prerequisite {
+    name: "Python",
+    needed: "Python 3.11 or later that makes virtual environments",
+    packages: &["python3", "python3-venv"],
+    otherwise: "",
+    part: Some(Part::Readers),
+    attempt: |machine| python(machine).map(|python| python.to_string_lossy().into_owned()),
+};
+
+pub(crate) const PROGRAMMER: Prerequisite = Prerequisite {
+    name: "avrdude",
+    needed: "avrdude, which writes the image into the Arduino",
+    packages: &["avrdude"],
+    otherwise: "",
+    part: Some(Part::Uno),
+    attempt: |machine| runs(machine, "avrdude", ["-?"]),
+};
+
+/// Of every check.
+pub(crate) const BASIC: [Prerequisite; 3] = [FORMATTER, CLIPPY, C_COMPILER];
+
+/// What `cargo uno` and all that runs the image need.
+pub(crate) const IMAGE: [Prerequisite; 3] = [IMAGE_COMPILER, IMAGE_LINKER, SIMULATOR];
+
+/// What `cargo odroid` needs.
+pub(crate) const ODROID: [Prerequisite; 2] = [ODROID_COMPILER, ODROID_LINKER];
+
+/// All that the checks with these parts need.
+pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
+    BASIC
+        .into_iter()
+        .chain(IMAGE)
+        .chain([IMAGE_CLIPPY])
+        .chain(ODROID)
+        .chain([EMULATOR, SYSTEMD, PYTHON])
+        .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
+        .collect()
+}

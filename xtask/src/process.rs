@@ -1,0 +1,126 @@
+//! Running other programs.
+
+use std::{
+    fmt, io,
+    path::Path,
+    process::{Command, Stdio},
+};
+
+/// Why a command of the project failed.
+#[derive(Debug)]
+pub(crate) struct Failure(String);
+
+impl Failure {
+    pub(crate) fn new(message: String) -> Self {
+        Self(message)
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.0)
+    }
+}
+
+/// Runs a command and passes its output on.
+pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
+    let status = command
+        .stdin(Stdio::null())
+        .status()
+        .map_err(|error| not_started(command, &error))?;
+    if status.success() {
+        Ok(())
+    } else {
+        Err(Failure::new(format!("{}: {status}", spoken(command))))
+    }
+}
+
+/// Runs a command for its output.
+pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
+    let output = command
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit())
+        .output()
+        .map_err(|error| not_started(command, &error))?;
+    if output.status.success() {
+        Ok(output.stdout)
+    } else {
+        Err(Failure::new(format!(
+            "{}: {}",
+            spoken(command),
+            output.status
+        )))
+    }
+}
+
+/// Runs a command whose output is of interest only when it fails.
+pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| not_started(command, &error))?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let said = [output.stdout, output.stderr].concat();
+    Err(Failure::new(format!(
+        "{}: {}\n{}",
+        spoken(command),
+        output.status,
+        String::from_utf8_lossy(&said)
+    )))
+}
+
+fn not_started(command: &Command, error: &io::Error) -> Failure {
+    Failure::new(format!("{} does not start: {error}", spoken(command)))
+}
+
+/// A command as a person would type it, without its environment.
+fn spoken(command: &Command) -> String {
+    let program = Path::new(command.get_program());
+    let mut text = program
+        .file_name()
+        .unwrap_or(program.as_os_str())
+        .to_string_lossy()
+        .into_owned();
+    for argument in command.get_args() {
+        text.push(' ');
+        text.push_str(&argument.to_string_lossy());
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_that_fails_is_named_as_it_is_typed() {
+        let mut command = Command::new("/bin/sh");
+        command.env("A", "B").args(["-c", "exit 3"]);
+        assert_eq!(
+            check(&mut command).unwrap_err().to_string(),
+            "sh -c exit 3: exit status: 3"
+        );
+    }
+
+    #[test]
+    fn a_program_that_is_missing_is_named() {
+        let error = output(&mut Command::new("no-such-program"))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.starts_with("no-such-program does not start"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn the_output_of_a_silent_command_is_shown_when_it_fails() {
+        let said = |script: &str| silent(Command::new("/bin/sh").args(["-c", script]));
+        assert!(said("echo much").is_ok());
+        let failure = said("echo this is why; exit 3").unwrap_err().to_string();
+        assert!(failure.contains("exit status: 3"), "{failure}");
+        assert!(failure.ends_with("this is why\n"), "{failure}");
+    }
+}
