@@ -1,6 +1,7 @@
 //! Each pure package must build alone. In the workspace's build a package has the
-//! features that any other asks for, which hides the ones that it forgot. For the packages
-//! of the host that would take longer than it is worth: they are not used one by one.
+//! features that any other asks for, which hides the ones that it forgot. The packages of
+//! the host are not checked so: it takes minutes, and those that users build alone (`cargo
+//! demo`, `cargo faults`) fail at once, and visibly, if they forget one.
 
 use crate::{
     process::{Failure, check},
