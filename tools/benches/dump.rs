@@ -9,9 +9,9 @@ use clap::Parser;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use singletrack::dump::{DumpArgs, Format, dump};
 use singletrack_control::{
-    Actuation, BoardSample, BoardState, DriveCommand, Estimate, Event, InertialSample, Mode,
-    Output, PoseSample, Position, ReferencePoint, Time, Velocity,
+    Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
+use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Mode, Output};
 use singletrack_protocol::{BoardMode, ImuState, Sequence, StopCause, Telemetry};
 use singletrack_record::{
     ClockMapping, DriveWrite, Entry, LinkPhase, Meta, Recorder, TelemetryRecord, TickRecord,

@@ -12,7 +12,8 @@ use singletrack::{
     simulated::{Drive, daemon_config},
     virtual_drive::{VirtualDrive, VirtualDriveConfig},
 };
-use singletrack_control::{Mode, Reason, VehicleParameters};
+use singletrack_control::VehicleParameters;
+use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
 use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 

@@ -1,6 +1,7 @@
 //! How far the estimate is from the truth, on the simulated car.
 
-use singletrack_control::{Estimate, MarkerLoss, Mode, wrap};
+use singletrack_control::{Estimate, MarkerLoss, wrap};
+use singletrack_pilot::Mode;
 use singletrack_sim::{LossPattern, Truth};
 
 use crate::{

@@ -6,9 +6,10 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use singletrack_control::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request, Time};
+use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, Session as LinkSession, SessionConfig};
 use singletrack_mocap::{Config as MocapConfig, Observation, Outcome, Session as MocapSession};
+use singletrack_pilot::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request};
 use singletrack_record::{DriveWrite, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 use singletrackd::{

@@ -6,7 +6,8 @@ use singletrack::{
     simulated::{Drive, daemon_config},
     virtual_drive::{VirtualDrive, VirtualDriveConfig},
 };
-use singletrack_control::{Mode, Position, Reason, VehicleParameters};
+use singletrack_control::{Position, VehicleParameters};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::{LossWindow, SimulationConfig};
 use singletrackd::config::{
     Config, FenceSection, LawKind, LawSection, OuterLoopSection, ReferenceSection, StepSection,

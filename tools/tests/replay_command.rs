@@ -17,7 +17,8 @@ use singletrack::{
     virtual_drive::{VirtualDrive, VirtualDriveConfig},
     virtual_record::VirtualRecord,
 };
-use singletrack_control::{Event, VehicleParameters};
+use singletrack_control::VehicleParameters;
+use singletrack_pilot::Event;
 use singletrack_record::{ConfigurationRecord, Entry, Reader, Recorder, TickRecord, part_path};
 use singletrack_sim::SimulationConfig;
 use singletrackd::config::{

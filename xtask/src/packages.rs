@@ -8,10 +8,11 @@ use crate::{
     workspace::cargo,
 };
 
-const PACKAGES: [&str; 6] = [
+const PACKAGES: [&str; 7] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
+    "singletrack-pilot",
     "singletrack-mocap",
     "singletrack-link",
     "singletrack-analysis",

@@ -1,5 +1,4 @@
-//! The mathematics of the car: model, linearising laws, tracking, estimation
-//! and the pilot that ties them together.
+//! The mathematics of the car: model, linearising laws, tracking and estimation.
 //!
 //! SI units and radians throughout. The world frame lies on the floor, z up;
 //! yaw, yaw rate, sideslip and steering are positive to the left
@@ -21,35 +20,26 @@ mod actuation;
 mod angle;
 mod estimate;
 mod estimator;
-mod event;
-mod fence;
 mod law;
+mod measurement;
 mod outer_loop;
-mod pilot;
 mod point;
 mod reference;
 mod relaxed_single_track;
 mod single_track;
-mod supervisor;
 mod time;
 mod vehicle;
-mod watch;
 
 pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
 pub use estimate::Estimate;
-pub use estimator::{Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
-pub use event::{
-    BoardHealth, BoardSample, BoardState, Event, InertialSample, LineHealth, LinkState,
-    PoseMissing, PoseSample, RealTimeState, Request, Setpoint,
-};
-pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
+pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
+pub use measurement::{InertialSample, PoseSample, Setpoint};
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
-pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
 pub use reference::{
     Circle, External, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
@@ -57,7 +47,5 @@ pub use reference::{
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
-pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
 pub use time::Time;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};
-pub use watch::{ImuVerdict, WatchConfig};

@@ -12,8 +12,8 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_control::{Mode, Reason};
 use singletrack_link::Event as LinkEvent;
+use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput, Topic};
 use tokio::sync::broadcast;

@@ -3,9 +3,10 @@
 //! Nothing here waits, allocates or locks.
 
 use rtrb::{Consumer, Producer, PushError};
-use singletrack_control::{Mode, RealTimeState, Request, Time};
+use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::Observation;
+use singletrack_pilot::{Mode, RealTimeState, Request};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 

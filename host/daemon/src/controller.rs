@@ -3,13 +3,13 @@
 //! The real-time thread and the simulations in virtual time run this very code;
 //! they differ only in where bytes and time come from.
 
-use singletrack_control::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, Event, InertialSample, LineHealth,
-    LinkState, Output, Pilot, PilotConfig, PoseMissing, PoseSample, Position, RealTimeState,
-    Request, Setpoint, Time, Underway,
-};
+use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
+use singletrack_pilot::{
+    BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth, LinkState, Output,
+    Pilot, PilotConfig, PoseMissing, RealTimeState, Request, Underway,
+};
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 
 /// How many events a tick can take: a stall of 300 ms at 100 Hz of poses and

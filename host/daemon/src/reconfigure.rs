@@ -14,7 +14,7 @@ use std::{
 
 use rtrb::Consumer;
 use serde::Serialize;
-use singletrack_control::PilotConfig;
+use singletrack_pilot::PilotConfig;
 use singletrack_protocol::Configuration;
 use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
 use tracing::{info, warn};

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
-use singletrack_control::Request;
+use singletrack_pilot::Request;
 
 use crate::control_loop::ControlRequest;
 

@@ -1,7 +1,8 @@
 //! How the daemon is doing right now.
 
 use serde_json::{Value, json};
-use singletrack_control::{Estimate, Mode, Position, Reason, ReferencePoint};
+use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use singletrack_control::{Event, Mode};
 use singletrack_mocap::Counters as MocapCounters;
+use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
 
 use crate::{

@@ -6,9 +6,8 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-use singletrack_control::{
-    EstimatorConfig, Limits, Reference, SupervisorConfig, TrackingLoop, VehicleParameters,
-};
+use singletrack_control::{EstimatorConfig, Limits, Reference, TrackingLoop, VehicleParameters};
+use singletrack_pilot::SupervisorConfig;
 use singletrackd::config::{BoardSection, Config, OuterLoopSection};
 
 const EXAMPLE: &str = include_str!("../singletrackd.example.toml");

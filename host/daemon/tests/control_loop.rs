@@ -12,11 +12,10 @@
 mod outside;
 
 use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
-use singletrack_control::{
-    Event, Mode, Pilot, Position, RealTimeState, Reason, Request, Setpoint, Time, Velocity,
-};
+use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};
+use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 use singletrackd::{
     Config,

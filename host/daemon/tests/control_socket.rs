@@ -15,7 +15,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use singletrack_control::Mode;
+use singletrack_pilot::Mode;
 use singletrackd::{Config, Daemon, StartError, StartOptions, config::ReferenceSection};
 use tempfile::TempDir;
 

@@ -14,7 +14,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use singletrack_control::Mode;
+use singletrack_pilot::Mode;
 use singletrackd::{Config, Daemon, StartError, StartOptions, config::LiveSection};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;

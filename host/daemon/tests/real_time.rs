@@ -17,7 +17,8 @@ use std::{
 };
 
 use outside::{set_up, tick};
-use singletrack_control::{Mode, Setpoint, Time, Velocity};
+use singletrack_control::{Setpoint, Time, Velocity};
+use singletrack_pilot::Mode;
 use singletrackd::realtime;
 
 struct Counting;

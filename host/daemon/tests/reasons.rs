@@ -9,8 +9,8 @@
 
 use std::collections::BTreeSet;
 
-use singletrack_control::Reason;
 use singletrack_mocap::RejectReason;
+use singletrack_pilot::Reason;
 use singletrack_protocol::{RefusalReason, StopCause};
 use singletrack_record::Topic;
 

@@ -70,7 +70,7 @@ pub struct Log {
 pub struct ConfigurationRecord {
     /// When that was known, after the tick that took it over.
     pub time_ns: u64,
-    /// The number that [`singletrack_control::Event::Reconfigured`] names it by.
+    /// The number that [`singletrack_pilot::Event::Reconfigured`] names it by.
     pub number: u32,
     /// The whole of it, as TOML.
     pub toml: String,

@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use byteorder::LittleEndian;
-use singletrack_control::{Event, Output, Pilot, PilotConfig, Underway};
+use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
 use crate::{Entry, TickRecord, Value, message::TickMessage};
 

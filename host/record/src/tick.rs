@@ -1,6 +1,7 @@
 //! One tick of the control thread, as that thread tells it.
 
-use singletrack_control::{Event, Output, Time};
+use singletrack_control::Time;
+use singletrack_pilot::{Event, Output};
 
 /// The most events that a tick takes in; the control thread counts the rest as
 /// dropped. Ten ticks' worth at the cameras' and the board's highest rates.
@@ -23,7 +24,7 @@ pub struct TickRecord {
     /// Points of the grid that were skipped just before it, because the tick
     /// before took too long.
     pub skipped: u32,
-    /// The moment that [`singletrack_control::Pilot::step`] was told.
+    /// The moment that [`singletrack_pilot::Pilot::step`] was told.
     pub pilot_time: Time,
     /// The events that it was told, in order.
     pub events: heapless::Vec<Event, MAX_EVENTS>,
@@ -92,8 +93,10 @@ pub enum LinkPhase {
 #[cfg(test)]
 pub(crate) mod tests {
     use singletrack_control::{
-        Actuation, BoardSample, BoardState, DriveCommand, Estimate, InertialSample, LinkState,
-        Mode, PoseMissing, PoseSample, Position, Reason, ReferencePoint, Request, Velocity,
+        Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Velocity,
+    };
+    use singletrack_pilot::{
+        BoardSample, BoardState, DriveCommand, LinkState, Mode, PoseMissing, Reason, Request,
     };
 
     use super::*;

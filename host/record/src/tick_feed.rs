@@ -6,7 +6,8 @@
 //! in a ring of their own: as many as there are.
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::{Event, Output, Time};
+use singletrack_control::Time;
+use singletrack_pilot::{Event, Output};
 
 use crate::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
 

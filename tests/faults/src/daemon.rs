@@ -7,9 +7,9 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::{Pilot, RealTimeState, Request};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
+use singletrack_pilot::{Pilot, RealTimeState, Request};
 use singletrack_record::{TickOutput, TickRecord, tick_feed};
 use singletrackd::{
     Report,

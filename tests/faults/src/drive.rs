@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use singletrack_control::{Reason, Request};
+use singletrack_pilot::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, Heard, PulseRecord, World};

@@ -1,7 +1,7 @@
 //! What an invariant may look at: the world as it really is, and what the host
 //! did.
 
-use singletrack_control::{Fence, Request};
+use singletrack_pilot::{Fence, Request};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{Heard, PulseRecord, Truth};

@@ -6,8 +6,8 @@
     reason = "a test fails by panicking"
 )]
 
-use singletrack_control::{Event, Mode};
 use singletrack_faults::{Tamper, Violation, attempt, schedule::Schedule, shrink};
+use singletrack_pilot::{Event, Mode};
 use singletrack_protocol::{Arm, Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{PulseRecord, default_board_configuration};

@@ -18,7 +18,7 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_control::{Mode, Reason, Request};
+use singletrack_pilot::{Mode, Reason, Request};
 use singletrack_sim::{
     BoardKind, LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
 };

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_control::{Mode, Reason};
+use singletrack_pilot::{Mode, Reason};
 use singletrackd::Snapshot;
 
 pub(super) struct Progress {

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use singletrack_control::Reason;
+use singletrack_pilot::Reason;
 use singletrack_sim::{LossPattern, TimedTruth};
 use singletrackd::{Percentiles, Summary};
 

@@ -4,7 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
-use singletrack_control::{Event, VehicleParameters, direction};
+use singletrack_control::{VehicleParameters, direction};
+use singletrack_pilot::Event;
 use singletrack_protocol::ImuState;
 use singletrack_record::{Entry, Reader, RecordError, TelemetryRecord, Topic};
 use singletrackd::{Config, ConfigError};

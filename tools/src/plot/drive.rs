@@ -3,7 +3,8 @@
 
 use std::sync::Arc;
 
-use singletrack_control::{Event, Mode, Reason, Time};
+use singletrack_control::Time;
+use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord};
 
 use super::{spans::lost_markers, truth::TruthSample};

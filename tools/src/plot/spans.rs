@@ -52,7 +52,7 @@ pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_control::Mode;
+    use singletrack_pilot::Mode;
 
     use super::*;
 

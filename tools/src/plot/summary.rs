@@ -1,6 +1,6 @@
 //! A drive in a few lines.
 
-use singletrack_control::{Mode, Reason};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{Level, Meta};
 use toml::{Table, Value};
 

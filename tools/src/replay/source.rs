@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use singletrack_control::PilotConfig;
+use singletrack_pilot::PilotConfig;
 use singletrack_record::{Entry, Reader, RecordError, Replay, Topic};
 use singletrackd::{Config, ConfigError};
 

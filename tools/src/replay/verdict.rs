@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use singletrack_control::{Mode, Output, Reason};
+use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
 
 use super::Span;

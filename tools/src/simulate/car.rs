@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use singletrack_control::{Mode, Position, Reason, Reference, direction};
+use singletrack_control::{Position, Reference, direction};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
 use singletrackd::config::{Config, LawKind};

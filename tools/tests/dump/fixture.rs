@@ -8,10 +8,10 @@ use std::{
 };
 
 use singletrack_control::{
-    Actuation, DriveCommand, Estimate, Event, Mode, PoseSample, Position, Reason, ReferencePoint,
-    Time, Velocity,
+    Actuation, Estimate, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
+use singletrack_pilot::{DriveCommand, Event, Mode, Reason};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
 };
@@ -116,7 +116,7 @@ pub(crate) fn standing_tick() -> TickRecord {
         pilot_time: Time(START_NS),
         events: [Event::ArmRefused].into_iter().collect(),
         events_dropped: 0,
-        output: singletrack_control::Output {
+        output: singletrack_pilot::Output {
             mode: Mode::Idle,
             reason: Some(Reason::NoPose),
             estimate: None,

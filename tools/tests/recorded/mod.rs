@@ -11,8 +11,11 @@ use std::{collections::BTreeMap, f64::consts::TAU, path::Path};
 
 use singletrack::simulated::{Drive, daemon_config};
 use singletrack_control::{
-    Actuation, BoardSample, BoardState, DriveCommand, Estimate, Event, InertialSample, Mode,
-    Output, PoseMissing, Position, Reason, ReferencePoint, Time, VehicleParameters, Velocity,
+    Actuation, Estimate, InertialSample, Position, ReferencePoint, Time, VehicleParameters,
+    Velocity,
+};
+use singletrack_pilot::{
+    BoardSample, BoardState, DriveCommand, Event, Mode, Output, PoseMissing, Reason,
 };
 use singletrack_record::{
     ClockMapping, ConfigurationRecord, DriveWrite, Entry, Level, LinkPhase, Log, Meta, Recorder,

@@ -7,7 +7,7 @@
 use libm::{cos, sin};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::{EstimatorConfig, InertialSample, Measurement};
+use super::{CarPose, EstimatorConfig, InertialSample};
 use crate::{Position, unwrap_near};
 
 const STATES: usize = 8;
@@ -53,7 +53,7 @@ impl Filter {
     }
 
     /// Starts at a pose, with a velocity around zero.
-    pub(super) fn at_pose(pose: &Measurement, config: &EstimatorConfig) -> Self {
+    pub(super) fn at_pose(pose: &CarPose, config: &EstimatorConfig) -> Self {
         let mut mean = State::zeros();
         mean[X] = pose.position.x;
         mean[Y] = pose.position.y;
@@ -133,7 +133,7 @@ impl Filter {
 
     /// Corrects with a pose; refuses one that differs too much from what was
     /// predicted.
-    pub(super) fn correct_pose(&mut self, pose: &Measurement, config: &EstimatorConfig) -> bool {
+    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> bool {
         let innovation = Vector3::new(
             pose.position.x - self.mean[X],
             pose.position.y - self.mean[Y],

@@ -12,9 +12,7 @@ use filter::{Filter, Navigation};
 use heapless::Deque;
 use libm::{atan, atan2, hypot, tan};
 
-use crate::{
-    BoardSample, Estimate, InertialSample, PoseSample, Position, Time, VehicleParameters, direction,
-};
+use crate::{Estimate, InertialSample, PoseSample, Position, Time, VehicleParameters, direction};
 
 /// What the estimator does while the markers are lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -96,11 +94,13 @@ impl EstimatorConfig {
     }
 }
 
-/// A pose of G, made of a pose of the markers.
+/// Pose of the car: of its centre of mass, from a pose of the rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Measurement {
-    pub(crate) position: Position,
-    pub(crate) yaw: f64,
+pub struct CarPose {
+    /// Position of the centre of mass G on the floor, world frame, in m.
+    pub position: Position,
+    /// Yaw of the car, in rad, on the circle.
+    pub yaw: f64,
 }
 
 /// How many inertial samples are kept: 0.64 s at 100 Hz.
@@ -238,12 +238,10 @@ impl Estimator {
         PoseVerdict::Accepted
     }
 
-    /// Takes in what the board measured. Samples must come in order of time;
-    /// one that does not is left out.
-    pub fn handle_board(&mut self, sample: &BoardSample) {
-        let Some(inertial) = sample.inertial else {
-            return;
-        };
+    /// Takes in an inertial sample and the speed of the rear axle by the motor
+    /// pulses (m/s) that came with it. Samples must come in order of time; one that
+    /// does not is left out.
+    pub fn handle_inertial(&mut self, inertial: InertialSample, motor_speed: f64) {
         let newest = self
             .samples
             .back()
@@ -252,7 +250,7 @@ impl Estimator {
         let finite = inertial.yaw_rate.is_finite()
             && inertial.forward_acceleration.is_finite()
             && inertial.left_acceleration.is_finite()
-            && sample.motor_speed.is_finite();
+            && motor_speed.is_finite();
         if inertial.time <= newest || !finite {
             return;
         }
@@ -265,7 +263,7 @@ impl Estimator {
         }
         let sample = Sample {
             inertial,
-            motor_speed: sample.motor_speed,
+            motor_speed,
         };
         if self.samples.is_full() {
             self.current = self.samples.pop_front();
@@ -329,11 +327,12 @@ impl Estimator {
     }
 
     /// The pose of G that belongs to a pose of the markers.
-    pub(crate) fn centre_of_mass(&self, pose: &PoseSample) -> Measurement {
+    #[must_use]
+    pub fn centre_of_mass(&self, pose: &PoseSample) -> CarPose {
         let yaw = pose.yaw - self.config.marker_yaw;
         let [forward, left] = self.config.marker_offset;
         let axis = direction(yaw);
-        Measurement {
+        CarPose {
             position: pose.position
                 - forward * axis
                 - left * nalgebra::Vector2::new(-axis.y, axis.x),

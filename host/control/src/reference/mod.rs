@@ -38,7 +38,7 @@ pub enum Reference {
     FigureOfEight(FigureOfEight),
     /// Through timed points.
     Waypoints(Waypoints),
-    /// Whatever is sent from outside, [`crate::Event::Setpoint`].
+    /// The newest set-point from outside, [`crate::Setpoint`].
     External(External),
 }
 

@@ -3,7 +3,8 @@
 use core::fmt;
 use std::path::{Path, PathBuf};
 
-use singletrack_control::{FenceError, LawError, ReferenceError, VehicleParameterError};
+use singletrack_control::{LawError, ReferenceError, VehicleParameterError};
+use singletrack_pilot::FenceError;
 use singletrack_protocol::{ConfigurationError, ConfigurationField};
 
 use super::{WaypointFileError, explain::explain};

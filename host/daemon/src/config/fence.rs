@@ -1,7 +1,8 @@
 //! `[fence]`: where the car may be.
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{Fence, Position};
+use singletrack_control::Position;
+use singletrack_pilot::Fence;
 
 use super::{ConfigError, check};
 

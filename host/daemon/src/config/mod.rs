@@ -26,8 +26,9 @@ mod waypoint_file;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{GRAVITY, PilotConfig, VehicleParameters};
+use singletrack_control::{GRAVITY, VehicleParameters};
 use singletrack_link::SessionConfig;
+use singletrack_pilot::PilotConfig;
 
 pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
 pub use control::ControlSection;

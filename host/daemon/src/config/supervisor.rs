@@ -1,7 +1,7 @@
 //! `[supervisor]`: when the car may drive, and when it must stop.
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::SupervisorConfig;
+use singletrack_pilot::SupervisorConfig;
 
 use super::{ConfigError, check};
 

@@ -1,7 +1,7 @@
 //! `[watch]`: what the senses may say, and how punctual a tick must be.
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::WatchConfig;
+use singletrack_pilot::WatchConfig;
 
 use super::{ConfigError, check};
 

@@ -4,7 +4,7 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
-use singletrack_control::{Mode, Reason, Request};
+use singletrack_pilot::{Mode, Reason, Request};
 use singletrack_record::Topic;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},

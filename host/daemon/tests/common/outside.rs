@@ -6,9 +6,9 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::{Mode, Pilot, RealTimeState};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, Session as MocapSession};
+use singletrack_pilot::{Mode, Pilot, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{TickOutput, tick_feed};
 use singletrack_sim::{Destination, SimulationConfig, World};

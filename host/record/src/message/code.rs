@@ -1,10 +1,8 @@
 //! Names as numbers: `uint8` on the wire, constants in the schema, words in JSON.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-use singletrack_control::{
-    BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason, Request,
-};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
+use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason, Request};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
 use super::field::{Definition, Field};

@@ -1,9 +1,10 @@
 //! What the pilot was told, exactly: a replay starts from these.
 
 use nalgebra::Point2;
-use singletrack_control::{
-    BoardHealth, BoardSample, BoardState, Event, InertialSample, LineHealth, LinkState,
-    PoseMissing, PoseSample, RealTimeState, Request, Setpoint, Time,
+use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
+use singletrack_pilot::{
+    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,
+    Request,
 };
 
 use super::{

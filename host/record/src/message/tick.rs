@@ -1,10 +1,8 @@
 //! A control tick and all that the pilot decided in it.
 
 use nalgebra::{Point2, Vector2};
-use singletrack_control::{
-    Actuation, BoardRequest, DriveCommand, Estimate, Event, Mode, Output, Position, Reason,
-    ReferencePoint, Time, Velocity,
-};
+use singletrack_control::{Actuation, Estimate, Position, ReferencePoint, Time, Velocity};
+use singletrack_pilot::{BoardRequest, DriveCommand, Event, Mode, Output, Reason};
 
 use super::{
     Senseless,

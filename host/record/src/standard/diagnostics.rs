@@ -1,6 +1,6 @@
 //! How pilot, board and record are doing, in the words of the diagnostics tools.
 
-use singletrack_control::{Mode, Reason};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use super::{

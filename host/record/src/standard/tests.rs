@@ -7,8 +7,8 @@
     reason = "a test may fail"
 )]
 
-use singletrack_control::{Mode, Reason};
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
+use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, Status};
 
 use super::*;

@@ -6,10 +6,10 @@
 use std::collections::BTreeMap;
 
 use singletrack_control::{
-    Actuation, BoardSample, BoardState, DriveCommand, Estimate, Event, InertialSample, Mode,
-    Output, PoseSample, Position, ReferencePoint, Time, Velocity,
+    Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
+use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Mode, Output};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
 };

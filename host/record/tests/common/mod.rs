@@ -6,10 +6,12 @@ use std::{collections::BTreeMap, path::Path};
 
 use proptest::prelude::*;
 use singletrack_control::{
-    Actuation, BoardSample, BoardState, DriveCommand, Estimate, Event, Mode, Output, PoseMissing,
-    PoseSample, Position, Reason, ReferencePoint, Time, Velocity,
+    Actuation, Estimate, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{Binding, CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
+use singletrack_pilot::{
+    BoardSample, BoardState, DriveCommand, Event, Mode, Output, PoseMissing, Reason,
+};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
 };

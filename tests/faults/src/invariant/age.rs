@@ -1,6 +1,6 @@
 //! How old what a pulse rests on may be.
 
-use singletrack_control::Mode;
+use singletrack_pilot::Mode;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
 
 use super::{Invariant, SERVO_US, Verdict};

@@ -1,6 +1,6 @@
 //! Who has asked for what the car does.
 
-use singletrack_control::{Event, Mode, Request};
+use singletrack_pilot::{Event, Mode, Request};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
 
 use super::{Invariant, SERVO_US, Verdict};

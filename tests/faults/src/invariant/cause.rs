@@ -1,6 +1,6 @@
 //! Neutral within the stated time after each cause.
 
-use singletrack_control::{Event, Mode, Request};
+use singletrack_pilot::{Event, Mode, Request};
 use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};

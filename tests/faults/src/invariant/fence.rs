@@ -1,6 +1,7 @@
 //! Where the car really is.
 
-use singletrack_control::{Mode, Position};
+use singletrack_control::Position;
+use singletrack_pilot::Mode;
 
 use super::{Invariant, Verdict};
 use crate::sight::Sight;

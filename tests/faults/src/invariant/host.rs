@@ -1,6 +1,6 @@
 //! What the host says, whether it is obeyed or not.
 
-use singletrack_control::{Mode, Output};
+use singletrack_pilot::{Mode, Output};
 use singletrack_protocol::ToBoard;
 
 use super::{Invariant, Verdict};

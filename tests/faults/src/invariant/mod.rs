@@ -8,7 +8,7 @@ mod host;
 mod pulse;
 mod replayed;
 
-use singletrack_control::PilotConfig;
+use singletrack_pilot::PilotConfig;
 
 use crate::sight::Sight;
 

@@ -1,6 +1,6 @@
 //! A record of the drive would be worth something.
 
-use singletrack_control::PilotConfig;
+use singletrack_pilot::PilotConfig;
 use singletrack_record::Replay;
 
 use super::{Invariant, Verdict};

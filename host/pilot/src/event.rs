@@ -1,6 +1,6 @@
 //! What the pilot is told between two ticks.
 
-use crate::{Position, Time, Velocity};
+use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
 
 /// Something that happened since the last tick.
 ///
@@ -71,43 +71,6 @@ pub struct RealTimeState {
     pub memory_locked: bool,
 }
 
-/// A set-point from outside.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Setpoint {
-    /// When it arrived.
-    pub time: Time,
-    /// Where P should be, in m; none for a velocity alone.
-    pub position: Option<Position>,
-    /// How fast P should move, in m/s.
-    pub velocity: Velocity,
-}
-
-impl Setpoint {
-    /// Whether every number of it is one.
-    #[must_use]
-    pub fn is_finite(&self) -> bool {
-        self.velocity.iter().all(|value| value.is_finite())
-            && self
-                .position
-                .is_none_or(|position| position.iter().all(|value| value.is_finite()))
-    }
-}
-
-/// A valid pose from the motion capture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseSample {
-    /// Mid-exposure, on the host's clock.
-    pub capture: Time,
-    /// When the packet arrived.
-    pub receive: Time,
-    /// Frame number of the motion capture.
-    pub frame: i32,
-    /// Position of the rigid body's origin on the floor, world frame, in m.
-    pub position: Position,
-    /// Yaw of the rigid body, in rad, on the circle.
-    pub yaw: f64,
-}
-
 /// Why a frame brought no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseMissing {
@@ -134,19 +97,6 @@ pub struct BoardSample {
     pub motor_speed: f64,
     /// The board's safety machine.
     pub state: BoardState,
-}
-
-/// A sample of the inertial measurement unit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct InertialSample {
-    /// When it was measured, on the host's clock.
-    pub time: Time,
-    /// Angular velocity about the vertical, in rad/s.
-    pub yaw_rate: f64,
-    /// Acceleration forward, without gravity, in m/s².
-    pub forward_acceleration: f64,
-    /// Acceleration to the left, without gravity, in m/s².
-    pub left_acceleration: f64,
 }
 
 /// The board's safety machine, as far as the pilot cares.

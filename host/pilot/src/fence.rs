@@ -3,7 +3,7 @@
 use heapless::Vec;
 use libm::{fabs, sqrt};
 
-use crate::{Position, Velocity};
+use singletrack_control::{Position, Velocity};
 
 /// The most corners that a fence can have.
 pub const MAX_FENCE_CORNERS: usize = 16;

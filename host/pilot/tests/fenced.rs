@@ -6,9 +6,9 @@ mod bench;
 
 use bench::{Bench, Pose, config};
 use singletrack_control::{
-    Circle, Fence, Mode, PilotConfig, Position, Reason, Reference, Velocity, VelocityStep,
-    VelocitySteps, direction,
+    Circle, Position, Reference, Velocity, VelocityStep, VelocitySteps, direction,
 };
+use singletrack_pilot::{Fence, Mode, PilotConfig, Reason};
 
 /// 0.1 s until it brakes, then 1.5 m/s².
 fn way_of_a_stop(speed: f64) -> f64 {

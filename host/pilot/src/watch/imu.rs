@@ -3,7 +3,7 @@
 use libm::{fabs, hypot};
 
 use super::WatchConfig;
-use crate::InertialSample;
+use singletrack_control::InertialSample;
 
 /// What to think of the IMU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -79,7 +79,7 @@ const fn count(counter: &mut u32, again: bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Time;
+    use singletrack_control::Time;
 
     fn sample(yaw_rate: f64, forward_acceleration: f64) -> InertialSample {
         InertialSample {

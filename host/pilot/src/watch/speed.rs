@@ -3,7 +3,7 @@
 use libm::fabs;
 
 use super::WatchConfig;
-use crate::{Position, Time, direction};
+use singletrack_control::{Position, Time, direction};
 
 /// Compares the two over spans of some tenths of a second.
 ///

@@ -1,7 +1,7 @@
 //! Whether the controller keeps time.
 
 use super::WatchConfig;
-use crate::Time;
+use singletrack_control::Time;
 
 /// Judges by the times of the ticks alone.
 #[derive(Clone, Copy, Debug, Default)]

@@ -9,9 +9,9 @@ pub use mode::Mode;
 pub use reason::Reason;
 
 use crate::{
-    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState,
-    Request, Time,
+    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState, Request,
 };
+use singletrack_control::Time;
 
 /// What the supervisor asks of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

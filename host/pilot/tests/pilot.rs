@@ -7,9 +7,12 @@ mod bench;
 
 use bench::{AT_START, Bench, Pose, TICK_NS, config};
 use singletrack_control::{
-    BoardRequest, BoardSample, BoardState, Circle, Event, External, InertialSample, Limits,
-    LinkState, Mode, Pilot, PilotConfig, PoseSample, Position, Reason, Reference, Request,
-    Setpoint, Time, Underway, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+    Circle, External, InertialSample, Limits, PoseSample, Position, Reference, Setpoint, Time,
+    VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+};
+use singletrack_pilot::{
+    BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig, Reason,
+    Request, Underway,
 };
 
 #[test]

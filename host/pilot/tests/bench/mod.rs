@@ -4,11 +4,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, EstimatorConfig, Event, Fence,
-    FrontPointLaw, InertialSample, Limits, LinkState, Mode, Output, Pilot, PilotConfig,
-    PoseMissing, PoseSample, Position, ProportionalLoop, RealTimeState, Reference, Request,
-    SupervisorConfig, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
-    WatchConfig, direction,
+    EstimatorConfig, FrontPointLaw, InertialSample, Limits, PoseSample, Position, ProportionalLoop,
+    Reference, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+    direction,
+};
+use singletrack_pilot::{
+    BoardHealth, BoardRequest, BoardSample, BoardState, Event, Fence, LinkState, Mode, Output,
+    Pilot, PilotConfig, PoseMissing, RealTimeState, Request, SupervisorConfig, WatchConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;

@@ -1,6 +1,6 @@
 //! How far the car has gone since it was last seen.
 
-use crate::Time;
+use singletrack_control::Time;
 
 /// The way since the mid-exposure of the last accepted pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

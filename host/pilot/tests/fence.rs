@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use proptest::prelude::*;
-use singletrack_control::{Fence, FenceError, Position, Velocity, angle_between};
+use singletrack_control::{Position, Velocity, angle_between};
+use singletrack_pilot::{Fence, FenceError};
 
 fn positions(corners: &[(f64, f64)]) -> Vec<Position> {
     corners.iter().map(|&(x, y)| Position::new(x, y)).collect()

@@ -2,10 +2,12 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
-    BoardHealth, BoardSample, BoardState, Circle, EstimatorConfig, Event, Fence, FrontPointLaw,
-    InertialSample, Limits, LinkState, Mode, Motion, Pilot, PilotConfig, PoseSample, Position,
-    ProportionalLoop, RealTimeState, Reference, Request, SupervisorConfig, Time, TrackingLoop,
-    VehicleParameters, Velocity, WatchConfig,
+    Circle, EstimatorConfig, FrontPointLaw, InertialSample, Limits, Motion, PoseSample, Position,
+    ProportionalLoop, Reference, Time, TrackingLoop, VehicleParameters, Velocity,
+};
+use singletrack_pilot::{
+    BoardHealth, BoardSample, BoardState, Event, Fence, LinkState, Mode, Pilot, PilotConfig,
+    RealTimeState, Request, SupervisorConfig, WatchConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;

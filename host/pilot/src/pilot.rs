@@ -5,11 +5,14 @@ use core::f64::consts::PI;
 use libm::{copysign, cos, fabs, sin};
 
 use crate::{
-    Actuation, BoardRequest, BoardSample, Conditions, Estimate, Estimator, EstimatorConfig, Event,
-    Fence, FrontPointLaw, LimitedLaw, Limits, Mode, OuterLoop, PoseSample, PoseVerdict, Position,
-    Reason, Reference, ReferencePoint, Supervisor, SupervisorConfig, Time, TrackingLoop, Velocity,
-    WatchConfig, direction,
+    BoardRequest, BoardSample, Conditions, Event, Fence, Mode, Reason, Supervisor,
+    SupervisorConfig, WatchConfig,
     watch::{BlindWatch, ImuWatch, SpeedWatch, TickWatch},
+};
+use singletrack_control::{
+    Actuation, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits, OuterLoop,
+    PoseSample, PoseVerdict, Position, Reference, ReferencePoint, Time, TrackingLoop, Velocity,
+    direction,
 };
 
 /// Everything that a [`Pilot`] is told once.
@@ -379,7 +382,9 @@ impl Pilot {
             self.imu.handle(inertial, &self.config.watch, still);
         }
         self.speeds.motor(sample.motor_speed);
-        self.estimator.handle_board(sample);
+        if let Some(inertial) = sample.inertial {
+            self.estimator.handle_inertial(inertial, sample.motor_speed);
+        }
     }
 
     /// Forgets the drive; the reason stays told.

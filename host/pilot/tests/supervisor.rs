@@ -2,9 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_control::{
+use singletrack_control::Time;
+use singletrack_pilot::{
     BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState, Mode,
-    PoseMissing, RealTimeState, Reason, Request, Supervisor, SupervisorConfig, Time,
+    PoseMissing, RealTimeState, Reason, Request, Supervisor, SupervisorConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;
