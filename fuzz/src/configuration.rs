@@ -1,7 +1,7 @@
 //! Texts that somebody calls a configuration.
 
+use singletrack_core::Config;
 use singletrack_link::Session;
-use singletrackd::Config;
 
 use crate::choices::Choices;
 

@@ -6,7 +6,7 @@ use singletrack_hil::{
     Failure, Outcome, bench::Bench, client::Client, daemon::Daemon, ensure, settings, wait,
 };
 
-use singletrackd::config::{FenceSection, OuterLoopSection, ReferenceSection, StepSection};
+use singletrack_core::config::{FenceSection, OuterLoopSection, ReferenceSection, StepSection};
 
 use crate::Scenario;
 

@@ -5,8 +5,8 @@ use std::{
     time::Duration,
 };
 
+use singletrack_core::config::Config;
 use singletrack_sim::BoardKind;
-use singletrackd::config::Config;
 use tempfile::TempDir;
 
 use crate::{

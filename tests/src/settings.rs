@@ -6,12 +6,12 @@ use std::{
 };
 
 use singletrack_control::VehicleParameters;
-use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
-use singletrackd::config::{
+use singletrack_core::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, FenceSection, LawKind,
     LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
     ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
+use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
 use crate::{Failure, Outcome};
 

@@ -7,7 +7,7 @@ use singletrack::{
     estimation::{EstimationStudy, study},
     simulate::Scenario,
 };
-use singletrack_control::MarkerLoss;
+use singletrack_core::config::MarkerLossKind;
 use singletrack_sim::LossPattern;
 
 fn main() {
@@ -39,7 +39,10 @@ fn main() {
         Some("500ms@2s"),
     ] {
         let pattern = loss.and_then(|text| text.parse::<LossPattern>().ok());
-        for (name, mode) in [("hold", MarkerLoss::Hold), ("coast", MarkerLoss::Coast)] {
+        for (name, mode) in [
+            ("hold", MarkerLossKind::Hold),
+            ("coast", MarkerLossKind::DeadReckon),
+        ] {
             match study(&scenario, pattern, mode) {
                 Ok(study) => print(loss.unwrap_or("none"), name, &study),
                 Err(error) => eprintln!("{error}"),

@@ -10,12 +10,12 @@ use std::error::Error;
 
 use singletrack::{
     simulated::{Drive, daemon_config},
-    virtual_drive::{VirtualDrive, VirtualDriveConfig},
+    virtual_drive::VirtualDrive,
 };
 use singletrack_control::VehicleParameters;
+use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
-use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 /// Radius of the circle that P is driven on, in m.
 const RADIUS: f64 = 1.5;
@@ -135,13 +135,7 @@ fn lose(
         y_m: -reach * yaw_rad.sin(),
         yaw_rad,
     };
-    let mut drive = VirtualDrive::new(VirtualDriveConfig {
-        pilot: config.pilot()?,
-        link: config.link(number),
-        motion_capture: config.motion_capture.session()?,
-        period_us: u64::from(config.control.period_ms) * 1_000,
-        simulation,
-    })?;
+    let mut drive = VirtualDrive::new(config, number, simulation)?;
     drive.start()?;
     // Over the whole of the circle and of a tick.
     let start_us = drive.next_tick_us() + (SETTLED * 1e6) as u64 + number * 413_700;
@@ -155,7 +149,7 @@ fn lose(
     let mut way = 0.0;
     loop {
         let now_us = drive.next_tick_us();
-        let tick = drive.step(&mut |_| {});
+        let tick = drive.step();
         if now_us < start_us {
             continue;
         }

@@ -8,7 +8,8 @@ use std::{
 
 use clap::Args;
 use serde_json::{Value, json};
-use singletrackd::{SOCKET_VERSION, config::SocketSection};
+use singletrack_core::config::SocketSection;
+use singletrackd::SOCKET_VERSION;
 
 /// Where the daemon listens.
 #[derive(Clone, Debug, Args)]

@@ -1,6 +1,7 @@
 //! How far the estimate is from the truth, on the simulated car.
 
-use singletrack_control::{Estimate, MarkerLoss, wrap};
+use singletrack_control::{Estimate, wrap};
+use singletrack_core::config::MarkerLossKind;
 use singletrack_pilot::Mode;
 use singletrack_sim::{LossPattern, Truth};
 
@@ -49,16 +50,17 @@ const SETTLING: f64 = 10.0;
 pub fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
-    marker_loss: MarkerLoss,
+    marker_loss: MarkerLossKind,
 ) -> Result<EstimationStudy, CarError> {
-    let mut config = virtual_drive_config(scenario)?;
-    config.pilot.estimator.marker_loss = marker_loss;
+    let (mut config, simulation) = virtual_drive_config(scenario)?;
+    config.estimator.marker_loss = marker_loss;
     if let Some(loss) = loss {
         // The longest loss is what is studied, not when the car gives up.
-        let longest = loss.duration_us() as f64 * 1e-6;
-        config.pilot.supervisor.hold = config.pilot.supervisor.hold.max(longest + 0.1);
+        let longest_ms = u32::try_from(loss.duration_us() / 1_000).unwrap_or(u32::MAX);
+        let supervisor = &mut config.supervisor;
+        supervisor.hold_ms = supervisor.hold_ms.max(longest_ms.saturating_add(100));
     }
-    let mut drive = VirtualDrive::new(config)?;
+    let mut drive = VirtualDrive::new(config, scenario.run.seed, simulation)?;
     let first = drive.start()?;
     let epoch_us = first.now.0 / 1000;
     let cameras = drive.world_mut().cameras_mut();
@@ -67,7 +69,7 @@ pub fn study(
 
     let mut sum = Sum::default();
     loop {
-        let tick = drive.step(&mut |_| {});
+        let tick = drive.step();
         let time = tick.now.seconds_since(first.now);
         if time > scenario.run.duration_s {
             return Ok(sum.study());

@@ -8,7 +8,8 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use singletrackd::{SOCKET_VERSION, config::ReferenceSection};
+use singletrack_core::config::ReferenceSection;
+use singletrackd::SOCKET_VERSION;
 
 use crate::control::{self, ControlArgs, ControlError};
 

@@ -3,12 +3,12 @@
 use std::net::Ipv4Addr;
 
 use singletrack_control::VehicleParameters;
-use singletrack_sim::default_board_configuration;
-use singletrackd::config::{
+use singletrack_core::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
     LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
     ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
 };
+use singletrack_sim::default_board_configuration;
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";

@@ -1,47 +1,39 @@
-//! The daemon's controller and the simulator in one loop of virtual time.
+//! The daemon's host loop and the simulator, in virtual time.
 //!
-//! Everything is real but the clock and the two cables: link session, motion
-//! capture session, pilot, board code, bytes paced at the baud rate, NatNet
-//! packets. The same seed gives the same bits.
+//! Everything is real but the clock and the two cables: the host with its rings,
+//! the board's code, bytes paced at the baud rate, NatNet packets. The same seed
+//! gives the same bits.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-
-use singletrack_control::Time;
-use singletrack_link::{Event as LinkEvent, Session as LinkSession, SessionConfig};
-use singletrack_mocap::{Config as MocapConfig, Observation, Outcome, Session as MocapSession};
-use singletrack_pilot::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request};
-use singletrack_record::{DriveWrite, Entry, TickRecord};
-use singletrack_sim::{Destination, SimulationConfig, Truth, World};
-use singletrackd::{
-    controller::{Controller, Sent, Tick},
-    link_entry, link_phase,
-    serial_port::drive_number,
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    sync::{Arc, Mutex, PoisonError},
 };
 
-/// How often the host looks for bytes and packets, in µs: their receive times
+use singletrack_control::Time;
+use singletrack_core::{
+    ConfigError, HostOptions, Stalled, VirtualHost,
+    cameras::{Channel, Sockets},
+    config::Config,
+    controller::{Controller, Sent},
+    line::{Line, Port, PortRead},
+    reconfigure::ChangeError,
+};
+use singletrack_pilot::{Mode, Reason, Request};
+use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
+use singletrack_sim::{Destination, SimulationConfig, Truth, World};
+
+/// Interval at which the host polls its port and its sockets, in µs: receive times
 /// are late by up to this.
 const HOST_POLL_US: u64 = 250;
 
 /// Where the host's datagrams come from, as the simulated server sees it.
 const HOST_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
 
+/// Where the server's datagrams come from.
+const SERVER_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_510);
+
 /// Longer than any handshake, in s: bootloader, ESC arming, estimator.
 const READY_TIMEOUT: f64 = 15.0;
-
-/// What a virtual drive is made of.
-#[derive(Clone, Debug)]
-pub struct VirtualDriveConfig {
-    /// The world.
-    pub simulation: SimulationConfig,
-    /// The pilot.
-    pub pilot: PilotConfig,
-    /// The session with the board.
-    pub link: SessionConfig,
-    /// The session with the cameras.
-    pub motion_capture: MocapConfig,
-    /// The control period, in µs.
-    pub period_us: u64,
-}
 
 /// Why a virtual drive could not be set up or did not get going.
 #[derive(Debug, thiserror::Error)]
@@ -49,12 +41,9 @@ pub enum VirtualDriveError {
     /// The world can't be simulated.
     #[error("[simulation] {0}")]
     Simulation(#[from] singletrack_sim::ConfigError),
-    /// The board would not take its configuration.
-    #[error("[board] {0}")]
-    Board(#[from] singletrack_protocol::ConfigurationError),
-    /// The motion capture can't be configured so.
-    #[error("[motion_capture] {0}")]
-    MotionCapture(#[from] singletrack_mocap::ConfigError),
+    /// The host does not take its configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
     /// The pilot never became ready, or did not start to drive.
     #[error("the car did not start: mode {mode} after {seconds} s, because of {}", reason.map_or("nothing", Reason::name))]
     NotStarted {
@@ -67,94 +56,131 @@ pub enum VirtualDriveError {
     },
 }
 
-/// A tick, with what was true just before it.
+/// A tick, with the truth just before it.
 #[derive(Clone, Debug)]
 pub struct VirtualTick {
     /// The tick's time.
     pub now: Time,
-    /// What was really so, before the tick's command.
+    /// The truth, before the tick's command.
     pub truth: Truth,
     /// What the controller saw and did.
-    pub tick: Tick,
+    pub tick: TickRecord,
 }
 
-/// A controller and a world.
+/// A host and a world.
 #[derive(Debug)]
 pub struct VirtualDrive {
     world: World,
-    controller: Controller,
-    motion_capture: MocapSession,
-    period_us: u64,
-    next_tick_us: u64,
+    host: VirtualHost<WriteHalf>,
+    port: SimulatedPort,
     host_us: u64,
-    bytes: Vec<u8>,
-    record: Option<Entries>,
+    /// What a record of the drive would hold; none if nothing is kept.
+    entries: Option<Vec<Entry>>,
 }
 
-/// What a record of the drive would hold.
+/// The write half of the simulated port: frames wait until the world takes them.
+#[derive(Clone, Debug, Default)]
+struct WriteHalf(Arc<Mutex<Vec<u8>>>);
+
+impl Line for WriteHalf {
+    fn write_frame(&mut self, frame: &[u8]) -> Sent {
+        let mut written = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        written.extend_from_slice(frame);
+        Sent::Whole
+    }
+}
+
+/// The port of the simulated board, which is always plugged in.
 #[derive(Debug, Default)]
-struct Entries {
-    waiting: Vec<Entry>,
-    ticks: u64,
+struct SimulatedPort {
+    received: Vec<u8>,
+    line: WriteHalf,
 }
 
-impl Entries {
-    fn tick(&mut self, now: Time, tick: &Tick, drive: Option<DriveWrite>, link: &LinkSession) {
-        self.waiting.push(Entry::Tick(TickRecord {
-            index: self.ticks,
-            // Virtual ticks take no time.
-            scheduled_ns: now.0,
-            start_ns: now.0,
-            finish_ns: now.0,
-            skipped: 0,
-            pilot_time: now,
-            events: tick.events.clone(),
-            events_dropped: tick.dropped_events,
-            output: tick.output,
-            drive,
-            link: link_phase(&link.state()),
-        }));
-        self.ticks += 1;
+impl Port for SimulatedPort {
+    type Line = WriteHalf;
+
+    fn open(&mut self) -> Option<WriteHalf> {
+        Some(self.line.clone())
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> PortRead {
+        let count = buffer.len().min(self.received.len());
+        for (to, from) in buffer.iter_mut().zip(self.received.drain(..count)) {
+            *to = from;
+        }
+        match count {
+            0 => PortRead::Nothing,
+            count => PortRead::Bytes(count),
+        }
+    }
+
+    fn close(&mut self) {}
+}
+
+/// The sockets to the simulated cameras.
+struct SimulatedSockets<'a>(&'a mut World);
+
+impl Sockets for SimulatedSockets<'_> {
+    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+        if channel == Channel::Data {
+            return None;
+        }
+        loop {
+            let datagram = self.0.poll_datagram()?;
+            if let Destination::Client(address) = datagram.to
+                && address != HOST_ADDRESS
+            {
+                continue;
+            }
+            let bytes = &datagram.bytes;
+            if let Some(room) = buffer.get_mut(..bytes.len()) {
+                room.copy_from_slice(bytes);
+                return Some((bytes.len(), SERVER_ADDRESS));
+            }
+        }
+    }
+
+    fn send(&mut self, _: SocketAddr, bytes: &[u8]) {
+        self.0.handle_datagram(HOST_ADDRESS, bytes);
     }
 }
 
 impl VirtualDrive {
-    /// Powers everything on.
+    /// Powers everything on. `seed` is that of the host's session with the board.
     ///
     /// # Errors
     ///
     /// A configuration that one of the parts refuses.
-    pub fn new(config: VirtualDriveConfig) -> Result<Self, VirtualDriveError> {
-        let mut controller =
-            Controller::new(LinkSession::new(config.link)?, Pilot::new(config.pilot));
-        // Virtual time is kept to the nanosecond.
-        controller.real_time(RealTimeState {
-            fifo: true,
-            memory_locked: true,
-        });
-        controller.port_opened(Time(0));
-        Ok(Self {
-            world: World::new(config.simulation)?,
-            controller,
-            motion_capture: MocapSession::new(config.motion_capture)?,
-            period_us: config.period_us,
-            next_tick_us: config.period_us,
+    pub fn new(
+        config: Config,
+        seed: u64,
+        simulation: SimulationConfig,
+    ) -> Result<Self, VirtualDriveError> {
+        let options = HostOptions {
+            nonce_seed: seed,
+            arm_when_ready: false,
+        };
+        let mut drive = Self {
+            world: World::new(simulation)?,
+            host: VirtualHost::new(config, options, 0)?,
+            port: SimulatedPort::default(),
             host_us: 0,
-            bytes: Vec::with_capacity(256),
-            record: None,
-        })
+            entries: None,
+        };
+        drive.exchange();
+        Ok(drive)
     }
 
     /// Keeps what a record holds of everything from now on, for
     /// [`VirtualDrive::entries`]. For a replay it must be from the first tick on.
     pub fn keep_entries(&mut self) {
-        self.record = Some(Entries::default());
+        self.entries = Some(Vec::new());
     }
 
     /// What was kept since the last time, in order.
     pub fn entries(&mut self) -> Vec<Entry> {
-        let record = self.record.as_mut();
-        record.map_or_else(Vec::new, |record| core::mem::take(&mut record.waiting))
+        self.entries.as_mut().map_or_else(Vec::new, core::mem::take)
     }
 
     /// The world.
@@ -171,66 +197,66 @@ impl VirtualDrive {
     /// The controller.
     #[must_use]
     pub const fn controller(&self) -> &Controller {
-        &self.controller
+        self.host.controller()
     }
 
-    /// The controller, to ask something of it.
-    pub const fn controller_mut(&mut self) -> &mut Controller {
-        &mut self.controller
+    /// Requests something of the pilot, at the next tick.
+    ///
+    /// # Errors
+    ///
+    /// When the control loop has not taken the requests before.
+    pub fn request(&self, request: Request) -> Result<(), Stalled> {
+        self.host.request(request)
     }
 
-    /// The session with the cameras.
-    #[must_use]
-    pub const fn motion_capture(&self) -> &MocapSession {
-        &self.motion_capture
+    /// Has the next tick take over another configuration. Returns its number.
+    ///
+    /// # Errors
+    ///
+    /// Why the configuration in force stays.
+    pub fn reconfigure(&mut self, config: Config) -> Result<u32, ChangeError> {
+        self.host.reconfigure(config, u64::MAX)?;
+        loop {
+            self.step();
+            if let Some(outcome) = self.host.settle() {
+                let number = outcome?;
+                self.keep_configuration(number);
+                return Ok(number);
+            }
+        }
     }
 
-    /// When the next tick is due, in µs of the simulation.
+    /// When the next tick is due, in µs of the simulation, rounded up.
     #[must_use]
     pub const fn next_tick_us(&self) -> u64 {
-        self.next_tick_us
+        self.host.next_tick_ns().div_ceil(1_000)
     }
 
     /// Lets time pass until `until_us` of the simulation, at most until the
     /// next tick.
-    pub fn advance_to(&mut self, until_us: u64, on_link: &mut impl FnMut(&LinkEvent)) {
-        let until_us = until_us.min(self.next_tick_us);
+    pub fn advance_to(&mut self, until_us: u64) {
+        let until_us = until_us.min(self.next_tick_us());
         while self.host_us < until_us {
-            self.host_us = (self.host_us + HOST_POLL_US).min(until_us);
+            let next_us = (self.host_us / HOST_POLL_US + 1) * HOST_POLL_US;
+            self.host_us = next_us.min(until_us);
             self.world.advance_to(self.host_us);
-            self.exchange(on_link);
+            self.exchange();
         }
     }
 
     /// Lets time pass until the next tick, and does it.
-    pub fn step(&mut self, on_link: &mut impl FnMut(&LinkEvent)) -> VirtualTick {
-        self.advance_to(self.next_tick_us, on_link);
-        let now = time(self.next_tick_us);
-        let truth = self.world.truth();
-        let (world, record) = (&mut self.world, &mut self.record);
-        let mut drive = None;
-        let tick = self.controller.tick(
-            now,
-            &mut |frame| {
-                world.host_write(frame);
-                if record.is_some()
-                    && let Some(number) = drive_number(frame)
-                {
-                    drive = Some(DriveWrite {
-                        sequence: number.0,
-                        written: true,
-                        time_ns: now.0,
-                    });
-                }
-                Sent::Whole
-            },
-            on_link,
-        );
-        if let Some(record) = record {
-            record.tick(now, &tick, drive, self.controller.session());
+    pub fn step(&mut self) -> VirtualTick {
+        loop {
+            self.advance_to(self.next_tick_us());
+            let now_ns = self.host_us * 1_000;
+            let truth = self.world.truth();
+            self.host.tick(now_ns);
+            self.write();
+            if let Some(tick) = self.take_tick() {
+                let now = tick.pilot_time;
+                return VirtualTick { now, truth, tick };
+            }
         }
-        self.next_tick_us += self.period_us;
-        VirtualTick { now, truth, tick }
     }
 
     /// Waits until the car can drive, arms it, and goes on to the first driving
@@ -241,73 +267,69 @@ impl VirtualDrive {
     /// When something keeps it from driving for 15 s.
     pub fn start(&mut self) -> Result<VirtualTick, VirtualDriveError> {
         let mut armed = false;
-        while self.next_tick_us as f64 * 1e-6 < READY_TIMEOUT {
-            if !armed && self.controller.pilot().mode() == Mode::Ready {
-                self.controller.request(Request::Arm);
-                armed = true;
+        while self.next_tick_us() as f64 * 1e-6 < READY_TIMEOUT {
+            if !armed && self.host.mode() == Mode::Ready {
+                // The ring is empty: every tick takes all that waits in it.
+                armed = self.request(Request::Arm).is_ok();
             }
-            let tick = self.step(&mut |_| {});
+            let tick = self.step();
             if tick.tick.output.mode == Mode::Driving {
                 return Ok(tick);
             }
         }
         Err(VirtualDriveError::NotStarted {
-            mode: self.controller.pilot().mode(),
-            reason: self.controller.pilot().reason(),
+            mode: self.host.mode(),
+            reason: self.controller().pilot().reason(),
             seconds: READY_TIMEOUT,
         })
     }
 
     /// Bytes and packets both ways, at the host's time.
-    fn exchange(&mut self, on_link: &mut impl FnMut(&LinkEvent)) {
-        let now = time(self.host_us);
-        self.bytes.clear();
-        self.world.host_read(&mut self.bytes);
-        if !self.bytes.is_empty() {
-            let record = &mut self.record;
-            self.controller.received(now, &self.bytes, &mut |event| {
-                if let Some(record) = record {
-                    record.waiting.extend(link_entry(now.0, event));
-                }
-                on_link(event);
-            });
-        }
-        while let Some(datagram) = self.world.poll_datagram() {
-            if let Destination::Client(address) = datagram.to
-                && address != HOST_ADDRESS
-            {
-                continue;
-            }
-            let source = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1510);
-            if let Outcome::Frame(observation) =
-                self.motion_capture
-                    .handle_datagram(now.0, source, &datagram.bytes)
-            {
-                self.observed(&observation);
-            }
-        }
-        while let Some(datagram) = self.motion_capture.poll_transmit(now.0) {
-            self.world.handle_datagram(HOST_ADDRESS, &datagram.bytes);
-        }
-        while let Some(event) = self.motion_capture.poll_event() {
-            if event == singletrack_mocap::Event::Stale {
-                self.observed(&Observation {
-                    frame_number: 0,
-                    receive_time_ns: now.0,
-                    state: self.motion_capture.pose_state(now.0),
-                });
-            }
-        }
+    fn exchange(&mut self) {
+        let now_ns = self.host_us * 1_000;
+        self.world.host_read(&mut self.port.received);
+        self.host.poll_serial(now_ns, &mut self.port);
+        self.host
+            .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
     }
 
-    fn observed(&mut self, observation: &Observation) {
-        if let Some(record) = &mut self.record {
-            record.waiting.push(Entry::Pose(*observation));
-        }
-        self.controller.observed(observation);
+    /// What the tick wrote goes on the line.
+    fn write(&mut self) {
+        let mut written = self
+            .port
+            .line
+            .0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        self.world.host_write(&written);
+        written.clear();
     }
-}
 
-fn time(microseconds: u64) -> Time {
-    Time(microseconds * 1000)
+    /// The tick that was just done.
+    fn take_tick(&mut self) -> Option<TickRecord> {
+        let Some(kept) = &mut self.entries else {
+            return self.host.next_tick();
+        };
+        let mut last = None;
+        self.host.entries(&mut |entry| {
+            if let Entry::Tick(tick) = &entry {
+                last = Some(tick.clone());
+            }
+            kept.push(entry);
+        });
+        last
+    }
+
+    fn keep_configuration(&mut self, number: u32) {
+        let in_force = self.host.parts().configurations.in_force();
+        if let Some(kept) = &mut self.entries
+            && let Ok(toml) = in_force.to_toml()
+        {
+            kept.push(Entry::Configuration(ConfigurationRecord {
+                time_ns: self.host_us * 1_000,
+                number,
+                toml,
+            }));
+        }
+    }
 }

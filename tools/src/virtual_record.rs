@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use singletrack_core::{Config, record_meta};
 use singletrack_record::{ClockMapping, Entry, Finished, RecordError, Recorder};
-use singletrackd::{Config, record_meta};
 
 use crate::virtual_drive::VirtualDrive;
 

@@ -9,8 +9,8 @@ use singletrack::{
     simulate::{MarkerLoss as LostTicks, Row, Scenario, simulate},
     tracking::{Sample, Tracking, last_turn},
 };
-use singletrack_control::MarkerLoss;
-use singletrackd::config::OuterLoopSection;
+use singletrack_core::config::MarkerLossKind;
+use singletrack_core::config::OuterLoopSection;
 
 fn circle() -> Scenario {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/circle-car.toml");
@@ -90,7 +90,7 @@ fn the_same_seed_gives_the_same_bits_and_another_does_not() {
 /// Without losses: 0.2 mm / 0.1 deg cameras, 8 ms latency, consumer IMU.
 fn undisturbed() -> &'static EstimationStudy {
     static STUDY: OnceLock<EstimationStudy> = OnceLock::new();
-    STUDY.get_or_init(|| study(&circle(), None, MarkerLoss::Hold).unwrap())
+    STUDY.get_or_init(|| study(&circle(), None, MarkerLossKind::Hold).unwrap())
 }
 
 #[test]
@@ -132,8 +132,8 @@ fn yaw_rate_is_estimated_to_20_mrad_per_second() {
 #[test]
 fn coasting_through_200_ms_losses_loses_less_than_holding() {
     let loss = Some("200ms@2s".parse().unwrap());
-    let hold = study(&circle(), loss, MarkerLoss::Hold).unwrap();
-    let coast = study(&circle(), loss, MarkerLoss::Coast).unwrap();
+    let hold = study(&circle(), loss, MarkerLossKind::Hold).unwrap();
+    let coast = study(&circle(), loss, MarkerLossKind::DeadReckon).unwrap();
     assert!(coast.worst_position_m < 0.01, "{coast:?}");
     assert!(hold.worst_position_m > 0.05, "{hold:?}");
 }

@@ -4,14 +4,14 @@
 
 use singletrack::{
     simulated::{Drive, daemon_config},
-    virtual_drive::{VirtualDrive, VirtualDriveConfig},
+    virtual_drive::VirtualDrive,
 };
 use singletrack_control::{Position, VehicleParameters};
-use singletrack_pilot::{Mode, Reason};
-use singletrack_sim::{LossWindow, SimulationConfig};
-use singletrackd::config::{
+use singletrack_core::config::{
     Config, FenceSection, LawKind, LawSection, OuterLoopSection, ReferenceSection, StepSection,
 };
+use singletrack_pilot::{Mode, Reason};
+use singletrack_sim::{LossWindow, SimulationConfig};
 
 /// The estimate's error at the side of the fence, in m.
 const TOLERANCE: f64 = 0.005;
@@ -54,14 +54,7 @@ fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<R
         seed,
         ..SimulationConfig::default()
     };
-    let mut drive = VirtualDrive::new(VirtualDriveConfig {
-        pilot: config.pilot().unwrap(),
-        link: config.link(seed),
-        motion_capture: config.motion_capture.session().unwrap(),
-        period_us: 10_000,
-        simulation,
-    })
-    .unwrap();
+    let mut drive = VirtualDrive::new(config.clone(), seed, simulation).unwrap();
     drive.start().unwrap();
     if let Some(seconds) = blind_after {
         let start_us = drive.next_tick_us() + (seconds * 1e6) as u64;
@@ -74,7 +67,7 @@ fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<R
     let mut least = f64::INFINITY;
     let mut told = None;
     for _ in 0..4_000 {
-        let tick = drive.step(&mut |_| {});
+        let tick = drive.step();
         let truth = tick.truth;
         least = least.min(fence.clearance(&Position::new(truth.x, truth.y)));
         let output = &tick.tick.output;

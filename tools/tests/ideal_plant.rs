@@ -101,7 +101,7 @@ fn unit_gain_settles_on_the_amplitude_and_lag_of_a_first_order_low_pass() {
 #[test]
 fn feed_forward_removes_the_error() {
     let mut scenario = scenario("circle.toml");
-    let singletrackd::config::OuterLoopSection::Proportional { feed_forward, .. } =
+    let singletrack_core::config::OuterLoopSection::Proportional { feed_forward, .. } =
         &mut scenario.outer_loop
     else {
         panic!("the circle is tracked proportionally");
@@ -125,7 +125,7 @@ fn a_wrong_centre_of_mass_moves_p_by_twice_its_error_times_the_sine_of_half_the_
 #[test]
 fn the_velocity_point_law_linearises_its_own_point_exactly() {
     let mut scenario = scenario("steps.toml");
-    scenario.law.kind = singletrackd::config::LawKind::VelocityPoint;
+    scenario.law.kind = singletrack_core::config::LawKind::VelocityPoint;
     for row in simulate(&scenario).unwrap().rows {
         let error = (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref);
         assert!(error < 1e-8, "t = {}: {error}", row.t);
@@ -146,7 +146,7 @@ fn beyond_the_last_velocity_step_the_ideal_integrator_goes_on_with_p() {
 fn the_position_loop_follows_velocity_steps_by_their_integral() {
     let mut scenario = scenario("steps.toml");
     scenario.law.front_axle_distance_m = 0.2;
-    scenario.outer_loop = singletrackd::config::OuterLoopSection::Proportional {
+    scenario.outer_loop = singletrack_core::config::OuterLoopSection::Proportional {
         gain_per_s: [1.0, 1.0],
         feed_forward: true,
     };

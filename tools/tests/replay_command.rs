@@ -14,16 +14,16 @@ use std::{
 use singletrack::{
     simulate::{Scenario, simulate_recorded},
     simulated::{Drive, daemon_config},
-    virtual_drive::{VirtualDrive, VirtualDriveConfig},
+    virtual_drive::VirtualDrive,
     virtual_record::VirtualRecord,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_pilot::Event;
-use singletrack_record::{ConfigurationRecord, Entry, Reader, Recorder, TickRecord, part_path};
-use singletrack_sim::SimulationConfig;
-use singletrackd::config::{
+use singletrack_core::config::{
     Config, LawKind, LawSection, OuterLoopSection, ReferenceSection, WaypointSection,
 };
+use singletrack_pilot::Event;
+use singletrack_record::{Entry, Reader, Recorder, TickRecord, part_path};
+use singletrack_sim::SimulationConfig;
 use tempfile::TempDir;
 
 fn replay(path: &Path, arguments: &[&str]) -> Output {
@@ -276,42 +276,21 @@ fn reconfigured(path: &Path, tell: bool) {
         },
         reference: reference(1.5),
     });
-    let mut drive = VirtualDrive::new(VirtualDriveConfig {
-        pilot: config.pilot().unwrap(),
-        link: config.link(1),
-        motion_capture: config.motion_capture.session().unwrap(),
-        period_us: 10_000,
-        simulation: SimulationConfig::default(),
-    })
-    .unwrap();
+    let mut drive = VirtualDrive::new(config.clone(), 1, SimulationConfig::default()).unwrap();
     let mut record = VirtualRecord::start(path, &mut drive, &config, 1).unwrap();
     config.reference = reference(2.0);
     for _ in 0..100 {
-        drive.step(&mut |_| {});
+        drive.step();
     }
-    let now = singletrack_control::Time(drive.next_tick_us() * 1_000);
-    drive
-        .controller_mut()
-        .reconfigure(
-            now,
-            2,
-            &config.pilot().unwrap(),
-            config.board.configuration(),
-        )
-        .unwrap();
+    assert_eq!(drive.reconfigure(config).unwrap(), 2);
     drive.start().unwrap();
     for _ in 0..300 {
-        drive.step(&mut |_| {});
+        drive.step();
     }
-    record.write(&mut drive).unwrap();
-    if tell {
-        record
-            .entry(&Entry::Configuration(ConfigurationRecord {
-                time_ns: now.0,
-                number: 2,
-                toml: config.to_toml().unwrap(),
-            }))
-            .unwrap();
+    for entry in drive.entries() {
+        if tell || !matches!(entry, Entry::Configuration(_)) {
+            record.entry(&entry).unwrap();
+        }
     }
     record.finish(&mut drive).unwrap();
 }

@@ -10,7 +10,8 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use singletrackd::{Config, Daemon, StartOptions, config::ReferenceSection};
+use singletrack_core::{Config, config::ReferenceSection};
+use singletrackd::{Daemon, StartOptions};
 use tempfile::TempDir;
 
 /// A daemon that has neither board nor cameras.

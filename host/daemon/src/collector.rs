@@ -12,6 +12,11 @@ use std::{
 };
 
 use rtrb::Consumer;
+use singletrack_core::{
+    Report,
+    cameras::CameraReport,
+    words::{loss_name, refusal_name, request_name, restart_name},
+};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -20,12 +25,9 @@ use tokio::sync::broadcast;
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
-    mocap_receiver::MocapReport,
-    report::Report,
     snapshot::TickView,
     summary::Tally,
     wall_watch::WallWatch,
-    words::{loss_name, refusal_name, request_name, restart_name},
 };
 
 /// How long the collector sleeps when nobody wakes it.
@@ -72,7 +74,7 @@ impl Board {
 pub(crate) struct Collector {
     pub(crate) ticks: TickOutput,
     pub(crate) reports: Consumer<Report>,
-    pub(crate) mocap: Consumer<MocapReport>,
+    pub(crate) cameras: Consumer<CameraReport>,
     /// For the record alone; what of it is to be logged has been.
     pub(crate) entries: mpsc::Receiver<Entry>,
     /// Whether somebody sets the clock on the wall.
@@ -117,10 +119,10 @@ impl Collector {
         while let Ok(report) = self.reports.pop() {
             self.report(report);
         }
-        while let Ok(report) = self.mocap.pop() {
+        while let Ok(report) = self.cameras.pop() {
             match report {
-                MocapReport::Observation(observation) => self.entry(Entry::Pose(observation)),
-                MocapReport::Counters(counters) => self.board.latest().tally.mocap(&counters),
+                CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
+                CameraReport::Counters(counters) => self.board.latest().tally.mocap(&counters),
             }
         }
         while let Some(tick) = self.ticks.pop() {

@@ -13,30 +13,30 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rtrb::RingBuffer;
-use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
-use singletrack_pilot::{Mode, Pilot, RealTimeState, Reason, Request};
-use singletrack_record::{ClockMapping, RecorderThread, tick_feed};
+use singletrack_core::{
+    Host, HostOptions, LineCounters, Requests, Stalled,
+    config::{Config, ConfigError},
+    control_loop::{ControlLoop, ControlRequest},
+    reconfigure::ChangeError,
+    serial::ReaderCounters,
+    setpoint_slot::SetpointSender,
+};
+use singletrack_mocap::Counters as MocapCounters;
+use singletrack_pilot::{Mode, RealTimeState, Reason, Request};
+use singletrack_record::{ClockMapping, RecorderThread};
 use tracing::{error, info, warn};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
     collector::{Board, Collector},
-    config::{Config, ConfigError},
-    control_loop::{ControlLoop, ControlRequest, Rings},
     control_thread::{self, Ended, Signs},
-    controller::Controller,
     live::{LiveError, LiveThread, LiveView},
-    mocap_receiver::MocapReceiver,
+    mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},
     realtime::{self, RealTimeStatus},
-    reconfigure::{ChangeError, ConfigurationView, Reconfigurer},
+    reconfigure::{ConfigurationView, Reconfigurer},
     recording::{self, RecordingError},
-    report::LineCounters,
-    requests::{Requests, Stalled},
-    serial_reader::{ReaderCounters, SerialReader},
-    setpoint_slot::{SetpointSender, setpoint_slot},
+    serial_reader,
     snapshot::Snapshot,
     socket::{BoundSocket, SocketError, SocketThread},
     summary::Summary,
@@ -158,17 +158,6 @@ impl core::fmt::Debug for Recording {
     }
 }
 
-/// How many of each may wait. A stall of the control thread of half a second
-/// loses nothing; one of the records' of two seconds neither.
-const SERIAL_EVENTS: usize = 512;
-const OBSERVATIONS: usize = 256;
-/// One is under way at a time.
-const RECONFIGURATIONS: usize = 2;
-/// All of them find room among a tick's events, see `controller::RESERVED`.
-const REQUESTS: usize = 10;
-const TICKS: usize = 256;
-const REPORTS: usize = 512;
-
 /// How long a control thread may take to end, beyond what it takes to stop the
 /// car.
 const END_PATIENCE: Duration = Duration::from_secs(4);
@@ -181,10 +170,16 @@ impl Daemon {
     /// # Errors
     ///
     /// What stands in the way, with the fix. Nothing runs then.
-    pub fn start(mut config: Config, options: StartOptions) -> Result<Self, StartError> {
-        config.validate()?;
-        // Read once, by pilot and record alike.
-        config.reference = config.reference.written_out()?;
+    pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
+        let seed = wall_ns() ^ u64::from(std::process::id());
+        let host = Host::new(
+            config,
+            HostOptions {
+                nonce_seed: seed,
+                arm_when_ready: options.arm,
+            },
+        )?;
+        let config = host.configurations.in_force().clone();
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
             && realtime::lock_memory()
@@ -194,11 +189,6 @@ impl Daemon {
         let idle = asks
             .then(|| realtime::bound_idle().map_err(|refusal| refusals.push(refusal)))
             .and_then(Result::ok);
-        let link = LinkSession::new(config.link(wall_ns() ^ u64::from(std::process::id())))
-            .map_err(ConfigError::from)?;
-        let controller = Controller::new(link, Pilot::new(config.pilot()?));
-        let session = MocapSession::new(config.motion_capture.session()?)
-            .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
         let sockets = MocapSockets::open(&config.motion_capture)?;
         let socket = match config.socket.enabled {
             true => Some(BoundSocket::bind(&config.socket.path)?),
@@ -225,30 +215,18 @@ impl Daemon {
             None => (None, None),
         };
 
-        let (serial_in, serial) = RingBuffer::new(SERIAL_EVENTS);
-        let (returned, returned_out) = RingBuffer::new(2);
-        let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
-        let (requests_in, requests) = RingBuffer::new(REQUESTS);
-        let (setpoints_in, setpoints) = setpoint_slot();
-        let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
-        let (ticks, ticks_out) = tick_feed(TICKS);
-        let (reports, reports_out) = RingBuffer::new(REPORTS);
-        let (mocap_reports, mocap_out) = RingBuffer::new(REPORTS);
-
         let board = Arc::new(Board::new());
-        let requests_in = Requests::new(requests_in);
         let (entries_in, entries) = mpsc::channel();
         let mut daemon = Self {
             view: View {
                 board: Arc::clone(&board),
                 reconfigurer: Reconfigurer::new(
-                    config.clone(),
-                    requests_in.clone(),
-                    reconfigured_out,
+                    host.configurations,
+                    host.requests.clone(),
                     entries_in,
                 ),
-                requests: requests_in,
-                setpoints: setpoints_in,
+                requests: host.requests,
+                setpoints: host.setpoints,
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,
@@ -272,9 +250,9 @@ impl Daemon {
         };
 
         let collector = Collector {
-            ticks: ticks_out,
-            reports: reports_out,
-            mocap: mocap_out,
+            ticks: host.ticks,
+            reports: host.reports,
+            cameras: host.camera_reports,
             entries,
             wall: WallWatch::default(),
             board,
@@ -288,41 +266,16 @@ impl Daemon {
         let collector_thread = collector.thread().clone();
         daemon.collector = Some(collector);
 
-        let period_ns = u64::from(config.control.period_ms) * 1_000_000;
-        let mut control = ControlLoop::new(
-            controller,
-            Rings {
-                serial,
-                returned,
-                observations,
-                requests,
-                setpoints,
-                reconfigured,
-                ticks,
-                reports,
-            },
-            options.arm,
-        );
-        if config.control.align_to_cameras {
-            control = control.aligned_to_cameras(period_ns);
-        }
-        daemon.start_control(&config, control, collector_thread)?;
-        let reader = SerialReader {
-            config: config.serial,
-            events: serial_in,
-            returned: returned_out,
-            stop: stop.clone(),
-            counters: ReaderCounters::default(),
-        };
-        daemon.reader = Some(spawn("serial", move || reader.run())?);
-        let receiver = MocapReceiver {
-            session,
-            sockets,
-            observations: observations_in,
-            reports: mocap_reports,
-            stop,
-        };
-        daemon.receiver = Some(spawn("mocap", move || receiver.run())?);
+        daemon.start_control(&config, host.control, collector_thread)?;
+        let (serial, reader_stop) = (config.serial, stop.clone());
+        let reader = host.reader;
+        daemon.reader = Some(spawn("serial", move || {
+            serial_reader::run(reader, serial, &reader_stop)
+        })?);
+        let receiver = host.receiver;
+        daemon.receiver = Some(spawn("mocap", move || {
+            mocap_receiver::run(receiver, sockets, &stop)
+        })?);
         if let Some(socket) = socket {
             let started = SocketThread::start(socket, daemon.view.clone());
             daemon.socket = Some(started.map_err(|source| StartError::Thread {
@@ -341,13 +294,13 @@ impl Daemon {
         collector: thread::Thread,
     ) -> Result<(), StartError> {
         let priority = config.control.realtime_priority;
-        let period_ns = u64::from(config.control.period_ms) * 1_000_000;
+        let period_ns = config.control.period_ns();
         let signs = self.signs.clone();
         let memory_locked = self.view.realtime.memory_locked;
         let (granted_in, granted) = mpsc::sync_channel(1);
         self.control = Some(spawn("control", move || {
             let _ended = Ended(Arc::clone(&signs.ended));
-            control.touch_memory();
+            realtime::touch_memory(control.rings_mut());
             let granted = realtime::make_punctual(priority);
             control.real_time(RealTimeState {
                 fifo: matches!(granted, Ok(Some(_))),

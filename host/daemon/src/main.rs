@@ -14,7 +14,8 @@ use std::{
 use clap::{Parser, ValueEnum};
 use service::Service;
 use signals::Signals;
-use singletrackd::{Config, Daemon, StartOptions, Summary, notify::ServiceManager};
+use singletrack_core::Config;
+use singletrackd::{Daemon, StartOptions, Summary, notify::ServiceManager};
 use tracing::{error, info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;

@@ -1,128 +1,56 @@
-//! The thread that talks to the motion capture.
+//! The thread of the camera receiver: waits for datagrams, and polls.
 
-use std::time::Duration;
+use std::{net::SocketAddr, time::Duration};
 
-use rtrb::Producer;
-use singletrack_mocap::{Binding, Counters, Event, Observation, Outcome, PoseState, Session};
+use singletrack_core::cameras::{CameraReceiver, Channel, Sockets};
+use singletrack_mocap::{Binding, Counters, Event};
 use tracing::{info, warn};
 
 use crate::{
     clock::monotonic_ns,
-    mocap_socket::{Channel, MocapSockets},
+    mocap_socket::MocapSockets,
     wake::{StopFlag, Woken},
 };
 
-/// The longest datagram of UDP.
-const LONGEST: usize = 65_535;
-
-/// So many datagrams of a socket are read before something else is looked after: who sends
-/// them faster than they are read must not keep it from saying goodbye, from
-/// noticing silence, or from asking for the stream.
-const DATAGRAMS: usize = 64;
-
-/// How long the receiver waits before it looks around without a reason.
-const LOOK_AROUND: Duration = Duration::from_millis(100);
-
-/// How often the counters are told.
-const COUNTERS_NS: u64 = 200_000_000;
-
-/// What the receiver tells those who keep the records.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum MocapReport {
-    /// What a frame, or silence, says of the car.
-    Observation(Observation),
-    /// What was counted so far.
-    Counters(Counters),
+/// The sockets, with a log of the server's reachability.
+struct Logged {
+    sockets: MocapSockets,
+    is_reachable: bool,
 }
 
-/// Everything on the receiver's thread.
-pub(crate) struct MocapReceiver {
-    pub(crate) session: Session,
-    pub(crate) sockets: MocapSockets,
-    /// To the control thread.
-    pub(crate) observations: Producer<Observation>,
-    /// To the records.
-    pub(crate) reports: Producer<MocapReport>,
-    pub(crate) stop: StopFlag,
-}
+impl Sockets for Logged {
+    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+        self.sockets.receive(channel, buffer)
+    }
 
-impl MocapReceiver {
-    /// Runs until it is told to stop; returns what it counted, and how many
-    /// observations found no room on their way to the control thread.
-    pub(crate) fn run(mut self) -> (Counters, u64) {
-        let mut buffer = vec![0; LONGEST];
-        let mut dropped = 0;
-        let mut stale = false;
-        let mut last_frame = 0;
-        let mut sent = true;
-        let mut counters_ns = 0;
-        loop {
-            for channel in [Channel::Command, Channel::Data] {
-                for _ in 0..DATAGRAMS {
-                    let Some((length, source)) = self.sockets.receive(channel, &mut buffer) else {
-                        break;
-                    };
-                    let now_ns = monotonic_ns();
-                    let datagram = buffer.get(..length).unwrap_or(&[]);
-                    if let Outcome::Frame(observation) =
-                        self.session.handle_datagram(now_ns, source, datagram)
-                    {
-                        stale = false;
-                        last_frame = observation.frame_number;
-                        dropped += self.tell(observation);
-                    }
-                }
-            }
-            let now_ns = monotonic_ns();
-            while let Some(datagram) = self.session.poll_transmit(now_ns) {
-                let result = self.sockets.send(datagram.destination, &datagram.bytes);
-                if let Err(error) = &result
-                    && sent
-                {
-                    warn!(server = %datagram.destination, %error, "can't reach the motion capture");
-                }
-                sent = result.is_ok();
-            }
-            while let Some(event) = self.session.poll_event() {
-                log(&event);
-            }
-            let state = self.session.pose_state(now_ns);
-            if matches!(state, PoseState::Stale { .. }) && !stale {
-                stale = true;
-                dropped += self.tell(Observation {
-                    frame_number: last_frame,
-                    receive_time_ns: now_ns,
-                    state,
-                });
-            }
-            if now_ns >= counters_ns {
-                counters_ns = now_ns + COUNTERS_NS;
-                // They are told again soon.
-                let _ = self
-                    .reports
-                    .push(MocapReport::Counters(*self.session.counters()));
-            }
-            let due_ns = self.session.poll_timeout().unwrap_or(u64::MAX);
-            let wait = Duration::from_nanos(due_ns.saturating_sub(now_ns)).min(LOOK_AROUND);
-            if self.stop.wait(&self.sockets.files(), wait) == Woken::Stop {
-                self.say_goodbye();
-                return (*self.session.counters(), dropped);
-            }
+    fn send(&mut self, to: SocketAddr, bytes: &[u8]) {
+        let result = self.sockets.send(to, bytes);
+        if let Err(error) = &result
+            && self.is_reachable
+        {
+            warn!(server = %to, %error, "can't reach the motion capture");
         }
+        self.is_reachable = result.is_ok();
     }
+}
 
-    /// Returns how many found no room: the control thread has stalled.
-    fn tell(&mut self, observation: Observation) -> u64 {
-        // Those who keep the records may miss one.
-        let _ = self.reports.push(MocapReport::Observation(observation));
-        u64::from(self.observations.push(observation).is_err())
-    }
-
-    fn say_goodbye(&mut self) {
-        self.session.close();
-        while let Some(datagram) = self.session.poll_transmit(monotonic_ns()) {
-            // The server notices by itself, only later.
-            let _ = self.sockets.send(datagram.destination, &datagram.bytes);
+/// Runs until `stop` is raised. Returns the counters, and how many observations found
+/// no room on their way to the control loop.
+pub(crate) fn run(
+    mut receiver: CameraReceiver,
+    sockets: MocapSockets,
+    stop: &StopFlag,
+) -> (Counters, u64) {
+    let mut sockets = Logged {
+        sockets,
+        is_reachable: true,
+    };
+    loop {
+        let until_ns = receiver.poll(&monotonic_ns, &mut sockets, &mut log);
+        let wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
+        if stop.wait(&sockets.sockets.files(), wait) == Woken::Stop {
+            receiver.close(&monotonic_ns, &mut sockets);
+            return (*receiver.counters(), receiver.dropped());
         }
     }
 }

@@ -8,7 +8,10 @@ use std::{
 
 use socket2::{Domain, Protocol, Socket, Type};
 
-use crate::config::{MotionCaptureSection, TransportKind};
+use singletrack_core::{
+    cameras::Channel,
+    config::{MotionCaptureSection, TransportKind},
+};
 
 /// Why there is no socket.
 #[derive(Debug, thiserror::Error)]
@@ -25,15 +28,6 @@ pub struct MocapSocketError {
 pub(crate) struct MocapSockets {
     command: UdpSocket,
     data: Option<UdpSocket>,
-}
-
-/// Which of the two.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Channel {
-    /// Answers, and frames if they are unicast.
-    Command,
-    /// Multicast frames.
-    Data,
 }
 
 impl MocapSockets {

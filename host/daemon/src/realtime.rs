@@ -14,8 +14,9 @@ use rustix::{
     thread::{CapabilitySet, capabilities, set_current_timer_slack},
 };
 use serde::Serialize;
+use singletrack_core::control_loop::Rings;
 
-use crate::{control_loop::Rings, system};
+use crate::system;
 
 /// What the system granted the control thread.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

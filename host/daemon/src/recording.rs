@@ -1,17 +1,17 @@
 //! The record of a run: where it goes, and what it says of itself.
 
 use std::{
-    collections::BTreeMap,
     error::Error,
     fs, io,
     path::{Path, PathBuf},
 };
 
+use singletrack_core::{Config, record_meta};
 use singletrack_record::{
-    ClockMapping, FeedInput, Meta, RecordError, Recorder, RecorderThread, feed, part_path,
+    ClockMapping, FeedInput, RecordError, Recorder, RecorderThread, feed, part_path,
 };
 
-use crate::{clock::compact_utc, config::Config};
+use crate::clock::compact_utc;
 
 /// Entries that may wait for the disk: some 3 s at 350 a second.
 const CAPACITY: usize = 1_024;
@@ -62,29 +62,6 @@ pub(crate) fn start(
     let (input, output) = feed(CAPACITY);
     let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
     Ok(Some((thread, input, path)))
-}
-
-/// What a record says of itself when it is made with this configuration, by the
-/// software at hand.
-///
-/// # Errors
-///
-/// A path that is not UTF-8.
-pub fn record_meta(
-    config: &Config,
-    seed: Option<u64>,
-    start: ClockMapping,
-) -> Result<Meta, toml::ser::Error> {
-    Ok(Meta {
-        configuration: config.to_toml()?,
-        software: BTreeMap::from([(
-            env!("CARGO_PKG_NAME").to_owned(),
-            env!("CARGO_PKG_VERSION").to_owned(),
-        )]),
-        protocol_version: singletrack_protocol::VERSION,
-        seed,
-        start,
-    })
 }
 
 /// An error with what is behind it: that a disk is full is known to the last in

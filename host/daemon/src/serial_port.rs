@@ -10,10 +10,11 @@ use rustix::{
     fs::OFlags,
     termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
 };
+use singletrack_core::{controller::Sent, line::Line};
 use singletrack_link::Transmit;
-use singletrack_protocol::{Decoder, Drive, Message, Sequence, ToBoard, frame_length};
+use singletrack_protocol::{Drive, Message, frame_length};
 
-use crate::{controller::Sent, system};
+use crate::system;
 
 /// Why a port is not open.
 #[derive(Debug, thiserror::Error)]
@@ -51,12 +52,6 @@ pub struct WriteHalf {
     file: OwnedFd,
     /// The last frame was written in part: the next must not be joined to it.
     torn: bool,
-}
-
-/// Takes frames for the board, whole or not at all.
-pub trait Line: Send {
-    /// Writes a frame, without ever waiting.
-    fn write_frame(&mut self, frame: &[u8]) -> Sent;
 }
 
 /// Length of a drive command on the wire.
@@ -157,46 +152,5 @@ impl Line for WriteHalf {
                 Sent::Dropped
             }
         }
-    }
-}
-
-/// The number of the drive command that a frame holds, if it holds one.
-#[must_use]
-pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
-    let mut decoder = Decoder::new();
-    frame.iter().find_map(|&byte| {
-        let packet = decoder.push(byte)?.ok()?;
-        match ToBoard::decode(packet) {
-            Ok(ToBoard::Drive(drive)) => Some(drive.sequence),
-            _ => None,
-        }
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use singletrack_protocol::Disarm;
-
-    use super::*;
-
-    #[test]
-    fn drive_commands_are_known_by_their_number_and_nothing_else_is_one() {
-        for number in [0, 1, 0x13, 255] {
-            let drive = Drive {
-                sequence: Sequence(number),
-                speed_mm_s: 0,
-                steering_100urad: -3_000,
-                telemetry_time_us: 0,
-                pose_age_ms: 12,
-            };
-            let frame = ToBoard::from(drive).encode();
-            assert_eq!(frame.as_bytes().len(), DRIVE_LENGTH);
-            assert_eq!(drive_number(frame.as_bytes()), Some(Sequence(number)));
-        }
-        let disarm = ToBoard::from(Disarm {
-            request: Sequence(7),
-        });
-        assert_eq!(drive_number(disarm.encode().as_bytes()), None);
-        assert_eq!(drive_number(&[]), None);
     }
 }

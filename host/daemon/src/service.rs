@@ -7,8 +7,9 @@ use std::{
 };
 
 use rustix::fs::{Mode, OFlags, open};
+use singletrack_core::Stalled;
 use singletrackd::{
-    Daemon, Stalled, monotonic_ns,
+    Daemon, monotonic_ns,
     notify::{ServiceManager, Watchdog},
     reconfigure::{ChangeView, ConfigurationView},
 };

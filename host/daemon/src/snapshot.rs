@@ -2,16 +2,13 @@
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_core::words::{board_mode_name, link_name, stop_cause_name};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
 use crate::{
-    live::LiveStatus,
-    realtime::RealTimeStatus,
-    reconfigure::ConfigurationView,
-    summary::Figures,
-    words::{board_mode_name, link_name, stop_cause_name},
+    live::LiveStatus, realtime::RealTimeStatus, reconfigure::ConfigurationView, summary::Figures,
 };
 
 /// How the daemon is doing: the last tick, what the board last said, and the

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
+use singletrack_core::LineCounters;
 use singletrack_mocap::Counters as MocapCounters;
 use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
@@ -10,7 +11,6 @@ use singletrack_record::TickRecord;
 use crate::{
     histogram::{Histogram, Percentiles},
     realtime::RealTimeStatus,
-    report::LineCounters,
 };
 
 /// What a run came to.

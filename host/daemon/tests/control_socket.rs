@@ -15,8 +15,9 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_core::{Config, config::ReferenceSection};
 use singletrack_pilot::Mode;
-use singletrackd::{Config, Daemon, StartError, StartOptions, config::ReferenceSection};
+use singletrackd::{Daemon, StartError, StartOptions};
 use tempfile::TempDir;
 
 struct Client {

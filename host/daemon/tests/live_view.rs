@@ -14,8 +14,9 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_core::{Config, config::LiveSection};
 use singletrack_pilot::Mode;
-use singletrackd::{Config, Daemon, StartError, StartOptions, config::LiveSection};
+use singletrackd::{Daemon, StartError, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};

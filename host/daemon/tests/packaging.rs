@@ -11,7 +11,7 @@ use std::{
     process::{Command, Output},
 };
 
-use singletrackd::Config;
+use singletrack_core::Config;
 
 const UNIT: &str = include_str!("../../../packaging/singletrackd.service");
 const XU4: &str = include_str!("../../../packaging/singletrackd.service.d/xu4.conf");

@@ -8,7 +8,7 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-#[path = "common/outside.rs"]
+#[path = "../../core/tests/common/outside.rs"]
 mod outside;
 
 use std::{
@@ -92,7 +92,7 @@ fn ten_thousand_ticks_allocate_nothing_and_wait_for_no_page_of_memory() {
         Err(_) => 2_000,
     };
     let (mut control, mut outside) = set_up();
-    control.touch_memory();
+    realtime::touch_memory(control.rings_mut());
     let (mut driving, mut allocated, mut faults) = (0, 0, 0);
     for index in 1..=uncounted + TICKS {
         outside.run_until_tick(index);

@@ -13,15 +13,15 @@ mod terminal;
 use std::{net::Ipv4Addr, path::Path, time::Duration};
 
 use common::wait_for;
+use singletrack_core::{Config, controller::Sent, line::Line};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Decoder, Hello, ImuState, Request, StopCause, Telemetry, ToBoard,
     ToHost, VERSION,
 };
 use singletrack_record::LinkPhase;
 use singletrackd::{
-    Config, Daemon, StartOptions,
-    controller::Sent,
-    serial_port::{self, Line, PortError},
+    Daemon, StartOptions,
+    serial_port::{self, PortError},
 };
 use terminal::Terminal;
 

@@ -7,18 +7,19 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use rtrb::{Consumer, Producer, RingBuffer};
+use singletrack_core::{
+    Report,
+    config::Config,
+    control_loop::{ControlLoop, ControlRequest, Rings},
+    controller::Controller,
+    grid::Slot,
+    serial::{CHUNK, Chunk, SerialEvent},
+    setpoint_slot::setpoint_slot,
+};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
 use singletrack_pilot::{Pilot, RealTimeState, Request};
 use singletrack_record::{TickOutput, TickRecord, tick_feed};
-use singletrackd::{
-    Report,
-    config::Config,
-    control_loop::{ControlLoop, ControlRequest, Rings, Slot},
-    controller::Controller,
-    serial_reader::{CHUNK, Chunk, SerialEvent},
-    setpoint_slot::setpoint_slot,
-};
 
 use crate::{
     Trouble,

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use singletrack_core::config::Config;
 use singletrack_pilot::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
-use singletrackd::config::Config;
 
 use crate::{
     Trouble,

@@ -69,7 +69,7 @@ pub use tamper::{Tamper, Untampered};
 pub enum Trouble {
     /// The daemon's configuration.
     #[error("the daemon's configuration: {0}")]
-    Config(singletrackd::ConfigError),
+    Config(singletrack_core::ConfigError),
     /// Something else.
     #[error("{what}: {reason}")]
     Setting {

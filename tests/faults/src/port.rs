@@ -6,8 +6,8 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
+use singletrack_core::{controller::Sent, line::Line};
 use singletrack_protocol::{Drive, Message, frame_length};
-use singletrackd::{controller::Sent, serial_port::Line};
 
 /// A device whose queue shows takes nothing while more than this waits: the
 /// daemon looks, see `singletrackd::serial_port`.

@@ -5,8 +5,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use singletrack_core::record_meta;
 use singletrack_record::{ClockMapping, Entry, RecordError, Recorder, TickRecord};
-use singletrackd::record_meta;
 
 use crate::{Trouble, schedule::Schedule, setting, tamper::Tamper};
 

@@ -1,10 +1,10 @@
 //! From a situation to the world and the daemon's configuration.
 
+use singletrack_core::config::{BoardSection, Config, FailsafeKind};
 use singletrack_sim::{
     BoardParameters, CameraParameters, CarParameters, SimulationConfig, StartPose, WireFaults,
     WireParameters, default_board_configuration,
 };
-use singletrackd::config::{BoardSection, Config, FailsafeKind};
 
 use crate::{
     Trouble,

@@ -1,11 +1,11 @@
 //! What an invariant may look at: the world as it really is, and what the host
 //! did.
 
+use singletrack_core::config::{Config, ConfigError};
 use singletrack_pilot::{Fence, Request};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{Heard, PulseRecord, Truth};
-use singletrackd::config::{Config, ConfigError};
 
 use crate::{
     network::Exposure,

@@ -17,19 +17,20 @@ use std::{
     time::{Duration, Instant},
 };
 
+use board_figures::BoardFigures;
 use clap::Args;
+use progress::Progress;
+use singletrack_core::ConfigError;
 use singletrack_pilot::{Mode, Reason, Request};
 use singletrack_sim::{
     BoardKind, LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
 };
-use singletrackd::{ConfigError, Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
+use singletrackd::{Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
 
 use crate::{
     interrupt::Interrupt,
     plot::{FigureKind, PlotError, REPORT},
 };
-use board_figures::BoardFigures;
-use progress::Progress;
 
 /// What the demo is told.
 #[derive(Clone, Debug, Args)]
@@ -108,7 +109,7 @@ pub enum DemoError {
     Plot(#[from] PlotError),
     /// The daemon takes no requests.
     #[error("the daemon: {0}")]
-    Stalled(#[from] singletrackd::Stalled),
+    Stalled(#[from] singletrack_core::Stalled),
     /// The car was never ready, or did not start.
     #[error(
         "the car did not start within {seconds} s: mode {mode}{}",

@@ -4,10 +4,10 @@ use std::{net::Ipv4Addr, path::Path};
 
 use serde::Serialize;
 use singletrack_control::VehicleParameters;
+use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_sim::{
     RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
-use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 use super::DemoArgs;
 use crate::simulated::{self, daemon_config};

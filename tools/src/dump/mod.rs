@@ -16,21 +16,22 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
+use singletrack_core::config::{SerialSection, SocketSection};
 use singletrack_record::{Topic, Value};
 use singletrack_sim::{LossPatternError, parse_duration_us};
-use singletrackd::config::{SerialSection, SocketSection};
 
 pub use error::DumpError;
 pub use filter::{Condition, NotACondition};
 pub use moment::{Moment, NotAMoment};
 pub use source::Direction;
 
-use crate::interrupt::Interrupt;
 use filter::{Filter, Verdict};
 use format::Printer;
 use kind::Kind;
 use source::{Close, Line, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
+
+use crate::interrupt::Interrupt;
 
 /// What `singletrack dump` is asked.
 #[derive(Args, Clone, Debug)]

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
 use singletrack_control::{VehicleParameters, direction};
+use singletrack_core::{Config, ConfigError};
 use singletrack_pilot::Event;
 use singletrack_protocol::ImuState;
 use singletrack_record::{Entry, Reader, RecordError, TelemetryRecord, Topic};
-use singletrackd::{Config, ConfigError};
 
 use super::IdentifyError;
 use crate::plot;

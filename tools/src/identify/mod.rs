@@ -19,8 +19,8 @@ use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
 use singletrack_control::VehicleParameters;
+use singletrack_core::ConfigError;
 use singletrack_record::RecordError;
-use singletrackd::ConfigError;
 
 use crate::{
     plot::PlotError,

@@ -14,8 +14,8 @@ use singletrack_analysis::identification::{
     self, DriveData, Identification, IdentificationError, NoiseLevels, Parameter, Settings, Values,
 };
 use singletrack_control::VehicleParameters;
+use singletrack_core::{Config, ConfigError};
 use singletrack_sim::{CameraParameters, ImuParameters, ServoParameters};
-use singletrackd::{Config, ConfigError};
 
 use super::Collector;
 use crate::simulate::{CarError, Scenario, ScenarioError, drive_entries};

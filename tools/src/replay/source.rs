@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use singletrack_core::{Config, ConfigError};
 use singletrack_pilot::PilotConfig;
 use singletrack_record::{Entry, Reader, RecordError, Replay, Topic};
-use singletrackd::{Config, ConfigError};
 
 use super::{Change, ChangeError, change};
 

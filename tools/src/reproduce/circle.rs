@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use singletrackd::config::{LawKind, OuterLoopSection, ReferenceSection};
+use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection};
 
 use super::{
     Setup,

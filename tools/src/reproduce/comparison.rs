@@ -6,7 +6,7 @@ use singletrack_control::{
     FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity,
     VelocityPointLaw,
 };
-use singletrackd::config::LawKind;
+use singletrack_core::config::LawKind;
 
 use super::{
     Setup,

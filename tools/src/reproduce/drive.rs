@@ -1,8 +1,8 @@
 //! Driving an experiment in virtual time, on either plant.
 
 use singletrack_control::{Position, VehicleParameters, front_point};
+use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
-use singletrackd::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 use super::Setup;
 use super::extreme::largest;
@@ -94,6 +94,7 @@ impl Experiment {
                 yaw_deg: self.yaw_deg,
             },
             control: ControlSection {
+                align_to_cameras: true,
                 period_ms: match plant {
                     PlantKind::Ideal => 0,
                     PlantKind::Car => PERIOD_MS,

@@ -1,6 +1,6 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
-use singletrackd::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
+use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
 
 use super::{
     Setup,

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use singletrack_control::{Position, Reference, direction};
+use singletrack_core::config::{Config, LawKind};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
-use singletrackd::config::{Config, LawKind};
 
 use super::{
     Simulation,
@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     simulated::{self, daemon_config},
-    virtual_drive::{VirtualDrive, VirtualDriveConfig, VirtualDriveError, VirtualTick},
+    virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
     virtual_record::{VirtualRecord, VirtualRecordError},
 };
 
@@ -33,17 +33,12 @@ pub enum CarError {
     Record(#[from] VirtualRecordError),
 }
 
-/// The parts of a virtual drive of a scenario.
+/// The daemon's configuration for a scenario, and the world that it drives in.
 ///
 /// # Errors
 ///
 /// What a scenario may ask of the ideal plant but not of the car.
-pub fn virtual_drive_config(scenario: &Scenario) -> Result<VirtualDriveConfig, CarError> {
-    Ok(parts(scenario)?.1)
-}
-
-/// The daemon's configuration for a scenario, and the parts that follow from it.
-fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> {
+pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationConfig), CarError> {
     if scenario.law.kind != LawKind::FrontPoint {
         return Err(ScenarioError::value(
             "law.kind",
@@ -87,6 +82,7 @@ fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> 
         reference: scenario.reference.clone(),
     });
     config.control.period_ms = scenario.control.period_ms;
+    config.control.align_to_cameras = scenario.control.align_to_cameras;
     if let Some(limits) = scenario.limits {
         config.limits = limits;
     }
@@ -98,17 +94,7 @@ fn parts(scenario: &Scenario) -> Result<(Config, VirtualDriveConfig), CarError> 
         .written_out()
         .map_err(ScenarioError::from)?;
     config.validate().map_err(ScenarioError::from)?;
-    let drive = VirtualDriveConfig {
-        pilot: config.pilot().map_err(ScenarioError::from)?,
-        link: config.link(scenario.run.seed),
-        motion_capture: config
-            .motion_capture
-            .session()
-            .map_err(ScenarioError::from)?,
-        period_us: u64::from(scenario.control.period_ms) * 1000,
-        simulation,
-    };
-    Ok((config, drive))
+    Ok((config, simulation))
 }
 
 /// Drives a scenario on the simulated car, without marker losses, and tells each entry
@@ -121,13 +107,13 @@ pub fn drive_entries(
     scenario: &Scenario,
     take: &mut impl FnMut(&Entry),
 ) -> Result<Config, CarError> {
-    let (daemon, config) = parts(scenario)?;
-    let mut drive = VirtualDrive::new(config)?;
+    let (daemon, simulation) = virtual_drive_config(scenario)?;
+    let mut drive = VirtualDrive::new(daemon.clone(), scenario.run.seed, simulation)?;
     drive.keep_entries();
     let first = drive.start()?;
     let mut now = first.now;
     while now.seconds_since(first.now) < scenario.run.duration_s {
-        now = drive.step(&mut |_| {}).now;
+        now = drive.step().now;
         for entry in drive.entries() {
             take(&entry);
         }
@@ -141,9 +127,9 @@ pub fn drive_entries(
 ///
 /// A scenario that the car can't drive, or a car that does not start.
 pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Simulation, CarError> {
-    let (daemon, config) = parts(scenario)?;
-    let period_us = config.period_us;
-    let latency_us = config.simulation.cameras.latency_us;
+    let (daemon, simulation) = virtual_drive_config(scenario)?;
+    let period_us = daemon.control.period_ns() / 1_000;
+    let latency_us = simulation.cameras.latency_us;
     let under_way = latency_us.div_ceil(period_us);
     for loss in &scenario.marker_loss {
         if loss.first_tick <= under_way {
@@ -155,13 +141,13 @@ pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Sim
             .into());
         }
     }
-    let reference = config.pilot.reference.clone();
-    let mut drive = VirtualDrive::new(config)?;
+    let reference = scenario.reference().map_err(ScenarioError::from)?;
+    let mut drive = VirtualDrive::new(daemon.clone(), scenario.run.seed, simulation)?;
     let mut record = record
         .map(|path| VirtualRecord::start(path, &mut drive, &daemon, scenario.run.seed))
         .transpose()?;
     let mut last = drive.start()?;
-    let start_us = drive.next_tick_us() - period_us;
+    let start_us = last.now.0 / 1_000;
     for loss in &scenario.marker_loss {
         // A tick is lost when no frame arrives in the period before it.
         let first_us = start_us + (loss.first_tick - 1) * period_us - latency_us;
@@ -182,17 +168,17 @@ pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Sim
         .map(|index| {
             let row_us = start_us + index * 1_000_000 / ROWS_PER_SECOND;
             while drive.next_tick_us() <= row_us {
-                last = drive.step(&mut |_| {});
+                last = drive.step();
             }
             if let Some(record) = &mut record
                 && unrecorded.is_none()
             {
                 unrecorded = record.write(&mut drive).err();
             }
-            let truth = if row_us + period_us == drive.next_tick_us() {
+            let truth = if row_us == last.now.0 / 1_000 {
                 last.truth
             } else {
-                drive.advance_to(row_us, &mut |_| {});
+                drive.advance_to(row_us);
                 drive.world().truth()
             };
             let time = index as f64 / ROWS_PER_SECOND as f64;

@@ -7,13 +7,13 @@ use singletrack_control::{
     SingleTrackState, Singularity, TrackingLoop, Velocity, VelocityPointLaw, direction,
     front_point, velocity_point,
 };
+use singletrack_core::config::LawKind;
 
 use super::{
     integrator::{IntegrationError, Integrator},
     row::{ROWS_PER_SECOND, Row},
     scenario::{Scenario, ScenarioError, SteeringHold},
 };
-use singletrackd::config::LawKind;
 
 /// Why an ideal simulation stopped.
 #[derive(Debug, thiserror::Error)]

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use singletrack_control::{
     FrontPointLaw, LawError, Reference, TrackingLoop, VehicleParameters, VelocityPointLaw,
 };
-use singletrackd::config::{
+use singletrack_core::config::{
     BoardSection, ConfigError, LawSection, LimitsSection, OuterLoopSection, ReferenceSection,
 };
 
@@ -63,12 +63,20 @@ pub struct StartSection {
 pub struct ControlSection {
     /// Period of the controller, in ms; 0 for continuous control.
     pub period_ms: u32,
+    /// Whether the pilot's ticks of plant kind "car" slide to where frames have just
+    /// arrived, as the daemon's do.
+    #[serde(default = "aligns_to_cameras")]
+    pub align_to_cameras: bool,
     /// Ticks from measurement to actuation.
     #[serde(default)]
     pub delay_ticks: u32,
     /// How a steering rate becomes steering.
     #[serde(default)]
     pub steering: SteeringHold,
+}
+
+const fn aligns_to_cameras() -> bool {
+    true
 }
 
 /// How a commanded steering rate acts over a period.

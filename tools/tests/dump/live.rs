@@ -11,11 +11,9 @@ use std::{
 
 use singletrack::simulated::{Drive, daemon_config};
 use singletrack_control::VehicleParameters;
+use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, UdpConfig};
-use singletrackd::{
-    Daemon, StartOptions,
-    config::{LawKind, LawSection, OuterLoopSection, ReferenceSection},
-};
+use singletrackd::{Daemon, StartOptions};
 
 use crate::fixture::{assert_case, command, dump, entries, text};
 

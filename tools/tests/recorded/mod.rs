@@ -14,6 +14,7 @@ use singletrack_control::{
     Actuation, Estimate, InertialSample, Position, ReferencePoint, Time, VehicleParameters,
     Velocity,
 };
+use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_pilot::{
     BoardSample, BoardState, DriveCommand, Event, Mode, Output, PoseMissing, Reason,
 };
@@ -21,7 +22,6 @@ use singletrack_record::{
     ClockMapping, ConfigurationRecord, DriveWrite, Entry, Level, LinkPhase, Log, Meta, Recorder,
     TickRecord,
 };
-use singletrackd::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 /// The control period, in ns.
 pub(crate) const PERIOD_NS: u64 = 10_000_000;
@@ -254,6 +254,6 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
 }
 
 /// The events of a tick.
-fn heapless_events<const N: usize>(events: [Event; N]) -> singletrackd::controller::Events {
+fn heapless_events<const N: usize>(events: [Event; N]) -> singletrack_core::controller::Events {
     events.into_iter().collect()
 }

@@ -22,7 +22,7 @@ pub enum MarkerLoss {
     #[default]
     Hold,
     /// Position and yaw are predicted from IMU and motor speed.
-    Coast,
+    DeadReckon,
 }
 
 /// The estimator's parameters, in SI units and radians.

@@ -85,7 +85,7 @@ pub(crate) struct LiveThread {
 #[cfg(not(feature = "live"))]
 impl LiveThread {
     pub(crate) fn start(
-        _: crate::config::LiveSection,
+        _: singletrack_core::config::LiveSection,
         _: singletrack_record::ClockMapping,
     ) -> Result<(Self, singletrack_record::FeedInput), LiveError> {
         Err(LiveError::NotBuilt)

@@ -16,11 +16,11 @@ use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer,
     WebSocketServerHandle,
 };
+use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping, Encoder, FeedInput, FeedOutput, feed};
 use tokio::runtime::{self, Runtime};
 
 use super::{LiveError, LiveView};
-use crate::config::LiveSection;
 
 /// Entries that may wait to be encoded, most of a second.
 const CAPACITY: usize = 256;

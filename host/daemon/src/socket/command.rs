@@ -4,10 +4,10 @@ use core::str::FromStr;
 
 use serde::Deserialize;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
+use singletrack_core::config::ReferenceSection;
 use singletrack_record::Topic;
 
 use super::SOCKET_VERSION;
-use crate::config::ReferenceSection;
 
 /// What a client may send.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,6 +4,7 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
+use singletrack_core::{config::ReferenceSection, control_loop::ControlRequest};
 use singletrack_pilot::{Mode, Reason, Request};
 use singletrack_record::Topic;
 use tokio::{
@@ -20,9 +21,7 @@ use super::{
     CLIENTS, SOCKET_VERSION,
     command::{Command, Question},
 };
-use crate::{
-    clock::monotonic_ns, config::ReferenceSection, control_loop::ControlRequest, daemon::View,
-};
+use crate::{clock::monotonic_ns, daemon::View};
 
 /// The longest line that is read.
 const LONGEST_LINE: u64 = 4_096;

@@ -36,8 +36,18 @@ pub struct LineCounters {
 }
 
 impl Report {
+    /// What a record holds of it; none for what is only logged or counted.
+    #[must_use]
+    pub const fn entry(self) -> Option<Entry> {
+        match self {
+            Self::Telemetry(record) => Some(Entry::Telemetry(record)),
+            Self::Status(record) => Some(Entry::Status(record)),
+            Self::Link { .. } | Self::Counters(_) => None,
+        }
+    }
+
     /// What an event of the link is to the records.
-    pub(crate) const fn of(time_ns: u64, event: &Event) -> Self {
+    pub const fn of(time_ns: u64, event: &Event) -> Self {
         match *event {
             Event::Telemetry(record) => Self::telemetry(&record),
             Event::Status(status) => Self::status(time_ns, status),
@@ -59,16 +69,6 @@ impl Report {
             receive_time_ns,
             status,
         })
-    }
-}
-
-/// What an event of the link is to a record; none for what is only logged.
-#[must_use]
-pub const fn link_entry(time_ns: u64, event: &Event) -> Option<Entry> {
-    match Report::of(time_ns, event) {
-        Report::Telemetry(record) => Some(Entry::Telemetry(record)),
-        Report::Status(record) => Some(Entry::Status(record)),
-        Report::Link { .. } | Report::Counters(_) => None,
     }
 }
 

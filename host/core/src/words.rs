@@ -4,7 +4,9 @@ use singletrack_link::{LossCause, RestartEvidence};
 use singletrack_protocol::{BoardMode, RefusalReason, Request, StopCause};
 use singletrack_record::LinkPhase;
 
-pub(crate) const fn link_name(phase: LinkPhase) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn link_name(phase: LinkPhase) -> &'static str {
     match phase {
         LinkPhase::Disconnected => "disconnected",
         LinkPhase::Greeting => "greeting",
@@ -15,7 +17,9 @@ pub(crate) const fn link_name(phase: LinkPhase) -> &'static str {
     }
 }
 
-pub(crate) const fn board_mode_name(mode: BoardMode) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn board_mode_name(mode: BoardMode) -> &'static str {
     match mode {
         BoardMode::Boot => "boot",
         BoardMode::Neutral => "neutral",
@@ -26,7 +30,9 @@ pub(crate) const fn board_mode_name(mode: BoardMode) -> &'static str {
     }
 }
 
-pub(crate) const fn stop_cause_name(cause: StopCause) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn stop_cause_name(cause: StopCause) -> &'static str {
     match cause {
         StopCause::None => "none",
         StopCause::Disarmed => "disarmed",
@@ -39,7 +45,9 @@ pub(crate) const fn stop_cause_name(cause: StopCause) -> &'static str {
     }
 }
 
-pub(crate) const fn request_name(request: Request) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn request_name(request: Request) -> &'static str {
     match request {
         Request::Configure => "configure",
         Request::Arm => "arm",
@@ -48,7 +56,9 @@ pub(crate) const fn request_name(request: Request) -> &'static str {
     }
 }
 
-pub(crate) const fn refusal_name(reason: RefusalReason) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn refusal_name(reason: RefusalReason) -> &'static str {
     match reason {
         RefusalReason::None => "none",
         RefusalReason::NotConfigured => "not-configured",
@@ -68,7 +78,9 @@ pub(crate) const fn refusal_name(reason: RefusalReason) -> &'static str {
     }
 }
 
-pub(crate) const fn restart_name(evidence: RestartEvidence) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn restart_name(evidence: RestartEvidence) -> &'static str {
     match evidence {
         RestartEvidence::Announced => "announced",
         RestartEvidence::ClockRestarted => "clock-restarted",
@@ -76,7 +88,9 @@ pub(crate) const fn restart_name(evidence: RestartEvidence) -> &'static str {
     }
 }
 
-pub(crate) const fn loss_name(cause: LossCause) -> &'static str {
+/// The word that status, log and record use.
+#[must_use]
+pub const fn loss_name(cause: LossCause) -> &'static str {
     match cause {
         LossCause::Silence => "silence",
         LossCause::HangUp => "hang-up",

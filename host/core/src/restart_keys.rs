@@ -16,7 +16,7 @@ const CONTROL_TAKEN_OVER: [&str; 1] = ["stop_deceleration_m_s2"];
 /// # Errors
 ///
 /// A path that is not UTF-8, which no file can have named.
-pub(crate) fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
+pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
     let (old, new) = (Table::try_from(old)?, Table::try_from(new)?);
     let mut keys = Vec::new();
     for section in SECTIONS.into_iter().chain([CONTROL]) {
@@ -51,7 +51,8 @@ mod tests {
 
     #[test]
     fn what_takes_a_restart_is_named_and_nothing_else_is() {
-        let old = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+        let old =
+            Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
         assert_eq!(restart_keys(&old, &old).unwrap(), [""; 0]);
 
         let mut new = old.clone();

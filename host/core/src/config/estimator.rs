@@ -43,8 +43,9 @@ pub struct EstimatorSection {
 pub enum MarkerLossKind {
     /// They keep their last value.
     Hold,
-    /// They are predicted from IMU and motor speed.
-    Coast,
+    /// They are predicted from IMU and motor speed; `coast` in older files.
+    #[serde(alias = "coast")]
+    DeadReckon,
 }
 
 impl Default for EstimatorSection {
@@ -54,7 +55,7 @@ impl Default for EstimatorSection {
         Self {
             marker_loss: match config.marker_loss {
                 MarkerLoss::Hold => MarkerLossKind::Hold,
-                MarkerLoss::Coast => MarkerLossKind::Coast,
+                MarkerLoss::DeadReckon => MarkerLossKind::DeadReckon,
             },
             position_noise_m: config.position_noise,
             yaw_noise_rad: config.yaw_noise,
@@ -84,7 +85,7 @@ impl EstimatorSection {
         EstimatorConfig {
             marker_loss: match self.marker_loss {
                 MarkerLossKind::Hold => MarkerLoss::Hold,
-                MarkerLossKind::Coast => MarkerLoss::Coast,
+                MarkerLossKind::DeadReckon => MarkerLoss::DeadReckon,
             },
             marker_offset: marker_offset_m,
             marker_yaw: marker_yaw_rad,

@@ -13,17 +13,17 @@ mod outside;
 
 use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason, Request};
-use singletrack_protocol::{BoardMode, Decoder, ToBoard};
-use singletrackd::{
+use singletrack_core::{
     Config,
     config::{OuterLoopSection, ReferenceSection},
     control_loop::{ControlLoop, ControlRequest},
     controller::{Controller, ReconfigureError, Sent},
     reconfigure::Refusal,
 };
+use singletrack_link::Session as LinkSession;
+use singletrack_mocap::{Observation, PoseState};
+use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason, Request};
+use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 
 /// The drive commands in `bytes`.
 fn drives(bytes: &[u8]) -> usize {
@@ -147,7 +147,7 @@ fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
 }
 
 fn controller() -> Controller {
-    let config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+    let config = Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
     Controller::new(
         LinkSession::new(config.link(7)).unwrap(),
         Pilot::new(config.pilot().unwrap()),

@@ -8,9 +8,9 @@
 
 use std::{fs, path::Path};
 
-use singletrackd::config::{Config, ConfigError};
+use singletrack_core::config::{Config, ConfigError};
 
-const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
+const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
 /// The example with its commented-out defaults switched on.
 fn spelt_out() -> String {

@@ -6,21 +6,22 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use rtrb::{Consumer, Producer, RingBuffer};
+use singletrack_core::{
+    Config, Report,
+    control_loop::{ControlLoop, ControlRequest, Rings},
+    controller::{Controller, Sent},
+    grid::Slot,
+    line::Line,
+    reconfigure::{Reconfiguration, Refusal},
+    serial::{Chunk, SerialEvent},
+    setpoint_slot::{SetpointSender, setpoint_slot},
+};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, Outcome, Session as MocapSession};
 use singletrack_pilot::{Mode, Pilot, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{TickOutput, tick_feed};
 use singletrack_sim::{Destination, SimulationConfig, World};
-use singletrackd::{
-    Config, Report,
-    control_loop::{ControlLoop, ControlRequest, Rings, Slot},
-    controller::{Controller, Sent},
-    reconfigure::{Reconfiguration, Refusal},
-    serial_port::Line,
-    serial_reader::{Chunk, SerialEvent},
-    setpoint_slot::{SetpointSender, setpoint_slot},
-};
 
 /// A line into a ring.
 pub(crate) struct RingLine(Producer<u8>);
@@ -133,7 +134,8 @@ impl Outside {
 }
 
 pub(crate) fn set_up() -> (ControlLoop<RingLine>, Outside) {
-    let mut config = Config::from_toml(include_str!("../../singletrackd.example.toml")).unwrap();
+    let mut config =
+        Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
     // The circle of the example is as large as the example's carpet.
     config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];

@@ -14,10 +14,7 @@ use singletrack_pilot::Reason;
 use singletrack_protocol::{RefusalReason, StopCause};
 use singletrack_record::Topic;
 
-/// The words of status and log, as the daemon has them.
-#[path = "../src/words.rs"]
-#[allow(dead_code, reason = "only two of them are about reasons")]
-mod words;
+use singletrack_core::words;
 
 const TABLE: &str = include_str!("../../../docs/reasons.md");
 

@@ -15,19 +15,21 @@ pub struct Stalled;
 
 /// Where anybody asks the control thread for something.
 #[derive(Clone, Debug)]
-pub(crate) struct Requests(Arc<Mutex<Producer<ControlRequest>>>);
+pub struct Requests(Arc<Mutex<Producer<ControlRequest>>>);
 
 /// Room that only a stop may use: however often somebody asks for something
 /// else, it gets through.
 const RESERVED: usize = 4;
 
 impl Requests {
-    pub(crate) fn new(ring: Producer<ControlRequest>) -> Self {
+    /// The sending end of the ring that the control loop takes requests from.
+    #[must_use]
+    pub fn new(ring: Producer<ControlRequest>) -> Self {
         Self(Arc::new(Mutex::new(ring)))
     }
 
     /// Those who ask wait for each other; the control thread waits for nobody.
-    pub(crate) fn push(&self, request: ControlRequest) -> Result<(), Stalled> {
+    pub fn push(&self, request: ControlRequest) -> Result<(), Stalled> {
         // The ring is whole at every moment.
         let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let stops = match request {

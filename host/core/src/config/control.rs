@@ -39,6 +39,12 @@ impl ControlSection {
         Duration::from_millis(self.period_ms.into())
     }
 
+    /// The period, in ns.
+    #[must_use]
+    pub fn period_ns(&self) -> u64 {
+        u64::from(self.period_ms) * 1_000_000
+    }
+
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         // Faster than 200 Hz the commands fill the line; slower than 20 Hz the
         // board's 95 ms leave no room for one that is lost.

@@ -7,10 +7,10 @@
 )]
 
 use singletrack_control::{EstimatorConfig, Limits, Reference, TrackingLoop, VehicleParameters};
+use singletrack_core::config::{BoardSection, Config, OuterLoopSection};
 use singletrack_pilot::SupervisorConfig;
-use singletrackd::config::{BoardSection, Config, OuterLoopSection};
 
-const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
+const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
 fn example() -> Config {
     Config::from_toml(EXAMPLE).unwrap()

@@ -13,11 +13,11 @@ use singletrack_record::{DriveWrite, TickInput, TickRecord};
 use crate::{
     alignment::Alignment,
     controller::{Controller, Sent},
-    realtime,
+    grid::Slot,
+    line::{Line, drive_number},
     reconfigure::{Reconfiguration, Refusal},
     report::{LineCounters, Report, link_phase},
-    serial_port::{Line, drive_number},
-    serial_reader::SerialEvent,
+    serial::SerialEvent,
     setpoint_slot::SetpointReceiver,
 };
 
@@ -33,17 +33,6 @@ pub enum ControlRequest {
     Finish,
     /// Disarm at once and end.
     Abort,
-}
-
-/// Where a tick stands on the grid.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Slot {
-    /// The point of the grid.
-    pub scheduled_ns: u64,
-    /// When the thread woke up.
-    pub start_ns: u64,
-    /// Points of the grid that were skipped just before.
-    pub skipped: u32,
 }
 
 /// The rings that end at the control thread.
@@ -141,14 +130,20 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// Has the memory there that its ticks on the calling thread will write to.
-    pub fn touch_memory(&mut self) {
-        realtime::touch_memory(&mut self.rings);
+    /// The rings that it writes to, for a caller that prepares their memory.
+    pub const fn rings_mut(&mut self) -> &mut Rings<L> {
+        &mut self.rings
     }
 
     /// What the system granted the thread that is to run it, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.real_time(state);
+    }
+
+    /// The controller.
+    #[must_use]
+    pub const fn controller(&self) -> &Controller {
+        &self.controller
     }
 
     /// How much later the next tick should begin than a period after the last

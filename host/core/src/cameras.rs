@@ -1,0 +1,164 @@
+//! The camera receiver: the session with the motion capture between its sockets and
+//! the control loop.
+//!
+//! A state machine without a clock or a socket. The caller polls it when a datagram
+//! waits or the returned deadline has passed.
+
+use std::net::SocketAddr;
+
+use rtrb::Producer;
+use singletrack_mocap::{Counters, Event, Observation, Outcome, PoseState, Session};
+
+/// The longest datagram of UDP.
+const LONGEST: usize = 65_535;
+
+/// Datagrams of one socket per poll: a flood must not keep the receiver from
+/// noticing silence or from requesting the stream.
+const DATAGRAMS: usize = 64;
+
+/// The longest wait between two polls.
+const IDLE_NS: u64 = 100_000_000;
+
+/// Interval at which the counters are reported.
+const COUNTERS_NS: u64 = 200_000_000;
+
+/// Which socket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Replies of the server, and frames if they are unicast.
+    Command,
+    /// Multicast frames.
+    Data,
+}
+
+/// The sockets to the motion capture.
+pub trait Sockets {
+    /// Takes the next datagram that waits, without waiting.
+    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>;
+
+    /// Sends a datagram; a lost one is repeated by the session.
+    fn send(&mut self, to: SocketAddr, bytes: &[u8]);
+}
+
+/// What the receiver reports to the record.
+#[derive(Clone, Copy, Debug)]
+pub enum CameraReport {
+    /// An observation of the car.
+    Observation(Observation),
+    /// The counters so far.
+    Counters(Counters),
+}
+
+/// Talks to the cameras for the control loop.
+#[derive(Debug)]
+pub struct CameraReceiver {
+    session: Session,
+    observations: Producer<Observation>,
+    reports: Producer<CameraReport>,
+    buffer: Vec<u8>,
+    is_stale: bool,
+    last_frame: i32,
+    counters_at_ns: u64,
+    dropped: u64,
+}
+
+impl CameraReceiver {
+    /// A receiver at the beginning of a session. Observations go to the control loop and,
+    /// in `reports`, to the record.
+    #[must_use]
+    pub fn new(
+        session: Session,
+        observations: Producer<Observation>,
+        reports: Producer<CameraReport>,
+    ) -> Self {
+        Self {
+            session,
+            observations,
+            reports,
+            buffer: vec![0; LONGEST],
+            is_stale: false,
+            last_frame: 0,
+            counters_at_ns: 0,
+            dropped: 0,
+        }
+    }
+
+    /// The counters of the session.
+    #[must_use]
+    pub const fn counters(&self) -> &Counters {
+        self.session.counters()
+    }
+
+    /// Observations that found no room on their way to the control loop.
+    #[must_use]
+    pub const fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Takes in the datagrams that wait, sends those that are due, reports silence.
+    /// Returns when it is to be polled again at the latest.
+    pub fn poll(
+        &mut self,
+        clock: &impl Fn() -> u64,
+        sockets: &mut impl Sockets,
+        on_event: &mut impl FnMut(&Event),
+    ) -> u64 {
+        for channel in [Channel::Command, Channel::Data] {
+            for _ in 0..DATAGRAMS {
+                let Some((length, source)) = sockets.receive(channel, &mut self.buffer) else {
+                    break;
+                };
+                let now_ns = clock();
+                let datagram = self.buffer.get(..length).unwrap_or(&[]);
+                if let Outcome::Frame(observation) =
+                    self.session.handle_datagram(now_ns, source, datagram)
+                {
+                    self.is_stale = false;
+                    self.last_frame = observation.frame_number;
+                    self.observed(observation);
+                }
+            }
+        }
+        let now_ns = clock();
+        self.transmit(now_ns, sockets);
+        while let Some(event) = self.session.poll_event() {
+            on_event(&event);
+        }
+        let state = self.session.pose_state(now_ns);
+        if matches!(state, PoseState::Stale { .. }) && !self.is_stale {
+            self.is_stale = true;
+            self.observed(Observation {
+                frame_number: self.last_frame,
+                receive_time_ns: now_ns,
+                state,
+            });
+        }
+        if now_ns >= self.counters_at_ns {
+            self.counters_at_ns = now_ns.saturating_add(COUNTERS_NS);
+            // A lost report is superseded by the next.
+            let _ = self
+                .reports
+                .push(CameraReport::Counters(*self.session.counters()));
+        }
+        let idle_ns = now_ns.saturating_add(IDLE_NS);
+        self.session.poll_timeout().unwrap_or(idle_ns).min(idle_ns)
+    }
+
+    /// Ends the session and takes leave of the server.
+    pub fn close(&mut self, clock: &impl Fn() -> u64, sockets: &mut impl Sockets) {
+        self.session.close();
+        self.transmit(clock(), sockets);
+    }
+
+    fn transmit(&mut self, now_ns: u64, sockets: &mut impl Sockets) {
+        while let Some(datagram) = self.session.poll_transmit(now_ns) {
+            sockets.send(datagram.destination, &datagram.bytes);
+        }
+    }
+
+    fn observed(&mut self, observation: Observation) {
+        // The record may miss one.
+        let _ = self.reports.push(CameraReport::Observation(observation));
+        self.dropped += u64::from(self.observations.push(observation).is_err());
+    }
+}

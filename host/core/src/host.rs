@@ -1,0 +1,135 @@
+//! The host: all parts that run the car, connected by their rings.
+//!
+//! ```text
+//! serial reader ----ring---\                      /--ring--> ticks
+//! camera receiver --ring----> control loop ------<---ring--> reports
+//! requests ---------ring---/   |                  \--> the port's write half
+//! set-points -------slot--/
+//! ```
+//!
+//! The daemon gives each part a thread of its own. Simulations and tests poll them in
+//! virtual time, see [`VirtualHost`](crate::virtual_host::VirtualHost).
+
+use rtrb::{Consumer, RingBuffer};
+use singletrack_link::Session as LinkSession;
+use singletrack_mocap::Session as MocapSession;
+use singletrack_pilot::Pilot;
+use singletrack_record::{TickOutput, tick_feed};
+
+use crate::{
+    cameras::{CameraReceiver, CameraReport},
+    config::{Config, ConfigError},
+    control_loop::{ControlLoop, Rings},
+    controller::Controller,
+    line::Line,
+    reconfigure::Configurations,
+    report::Report,
+    requests::Requests,
+    serial::SerialReader,
+    setpoint_slot::{SetpointSender, setpoint_slot},
+};
+
+/// Capacities of the rings. A stall of the control loop of half a second loses
+/// nothing; one of the record of two seconds neither.
+const SERIAL_EVENTS: usize = 512;
+const OBSERVATIONS: usize = 256;
+const TICKS: usize = 256;
+const REPORTS: usize = 512;
+/// Write halves: the one in use and its successor.
+const LINES: usize = 2;
+/// One is under way at a time.
+const RECONFIGURATIONS: usize = 2;
+/// All of them find room among a tick's events, see `controller::RESERVED`.
+const REQUESTS: usize = 10;
+
+/// What a host is started with beside its configuration.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct HostOptions {
+    /// Differs from one start to the next: the board recognises a restarted host.
+    pub nonce_seed: u64,
+    /// Arms once, as soon as the pilot is ready.
+    pub arm_when_ready: bool,
+}
+
+/// The parts of a host.
+#[derive(Debug)]
+pub struct Host<L> {
+    /// The control loop.
+    pub control: ControlLoop<L>,
+    /// Reads the board's port.
+    pub reader: SerialReader<L>,
+    /// Talks to the cameras.
+    pub receiver: CameraReceiver,
+    /// Takes requests for the control loop.
+    pub requests: Requests,
+    /// Takes set-points for the control loop.
+    pub setpoints: SetpointSender,
+    /// The configuration in force.
+    pub configurations: Configurations,
+    /// Every tick.
+    pub ticks: TickOutput,
+    /// What the control loop reports beside the ticks.
+    pub reports: Consumer<Report>,
+    /// What the camera receiver reports.
+    pub camera_reports: Consumer<CameraReport>,
+}
+
+impl<L: Line> Host<L> {
+    /// Checks the configuration, reads the files that it names, and connects the parts.
+    ///
+    /// # Errors
+    ///
+    /// An invalid configuration, by key.
+    pub fn new(mut config: Config, options: HostOptions) -> Result<Self, ConfigError> {
+        config.validate()?;
+        // Read once, for pilot and record alike.
+        config.reference = config.reference.written_out()?;
+        let controller = Controller::new(
+            LinkSession::new(config.link(options.nonce_seed))?,
+            Pilot::new(config.pilot()?),
+        );
+        let session = MocapSession::new(config.motion_capture.session()?)
+            .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
+        let period_ns = config.control.period_ns();
+        let aligns = config.control.align_to_cameras;
+
+        let (serial_in, serial) = RingBuffer::new(SERIAL_EVENTS);
+        let (returned, returned_out) = RingBuffer::new(LINES);
+        let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
+        let (requests_in, requests) = RingBuffer::new(REQUESTS);
+        let (setpoints_in, setpoints) = setpoint_slot();
+        let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
+        let (ticks, ticks_out) = tick_feed(TICKS);
+        let (reports, reports_out) = RingBuffer::new(REPORTS);
+        let (camera_reports, camera_reports_out) = RingBuffer::new(REPORTS);
+        let control = ControlLoop::new(
+            controller,
+            Rings {
+                serial,
+                returned,
+                observations,
+                requests,
+                setpoints,
+                reconfigured,
+                ticks,
+                reports,
+            },
+            options.arm_when_ready,
+        );
+        Ok(Self {
+            control: if aligns {
+                control.aligned_to_cameras(period_ns)
+            } else {
+                control
+            },
+            reader: SerialReader::new(serial_in, returned_out),
+            receiver: CameraReceiver::new(session, observations_in, camera_reports),
+            requests: Requests::new(requests_in),
+            setpoints: setpoints_in,
+            configurations: Configurations::new(config, reconfigured_out),
+            ticks: ticks_out,
+            reports: reports_out,
+            camera_reports: camera_reports_out,
+        })
+    }
+}

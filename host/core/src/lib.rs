@@ -1,0 +1,33 @@
+//! The host without its devices: the configuration, the [`controller::Controller`]
+//! that joins link session and pilot, and the loop around it.
+//!
+//! Everything that runs the car runs this code: the daemon in real time on its
+//! threads, simulations and tests in virtual time on one. No clock, thread, port or
+//! socket stands here; time, bytes and datagrams are arguments.
+
+pub mod cameras;
+pub mod config;
+pub mod control_loop;
+pub mod controller;
+pub mod grid;
+pub mod host;
+pub mod line;
+pub mod reconfigure;
+pub mod serial;
+pub mod setpoint_slot;
+pub mod virtual_host;
+pub mod words;
+
+mod alignment;
+mod meta;
+mod report;
+mod requests;
+mod restart_keys;
+
+pub use config::{Config, ConfigError};
+pub use host::{Host, HostOptions};
+pub use meta::record_meta;
+pub use report::{LineCounters, Report, link_phase};
+pub use requests::{Requests, Stalled};
+pub use restart_keys::restart_keys;
+pub use virtual_host::VirtualHost;

@@ -1,0 +1,177 @@
+//! Another configuration for a controller that runs.
+//!
+//! It is read, checked and built by the caller, and handed to the control loop as a
+//! whole, in a box that is returned to be freed by the caller: the control loop reads
+//! no file, waits for nothing and frees nothing. A configuration that it refuses
+//! changes nothing.
+
+use std::path::PathBuf;
+
+use rtrb::Consumer;
+use singletrack_pilot::PilotConfig;
+use singletrack_protocol::Configuration;
+
+use crate::{
+    config::{Config, ConfigError, ReferenceSection},
+    control_loop::ControlRequest,
+    controller::ReconfigureError,
+    requests::{Requests, Stalled},
+    restart_keys::restart_keys,
+};
+
+/// What the control loop takes over between two ticks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reconfiguration {
+    /// Its number; the one at the start is 1.
+    pub number: u32,
+    /// For the pilot.
+    pub pilot: PilotConfig,
+    /// For the board.
+    pub board: Configuration,
+    /// After this the caller has given up, and it is not taken over.
+    pub until_ns: u64,
+    /// The outcome; none until the control loop has seen it.
+    pub outcome: Option<Result<(), Refusal>>,
+}
+
+/// Why the control loop did not take a configuration over.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The pilot or the board does not take it.
+    #[error(transparent)]
+    Pilot(#[from] ReconfigureError),
+    /// The loop is about to end.
+    #[error("singletrackd is about to end")]
+    Ending,
+    /// It arrived too late.
+    #[error("the control thread was stalled")]
+    Late,
+}
+
+/// Why the configuration in force stays.
+#[derive(Debug, thiserror::Error)]
+pub enum ChangeError {
+    /// The new one is invalid.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The new one differs in keys that are read at the start only.
+    #[error(
+        "{} can't change while singletrackd runs: restart it, or take {} back",
+        .0.join(", "),
+        if .0.len() == 1 { "that" } else { "those" }
+    )]
+    Restart(Vec<String>),
+    /// It can't be compared with the one in force.
+    #[error("{0}; every path must be UTF-8")]
+    Path(#[from] toml::ser::Error),
+    /// The control loop refused it.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The control loop takes no requests.
+    #[error(transparent)]
+    Stalled(#[from] Stalled),
+    /// A reference file with a relative path, which depends on the reader's folder.
+    #[error("reference.file is {}: a daemon needs an absolute path", .0.display())]
+    RelativePath(PathBuf),
+}
+
+/// The configuration in force, and the change that is under way.
+#[derive(Debug)]
+pub struct Configurations {
+    in_force: Config,
+    number: u32,
+    returned: Consumer<Box<Reconfiguration>>,
+    under_way: Option<Config>,
+}
+
+impl Configurations {
+    /// `config` is in force, with the number 1; `returned` is the ring on which boxes
+    /// are returned.
+    #[must_use]
+    pub const fn new(config: Config, returned: Consumer<Box<Reconfiguration>>) -> Self {
+        Self {
+            in_force: config,
+            number: 1,
+            returned,
+            under_way: None,
+        }
+    }
+
+    /// The configuration in force.
+    #[must_use]
+    pub const fn in_force(&self) -> &Config {
+        &self.in_force
+    }
+
+    /// Its number.
+    #[must_use]
+    pub const fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// The configuration in force with another reference.
+    ///
+    /// # Errors
+    ///
+    /// A reference that does not fit the rest.
+    pub fn with_reference(&self, reference: ReferenceSection) -> Result<Config, ChangeError> {
+        if let ReferenceSection::Waypoints { file } = &reference
+            && !file.is_absolute()
+        {
+            return Err(ChangeError::RelativePath(file.clone()));
+        }
+        let config = Config {
+            reference,
+            ..self.in_force.clone()
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Hands `config` to the control loop, which may take it over until `until_ns`.
+    /// The outcome comes from [`settle`](Self::settle).
+    ///
+    /// # Errors
+    ///
+    /// Why it can't be handed over. The configuration in force stays.
+    pub fn begin(
+        &mut self,
+        mut config: Config,
+        until_ns: u64,
+        requests: &Requests,
+    ) -> Result<(), ChangeError> {
+        if self.under_way.is_some() {
+            return Err(Stalled.into());
+        }
+        config.reference = config.reference.written_out()?;
+        let keys = restart_keys(&self.in_force, &config)?;
+        if !keys.is_empty() {
+            return Err(ChangeError::Restart(keys));
+        }
+        let change = Box::new(Reconfiguration {
+            number: self.number.wrapping_add(1),
+            pilot: config.pilot()?,
+            board: config.board.configuration(),
+            until_ns,
+            outcome: None,
+        });
+        requests.push(ControlRequest::Reconfigure(change))?;
+        self.under_way = Some(config);
+        Ok(())
+    }
+
+    /// Takes in the outcome of the change under way; none while there is none. Returns
+    /// the number that is in force now.
+    pub fn settle(&mut self) -> Option<Result<u32, ChangeError>> {
+        let change = self.returned.pop().ok()?;
+        let config = self.under_way.take()?;
+        match change.outcome {
+            Some(Ok(())) => {}
+            Some(Err(refusal)) => return Some(Err(refusal.into())),
+            None => return Some(Err(Stalled.into())),
+        }
+        self.in_force = config;
+        self.number = change.number;
+        Some(Ok(self.number))
+    }
+}

@@ -1,0 +1,363 @@
+//! The serial reader: opens the board's port, reads it, and opens it again after a
+//! hang-up.
+//!
+//! A state machine without a clock or a device. The caller polls it when the port is
+//! readable or the returned deadline has passed.
+
+use rtrb::{Consumer, Producer, PushError};
+
+use crate::line::{Line, Port, PortRead};
+
+/// The most bytes that are handed over at once.
+pub const CHUNK: usize = 240;
+
+/// Delays between two attempts to open the port.
+const FIRST_RETRY_NS: u64 = 50_000_000;
+const LAST_RETRY_NS: u64 = 400_000_000;
+
+/// How long a hang-up waits for the control loop to give the write half back.
+const RETURN_PATIENCE_NS: u64 = 200_000_000;
+
+/// Delay between two attempts to hand something over or to get it back.
+const HAND_OVER_NS: u64 = 1_000_000;
+
+/// The longest wait on a port that is silent.
+const IDLE_NS: u64 = 200_000_000;
+
+/// Reads of one poll: a flood must not keep the caller from its other duties.
+const READS: u32 = 512;
+
+/// What the serial reader hands to the control loop.
+#[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "the control thread must not allocate to take it in"
+)]
+pub enum SerialEvent<L> {
+    /// The port is open; this is its write half.
+    Opened(L),
+    /// Bytes were received.
+    Bytes(Chunk),
+    /// The port has hung up: the write half is to be returned.
+    Closed {
+        /// When the hang-up was noticed.
+        time_ns: u64,
+    },
+}
+
+/// Bytes of one read.
+#[derive(Clone, Copy, Debug)]
+pub struct Chunk {
+    /// When they were read.
+    pub time_ns: u64,
+    length: usize,
+    bytes: [u8; CHUNK],
+}
+
+impl Chunk {
+    /// The first [`CHUNK`] bytes of `bytes`, read at `time_ns`.
+    #[must_use]
+    pub fn new(time_ns: u64, bytes: &[u8]) -> Self {
+        let mut chunk = Self {
+            time_ns,
+            length: 0,
+            bytes: [0; CHUNK],
+        };
+        for (to, from) in chunk.bytes.iter_mut().zip(bytes) {
+            *to = *from;
+            chunk.length += 1;
+        }
+        chunk
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or(&[])
+    }
+}
+
+/// Counters of the serial reader.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReaderCounters {
+    /// Times that the port was opened.
+    pub opened: u64,
+    /// Bytes received.
+    pub bytes: u64,
+    /// Bytes that found no room on their way to the control loop.
+    pub bytes_dropped: u64,
+}
+
+/// When the serial reader is to be polled again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReaderWait {
+    /// As soon as the port is readable.
+    pub readable: bool,
+    /// At the latest.
+    pub until_ns: u64,
+}
+
+#[derive(Debug)]
+enum Phase<L> {
+    Closed {
+        retry_at_ns: u64,
+    },
+    /// The control loop has yet to be told.
+    HandingOver(SerialEvent<L>),
+    Open,
+    /// Hung up; the control loop still has the write half.
+    Returning {
+        until_ns: u64,
+    },
+}
+
+/// Reads the board's port for the control loop.
+#[derive(Debug)]
+pub struct SerialReader<L> {
+    events: Producer<SerialEvent<L>>,
+    returned: Consumer<L>,
+    phase: Phase<L>,
+    retry_ns: u64,
+    counters: ReaderCounters,
+}
+
+impl<L: Line> SerialReader<L> {
+    /// A reader whose port is closed. `returned` is the ring on which the control loop
+    /// returns write halves.
+    #[must_use]
+    pub const fn new(events: Producer<SerialEvent<L>>, returned: Consumer<L>) -> Self {
+        Self {
+            events,
+            returned,
+            phase: Phase::Closed { retry_at_ns: 0 },
+            retry_ns: FIRST_RETRY_NS,
+            counters: ReaderCounters {
+                opened: 0,
+                bytes: 0,
+                bytes_dropped: 0,
+            },
+        }
+    }
+
+    /// The counters so far.
+    #[must_use]
+    pub const fn counters(&self) -> ReaderCounters {
+        self.counters
+    }
+
+    /// Does what is due: opens, reads or closes the port. Bytes are dated by `clock`
+    /// after they are read.
+    pub fn poll(&mut self, clock: &impl Fn() -> u64, port: &mut impl Port<Line = L>) -> ReaderWait {
+        let wait = |until_ns| ReaderWait {
+            readable: false,
+            until_ns,
+        };
+        loop {
+            let now_ns = clock();
+            match core::mem::replace(&mut self.phase, Phase::Open) {
+                Phase::Closed { retry_at_ns } if now_ns < retry_at_ns => {
+                    self.phase = Phase::Closed { retry_at_ns };
+                    return wait(retry_at_ns);
+                }
+                Phase::Closed { .. } => match port.open() {
+                    Some(line) => {
+                        self.counters.opened += 1;
+                        self.retry_ns = FIRST_RETRY_NS;
+                        self.phase = Phase::HandingOver(SerialEvent::Opened(line));
+                    }
+                    None => self.retry_later(now_ns),
+                },
+                Phase::HandingOver(event) => {
+                    let closes = matches!(event, SerialEvent::Closed { .. });
+                    match self.events.push(event) {
+                        Err(PushError::Full(event)) => {
+                            self.phase = Phase::HandingOver(event);
+                            return wait(now_ns.saturating_add(HAND_OVER_NS));
+                        }
+                        Ok(()) if closes => {
+                            self.phase = Phase::Returning {
+                                until_ns: now_ns.saturating_add(RETURN_PATIENCE_NS),
+                            };
+                        }
+                        Ok(()) => {}
+                    }
+                }
+                Phase::Open => {
+                    if let Some(wait) = self.read(clock, port) {
+                        return wait;
+                    }
+                }
+                Phase::Returning { until_ns } => {
+                    if self.returned.pop().is_err() && now_ns < until_ns {
+                        self.phase = Phase::Returning { until_ns };
+                        return wait(now_ns.saturating_add(HAND_OVER_NS));
+                    }
+                    port.close();
+                    self.retry_later(now_ns);
+                }
+            }
+        }
+    }
+
+    /// Reads until there is nothing left, or the port hangs up.
+    fn read(
+        &mut self,
+        clock: &impl Fn() -> u64,
+        port: &mut impl Port<Line = L>,
+    ) -> Option<ReaderWait> {
+        let mut buffer = [0; CHUNK];
+        for _ in 0..READS {
+            match port.read(&mut buffer) {
+                PortRead::Bytes(count) => {
+                    let chunk = Chunk::new(clock(), buffer.get(..count).unwrap_or(&[]));
+                    self.counters.bytes += count as u64;
+                    if self.events.push(SerialEvent::Bytes(chunk)).is_err() {
+                        self.counters.bytes_dropped += count as u64;
+                    }
+                }
+                PortRead::Nothing => break,
+                PortRead::HungUp => {
+                    self.phase = Phase::HandingOver(SerialEvent::Closed { time_ns: clock() });
+                    return None;
+                }
+            }
+        }
+        Some(ReaderWait {
+            readable: true,
+            until_ns: clock().saturating_add(IDLE_NS),
+        })
+    }
+
+    fn retry_later(&mut self, now_ns: u64) {
+        self.phase = Phase::Closed {
+            retry_at_ns: now_ns.saturating_add(self.retry_ns),
+        };
+        self.retry_ns = (2 * self.retry_ns).min(LAST_RETRY_NS);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rtrb::RingBuffer;
+
+    use super::*;
+    use crate::controller::Sent;
+
+    struct NoLine;
+
+    impl Line for NoLine {
+        fn write_frame(&mut self, _: &[u8]) -> Sent {
+            Sent::Dropped
+        }
+    }
+
+    /// A port that is plugged in or not, with bytes waiting in it.
+    #[derive(Default)]
+    struct Scripted {
+        plugged: bool,
+        waiting: Vec<u8>,
+        attempts: u32,
+    }
+
+    impl Port for Scripted {
+        type Line = NoLine;
+
+        fn open(&mut self) -> Option<NoLine> {
+            self.attempts += 1;
+            self.plugged.then_some(NoLine)
+        }
+
+        fn read(&mut self, buffer: &mut [u8]) -> PortRead {
+            if !self.plugged {
+                return PortRead::HungUp;
+            }
+            let count = buffer.len().min(self.waiting.len());
+            for (to, from) in buffer.iter_mut().zip(self.waiting.drain(..count)) {
+                *to = from;
+            }
+            match count {
+                0 => PortRead::Nothing,
+                count => PortRead::Bytes(count),
+            }
+        }
+
+        fn close(&mut self) {}
+    }
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_missing_port_is_tried_at_growing_intervals() {
+        let (events, _taken) = RingBuffer::new(4);
+        let (_back, returned) = RingBuffer::new(2);
+        let mut reader = SerialReader::new(events, returned);
+        let mut port = Scripted::default();
+        let mut now_ns = 0;
+        let mut waits = Vec::new();
+        for _ in 0..6 {
+            let wait = reader.poll(&|| now_ns, &mut port);
+            assert!(!wait.readable);
+            waits.push((wait.until_ns - now_ns) / MS);
+            now_ns = wait.until_ns;
+        }
+        assert_eq!(waits, [50, 100, 200, 400, 400, 400]);
+        assert_eq!(port.attempts, 6);
+    }
+
+    #[test]
+    fn a_hang_up_waits_for_the_write_half_before_the_port_is_opened_again() {
+        let (events, mut taken) = RingBuffer::new(4);
+        let (mut back, returned) = RingBuffer::new(2);
+        let mut reader = SerialReader::new(events, returned);
+        let mut port = Scripted {
+            plugged: true,
+            waiting: vec![7; 300],
+            ..Scripted::default()
+        };
+        let wait = reader.poll(&|| 5, &mut port);
+        assert!(wait.readable);
+        let Ok(SerialEvent::Opened(line)) = taken.pop() else {
+            unreachable!("the port opens first");
+        };
+        let lengths: Vec<usize> = core::iter::from_fn(|| match taken.pop() {
+            Ok(SerialEvent::Bytes(chunk)) => Some(chunk.bytes().len()),
+            _ => None,
+        })
+        .collect();
+        assert_eq!(lengths, [240, 60]);
+
+        port.plugged = false;
+        reader.poll(&|| 10 * MS, &mut port);
+        assert!(matches!(taken.pop(), Ok(SerialEvent::Closed { time_ns }) if time_ns == 10 * MS));
+        port.plugged = true;
+        reader.poll(&|| 100 * MS, &mut port);
+        assert_eq!(reader.counters().opened, 1, "the write half is still out");
+        assert!(back.push(line).is_ok());
+        let wait = reader.poll(&|| 101 * MS, &mut port);
+        assert_eq!(wait.until_ns, 151 * MS);
+        reader.poll(&|| 151 * MS, &mut port);
+        assert_eq!(reader.counters().opened, 2);
+    }
+
+    #[test]
+    fn a_control_loop_that_takes_nothing_loses_bytes_and_no_hang_up() {
+        let (events, mut taken) = RingBuffer::new(2);
+        let (_back, returned) = RingBuffer::new(2);
+        let mut reader = SerialReader::new(events, returned);
+        let mut port = Scripted {
+            plugged: true,
+            waiting: vec![7; 3 * CHUNK],
+            ..Scripted::default()
+        };
+        reader.poll(&|| 0, &mut port);
+        assert_eq!(reader.counters().bytes_dropped, 2 * CHUNK as u64);
+        port.plugged = false;
+        for ms in 1..50 {
+            reader.poll(&|| ms * MS, &mut port);
+        }
+        assert!(matches!(taken.pop(), Ok(SerialEvent::Opened(_))));
+        assert!(matches!(taken.pop(), Ok(SerialEvent::Bytes(_))));
+        reader.poll(&|| 50 * MS, &mut port);
+        assert!(matches!(taken.pop(), Ok(SerialEvent::Closed { .. })));
+    }
+}
