@@ -13,7 +13,9 @@ use std::{
 
 use singletrack_sim::BoardKind;
 
-use crate::{Ending, Trouble, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper};
+use crate::{
+    DriveOutcome, SetupError, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper,
+};
 
 /// What is done.
 #[derive(Clone, Copy, Debug)]
@@ -39,7 +41,7 @@ pub struct Failure {
 
 /// What a campaign came to.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outcome {
+pub struct CampaignOutcome {
     /// What broke something, in order of seeds.
     pub failures: Vec<Failure>,
     /// For how long the car was driven in all of them, in s.
@@ -59,7 +61,7 @@ impl Campaign {
     /// # Errors
     ///
     /// What can't be set up.
-    pub fn run(&self, progress: &(impl Fn() + Sync)) -> Result<Outcome, Trouble> {
+    pub fn run(&self, progress: &(impl Fn() + Sync)) -> Result<CampaignOutcome, SetupError> {
         let next = AtomicU64::new(0);
         let results = Mutex::new(Vec::new());
         thread::scope(|scope| {
@@ -87,41 +89,41 @@ impl Campaign {
         });
         let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
         results.sort_by_key(|(number, _)| *number);
-        let mut outcome = Outcome::default();
+        let mut outcome = CampaignOutcome::default();
         for (_, result) in results {
-            let (schedule, ending) = result?;
-            outcome.add(schedule, ending);
+            let (schedule, drive_outcome) = result?;
+            outcome.add(schedule, drive_outcome);
         }
         Ok(outcome)
     }
 
-    fn one(&self, seed: u64) -> Result<(Schedule, Ending), Trouble> {
+    fn one(&self, seed: u64) -> Result<(Schedule, DriveOutcome), SetupError> {
         let schedule = Schedule::generate(seed, self.board);
-        let mut ending = attempt(&schedule, &mut Untampered)?;
-        if ending.violation.is_none() && seed.is_multiple_of(REPEATED) {
+        let mut drive_outcome = attempt(&schedule, &mut Untampered)?;
+        if drive_outcome.violation.is_none() && seed.is_multiple_of(REPEATED) {
             let again = attempt(&schedule, &mut Untampered)?;
-            if again.digest != ending.digest {
-                ending.violation = Some(Violation {
+            if again.digest != drive_outcome.digest {
+                drive_outcome.violation = Some(Violation {
                     invariant: "repeatable",
                     time_us: u64::from(schedule.end_ms) * 1_000,
-                    what: format!("{:016x} and {:016x}", ending.digest, again.digest),
+                    details: format!("{:016x} and {:016x}", drive_outcome.digest, again.digest),
                 });
             }
         }
-        Ok((schedule, ending))
+        Ok((schedule, drive_outcome))
     }
 }
 
-impl Outcome {
+impl CampaignOutcome {
     /// Adds what a schedule came to.
-    pub fn add(&mut self, schedule: Schedule, ending: Ending) {
-        self.driven_s += f64::from(ending.driven_ms) * 1e-3;
+    pub fn add(&mut self, schedule: Schedule, drive_outcome: DriveOutcome) {
+        self.driven_s += f64::from(drive_outcome.driven_ms) * 1e-3;
         self.simulated_s += f64::from(schedule.end_ms) * 1e-3;
-        for reason in ending.reasons {
+        for reason in drive_outcome.reasons {
             *self.reasons.entry(reason).or_default() += 1;
         }
         self.failures
-            .extend(ending.violation.map(|violation| Failure {
+            .extend(drive_outcome.violation.map(|violation| Failure {
                 schedule,
                 violation,
             }));
@@ -133,15 +135,15 @@ impl Outcome {
 /// # Errors
 ///
 /// What can't be set up.
-pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<Ending, Trouble> {
+pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
     panic::catch_unwind(AssertUnwindSafe(|| drive(schedule, tamper))).unwrap_or_else(|payload| {
-        Ok(Ending {
+        Ok(DriveOutcome {
             digest: 0,
             reasons: BTreeSet::new(),
             violation: Some(Violation {
                 invariant: "panic",
                 time_us: 0,
-                what: message(payload.as_ref()),
+                details: message(payload.as_ref()),
             }),
             driven_ms: 0,
         })

@@ -22,7 +22,7 @@ use singletrack_pilot::{Pilot, RealTimeState, Request};
 use singletrack_record::{TickOutput, TickRecord, tick_feed};
 
 use crate::{
-    Trouble,
+    SetupError,
     port::{Port, WriteHalf},
 };
 
@@ -67,16 +67,22 @@ impl Daemon {
         nonce_seed: u64,
         number: u16,
         now_us: u64,
-    ) -> Result<Self, Trouble> {
-        let link = LinkSession::new(config.link(nonce_seed)).map_err(|error| Trouble::Setting {
-            what: "the board's configuration",
-            reason: error.to_string(),
-        })?;
-        let controller =
-            Controller::new(link, Pilot::new(config.pilot().map_err(Trouble::Config)?));
-        let cameras = config.motion_capture.session().map_err(Trouble::Config)?;
-        let cameras = MocapSession::new(cameras).map_err(|error| Trouble::Setting {
-            what: "the motion capture",
+    ) -> Result<Self, SetupError> {
+        let link =
+            LinkSession::new(config.link(nonce_seed)).map_err(|error| SetupError::Other {
+                part: "the board's configuration",
+                reason: error.to_string(),
+            })?;
+        let controller = Controller::new(
+            link,
+            Pilot::new(config.pilot().map_err(SetupError::Config)?),
+        );
+        let cameras = config
+            .motion_capture
+            .session()
+            .map_err(SetupError::Config)?;
+        let cameras = MocapSession::new(cameras).map_err(|error| SetupError::Other {
+            part: "the motion capture",
             reason: error.to_string(),
         })?;
         let (serial, serial_out) = RingBuffer::new(SERIAL_EVENTS);

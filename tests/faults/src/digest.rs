@@ -1,6 +1,6 @@
 //! A number that names everything that happened in a drive.
 
-use crate::sight::Sight;
+use crate::observation::Observation;
 
 /// FNV-1a over words.
 #[derive(Clone, Copy, Debug)]
@@ -25,24 +25,24 @@ impl Digest {
     }
 
     /// Takes in what was new in a step.
-    pub(crate) fn sight(&mut self, sight: &Sight<'_>) {
-        for pulse in sight.pulses {
+    pub(crate) fn add(&mut self, observation: &Observation<'_>) {
+        for pulse in observation.pulses {
             self.word(pulse.time_us);
             self.word(u64::from(pulse.servo_us) << 16 | u64::from(pulse.esc_us));
         }
-        for heard in sight.heard {
+        for heard in observation.heard {
             self.word(heard.time_us);
         }
-        if let Some(tick) = sight.tick {
-            self.word(sight.now_us);
+        if let Some(tick) = observation.tick {
+            self.word(observation.now_us);
             self.word(tick.events.len() as u64);
             let output = &tick.output;
             self.text(output.mode.name());
             self.text(output.reason.map_or("", |reason| reason.name()));
             self.word(output.actuation.speed.to_bits());
             self.word(output.actuation.steering.to_bits());
-            self.word(sight.truth.x.to_bits());
-            self.word(sight.truth.y.to_bits());
+            self.word(observation.truth.x.to_bits());
+            self.word(observation.truth.y.to_bits());
         }
     }
 

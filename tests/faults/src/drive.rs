@@ -9,17 +9,16 @@ use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
 
 use crate::{
-    Trouble,
+    SetupError,
     daemon::Daemon,
     digest::Digest,
     invariant::{self, Invariant},
     network::Network,
+    observation::{Observation, ReceivedPose, Spec},
     port::Port,
     random::{Random, Stream},
-    schedule::{Fault, Kind, Schedule, Wish},
-    setting,
-    sight::{Seen, Sight, Stated},
-    stage,
+    schedule::{Fault, FaultKind, OperatorRequest, Schedule},
+    setting, stage,
     tamper::Tamper,
 };
 
@@ -31,7 +30,7 @@ const WATCHDOG_US: u64 = 64_000;
 
 /// What a drive came to.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ending {
+pub struct DriveOutcome {
     /// Names everything that happened: the same schedule has the same one.
     pub digest: u64,
     /// What was broken, if anything was.
@@ -50,7 +49,7 @@ pub struct Violation {
     /// When, in µs since everything was switched on.
     pub time_us: u64,
     /// What was found.
-    pub what: String,
+    pub details: String,
 }
 
 /// Drives a schedule to its end, or to the first violation.
@@ -58,22 +57,22 @@ pub struct Violation {
 /// # Errors
 ///
 /// What can't be set up.
-pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<Ending, Trouble> {
+pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
     let mut drive = Drive::new(schedule)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
     while drive.now_us < end_us {
         drive.step(end_us, tamper)?;
         if let Some(violation) = drive.violation.take() {
-            return Ok(drive.ending(Some(violation)));
+            return Ok(drive.outcome(Some(violation)));
         }
     }
-    Ok(drive.ending(None))
+    Ok(drive.outcome(None))
 }
 
 struct Drive<'a> {
     schedule: &'a Schedule,
     config: Config,
-    stated: Stated,
+    spec: Spec,
     now_us: u64,
     world: World,
     network: Network,
@@ -84,18 +83,18 @@ struct Drive<'a> {
     paused: bool,
     wall_ns: u64,
     random: Random,
-    next_ask: usize,
+    next_request: usize,
     /// Requests that were taken and that no tick has heard of yet.
-    asked: Vec<Request>,
+    pending_requests: Vec<Request>,
     /// In the order in which they began.
     faults: Vec<Fault>,
-    begun: Vec<Fault>,
+    new_faults: Vec<Fault>,
     opens_us: Option<u64>,
     bites_us: Option<u64>,
     tick_us: u64,
     /// Its next tick comes before it takes in what has arrived.
     ticks_first: bool,
-    seen: Option<Seen>,
+    newest_pose: Option<ReceivedPose>,
     invariants: Vec<Box<dyn Invariant>>,
     violation: Option<Violation>,
     digest: Digest,
@@ -119,15 +118,15 @@ struct Buffers {
 }
 
 impl<'a> Drive<'a> {
-    fn new(schedule: &'a Schedule) -> Result<Self, Trouble> {
+    fn new(schedule: &'a Schedule) -> Result<Self, SetupError> {
         let config = setting::config(&schedule.situation)?;
         let world =
-            World::new(setting::simulation(schedule)).map_err(|error| Trouble::Setting {
-                what: "the simulation",
+            World::new(setting::simulation(schedule)).map_err(|error| SetupError::Other {
+                part: "the simulation",
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            stated: Stated::new(&schedule.situation, &config).map_err(Trouble::Config)?,
+            spec: Spec::new(&schedule.situation, &config).map_err(SetupError::Config)?,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -138,16 +137,16 @@ impl<'a> Drive<'a> {
             paused: false,
             wall_ns: 1_700_000_000_000_000_000 ^ schedule.seed,
             random: Random::new(schedule.seed, Stream::Host),
-            next_ask: 0,
-            asked: Vec::new(),
+            next_request: 0,
+            pending_requests: Vec::new(),
             faults: Vec::new(),
-            begun: Vec::new(),
+            new_faults: Vec::new(),
             opens_us: None,
             bites_us: None,
             tick_us: 0,
             ticks_first: false,
-            seen: None,
-            invariants: invariant::all(config.pilot().map_err(Trouble::Config)?),
+            newest_pose: None,
+            invariants: invariant::all(config.pilot().map_err(SetupError::Config)?),
             config,
             violation: None,
             digest: Digest::default(),
@@ -165,8 +164,8 @@ impl<'a> Drive<'a> {
         Ok(drive)
     }
 
-    fn ending(&self, violation: Option<Violation>) -> Ending {
-        Ending {
+    fn outcome(&self, violation: Option<Violation>) -> DriveOutcome {
+        DriveOutcome {
             digest: self.digest.value(),
             violation,
             driven_ms: self.driven_ms,
@@ -175,7 +174,7 @@ impl<'a> Drive<'a> {
     }
 
     /// Lets time pass until something is due, and does it.
-    fn step(&mut self, end_us: u64, tamper: &mut dyn Tamper) -> Result<(), Trouble> {
+    fn step(&mut self, end_us: u64, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         let mut next_us = (self.now_us / LOOK_US + 1) * LOOK_US;
         if self.is_awake() {
             next_us = next_us.min(self.tick_us.max(self.now_us + 1));
@@ -195,13 +194,13 @@ impl<'a> Drive<'a> {
         self.daemon.is_some() && !self.paused
     }
 
-    fn suffers(&self, kind: Kind) -> bool {
+    fn is_active(&self, kind: FaultKind) -> bool {
         self.faults.iter().any(|fault| fault.kind == kind)
     }
 
     /// Faults end and begin, and what follows from it happens.
-    fn change_faults(&mut self) -> Result<(), Trouble> {
-        self.begun.clear();
+    fn change_faults(&mut self) -> Result<(), SetupError> {
+        self.new_faults.clear();
         let now_us = self.now_us;
         let us = |ms: u32| u64::from(ms) * 1_000;
         let mut changed = false;
@@ -215,7 +214,7 @@ impl<'a> Drive<'a> {
             changed = true;
             stage::end(&mut self.world, &fault);
             self.network.changes(fault.kind);
-            if fault.kind == Kind::CameraServerRestart {
+            if fault.kind == FaultKind::CameraServerRestart {
                 self.network.restart_server(&self.world);
             }
         }
@@ -225,10 +224,10 @@ impl<'a> Drive<'a> {
                 changed = true;
                 stage::begin(&mut self.world, fault);
                 self.network.changes(fault.kind);
-                if fault.kind == Kind::BoardHang && self.world.board().is_running() {
+                if fault.kind == FaultKind::BoardHang && self.world.board().is_running() {
                     self.bites_us.get_or_insert(now_us + WATCHDOG_US);
                 }
-                self.begun.push(*fault);
+                self.new_faults.push(*fault);
                 if !fault.kind.is_momentary() && fault.for_ms > 0 {
                     self.faults.push(*fault);
                 }
@@ -247,37 +246,37 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    fn host_faults(&mut self) -> Result<(), Trouble> {
-        let unplugged = self.suffers(Kind::LineUnplugged);
+    fn host_faults(&mut self) -> Result<(), SetupError> {
+        let unplugged = self.is_active(FaultKind::LineUnplugged);
         if unplugged == self.port.is_plugged() {
             self.port.set_plugged(!unplugged);
             // The reader tries again every 50 to 400 ms.
             self.opens_us =
                 (!unplugged).then(|| self.now_us + u64::from(self.random.between(1, 400)) * 1_000);
         }
-        let killed = self.suffers(Kind::DaemonKilled);
+        let killed = self.is_active(FaultKind::DaemonKilled);
         if killed && self.daemon.is_some() {
             self.daemon = None;
             self.daemon_since_us = None;
-            self.seen = None;
-            self.asked.clear();
+            self.newest_pose = None;
+            self.pending_requests.clear();
         } else if !killed && self.daemon.is_none() {
             self.start_daemon()?;
         }
         let was_paused = self.paused;
-        self.paused = self.suffers(Kind::DaemonPaused);
+        self.paused = self.is_active(FaultKind::DaemonPaused);
         if was_paused && !self.paused {
             self.wake();
         }
         Ok(())
     }
 
-    fn start_daemon(&mut self) -> Result<(), Trouble> {
+    fn start_daemon(&mut self) -> Result<(), SetupError> {
         self.daemons += 1;
         let step_ns: u64 = self
             .faults
             .iter()
-            .filter(|fault| fault.kind == Kind::WallClockStep)
+            .filter(|fault| fault.kind == FaultKind::WallClockStep)
             .map(|fault| u64::from(fault.severity) * 86_400_000_000_000)
             .sum();
         let wall_ns = self.wall_ns + self.now_us * 1_000 + step_ns;
@@ -286,7 +285,7 @@ impl<'a> Drive<'a> {
         self.tick_us = daemon.next_tick_us();
         self.daemon = Some(daemon);
         self.daemon_since_us = Some(self.now_us);
-        self.seen = None;
+        self.newest_pose = None;
         self.opens_us = Some(self.now_us + u64::from(self.random.between(0, 20)) * 1_000);
         Ok(())
     }
@@ -304,19 +303,19 @@ impl<'a> Drive<'a> {
         if self.paused {
             return;
         }
-        while let Some(ask) = self.schedule.asks.get(self.next_ask)
+        while let Some(ask) = self.schedule.requests.get(self.next_request)
             && u64::from(ask.at_ms) * 1_000 <= self.now_us
         {
-            self.next_ask += 1;
-            let request = match ask.wish {
-                Wish::Arm => Request::Arm,
-                Wish::Disarm => Request::Disarm,
-                Wish::Stop => Request::EmergencyStop,
+            self.next_request += 1;
+            let request = match ask.request {
+                OperatorRequest::Arm => Request::Arm,
+                OperatorRequest::Disarm => Request::Disarm,
+                OperatorRequest::Stop => Request::EmergencyStop,
             };
             if let Some(daemon) = &mut self.daemon
                 && daemon.ask(request)
             {
-                self.asked.push(request);
+                self.pending_requests.push(request);
             }
         }
     }
@@ -352,10 +351,10 @@ impl<'a> Drive<'a> {
             daemon.receive(now_us, packet.source, &packet.bytes);
             if let Some(exposure) = packet.exposure {
                 let newer = self
-                    .seen
-                    .is_none_or(|seen| exposure.exposed_us >= seen.exposure.exposed_us);
+                    .newest_pose
+                    .is_none_or(|pose| exposure.exposed_us >= pose.exposure.exposed_us);
                 if newer {
-                    self.seen = Some(Seen {
+                    self.newest_pose = Some(ReceivedPose {
                         exposure,
                         received_us: now_us,
                     });
@@ -364,7 +363,7 @@ impl<'a> Drive<'a> {
         }
         let (world, faults) = (&mut self.world, &self.faults);
         daemon.talk(now_us, |from, bytes| {
-            let off = |fault: &Fault| fault.kind == Kind::CameraServerRestart;
+            let off = |fault: &Fault| fault.kind == FaultKind::CameraServerRestart;
             if !faults.iter().any(off) {
                 world.handle_datagram(from, bytes);
             }
@@ -381,7 +380,7 @@ impl<'a> Drive<'a> {
         let record = daemon.tick(self.now_us);
         self.tick_us = daemon.next_tick_us();
         for fault in &self.faults {
-            if fault.kind == Kind::TicksLate {
+            if fault.kind == FaultKind::TicksLate {
                 self.tick_us += u64::from(self.random.between(0, fault.severity * 50));
             }
         }
@@ -420,9 +419,9 @@ impl<'a> Drive<'a> {
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
         }
-        let sight = Sight {
+        let observation = Observation {
             now_us,
-            stated: &self.stated,
+            spec: &self.spec,
             truth: self.world.truth(),
             pulses,
             heard,
@@ -433,30 +432,30 @@ impl<'a> Drive<'a> {
             written,
             has_read,
             daemon_since_us: self.daemon_since_us,
-            seen: self.seen,
+            newest_pose: self.newest_pose,
             faults: &self.faults,
-            begun: &self.begun,
-            asked: &self.asked,
+            new_faults: &self.new_faults,
+            pending_requests: &self.pending_requests,
         };
-        let has_ticked = sight.tick.is_some();
-        let reason = sight.tick.and_then(|tick| tick.output.reason);
+        let has_ticked = observation.tick.is_some();
+        let reason = observation.tick.and_then(|tick| tick.output.reason);
         self.reasons.extend(reason.map(Reason::name));
-        self.digest.sight(&sight);
-        for pulse in sight.pulses {
-            self.driven_ms += 20 * u32::from(self.stated.drives(pulse));
+        self.digest.add(&observation);
+        for pulse in observation.pulses {
+            self.driven_ms += 20 * u32::from(self.spec.drives(pulse));
         }
         for invariant in &mut self.invariants {
-            if let Err(what) = invariant.look(&sight) {
+            if let Err(details) = invariant.check(&observation) {
                 self.violation = Some(Violation {
                     invariant: invariant.name(),
                     time_us: now_us,
-                    what,
+                    details,
                 });
                 return;
             }
         }
         if has_ticked {
-            self.asked.clear();
+            self.pending_requests.clear();
         }
     }
 

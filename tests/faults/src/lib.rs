@@ -28,7 +28,7 @@
 //!
 //! A situation (reference, speed, fence, latencies, clocks, what is wired), what
 //! people ask for and when, and faults with onset, duration and severity: see
-//! [`schedule::Kind`]. A seed makes one; a text can be written by hand, where every
+//! [`schedule::FaultKind`]. A seed makes one; a text can be written by hand, where every
 //! key that is left out is as usual.
 //!
 //! # What must hold
@@ -48,34 +48,34 @@ mod digest;
 mod drive;
 mod invariant;
 mod network;
+mod observation;
 mod port;
 mod random;
 mod recording;
 pub mod schedule;
 mod setting;
 mod shrink;
-mod sight;
 mod stage;
 mod tamper;
 
-pub use campaign::{Campaign, Failure, Outcome, attempt};
-pub use drive::{Ending, Violation, drive};
+pub use campaign::{Campaign, CampaignOutcome, Failure, attempt};
+pub use drive::{DriveOutcome, Violation, drive};
 pub use recording::{Recording, RecordingError};
 pub use shrink::shrink;
 pub use tamper::{Tamper, Untampered};
 
-/// What keeps a drive from being set up.
+/// Errors while setting up a drive.
 #[derive(Debug, thiserror::Error)]
-pub enum Trouble {
-    /// The daemon's configuration.
+pub enum SetupError {
+    /// The daemon's configuration is invalid.
     #[error("the daemon's configuration: {0}")]
     Config(singletrack_core::ConfigError),
-    /// Something else.
-    #[error("{what}: {reason}")]
-    Setting {
-        /// What.
-        what: &'static str,
-        /// Why.
+    /// Another part rejected its parameters.
+    #[error("{part}: {reason}")]
+    Other {
+        /// The part, for the message.
+        part: &'static str,
+        /// The part's own error text.
         reason: String,
     },
 }

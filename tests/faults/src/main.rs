@@ -10,7 +10,7 @@ use std::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_faults::{
-    Campaign, Failure, Outcome, Recording, RecordingError, Trouble, Untampered, attempt,
+    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, attempt,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -60,7 +60,7 @@ const SHRUNK: usize = 5;
 #[derive(Debug, thiserror::Error)]
 enum Error {
     #[error(transparent)]
-    Trouble(#[from] Trouble),
+    Setup(#[from] SetupError),
     #[error(transparent)]
     Schedule(#[from] ScheduleError),
     #[error(transparent)]
@@ -95,7 +95,7 @@ fn run(options: &Options) -> Result<bool, Error> {
     std::panic::set_hook(Box::new(|_| {}));
     let (count, outcome) = match &options.replay {
         Some(text) => {
-            let mut outcome = Outcome::default();
+            let mut outcome = CampaignOutcome::default();
             one(read(text)?, options, &mut outcome)?;
             (1, outcome)
         }
@@ -114,7 +114,7 @@ fn run(options: &Options) -> Result<bool, Error> {
                 "{} at {} ms: {}",
                 violation.invariant,
                 violation.time_us / 1_000,
-                violation.what
+                violation.details
             )?;
             writeln!(
                 out,
@@ -152,7 +152,7 @@ fn tell(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
         schedule.seed,
         violation.invariant,
         violation.time_us / 1_000,
-        violation.what
+        violation.details
     )?;
     writeln!(out, "{schedule}")?;
     let board = schedule.situation.board;
@@ -163,7 +163,7 @@ fn tell(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
     )
 }
 
-fn campaign(options: &Options) -> Result<Outcome, Trouble> {
+fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
     let threads = options
         .threads
         .or_else(|| thread::available_parallelism().ok().map(usize::from));
@@ -196,8 +196,8 @@ fn read(text: &str) -> Result<Schedule, Error> {
     Ok(text.parse()?)
 }
 
-fn recorded(options: &Options) -> Result<Outcome, Error> {
-    let mut outcome = Outcome::default();
+fn recorded(options: &Options) -> Result<CampaignOutcome, Error> {
+    let mut outcome = CampaignOutcome::default();
     for number in 0..options.count {
         let seed = options.first_seed.wrapping_add(number);
         one(
@@ -209,14 +209,14 @@ fn recorded(options: &Options) -> Result<Outcome, Error> {
     Ok(outcome)
 }
 
-fn one(schedule: Schedule, options: &Options, outcome: &mut Outcome) -> Result<(), Error> {
+fn one(schedule: Schedule, options: &Options, outcome: &mut CampaignOutcome) -> Result<(), Error> {
     let mut recording = Recording::default();
-    let ending = attempt(&schedule, &mut recording)?;
+    let drive_outcome = attempt(&schedule, &mut recording)?;
     if let Some(folder) = &options.record {
         for path in recording.write(folder, &schedule)? {
             eprintln!("{}", path.display());
         }
     }
-    outcome.add(schedule, ending);
+    outcome.add(schedule, drive_outcome);
     Ok(())
 }

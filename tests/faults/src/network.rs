@@ -18,7 +18,7 @@ use singletrack_sim::{CameraFrame, Datagram, Destination, TICKS_PER_SECOND, Worl
 
 use crate::{
     random::{Random, Stream},
-    schedule::{Fault, Kind},
+    schedule::{Fault, FaultKind},
     stage,
 };
 
@@ -45,9 +45,9 @@ pub(crate) struct Exposure {
     /// Simulation time of mid-exposure, in µs.
     pub(crate) exposed_us: u64,
     /// Whether the frame's clock can be believed.
-    pub(crate) honest_clock: bool,
+    pub(crate) clock_trusted: bool,
     /// Whether the pose is another than the car's.
-    pub(crate) lie: bool,
+    pub(crate) falsified: bool,
 }
 
 /// A datagram for the host.
@@ -114,8 +114,8 @@ impl Network {
     }
 
     /// A fault begins or ends.
-    pub(crate) const fn changes(&mut self, kind: Kind) {
-        if matches!(kind, Kind::CameraRenamed) {
+    pub(crate) const fn changes(&mut self, kind: FaultKind) {
+        if matches!(kind, FaultKind::CameraRenamed) {
             self.announce = true;
             self.renamed = true;
         }
@@ -139,7 +139,7 @@ impl Network {
             self.frames.insert(frame.number, frame);
         }
         while let Some(datagram) = world.poll_datagram() {
-            let off = is_active(faults, Kind::CameraServerRestart);
+            let off = is_active(faults, FaultKind::CameraServerRestart);
             if off || Some(datagram.to) != client.map(Destination::Client) {
                 continue;
             }
@@ -200,8 +200,8 @@ impl Network {
         for fault in faults {
             let step = u64::from(fault.severity) * (TICKS_PER_SECOND / 1_000);
             match fault.kind {
-                Kind::CameraClockBackward => ticks = ticks.saturating_sub(step),
-                Kind::CameraClockForward => ticks += step,
+                FaultKind::CameraClockBackward => ticks = ticks.saturating_sub(step),
+                FaultKind::CameraClockForward => ticks += step,
                 _ => {}
             }
         }
@@ -219,7 +219,9 @@ impl Network {
                 };
                 encode::echo_response(echo, &mut self.buffer).ok()
             }
-            Ok(ServerMessage::ModelDefinitions(_)) if is_active(faults, Kind::CameraRenamed) => {
+            Ok(ServerMessage::ModelDefinitions(_))
+                if is_active(faults, FaultKind::CameraRenamed) =>
+            {
                 let cameras = world.cameras().parameters();
                 let (car, other) = (&cameras.car, cameras.decoys.first());
                 let body = |name, id| {
@@ -252,7 +254,7 @@ impl Network {
             return;
         };
         let mut content = self.content(now_us, &decoded, sent, faults);
-        if content.car.is_some() && !faults.iter().any(|fault| fault.kind.is_lie()) {
+        if content.car.is_some() && !faults.iter().any(|fault| fault.kind.falsifies_pose()) {
             self.last_car = content.car;
         }
         for fault in faults {
@@ -275,7 +277,7 @@ impl Network {
         let stepped = |fault: &Fault| {
             matches!(
                 fault.kind,
-                Kind::CameraClockBackward | Kind::CameraClockForward
+                FaultKind::CameraClockBackward | FaultKind::CameraClockForward
             )
         };
         if faults.iter().any(stepped) {
@@ -299,8 +301,8 @@ impl Network {
             car,
             exposure: Exposure {
                 exposed_us: sent.exposed_us,
-                honest_clock: now_us >= self.clock_suspect_until_us,
-                lie: false,
+                clock_trusted: now_us >= self.clock_suspect_until_us,
+                falsified: false,
             },
             delay_us: 0,
             lost: false,
@@ -311,46 +313,46 @@ impl Network {
         let s = fault.severity;
         let metres = s as f32 * 1e-3;
         match fault.kind {
-            Kind::CameraUntracked => {
+            FaultKind::CameraUntracked => {
                 content.car = self.last_car.map(|car| car.with_tracking_valid(false));
             }
-            Kind::CameraAbsent => content.car = None,
-            Kind::CameraSilent => content.lost |= self.random.happens(s),
-            Kind::CameraHidden => {
+            FaultKind::CameraAbsent => content.car = None,
+            FaultKind::CameraSilent => content.lost |= self.random.happens(s),
+            FaultKind::CameraHidden => {
                 if let Some(car) = &mut content.car {
                     car.id = NOBODY;
                 }
             }
-            Kind::CameraFrozen => {
+            FaultKind::CameraFrozen => {
                 if let (Some(car), Some(last)) = (&mut content.car, self.last_car) {
                     *car = RigidBody { id: car.id, ..last };
-                    content.exposure.lie = true;
+                    content.exposure.falsified = true;
                 }
             }
-            Kind::CameraJump => {
+            FaultKind::CameraJump => {
                 move_by(&mut content.car, metres);
-                content.exposure.lie = true;
+                content.exposure.falsified = true;
             }
-            Kind::CameraJumping if content.number % 3 == 0 => {
+            FaultKind::CameraJumping if content.number % 3 == 0 => {
                 move_by(&mut content.car, metres);
-                content.exposure.lie = true;
+                content.exposure.falsified = true;
             }
-            Kind::CameraSwapped => {
+            FaultKind::CameraSwapped => {
                 if let (Some(car), Some(other)) = (&mut content.car, content.bodies.first_mut()) {
                     core::mem::swap(&mut car.id, &mut other.id);
                 }
-                content.exposure.lie = true;
+                content.exposure.falsified = true;
             }
-            Kind::CameraRenamed => content.exposure.lie = true,
-            Kind::CameraFlip => {
+            FaultKind::CameraRenamed => content.exposure.falsified = true,
+            FaultKind::CameraFlip => {
                 turn_by(&mut content.car, metres * core::f32::consts::PI);
-                content.exposure.lie = true;
+                content.exposure.falsified = true;
             }
-            Kind::CameraLate => content.delay_us += u64::from(s) * 500,
-            Kind::CameraReordered => {
+            FaultKind::CameraLate => content.delay_us += u64::from(s) * 500,
+            FaultKind::CameraReordered => {
                 content.delay_us += u64::from(self.random.between(0, s * 250));
             }
-            Kind::CameraDuplicated => {
+            FaultKind::CameraDuplicated => {
                 if let Some(bytes) = self.encode(content) {
                     let later_us = u64::from(self.random.between(0, s * 1_000));
                     let due_us = now_us + content.delay_us + later_us;
@@ -359,24 +361,24 @@ impl Network {
                     self.send_as(SERVER, due_us, bytes, exposure);
                 }
             }
-            Kind::CameraNotANumber => {
+            FaultKind::CameraNotANumber => {
                 if let Some(car) = &mut content.car {
                     car.position_m = [f32::NAN; 3];
                     car.orientation_xyzw = [f32::NAN; 4];
                 }
             }
-            Kind::CameraInfinite => {
+            FaultKind::CameraInfinite => {
                 if let Some(car) = &mut content.car {
                     let [x, _, _] = &mut car.position_m;
                     *x = f32::INFINITY;
                 }
             }
-            Kind::CameraDuplicateId => {
+            FaultKind::CameraDuplicateId => {
                 let mut other = content.car;
                 move_by(&mut other, metres);
                 content.bodies.extend(other);
             }
-            Kind::CameraSpoofed => {
+            FaultKind::CameraSpoofed => {
                 let mut spoofed = content.car;
                 core::mem::swap(&mut spoofed, &mut content.car);
                 move_by(&mut content.car, metres);
@@ -411,12 +413,12 @@ impl Network {
     fn send_frame(&mut self, now_us: u64, content: &Content, mut bytes: Vec<u8>, faults: &[Fault]) {
         let mut exposure = self.shows_a_car(content).then_some(content.exposure);
         for fault in faults {
-            if fault.kind == Kind::CameraMalformed && self.random.happens(fault.severity) {
+            if fault.kind == FaultKind::CameraMalformed && self.random.happens(fault.severity) {
                 self.damage(&mut bytes);
                 // It may still say something.
                 exposure = exposure.map(|exposure| Exposure {
-                    honest_clock: false,
-                    lie: true,
+                    clock_trusted: false,
+                    falsified: true,
                     ..exposure
                 });
             }
@@ -472,7 +474,7 @@ impl Network {
     }
 }
 
-fn is_active(faults: &[Fault], kind: Kind) -> bool {
+fn is_active(faults: &[Fault], kind: FaultKind) -> bool {
     faults.iter().any(|fault| fault.kind == kind)
 }
 

@@ -8,7 +8,7 @@ use std::{
 use singletrack_core::record_meta;
 use singletrack_record::{ClockMapping, Entry, RecordError, Recorder, TickRecord};
 
-use crate::{Trouble, schedule::Schedule, setting, tamper::Tamper};
+use crate::{SetupError, schedule::Schedule, setting, tamper::Tamper};
 
 /// What the clock on the wall shows when everything is switched on, in ns since 1970.
 const WALL_NS: u64 = 1_700_000_000_000_000_000;
@@ -36,7 +36,7 @@ impl Tamper for Recording {
 pub enum RecordingError {
     /// The configuration of the schedule.
     #[error(transparent)]
-    Trouble(#[from] Trouble),
+    Setup(#[from] SetupError),
     /// The file.
     #[error(transparent)]
     Record(#[from] RecordError),
@@ -66,8 +66,8 @@ impl Recording {
                 wall_ns: WALL_NS,
             };
             let meta =
-                record_meta(&config, Some(seed), start).map_err(|error| Trouble::Setting {
-                    what: "the daemon's configuration",
+                record_meta(&config, Some(seed), start).map_err(|error| SetupError::Other {
+                    part: "the daemon's configuration",
                     reason: error.to_string(),
                 })?;
             let mut recorder = Recorder::create(&path, &meta)?;

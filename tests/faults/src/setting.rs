@@ -7,7 +7,7 @@ use singletrack_sim::{
 };
 
 use crate::{
-    Trouble,
+    SetupError,
     schedule::{ReferenceKind, Schedule, Situation},
 };
 
@@ -16,7 +16,7 @@ use crate::{
 /// # Errors
 ///
 /// What the daemon would say of it.
-pub(crate) fn config(situation: &Situation) -> Result<Config, Trouble> {
+pub(crate) fn config(situation: &Situation) -> Result<Config, SetupError> {
     let speed = f64::from(situation.speed_mm_s) * 1e-3;
     let marker_loss = if situation.coast { "coast" } else { "hold" };
     let (outer_loop, reference) = match situation.reference {
@@ -69,7 +69,7 @@ pub(crate) fn config(situation: &Situation) -> Result<Config, Trouble> {
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
          {BOARD}"
     );
-    let mut config = Config::from_toml(&text).map_err(Trouble::Config)?;
+    let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
     config.board = BoardSection {
         failsafe: if situation.brake {
             FailsafeKind::Brake
@@ -79,7 +79,7 @@ pub(crate) fn config(situation: &Situation) -> Result<Config, Trouble> {
         stop_input: situation.stop_input,
         ..BoardSection::from(&default_board_configuration())
     };
-    config.validate().map_err(Trouble::Config)?;
+    config.validate().map_err(SetupError::Config)?;
     Ok(config)
 }
 

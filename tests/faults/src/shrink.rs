@@ -1,7 +1,7 @@
 //! From a schedule that breaks something to a small one that breaks the same.
 
 use crate::{
-    Trouble, Violation,
+    SetupError, Violation,
     campaign::attempt,
     schedule::{Fault, Schedule, Situation},
     tamper::Tamper,
@@ -19,7 +19,7 @@ pub fn shrink<T: Tamper>(
     schedule: &Schedule,
     violation: &Violation,
     tamper: impl Fn() -> T,
-) -> Result<(Schedule, Violation), Trouble> {
+) -> Result<(Schedule, Violation), SetupError> {
     let mut shrinker = Shrinker {
         best: schedule.clone(),
         violation: violation.clone(),
@@ -49,13 +49,13 @@ struct Shrinker<F> {
 
 impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Takes over a smaller schedule if it breaks the same invariant.
-    fn attempt(&mut self, smaller: Schedule) -> Result<bool, Trouble> {
+    fn attempt(&mut self, smaller: Schedule) -> Result<bool, SetupError> {
         if smaller == self.best || self.drives >= MOST_DRIVES {
             return Ok(false);
         }
         self.drives += 1;
-        let ending = attempt(&smaller, &mut (self.tamper)())?;
-        match ending.violation {
+        let drive_outcome = attempt(&smaller, &mut (self.tamper)())?;
+        match drive_outcome.violation {
             Some(violation) if violation.invariant == self.violation.invariant => {
                 self.best = smaller;
                 self.violation = violation;
@@ -66,16 +66,16 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     }
 
     /// Nothing after the violation matters.
-    fn cut_the_end(&mut self) -> Result<(), Trouble> {
+    fn cut_the_end(&mut self) -> Result<(), SetupError> {
         let end_ms = u32::try_from(self.violation.time_us / 1_000 + 1).unwrap_or(u32::MAX);
         let mut smaller = self.best.clone();
         smaller.end_ms = smaller.end_ms.min(end_ms);
-        smaller.asks.retain(|ask| ask.at_ms < end_ms);
+        smaller.requests.retain(|ask| ask.at_ms < end_ms);
         smaller.faults.retain(|fault| fault.at_ms < end_ms);
         self.attempt(smaller).map(drop)
     }
 
-    fn drop_entries(&mut self) -> Result<(), Trouble> {
+    fn drop_entries(&mut self) -> Result<(), SetupError> {
         let mut index = 0;
         while index < self.best.faults.len() {
             let mut smaller = self.best.clone();
@@ -85,9 +85,9 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
             }
         }
         let mut index = 0;
-        while index < self.best.asks.len() {
+        while index < self.best.requests.len() {
             let mut smaller = self.best.clone();
-            smaller.asks.remove(index);
+            smaller.requests.remove(index);
             if !self.attempt(smaller)? {
                 index += 1;
             }
@@ -96,7 +96,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     }
 
     /// Everything that can be as usual.
-    fn simplify_situation(&mut self) -> Result<(), Trouble> {
+    fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let usual = Situation::default();
         let changes: [fn(&mut Situation, &Situation); 10] = [
             |s, usual| s.reference = usual.reference,
@@ -125,7 +125,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     }
 
     /// Shorter and milder faults.
-    fn weaken(&mut self) -> Result<(), Trouble> {
+    fn weaken(&mut self) -> Result<(), SetupError> {
         for index in 0..self.best.faults.len() {
             self.halve(index, |fault| &mut fault.for_ms)?;
             self.halve(index, |fault| &mut fault.severity)?;
@@ -133,7 +133,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
         Ok(())
     }
 
-    fn halve(&mut self, index: usize, part: fn(&mut Fault) -> &mut u32) -> Result<(), Trouble> {
+    fn halve(&mut self, index: usize, part: fn(&mut Fault) -> &mut u32) -> Result<(), SetupError> {
         loop {
             let mut smaller = self.best.clone();
             let Some(fault) = smaller.faults.get_mut(index) else {

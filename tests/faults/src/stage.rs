@@ -4,7 +4,7 @@ use singletrack_protocol::ResetCause;
 use singletrack_sim::{Hang, ImuFault, MotorSensorFault, NatNetServer, WireFaults, World};
 
 use crate::{
-    schedule::{Fault, Kind, Situation},
+    schedule::{Fault, FaultKind, Situation},
     setting,
 };
 
@@ -19,13 +19,15 @@ const AH_PER_VOLT: f64 = 2.0;
 /// A fault begins.
 pub(crate) fn begin(world: &mut World, fault: &Fault) {
     match fault.kind {
-        Kind::BoardPowerOn => world.reset_board(ResetCause::PowerOn),
-        Kind::BoardReset => world.reset_board(ResetCause::External),
-        Kind::BoardBrownOut => world.reset_board(ResetCause::BrownOut),
-        Kind::BoardWatchdog => world.reset_board(ResetCause::Watchdog),
-        Kind::BoardHang if world.board().is_running() => world.board_mut().hang(Hang::MainLoop),
-        Kind::CameraModelChange => world.set_car_body_id(OTHER_CAR_ID),
-        Kind::BatteryLow => world.car_mut().drain_battery(charge_ah(fault)),
+        FaultKind::BoardPowerOn => world.reset_board(ResetCause::PowerOn),
+        FaultKind::BoardReset => world.reset_board(ResetCause::External),
+        FaultKind::BoardBrownOut => world.reset_board(ResetCause::BrownOut),
+        FaultKind::BoardWatchdog => world.reset_board(ResetCause::Watchdog),
+        FaultKind::BoardHang if world.board().is_running() => {
+            world.board_mut().hang(Hang::MainLoop);
+        }
+        FaultKind::CameraModelChange => world.set_car_body_id(OTHER_CAR_ID),
+        FaultKind::BatteryLow => world.car_mut().drain_battery(charge_ah(fault)),
         _ => {}
     }
 }
@@ -33,12 +35,12 @@ pub(crate) fn begin(world: &mut World, fault: &Fault) {
 /// A fault ends.
 pub(crate) fn end(world: &mut World, fault: &Fault) {
     match fault.kind {
-        Kind::CameraModelChange => world.set_car_body_id(CAR_ID),
-        Kind::CameraServerRestart => {
+        FaultKind::CameraModelChange => world.set_car_body_id(CAR_ID),
+        FaultKind::CameraServerRestart => {
             let parameters = *world.natnet().parameters();
             *world.natnet_mut() = NatNetServer::new(parameters);
         }
-        Kind::BatteryLow => world.car_mut().drain_battery(-charge_ah(fault)),
+        FaultKind::BatteryLow => world.car_mut().drain_battery(-charge_ah(fault)),
         _ => {}
     }
 }
@@ -57,40 +59,40 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
     for fault in faults {
         let s = fault.severity;
         match fault.kind {
-            Kind::LineDrop => wire.drop = f64::from(s) / 5_000.0,
-            Kind::LineCorrupt => wire.corrupt = f64::from(s) / 5_000.0,
-            Kind::LineDelay => wire.delay_us += u64::from(s) * 200,
-            Kind::LineStuck => {
+            FaultKind::LineDrop => wire.drop = f64::from(s) / 5_000.0,
+            FaultKind::LineCorrupt => wire.corrupt = f64::from(s) / 5_000.0,
+            FaultKind::LineDelay => wire.delay_us += u64::from(s) * 200,
+            FaultKind::LineStuck => {
                 wire = WireFaults {
                     stuck: true,
                     ..wire
                 };
             }
-            Kind::ImuSilent => imu = ImuFault::Silent,
-            Kind::ImuStuck => imu = ImuFault::Stuck,
-            Kind::ImuBiased => {
+            FaultKind::ImuSilent => imu = ImuFault::Silent,
+            FaultKind::ImuStuck => imu = ImuFault::Stuck,
+            FaultKind::ImuBiased => {
                 let bias = i16::try_from(s).unwrap_or(i16::MAX);
                 imu = ImuFault::Biased {
                     yaw_rate_mrad_s: bias,
                     forward_mm_s2: bias,
                 };
             }
-            Kind::ImuSaturated => imu = ImuFault::Saturated,
-            Kind::ImuErratic => imu = ImuFault::Erratic,
-            Kind::PulsesGone => motor = MotorSensorFault::Gone,
-            Kind::PulsesDoubled => motor = MotorSensorFault::Doubled,
-            Kind::PulsesHalved => motor = MotorSensorFault::Halved,
-            Kind::PulsesErratic => motor = MotorSensorFault::Erratic,
+            FaultKind::ImuSaturated => imu = ImuFault::Saturated,
+            FaultKind::ImuErratic => imu = ImuFault::Erratic,
+            FaultKind::PulsesGone => motor = MotorSensorFault::Gone,
+            FaultKind::PulsesDoubled => motor = MotorSensorFault::Doubled,
+            FaultKind::PulsesHalved => motor = MotorSensorFault::Halved,
+            FaultKind::PulsesErratic => motor = MotorSensorFault::Erratic,
             _ => {}
         }
     }
     *world.wire_mut().faults_mut() = wire;
-    world.set_wire_connected(!is(Kind::LineUnplugged));
-    world.set_board_power(!is(Kind::BoardOff));
+    world.set_wire_connected(!is(FaultKind::LineUnplugged));
+    world.set_board_power(!is(FaultKind::BoardOff));
     world.set_imu_fault(imu);
     world.car_mut().set_motor_sensor_fault(motor);
-    world.car_mut().set_esc_power(!is(Kind::EscOff));
+    world.car_mut().set_esc_power(!is(FaultKind::EscOff));
     world
         .board_mut()
-        .set_stop_input_open(is(Kind::StopInputOpen));
+        .set_stop_input_open(is(FaultKind::StopInputOpen));
 }

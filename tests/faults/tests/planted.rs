@@ -22,8 +22,8 @@ fn schedule(more: &str) -> Schedule {
 }
 
 fn violation(more: &str, mut tamper: impl Tamper) -> Violation {
-    let ending = attempt(&schedule(more), &mut tamper).unwrap();
-    ending
+    let outcome = attempt(&schedule(more), &mut tamper).unwrap();
+    outcome
         .violation
         .unwrap_or_else(|| panic!("nothing was violated: {more}"))
 }
@@ -32,9 +32,9 @@ fn violation(more: &str, mut tamper: impl Tamper) -> Violation {
 fn is_sound(more: &str) {
     struct Sound;
     impl Tamper for Sound {}
-    let ending = attempt(&schedule(more), &mut Sound).unwrap();
-    assert_eq!(ending.violation, None, "{more}");
-    assert!(ending.driven_ms > 500, "{more}");
+    let outcome = attempt(&schedule(more), &mut Sound).unwrap();
+    assert_eq!(outcome.violation, None, "{more}");
+    assert!(outcome.driven_ms > 500, "{more}");
 }
 
 /// Changes pulses.
@@ -144,7 +144,7 @@ fn a_longer_time_to_live_is_found_and_shrunk_to_what_shows_it() {
     assert_eq!(again.invariant, found.invariant);
     assert_eq!(small.faults.len(), 1, "{small}");
     assert!(small.faults[0].for_ms < 200, "{small}");
-    assert_eq!(small.asks.len(), 1, "{small}");
+    assert_eq!(small.requests.len(), 1, "{small}");
     assert_eq!(small.situation.speed_mm_s, 500, "{small}");
     // From its text it does the same.
     let read: Schedule = small.in_one_line().parse().unwrap();
@@ -287,7 +287,7 @@ fn a_board_that_drives_on_after_its_stop_its_hang_or_without_pulses_is_found() {
     ] {
         is_sound(more);
         let found = violation(more, outliving(longer_us));
-        assert_eq!(found.invariant, invariant, "{more}: {}", found.what);
+        assert_eq!(found.invariant, invariant, "{more}: {}", found.details);
     }
 }
 
@@ -316,7 +316,7 @@ fn a_pilot_that_sets_out_or_goes_on_by_itself_is_found() {
     ] {
         is_sound(more);
         let found = violation(more, goes_on());
-        assert_eq!(found.invariant, invariant, "{more}: {}", found.what);
+        assert_eq!(found.invariant, invariant, "{more}: {}", found.details);
     }
 }
 
@@ -338,7 +338,7 @@ fn a_pilot_that_jumps_contradicts_itself_or_has_no_numbers_is_found() {
 fn a_panic_is_a_violation_with_its_message() {
     let found = violation("", from_6_s(|_| panic!("out of cheese")));
     assert_eq!(found.invariant, "panic");
-    assert_eq!(found.what, "out of cheese");
+    assert_eq!(found.details, "out of cheese");
 }
 
 #[test]
@@ -355,9 +355,9 @@ fn an_output_that_is_another_bit_than_decided_is_found() {
     );
     assert_eq!(found.invariant, "replayed");
     assert!(
-        found.what.starts_with("tick 700: estimate.yaw_rad"),
+        found.details.starts_with("tick 700: estimate.yaw_rad"),
         "{}",
-        found.what
+        found.details
     );
 }
 

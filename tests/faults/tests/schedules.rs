@@ -5,7 +5,7 @@
 use proptest::prelude::*;
 use singletrack_faults::{
     Campaign, Untampered, drive,
-    schedule::{Kind, Schedule, Wish},
+    schedule::{FaultKind, OperatorRequest, Schedule},
 };
 use singletrack_sim::BoardKind;
 
@@ -21,8 +21,8 @@ proptest! {
     fn a_schedule_keeps_to_its_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
         prop_assert!((1..=6).contains(&schedule.faults.len()));
-        prop_assert!(schedule.asks.iter().any(|ask| ask.wish == Wish::Arm));
-        prop_assert!(schedule.asks.is_sorted_by_key(|ask| ask.at_ms));
+        prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
+        prop_assert!(schedule.requests.is_sorted_by_key(|ask| ask.at_ms));
         for fault in &schedule.faults {
             prop_assert!((1..=1_000).contains(&fault.severity), "{fault}");
             prop_assert!(fault.at_ms <= schedule.end_ms, "{fault}");
@@ -36,7 +36,7 @@ fn every_kind_of_fault_comes_up_within_a_thousand_seeds() {
     let schedules: Vec<_> = seeds
         .map(|seed| Schedule::generate(seed, BoardKind::Native))
         .collect();
-    for kind in Kind::ALL {
+    for kind in FaultKind::ALL {
         let faults = schedules.iter().flat_map(|schedule| &schedule.faults);
         let count = faults.filter(|fault| fault.kind == *kind).count();
         assert!(count >= 20, "{}: {count}", kind.name());
@@ -80,9 +80,9 @@ fn the_wall_clock_is_noticed_by_nobody() {
     let plain: Schedule = text.parse().unwrap();
     let stepped = format!("{text}; fault wall-clock-step at 4000 for 2000 severity 1000");
     let stepped: Schedule = stepped.parse().unwrap();
-    let ending = drive(&plain, &mut Untampered).unwrap();
-    assert!(ending.driven_ms > 4_000, "{ending:?}");
-    assert_eq!(ending, drive(&stepped, &mut Untampered).unwrap());
+    let outcome = drive(&plain, &mut Untampered).unwrap();
+    assert!(outcome.driven_ms > 4_000, "{outcome:?}");
+    assert_eq!(outcome, drive(&stepped, &mut Untampered).unwrap());
 }
 
 #[test]

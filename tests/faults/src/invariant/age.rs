@@ -4,7 +4,7 @@ use singletrack_pilot::Mode;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
 
 use super::{Invariant, SERVO_US, Verdict};
-use crate::sight::{Seen, Sight};
+use crate::observation::{Observation, ReceivedPose};
 
 /// The supervising interrupt's period, in µs, and as much by which its clock may
 /// be behind.
@@ -27,12 +27,12 @@ impl Invariant for CommandAge {
         "command-age"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.board_since_us != self.board_since_us {
-            self.board_since_us = sight.board_since_us;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.board_since_us != self.board_since_us {
+            self.board_since_us = observation.board_since_us;
             self.newest_us = None;
         }
-        for heard in sight.heard {
+        for heard in observation.heard {
             let ToBoard::Drive(drive) = heard.message else {
                 continue;
             };
@@ -45,8 +45,8 @@ impl Invariant for CommandAge {
             }
         }
         let limit_us = u64::from(COMMAND_TIME_TO_LIVE_US) + SERVO_US + SUPERVISOR_US;
-        for pulse in sight.pulses {
-            if !sight.stated.drives(pulse) || sight.board_since_us.is_none() {
+        for pulse in observation.pulses {
+            if !observation.spec.drives(pulse) || observation.board_since_us.is_none() {
                 continue;
             }
             let Some(newest_us) = self.newest_us else {
@@ -83,13 +83,13 @@ impl Invariant for HostSilence {
         "host-silence"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         let commands = |message: &ToBoard| matches!(message, ToBoard::Drive(_));
-        if sight.written.iter().any(commands) {
-            self.written_us = Some(sight.now_us);
+        if observation.written.iter().any(commands) {
+            self.written_us = Some(observation.now_us);
         }
-        for pulse in sight.pulses {
-            if !sight.stated.drives(pulse) {
+        for pulse in observation.pulses {
+            if !observation.spec.drives(pulse) {
                 continue;
             }
             let after_us = pulse.time_us.saturating_sub(self.written_us.unwrap_or(0));
@@ -117,7 +117,7 @@ const CLOCKS_US: u64 = 4_000;
 /// nobody can know better.
 #[derive(Default)]
 pub(super) struct PoseAge {
-    newest: Option<Seen>,
+    newest: Option<ReceivedPose>,
 }
 
 impl Invariant for PoseAge {
@@ -125,19 +125,19 @@ impl Invariant for PoseAge {
         "pose-age"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         // Also those of a daemon that is no more: its last command may be in force.
-        self.newest = sight.seen.or(self.newest);
-        let limit_us = u64::from(sight.stated.board.max_pose_age_ms) * 1_000
+        self.newest = observation.newest_pose.or(self.newest);
+        let limit_us = u64::from(observation.spec.board.max_pose_age_ms) * 1_000
             + SERVO_US
             + SUPERVISOR_US
             + CLOCKS_US
             + 10 * SKEW_US;
-        for pulse in sight.pulses {
-            if !sight.stated.drives(pulse) {
+        for pulse in observation.pulses {
+            if !observation.spec.drives(pulse) {
                 continue;
             }
-            let since_us = self.newest.map_or(0, |seen| seen.since_us());
+            let since_us = self.newest.map_or(0, |pose| pose.since_us());
             let age_us = pulse.time_us.saturating_sub(since_us);
             if age_us > limit_us {
                 return Err(format!(
@@ -163,18 +163,18 @@ impl Invariant for HostHold {
         "host-hold"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let Some(tick) = sight.tick else {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
         let mode = tick.output.mode;
         let limit_us = match mode {
-            Mode::Driving => sight.stated.hold_us,
-            Mode::Slowing => sight.stated.blind_us,
+            Mode::Driving => observation.spec.hold_us,
+            Mode::Slowing => observation.spec.blind_us,
             _ => return Ok(()),
         } + CLOCKS_US;
-        let since_us = sight.seen.map_or(0, |seen| seen.since_us());
-        let age_us = sight.now_us.saturating_sub(since_us);
+        let since_us = observation.newest_pose.map_or(0, |pose| pose.since_us());
+        let age_us = observation.now_us.saturating_sub(since_us);
         if age_us > limit_us {
             return Err(format!(
                 "{mode} on a pose that is {} ms old, {} allowed",
@@ -189,19 +189,22 @@ impl Invariant for HostHold {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sight::scene::Scene;
+    use crate::observation::scene::Scene;
 
     #[test]
     fn a_pulse_on_a_pose_beyond_the_boards_limit_is_found() {
         let scene = Scene::new();
-        assert_eq!(PoseAge::default().look(&scene.sight(950_000)), Ok(()));
-        let old = PoseAge::default().look(&scene.sight(986_000));
-        assert!(old.is_err_and(|what| what.contains("986 ms old, 981 allowed")));
+        assert_eq!(
+            PoseAge::default().check(&scene.observation(950_000)),
+            Ok(())
+        );
+        let old = PoseAge::default().check(&scene.observation(986_000));
+        assert!(old.is_err_and(|details| details.contains("986 ms old, 981 allowed")));
         // Nobody can know when the server's clock has been stepped.
-        let mut stepped = scene.sight(986_000);
-        if let Some(seen) = &mut stepped.seen {
-            seen.exposure.honest_clock = false;
+        let mut stepped = scene.observation(986_000);
+        if let Some(pose) = &mut stepped.newest_pose {
+            pose.exposure.clock_trusted = false;
         }
-        assert_eq!(PoseAge::default().look(&stepped), Ok(()));
+        assert_eq!(PoseAge::default().check(&stepped), Ok(()));
     }
 }

@@ -4,7 +4,7 @@ use singletrack_pilot::{Event, Mode, Request};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
 
 use super::{Invariant, SERVO_US, Verdict};
-use crate::{schedule::Kind, sight::Sight};
+use crate::{observation::Observation, schedule::FaultKind};
 
 /// From the moment that takes away the right to drive until the neutral pulse,
 /// in µs: up to 10 ms until the main loop has heard of it, 1 ms until the
@@ -70,26 +70,26 @@ impl Invariant for Unarmed {
         "unarmed-drive"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.board_since_us != self.board_since_us {
-            self.board_since_us = sight.board_since_us;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.board_since_us != self.board_since_us {
+            self.board_since_us = observation.board_since_us;
             self.session = None;
-            self.withdraw(sight.now_us, "the board was reset");
+            self.withdraw(observation.now_us, "the board was reset");
         }
-        for heard in sight.heard {
+        for heard in observation.heard {
             self.hear(heard.time_us, heard.board_time_us, &heard.message);
         }
-        if sight.stated.board.stop_input && sight.suffers(Kind::StopInputOpen) {
-            self.withdraw(sight.now_us, "the stop switch opened");
+        if observation.spec.board.stop_input && observation.is_active(FaultKind::StopInputOpen) {
+            self.withdraw(observation.now_us, "the stop switch opened");
         }
-        for pulse in sight.pulses {
+        for pulse in observation.pulses {
             if let Some(command_us) = self.command_us {
                 let age_us = pulse.board_time_us.wrapping_sub(command_us);
                 if age_us < u32::MAX / 2 && age_us > IN_FORCE_US {
                     self.withdraw(pulse.time_us, "the last command had run out");
                 }
             }
-            if !sight.stated.drives(pulse) || (self.armed && self.command_us.is_some()) {
+            if !observation.spec.drives(pulse) || (self.armed && self.command_us.is_some()) {
                 continue;
             }
             let (since_us, cause) = self.withdrawn.unwrap_or((0, "nobody had armed the board"));
@@ -120,30 +120,30 @@ impl Invariant for Unasked {
         "unasked-drive"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.daemon_since_us != self.daemon_since_us {
-            self.daemon_since_us = sight.daemon_since_us;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.daemon_since_us != self.daemon_since_us {
+            self.daemon_since_us = observation.daemon_since_us;
             self.underway = false;
         }
-        let Some(tick) = sight.tick else {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
-        let asked = |request| tick.events.contains(&Event::Request(request));
+        let requested = |request| tick.events.contains(&Event::Request(request));
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
-        if self.underway && !was_underway && !asked(Request::Arm) {
+        if self.underway && !was_underway && !requested(Request::Arm) {
             return Err(format!("mode {mode}, and nobody asked to arm"));
         }
         // However much has come at once, a stop is not lost on the way.
         let stop = Request::EmergencyStop;
-        if sight.asked.contains(&stop) && !asked(stop) {
+        if observation.pending_requests.contains(&stop) && !requested(stop) {
             return Err("an emergency stop was asked for, and the pilot does not know".to_owned());
         }
-        if asked(Request::EmergencyStop) && mode != Mode::Fault {
+        if requested(Request::EmergencyStop) && mode != Mode::Fault {
             return Err(format!("mode {mode} in the tick of an emergency stop"));
         }
         if was_underway
-            && asked(Request::Disarm)
+            && requested(Request::Disarm)
             && matches!(mode, Mode::Arming | Mode::Driving | Mode::Slowing)
         {
             return Err(format!("mode {mode} in the tick of a request to disarm"));
@@ -168,20 +168,20 @@ impl Invariant for Latched {
         "latched-stop"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.board_since_us != self.board_since_us {
-            self.board_since_us = sight.board_since_us;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.board_since_us != self.board_since_us {
+            self.board_since_us = observation.board_since_us;
             self.latched_us = None;
         }
-        if sight.board_mode == Some(BoardMode::EmergencyStopped) {
-            self.latched_us.get_or_insert(sight.now_us);
+        if observation.board_mode == Some(BoardMode::EmergencyStopped) {
+            self.latched_us.get_or_insert(observation.now_us);
         }
         let Some(latched_us) = self.latched_us else {
             return Ok(());
         };
-        for pulse in sight.pulses {
+        for pulse in observation.pulses {
             // The record may be on the line before the pulse that it tells of.
-            if sight.stated.drives(pulse) && pulse.time_us > latched_us + SERVO_US + 1_000 {
+            if observation.spec.drives(pulse) && pulse.time_us > latched_us + SERVO_US + 1_000 {
                 return Err(format!(
                     "ESC pulse {} µs, and an emergency stop is latched",
                     pulse.esc_us

@@ -5,8 +5,8 @@ use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{
-    schedule::{Kind, Target},
-    sight::Sight,
+    observation::Observation,
+    schedule::{FaultKind, FaultTarget},
 };
 
 /// Nothing of the daemon's is obeyed for longer: see `host-silence`.
@@ -17,8 +17,8 @@ const HOST_SILENCE_US: u64 = 120_000;
 /// within 120 ms when something is wrong with line or board.
 #[derive(Default)]
 pub(super) struct EmergencyStop {
-    asked_us: Option<u64>,
-    troubled: bool,
+    requested_us: Option<u64>,
+    degraded: bool,
 }
 
 const EMERGENCY_STOP_US: u64 = 50_000;
@@ -28,38 +28,38 @@ impl Invariant for EmergencyStop {
         "emergency-stop"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let asked = sight.tick.is_some_and(|tick| {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let requested = observation.tick.is_some_and(|tick| {
             tick.events
                 .contains(&Event::Request(Request::EmergencyStop))
         });
-        if asked && self.asked_us.is_none() {
-            self.asked_us = Some(sight.now_us);
-            self.troubled = false;
+        if requested && self.requested_us.is_none() {
+            self.requested_us = Some(observation.now_us);
+            self.degraded = false;
         }
-        let troubles = |target| matches!(target, Target::Line | Target::Board);
-        self.troubled |= sight
+        let degrades = |target| matches!(target, FaultTarget::Line | FaultTarget::Board);
+        self.degraded |= observation
             .faults
             .iter()
-            .any(|fault| troubles(fault.kind.target()));
+            .any(|fault| degrades(fault.kind.target()));
         // A command after the stop is another drive, which somebody asked for.
-        if sight
+        if observation
             .tick
             .is_some_and(|tick| tick.output.mode.is_underway())
         {
-            self.asked_us = None;
+            self.requested_us = None;
         }
-        let Some(asked_us) = self.asked_us else {
+        let Some(requested_us) = self.requested_us else {
             return Ok(());
         };
-        let limit_us = if self.troubled {
+        let limit_us = if self.degraded {
             HOST_SILENCE_US
         } else {
             EMERGENCY_STOP_US
         };
-        for pulse in sight.pulses {
-            let after_us = pulse.time_us.saturating_sub(asked_us);
-            if sight.stated.drives(pulse) && after_us > limit_us {
+        for pulse in observation.pulses {
+            let after_us = pulse.time_us.saturating_sub(requested_us);
+            if observation.spec.drives(pulse) && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after an emergency stop, {} allowed",
                     pulse.esc_us,
@@ -76,7 +76,7 @@ impl Invariant for EmergencyStop {
 /// silence, of the tick that hears of a request to disarm.
 #[derive(Default)]
 pub(super) struct Disarm {
-    asked_us: Option<u64>,
+    requested_us: Option<u64>,
 }
 
 impl Invariant for Disarm {
@@ -84,23 +84,23 @@ impl Invariant for Disarm {
         "disarm"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if let Some(tick) = sight.tick {
-            let asked = tick.events.contains(&Event::Request(Request::Disarm));
-            if asked && tick.output.mode.is_underway() {
-                self.asked_us.get_or_insert(sight.now_us);
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if let Some(tick) = observation.tick {
+            let requested = tick.events.contains(&Event::Request(Request::Disarm));
+            if requested && tick.output.mode.is_underway() {
+                self.requested_us.get_or_insert(observation.now_us);
             } else if matches!(tick.output.mode, Mode::Arming | Mode::Driving) {
-                self.asked_us = None;
+                self.requested_us = None;
             }
         }
-        let Some(asked_us) = self.asked_us else {
+        let Some(requested_us) = self.requested_us else {
             return Ok(());
         };
         // The tick that ends the ramp may be a period late.
-        let limit_us = sight.stated.stop_timeout_us + 10_000 + HOST_SILENCE_US;
-        for pulse in sight.pulses {
-            let after_us = pulse.time_us.saturating_sub(asked_us);
-            if sight.stated.drives(pulse) && after_us > limit_us {
+        let limit_us = observation.spec.stop_timeout_us + 10_000 + HOST_SILENCE_US;
+        for pulse in observation.pulses {
+            let after_us = pulse.time_us.saturating_sub(requested_us);
+            if observation.spec.drives(pulse) && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after a request to disarm, {} allowed",
                     pulse.esc_us,
@@ -129,24 +129,24 @@ impl Invariant for MainLoop {
         "main-loop"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.board_since_us != self.board_since_us {
-            self.board_since_us = sight.board_since_us;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.board_since_us != self.board_since_us {
+            self.board_since_us = observation.board_since_us;
             self.hung_us = None;
         }
-        let hangs = sight
-            .begun
+        let hangs = observation
+            .new_faults
             .iter()
-            .any(|fault| fault.kind == Kind::BoardHang);
+            .any(|fault| fault.kind == FaultKind::BoardHang);
         if hangs && self.board_since_us.is_some() {
-            self.hung_us.get_or_insert(sight.now_us);
+            self.hung_us.get_or_insert(observation.now_us);
         }
         let Some(hung_us) = self.hung_us else {
             return Ok(());
         };
-        for pulse in sight.pulses {
+        for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(hung_us);
-            if sight.stated.drives(pulse) && after_us > MAIN_LOOP_US {
+            if observation.spec.drives(pulse) && after_us > MAIN_LOOP_US {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after the main loop hung",
                     pulse.esc_us,
@@ -175,13 +175,13 @@ impl Invariant for MotorPulses {
         "motor-pulses"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let esc = &sight.stated.board.esc;
-        if !sight.rules(Kind::PulsesGone) {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let esc = &observation.spec.board.esc;
+        if !observation.is_effective(FaultKind::PulsesGone) {
             self.driven_us = 0;
             return Ok(());
         }
-        for pulse in sight.pulses {
+        for pulse in observation.pulses {
             if pulse.time_us.saturating_sub(self.last_driven_us) >= PATIENCE_US {
                 self.driven_us = 0;
             }
@@ -217,25 +217,25 @@ impl Invariant for ImuSilence {
         "imu-silence"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.rules(Kind::ImuSilent) {
-            self.silent_us.get_or_insert(sight.now_us);
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.is_effective(FaultKind::ImuSilent) {
+            self.silent_us.get_or_insert(observation.now_us);
         } else {
             self.silent_us = None;
         }
-        let (Some(silent_us), Some(tick)) = (self.silent_us, sight.tick) else {
+        let (Some(silent_us), Some(tick)) = (self.silent_us, observation.tick) else {
             return Ok(());
         };
         // 1.2 ms under way to the board, and what the board's clock may be off. The
         // image asks the sensor every 10 ms and dates a sample by its answer. What
         // always comes late looks younger by that: nobody can tell it from the clock.
-        let asked_us = match sight.stated.situation.board {
+        let poll_us = match observation.spec.situation.board {
             BoardKind::Native => 0,
             BoardKind::Uno => 10_000,
         };
-        let late_us = u64::from(sight.stated.situation.serial_delay_us);
-        let limit_us = sight.stated.imu_silence_us + 5_000 + asked_us + late_us;
-        let after_us = sight.now_us.saturating_sub(silent_us);
+        let late_us = u64::from(observation.spec.situation.serial_delay_us);
+        let limit_us = observation.spec.imu_silence_us + 5_000 + poll_us + late_us;
+        let after_us = observation.now_us.saturating_sub(silent_us);
         if tick.output.mode == Mode::Driving && after_us > limit_us {
             return Err(format!(
                 "driving {} ms after the IMU fell silent, {} allowed",
@@ -263,21 +263,21 @@ impl Invariant for ImuStuck {
         "imu-stuck"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let undisturbed = sight.faults.iter().all(|fault| {
-            fault.kind == Kind::ImuStuck || matches!(fault.kind.target(), Target::Cameras)
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let undisturbed = observation.faults.iter().all(|fault| {
+            fault.kind == FaultKind::ImuStuck || matches!(fault.kind.target(), FaultTarget::Cameras)
         });
-        if sight.rules(Kind::ImuStuck) && undisturbed {
-            self.stuck_us.get_or_insert(sight.now_us);
+        if observation.is_effective(FaultKind::ImuStuck) && undisturbed {
+            self.stuck_us.get_or_insert(observation.now_us);
         } else {
             self.stuck_us = None;
         }
-        let (Some(stuck_us), Some(tick)) = (self.stuck_us, sight.tick) else {
+        let (Some(stuck_us), Some(tick)) = (self.stuck_us, observation.tick) else {
             return Ok(());
         };
-        let samples = u64::from(sight.stated.stuck_samples) + 1;
+        let samples = u64::from(observation.spec.stuck_samples) + 1;
         let limit_us = samples * IMU_PERIOD_US + 30_000;
-        let after_us = sight.now_us.saturating_sub(stuck_us);
+        let after_us = observation.now_us.saturating_sub(stuck_us);
         if tick.output.mode == Mode::Driving && samples > 1 && after_us > limit_us {
             return Err(format!(
                 "driving {} ms after the IMU began to repeat itself, {} allowed",
@@ -292,17 +292,17 @@ impl Invariant for ImuStuck {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sight::scene::Scene;
+    use crate::observation::scene::Scene;
 
     #[test]
     fn a_pulse_long_after_a_request_to_disarm_is_found() {
         let scene = Scene::new();
-        let sight = scene.sight(0);
-        let asked = |ms_ago: u64| Disarm {
-            asked_us: Some(sight.now_us - ms_ago * 1_000),
+        let observation = scene.observation(0);
+        let requested = |ms_ago: u64| Disarm {
+            requested_us: Some(observation.now_us - ms_ago * 1_000),
         };
-        assert_eq!(asked(1_620).look(&sight), Ok(()));
-        let late = asked(1_640).look(&sight);
-        assert!(late.is_err_and(|what| what.contains("1640 ms after a request to disarm")));
+        assert_eq!(requested(1_620).check(&observation), Ok(()));
+        let late = requested(1_640).check(&observation);
+        assert!(late.is_err_and(|details| details.contains("1640 ms after a request to disarm")));
     }
 }

@@ -4,7 +4,7 @@ use singletrack_control::Position;
 use singletrack_pilot::Mode;
 
 use super::{Invariant, Verdict};
-use crate::sight::Sight;
+use crate::observation::Observation;
 
 /// `fence`: the true centre of mass gets no farther beyond the fence than a car
 /// that is told to stop in time rolls on.
@@ -56,29 +56,32 @@ impl Invariant for Fence {
         "fence"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.seen.is_some_and(|seen| seen.exposure.lie) {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation
+            .newest_pose
+            .is_some_and(|pose| pose.exposure.falsified)
+        {
             self.deceived = true;
-            self.lied_us = sight.now_us;
+            self.lied_us = observation.now_us;
         }
-        let Some(tick) = sight.tick else {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
-        if tick.output.mode == Mode::Arming && sight.now_us > self.lied_us + MEMORY_US {
+        if tick.output.mode == Mode::Arming && observation.now_us > self.lied_us + MEMORY_US {
             self.deceived = false;
         }
-        let truth = &sight.truth;
-        let clearance = sight
-            .stated
+        let truth = &observation.truth;
+        let clearance = observation
+            .spec
             .fence
             .clearance(&Position::new(truth.x, truth.y));
         if clearance >= 0.0 {
-            let slower = self.speed - 2.0 * sight.stated.period_s;
+            let slower = self.speed - 2.0 * observation.spec.period_s;
             self.speed = truth.speed.abs().max(slower);
             return Ok(());
         }
         self.speed = self.speed.max(truth.speed.abs());
-        let allowed = allowed_m(self.speed, sight.stated.braking);
+        let allowed = allowed_m(self.speed, observation.spec.braking);
         if -clearance > allowed && !self.deceived {
             return Err(format!(
                 "{:.3} m beyond the fence, {allowed:.3} allowed from {:.2} m/s",

@@ -4,7 +4,7 @@ use singletrack_pilot::{Mode, Output};
 use singletrack_protocol::ToBoard;
 
 use super::{Invariant, Verdict};
-use crate::sight::Sight;
+use crate::observation::Observation;
 
 /// Half a step of the wire: 1 mm/s, 0.1 mrad.
 const SPEED_STEP: f64 = 0.000_5;
@@ -20,20 +20,18 @@ impl Invariant for CommandLimits {
         "command-limits"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let stated = sight.stated;
-        for message in sight.written {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let spec = observation.spec;
+        for message in observation.written {
             let ToBoard::Drive(drive) = message else {
                 continue;
             };
             let speed = f64::from(drive.speed_mm_s) * 1e-3;
             let steering = f64::from(drive.steering_100urad) * 1e-4;
-            if speed > stated.max_speed + SPEED_STEP
-                || speed < -stated.max_reverse_speed - SPEED_STEP
-            {
+            if speed > spec.max_speed + SPEED_STEP || speed < -spec.max_reverse_speed - SPEED_STEP {
                 return Err(format!("a command of {speed:.3} m/s"));
             }
-            if steering.abs() > stated.max_steering + STEERING_STEP {
+            if steering.abs() > spec.max_steering + STEERING_STEP {
                 return Err(format!("a command of {steering:.4} rad"));
             }
         }
@@ -55,8 +53,8 @@ impl Invariant for CommandRate {
         "command-rate"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let Some(tick) = sight.tick else {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
         if tick.output.command.is_none() {
@@ -64,9 +62,9 @@ impl Invariant for CommandRate {
             return Ok(());
         }
         let actuation = tick.output.actuation;
-        let stated = sight.stated;
+        let spec = observation.spec;
         let (speed, steering) = self.last.unwrap_or((0.0, actuation.steering));
-        let most = stated.max_acceleration.max(stated.stop_deceleration) * stated.period_s;
+        let most = spec.max_acceleration.max(spec.stop_deceleration) * spec.period_s;
         let change = (actuation.speed - speed).abs();
         if change > most + 1e-9 {
             return Err(format!(
@@ -74,7 +72,7 @@ impl Invariant for CommandRate {
                 actuation.speed
             ));
         }
-        let most = stated.max_steering_rate * stated.period_s;
+        let most = spec.max_steering_rate * spec.period_s;
         let change = (actuation.steering - steering).abs();
         if change > most + 1e-9 {
             return Err(format!(
@@ -98,8 +96,8 @@ impl Invariant for ModeAndReason {
         "mode-and-reason"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let Some(tick) = sight.tick else {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
         let Output {
@@ -136,8 +134,8 @@ impl Invariant for Finite {
         "finite"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let Some(tick) = sight.tick else {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
         let output = &tick.output;
@@ -185,11 +183,11 @@ impl Invariant for NoQueue {
         "no-queue"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        if sight.has_read {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.has_read {
             self.unheard = 0;
         }
-        for message in sight.written {
+        for message in observation.written {
             self.unheard += u32::from(matches!(message, ToBoard::Drive(_)));
         }
         if self.unheard > 2 {
@@ -204,7 +202,7 @@ mod tests {
     use singletrack_protocol::{Drive, Sequence};
 
     use super::*;
-    use crate::sight::scene::Scene;
+    use crate::observation::scene::Scene;
 
     fn drive(speed_mm_s: i16, steering_100urad: i16) -> ToBoard {
         ToBoard::Drive(Drive {
@@ -227,12 +225,12 @@ mod tests {
             (drive(0, 4_501), Some("0.4501 rad")),
         ] {
             let written = [message];
-            let mut sight = scene.sight(0);
-            sight.written = &written;
-            let verdict = CommandLimits.look(&sight);
+            let mut observation = scene.observation(0);
+            observation.written = &written;
+            let verdict = CommandLimits.check(&observation);
             match found {
                 None => assert_eq!(verdict, Ok(())),
-                Some(part) => assert!(verdict.is_err_and(|what| what.contains(part))),
+                Some(part) => assert!(verdict.is_err_and(|details| details.contains(part))),
             }
         }
     }
@@ -242,16 +240,16 @@ mod tests {
         let scene = Scene::new();
         let written = [drive(500, 0)];
         let mut invariant = NoQueue::default();
-        let mut look = |has_read| {
-            let mut sight = scene.sight(0);
-            sight.written = &written;
-            sight.has_read = has_read;
-            invariant.look(&sight)
+        let mut check = |has_read| {
+            let mut observation = scene.observation(0);
+            observation.written = &written;
+            observation.has_read = has_read;
+            invariant.check(&observation)
         };
         assert_eq!(
-            [true, false, true, false].map(&mut look),
+            [true, false, true, false].map(&mut check),
             [Ok(()), Ok(()), Ok(()), Ok(())]
         );
-        assert!(look(false).is_err());
+        assert!(check(false).is_err());
     }
 }

@@ -10,7 +10,7 @@ mod replayed;
 
 use singletrack_pilot::PilotConfig;
 
-use crate::sight::Sight;
+use crate::observation::Observation;
 
 /// What a step was found to break.
 pub(crate) type Verdict = Result<(), String>;
@@ -21,7 +21,7 @@ pub(crate) trait Invariant {
     fn name(&self) -> &'static str;
 
     /// Looks at a step; the error says what is wrong, with values.
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict;
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict;
 }
 
 /// One servo period on the board's clock, in µs: what has been decided is on the

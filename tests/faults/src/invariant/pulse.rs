@@ -3,7 +3,7 @@
 use singletrack_sim::PulseRecord;
 
 use super::{Invariant, SERVO_US, Verdict};
-use crate::sight::{Sight, Stated, TOLERANCE_US};
+use crate::observation::{Observation, Spec, TOLERANCE_US};
 
 /// `pulse-limits`: every pulse is absent or within the configured limits, and
 /// none drives backward, which no configuration here allows.
@@ -17,9 +17,9 @@ impl Invariant for Limits {
         "pulse-limits"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let (servo, esc) = (&sight.stated.board.servo, &sight.stated.board.esc);
-        for pulse in sight.pulses {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let (servo, esc) = (&observation.spec.board.servo, &observation.spec.board.esc);
+        for pulse in observation.pulses {
             for (name, us, least, most) in [
                 ("servo", pulse.servo_us, servo.min_us, servo.max_us),
                 ("ESC", pulse.esc_us, esc.min_us, esc.max_us),
@@ -29,7 +29,7 @@ impl Invariant for Limits {
                     return Err(format!("{name} pulse {us} µs, allowed {least} to {most}"));
                 }
             }
-            if pulse.esc_us < esc.neutral_us && sight.stated.drives(pulse) {
+            if pulse.esc_us < esc.neutral_us && observation.spec.drives(pulse) {
                 return Err(format!("ESC pulse {} µs drives backward", pulse.esc_us));
             }
         }
@@ -63,13 +63,13 @@ impl Invariant for ServoSlew {
         "servo-slew"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        for pulse in sight.pulses {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        for pulse in observation.pulses {
             let last = self.last.replace(*pulse);
             let Some(last) = last.filter(|last| last.servo_us != 0 && pulse.servo_us != 0) else {
                 continue;
             };
-            let most = slew_us(sight.stated.board.servo.slew_us_per_20ms, &last, pulse);
+            let most = slew_us(observation.spec.board.servo.slew_us_per_20ms, &last, pulse);
             let change = pulse.servo_us.abs_diff(last.servo_us);
             if change > most && !pulse.cut {
                 return Err(format!(
@@ -90,8 +90,8 @@ pub(super) struct EscSlew {
 }
 
 impl EscSlew {
-    fn beyond(stated: &Stated, pulse: &PulseRecord) -> u16 {
-        pulse.esc_us.saturating_sub(stated.board.esc.neutral_us)
+    fn beyond(spec: &Spec, pulse: &PulseRecord) -> u16 {
+        pulse.esc_us.saturating_sub(spec.board.esc.neutral_us)
     }
 }
 
@@ -100,15 +100,15 @@ impl Invariant for EscSlew {
         "esc-slew"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        for pulse in sight.pulses {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        for pulse in observation.pulses {
             let last = self.last.replace(*pulse);
             let Some(last) = last else { continue };
             let (from, to) = (
-                Self::beyond(sight.stated, &last),
-                Self::beyond(sight.stated, pulse),
+                Self::beyond(observation.spec, &last),
+                Self::beyond(observation.spec, pulse),
             );
-            let most = slew_us(sight.stated.board.esc.slew_us_per_20ms, &last, pulse);
+            let most = slew_us(observation.spec.board.esc.slew_us_per_20ms, &last, pulse);
             if to.saturating_sub(from) > most {
                 return Err(format!(
                     "ESC pulse from {} to {} µs, at most {most} µs more allowed",
@@ -133,13 +133,13 @@ impl Invariant for NeutralFirst {
         "neutral-first"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        for pulse in sight.pulses {
-            if !sight.stated.drives(pulse) {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        for pulse in observation.pulses {
+            if !observation.spec.drives(pulse) {
                 continue;
             }
             // Without a start the pulses are none of this board's doing.
-            let Some(since_us) = sight.board_since_us else {
+            let Some(since_us) = observation.board_since_us else {
                 continue;
             };
             let age_us = pulse.time_us.saturating_sub(since_us);

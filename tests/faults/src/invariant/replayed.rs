@@ -4,7 +4,7 @@ use singletrack_pilot::PilotConfig;
 use singletrack_record::Replay;
 
 use super::{Invariant, Verdict};
-use crate::sight::Sight;
+use crate::observation::Observation;
 
 /// `replayed`: a pilot that is told what the ticks say it was told decides the
 /// same, to the bit. With a daemon that is started anew it begins anew.
@@ -27,8 +27,8 @@ impl Invariant for Replayed {
         "replayed"
     }
 
-    fn look(&mut self, sight: &Sight<'_>) -> Verdict {
-        let Some(tick) = sight.tick.filter(|_| sight.is_replayed) else {
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick.filter(|_| observation.is_replayed) else {
             return Ok(());
         };
         if tick.index == 0 {

@@ -2,7 +2,9 @@
 
 use singletrack_sim::BoardKind;
 
-use super::{Ask, Fault, Kind, ReferenceKind, Schedule, Situation, Wish};
+use super::{
+    Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+};
 use crate::random::{Random, Stream};
 
 /// Board, ESC and estimator are ready by then: the first request to arm.
@@ -50,12 +52,12 @@ impl Schedule {
         let count = random.between(1, 6);
         let mut faults: Vec<Fault> = (0..count).map(|_| fault(random, end_ms)).collect();
         faults.sort_by_key(|fault| fault.at_ms);
-        let asks = asks(random, end_ms, &faults);
+        let requests = requests(random, end_ms, &faults);
         Self {
             seed,
             situation,
             end_ms,
-            asks,
+            requests,
             faults,
         }
     }
@@ -89,7 +91,10 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
 }
 
 fn fault(random: &mut Random, end_ms: u32) -> Fault {
-    let kind = random.choose(Kind::CameraUntracked, Kind::ALL.get(1..).unwrap_or(&[]));
+    let kind = random.choose(
+        FaultKind::CameraUntracked,
+        FaultKind::ALL.get(1..).unwrap_or(&[]),
+    );
     let early = random.happens(100);
     let at_ms = if early {
         random.between(FIRST_FAULT_MS, FIRST_ARM_MS)
@@ -98,8 +103,8 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
     };
     let for_ms = match kind {
         _ if kind.is_momentary() => 0,
-        Kind::DaemonPaused => random.spread(20, 6_000),
-        Kind::DaemonKilled => random.spread(300, 3_000),
+        FaultKind::DaemonPaused => random.spread(20, 6_000),
+        FaultKind::DaemonKilled => random.spread(300, 3_000),
         _ => random.spread(20, 4_000),
     };
     Fault {
@@ -116,9 +121,9 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
 
 /// A person who wants the car to drive asks now and then, mostly after something
 /// went wrong, but also just when it does.
-fn asks(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<Ask> {
-    let mut asks = vec![Ask {
-        wish: Wish::Arm,
+fn requests(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<ScheduledRequest> {
+    let mut requests = vec![ScheduledRequest {
+        request: OperatorRequest::Arm,
         at_ms: FIRST_ARM_MS,
     }];
     let mut at_ms = FIRST_ARM_MS;
@@ -127,28 +132,34 @@ fn asks(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<Ask> {
         if at_ms >= end_ms {
             break;
         }
-        asks.push(Ask {
-            wish: random.choose(
-                Wish::Arm,
-                &[Wish::Arm, Wish::Arm, Wish::Arm, Wish::Arm, Wish::Disarm],
+        requests.push(ScheduledRequest {
+            request: random.choose(
+                OperatorRequest::Arm,
+                &[
+                    OperatorRequest::Arm,
+                    OperatorRequest::Arm,
+                    OperatorRequest::Arm,
+                    OperatorRequest::Arm,
+                    OperatorRequest::Disarm,
+                ],
             ),
             at_ms,
         });
     }
     for fault in faults {
         if random.happens(300) {
-            asks.push(Ask {
-                wish: Wish::Arm,
+            requests.push(ScheduledRequest {
+                request: OperatorRequest::Arm,
                 at_ms: fault.at_ms + random.between(0, fault.for_ms),
             });
         }
     }
     if random.happens(250) {
-        asks.push(Ask {
-            wish: Wish::Stop,
+        requests.push(ScheduledRequest {
+            request: OperatorRequest::Stop,
             at_ms: random.between(FIRST_ARM_MS, end_ms),
         });
     }
-    asks.sort_by_key(|ask| ask.at_ms);
-    asks
+    requests.sort_by_key(|ask| ask.at_ms);
+    requests
 }

@@ -2,7 +2,7 @@
 
 /// What a fault falsifies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
+pub enum FaultTarget {
     /// Cameras, their server and the network.
     Cameras,
     /// The serial line.
@@ -17,11 +17,11 @@ macro_rules! kinds {
     ($($(#[$meaning:meta])* $kind:ident = $name:literal, $target:ident;)*) => {
         /// What can go wrong. With s the severity, 1 to 1000.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum Kind {
+        pub enum FaultKind {
             $($(#[$meaning])* $kind,)*
         }
 
-        impl Kind {
+        impl FaultKind {
             /// All of them.
             pub const ALL: &[Self] = &[$(Self::$kind,)*];
 
@@ -35,9 +35,9 @@ macro_rules! kinds {
 
             /// What it falsifies.
             #[must_use]
-            pub const fn target(self) -> Target {
+            pub const fn target(self) -> FaultTarget {
                 match self {
-                    $(Self::$kind => Target::$target,)*
+                    $(Self::$kind => FaultTarget::$target,)*
                 }
             }
         }
@@ -148,10 +148,10 @@ kinds! {
     WallClockStep = "wall-clock-step", Host;
 }
 
-impl Kind {
+impl FaultKind {
     /// Whether it makes the cameras tell a pose that is none of the car's.
     #[must_use]
-    pub const fn is_lie(self) -> bool {
+    pub const fn falsifies_pose(self) -> bool {
         matches!(
             self,
             Self::CameraFrozen

@@ -6,7 +6,7 @@ mod text;
 
 use singletrack_sim::BoardKind;
 
-pub use kind::{Kind, Target};
+pub use kind::{FaultKind, FaultTarget};
 pub use text::ScheduleError;
 
 /// Everything that decides how a drive goes: the same schedule gives the same
@@ -20,7 +20,7 @@ pub struct Schedule {
     /// How long it lasts.
     pub end_ms: u32,
     /// What people ask for, in order of time.
-    pub asks: Vec<Ask>,
+    pub requests: Vec<ScheduledRequest>,
     /// What goes wrong.
     pub faults: Vec<Fault>,
 }
@@ -72,7 +72,7 @@ pub enum ReferenceKind {
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wish {
+pub enum OperatorRequest {
     /// Drive.
     Arm,
     /// Slow down, stop and disarm.
@@ -83,9 +83,9 @@ pub enum Wish {
 
 /// A person asks for something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ask {
+pub struct ScheduledRequest {
     /// For what.
-    pub wish: Wish,
+    pub request: OperatorRequest,
     /// When.
     pub at_ms: u32,
 }
@@ -94,12 +94,12 @@ pub struct Ask {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
     /// What.
-    pub kind: Kind,
+    pub kind: FaultKind,
     /// When it begins.
     pub at_ms: u32,
     /// How long it lasts; of no meaning for what happens in a moment.
     pub for_ms: u32,
-    /// How bad it is, 1 to 1000; see [`Kind`] for the meaning.
+    /// How bad it is, 1 to 1000; see [`FaultKind`] for the meaning.
     pub severity: u32,
 }
 

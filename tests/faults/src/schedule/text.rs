@@ -3,7 +3,9 @@
 use core::fmt;
 use std::str::FromStr;
 
-use super::{Ask, Fault, Kind, ReferenceKind, Schedule, Situation, Wish};
+use super::{
+    Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+};
 
 /// Why a text is no schedule.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -47,7 +49,7 @@ impl fmt::Display for Schedule {
         writeln!(out, "board_skew_ppm {}", s.board_skew_ppm)?;
         writeln!(out, "board_clock_ms {}", s.board_clock_ms)?;
         writeln!(out, "end_ms {}", self.end_ms)?;
-        for ask in &self.asks {
+        for ask in &self.requests {
             writeln!(out, "{ask}")?;
         }
         for fault in &self.faults {
@@ -57,9 +59,9 @@ impl fmt::Display for Schedule {
     }
 }
 
-impl fmt::Display for Ask {
+impl fmt::Display for ScheduledRequest {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "ask {} at {}", self.wish.name(), self.at_ms)
+        write!(out, "ask {} at {}", self.request.name(), self.at_ms)
     }
 }
 
@@ -110,7 +112,7 @@ struct Draft {
     seed: Option<u64>,
     end_ms: Option<u32>,
     situation: Situation,
-    asks: Vec<Ask>,
+    requests: Vec<ScheduledRequest>,
     faults: Vec<Fault>,
 }
 
@@ -134,8 +136,8 @@ impl Draft {
             ["serial_delay_us", n] => s.serial_delay_us = n.parse().ok()?,
             ["board_skew_ppm", n] => s.board_skew_ppm = n.parse().ok()?,
             ["board_clock_ms", n] => s.board_clock_ms = n.parse().ok()?,
-            ["ask", wish, "at", at] => self.asks.push(Ask {
-                wish: Wish::named(wish)?,
+            ["ask", request, "at", at] => self.requests.push(ScheduledRequest {
+                request: OperatorRequest::named(request)?,
                 at_ms: at.parse().ok()?,
             }),
             [
@@ -148,7 +150,7 @@ impl Draft {
                 "severity",
                 severity,
             ] => self.faults.push(Fault {
-                kind: *Kind::ALL.iter().find(|known| known.name() == *kind)?,
+                kind: *FaultKind::ALL.iter().find(|known| known.name() == *kind)?,
                 at_ms: at.parse().ok()?,
                 for_ms: duration.parse().ok()?,
                 severity: severity.parse().ok().filter(|s| (1..=1_000).contains(s))?,
@@ -163,7 +165,7 @@ impl Draft {
             seed: self.seed.ok_or(ScheduleError::Missing("seed"))?,
             situation: self.situation,
             end_ms: self.end_ms.ok_or(ScheduleError::Missing("end_ms"))?,
-            asks: self.asks,
+            requests: self.requests,
             faults: self.faults,
         })
     }
@@ -185,7 +187,7 @@ impl ReferenceKind {
     }
 }
 
-impl Wish {
+impl OperatorRequest {
     const ALL: [Self; 3] = [Self::Arm, Self::Disarm, Self::Stop];
 
     const fn name(self) -> &'static str {
@@ -197,6 +199,6 @@ impl Wish {
     }
 
     fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|wish| wish.name() == name)
+        Self::ALL.into_iter().find(|request| request.name() == name)
     }
 }

@@ -9,12 +9,12 @@ use singletrack_sim::{Heard, PulseRecord, Truth};
 
 use crate::{
     network::Exposure,
-    schedule::{Fault, Kind, Situation},
+    schedule::{Fault, FaultKind, Situation},
 };
 
 /// What the configuration promises, in the units of the invariants.
 #[derive(Clone, Debug)]
-pub(crate) struct Stated {
+pub(crate) struct Spec {
     pub(crate) situation: Situation,
     pub(crate) board: Configuration,
     pub(crate) hold_us: u64,
@@ -35,7 +35,7 @@ pub(crate) struct Stated {
     pub(crate) fence: Fence,
 }
 
-impl Stated {
+impl Spec {
     pub(crate) fn new(situation: &Situation, config: &Config) -> Result<Self, ConfigError> {
         let us = |ms: u32| u64::from(ms) * 1_000;
         let limits = &config.limits;
@@ -78,15 +78,15 @@ pub(crate) const TOLERANCE_US: u16 = 1;
 
 /// A pose that has reached the daemon.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct ReceivedPose {
     pub(crate) exposure: Exposure,
     pub(crate) received_us: u64,
 }
 
-impl Seen {
+impl ReceivedPose {
     /// Since when it is at least as old as the daemon can know.
     pub(crate) const fn since_us(&self) -> u64 {
-        if self.exposure.honest_clock {
+        if self.exposure.clock_trusted {
             self.exposure.exposed_us
         } else {
             self.received_us
@@ -96,10 +96,10 @@ impl Seen {
 
 /// One step of a drive.
 #[derive(Debug)]
-pub(crate) struct Sight<'a> {
+pub(crate) struct Observation<'a> {
     /// Simulation time, in µs.
     pub(crate) now_us: u64,
-    pub(crate) stated: &'a Stated,
+    pub(crate) spec: &'a Spec,
     /// What is really so.
     pub(crate) truth: Truth,
     /// The pulses that were new.
@@ -121,24 +121,24 @@ pub(crate) struct Sight<'a> {
     /// When the daemon that runs was started.
     pub(crate) daemon_since_us: Option<u64>,
     /// The newest pose that has reached it.
-    pub(crate) seen: Option<Seen>,
+    pub(crate) newest_pose: Option<ReceivedPose>,
     /// The faults in force.
     pub(crate) faults: &'a [Fault],
     /// Those that have just begun.
-    pub(crate) begun: &'a [Fault],
+    pub(crate) new_faults: &'a [Fault],
     /// The requests that were taken since the last tick but one: this one must
     /// know of them.
-    pub(crate) asked: &'a [Request],
+    pub(crate) pending_requests: &'a [Request],
 }
 
-impl Sight<'_> {
-    pub(crate) fn suffers(&self, kind: Kind) -> bool {
+impl Observation<'_> {
+    pub(crate) fn is_active(&self, kind: FaultKind) -> bool {
         self.faults.iter().any(|fault| fault.kind == kind)
     }
 
     /// Whether it is in force: of faults with the same subject the one that began
     /// last is.
-    pub(crate) fn rules(&self, kind: Kind) -> bool {
+    pub(crate) fn is_effective(&self, kind: FaultKind) -> bool {
         let mut rivals = self.faults.iter().rev();
         rivals
             .find(|fault| fault.kind.subject() == kind.subject())
@@ -153,12 +153,12 @@ impl Sight<'_> {
 pub(crate) mod scene {
     use singletrack_sim::PulseRecord;
 
-    use super::{Exposure, Seen, Sight, Situation, Stated, Truth};
+    use super::{Exposure, Observation, ReceivedPose, Situation, Spec, Truth};
     use crate::setting;
 
     /// A moment in which a car is driven as it should be.
     pub(crate) struct Scene {
-        pub(crate) stated: Stated,
+        pub(crate) spec: Spec,
         pub(crate) pulses: Vec<PulseRecord>,
         pub(crate) truth: Truth,
     }
@@ -168,7 +168,7 @@ pub(crate) mod scene {
             let situation = Situation::default();
             let config = setting::config(&situation).unwrap();
             Self {
-                stated: Stated::new(&situation, &config).unwrap(),
+                spec: Spec::new(&situation, &config).unwrap(),
                 pulses: vec![PulseRecord {
                     time_us: 5_000_000,
                     board_time_us: 5_000_000,
@@ -181,11 +181,11 @@ pub(crate) mod scene {
         }
 
         /// With a pose that is so old.
-        pub(crate) fn sight(&self, pose_age_us: u64) -> Sight<'_> {
+        pub(crate) fn observation(&self, pose_age_us: u64) -> Observation<'_> {
             let now_us = 5_000_000;
-            Sight {
+            Observation {
                 now_us,
-                stated: &self.stated,
+                spec: &self.spec,
                 truth: self.truth,
                 pulses: &self.pulses,
                 heard: &[],
@@ -196,17 +196,17 @@ pub(crate) mod scene {
                 written: &[],
                 has_read: true,
                 daemon_since_us: Some(0),
-                seen: Some(Seen {
+                newest_pose: Some(ReceivedPose {
                     exposure: Exposure {
                         exposed_us: now_us - pose_age_us,
-                        honest_clock: true,
-                        lie: false,
+                        clock_trusted: true,
+                        falsified: false,
                     },
                     received_us: now_us,
                 }),
                 faults: &[],
-                begun: &[],
-                asked: &[],
+                new_faults: &[],
+                pending_requests: &[],
             }
         }
     }
