@@ -103,11 +103,13 @@ impl CameraReceiver {
         sockets: &mut impl Sockets,
         on_event: &mut impl FnMut(&Event),
     ) -> u64 {
+        let mut are_left = false;
         for channel in [Channel::Command, Channel::Data] {
-            for _ in 0..DATAGRAMS {
+            for taken in 1..=DATAGRAMS {
                 let Some((length, source)) = sockets.receive(channel, &mut self.buffer) else {
                     break;
                 };
+                are_left |= taken == DATAGRAMS;
                 let now_ns = clock();
                 let datagram = self.buffer.get(..length).unwrap_or(&[]);
                 if let Outcome::Frame(observation) =
@@ -139,6 +141,9 @@ impl CameraReceiver {
             let _ = self
                 .reports
                 .push(CameraReport::Counters(*self.session.counters()));
+        }
+        if are_left {
+            return now_ns;
         }
         let idle_ns = now_ns.saturating_add(IDLE_NS);
         self.session.poll_timeout().unwrap_or(idle_ns).min(idle_ns)

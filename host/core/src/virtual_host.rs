@@ -16,6 +16,10 @@ use crate::{
     requests::Stalled,
 };
 
+/// Polls of the camera receiver without time passing: for more datagrams than any
+/// socket holds.
+const POLLS: u32 = 8;
+
 /// A host whose threads are polled.
 #[derive(Debug)]
 pub struct VirtualHost<L> {
@@ -81,7 +85,12 @@ impl<L: Line> VirtualHost<L> {
         sockets: &mut impl Sockets,
         on_event: &mut impl FnMut(&MocapEvent),
     ) {
-        self.host.receiver.poll(&|| now_ns, sockets, on_event);
+        // A thread polls again at once while datagrams are left.
+        for _ in 0..POLLS {
+            if self.host.receiver.poll(&|| now_ns, sockets, on_event) > now_ns {
+                break;
+            }
+        }
     }
 
     /// What the control thread does when it wakes up at `now_ns`.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
 use singletrack_pilot::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
@@ -13,12 +14,14 @@ use crate::{
     daemon::Daemon,
     digest::Digest,
     invariant::{self, Invariant},
-    network::Network,
+    network::{HostSockets, Network},
     observation::{Observation, ReceivedPose, Spec},
     port::Port,
+    program::Program,
     random::{Random, Stream},
-    schedule::{Fault, FaultKind, OperatorRequest, Schedule},
-    setting, stage,
+    schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
+    setting::{self, ConfigurationFile},
+    stage,
     tamper::Tamper,
 };
 
@@ -71,7 +74,15 @@ pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcom
 
 struct Drive<'a> {
     schedule: &'a Schedule,
-    config: Config,
+    /// What the daemon's configuration file holds.
+    file: ConfigurationFile,
+    /// The configuration that has just come into force, with its number.
+    changed: Option<(u32, Config)>,
+    /// Sends set-points.
+    program: Program,
+    /// What the program sees of the daemon.
+    drive_time_s: Option<f64>,
+    newest_setpoint_ns: Option<u64>,
     spec: Spec,
     now_us: u64,
     world: World,
@@ -89,7 +100,8 @@ struct Drive<'a> {
     /// In the order in which they began.
     faults: Vec<Fault>,
     new_faults: Vec<Fault>,
-    opens_us: Option<u64>,
+    /// The serial reader of a daemon starts a little later than its control thread.
+    reads_from_us: u64,
     bites_us: Option<u64>,
     tick_us: u64,
     /// Its next tick comes before it takes in what has arrived.
@@ -111,7 +123,6 @@ struct Drive<'a> {
 #[derive(Default)]
 struct Buffers {
     bytes: Vec<u8>,
-    chunk: Vec<u8>,
     heard: Vec<Heard>,
     pulses: Vec<PulseRecord>,
     written: Vec<ToBoard>,
@@ -119,7 +130,7 @@ struct Buffers {
 
 impl<'a> Drive<'a> {
     fn new(schedule: &'a Schedule) -> Result<Self, SetupError> {
-        let config = setting::config(&schedule.situation)?;
+        let config = setting::config(&schedule.situation, ConfigurationFile::default())?;
         let world =
             World::new(setting::simulation(schedule)).map_err(|error| SetupError::Other {
                 part: "the simulation",
@@ -141,13 +152,17 @@ impl<'a> Drive<'a> {
             pending_requests: Vec::new(),
             faults: Vec::new(),
             new_faults: Vec::new(),
-            opens_us: None,
+            reads_from_us: 0,
             bites_us: None,
             tick_us: 0,
             ticks_first: false,
             newest_pose: None,
             invariants: invariant::all(config.pilot().map_err(SetupError::Config)?),
-            config,
+            file: ConfigurationFile::default(),
+            changed: None,
+            program: Program::default(),
+            drive_time_s: None,
+            newest_setpoint_ns: None,
             violation: None,
             digest: Digest::default(),
             driven_ms: 0,
@@ -182,11 +197,11 @@ impl<'a> Drive<'a> {
         self.now_us = next_us.min(end_us);
         self.world.advance_to(self.now_us);
         self.change_faults()?;
-        self.ask();
+        self.ask()?;
         let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
         let has_read = self.receive();
         let tick = first.unwrap_or_else(|| self.tick());
-        self.watch(has_read, tick, tamper);
+        self.watch(has_read, tick, tamper)?;
         Ok(())
     }
 
@@ -248,12 +263,7 @@ impl<'a> Drive<'a> {
 
     fn host_faults(&mut self) -> Result<(), SetupError> {
         let unplugged = self.is_active(FaultKind::LineUnplugged);
-        if unplugged == self.port.is_plugged() {
-            self.port.set_plugged(!unplugged);
-            // The reader tries again every 50 to 400 ms.
-            self.opens_us =
-                (!unplugged).then(|| self.now_us + u64::from(self.random.between(1, 400)) * 1_000);
-        }
+        self.port.set_plugged(!unplugged);
         let killed = self.is_active(FaultKind::DaemonKilled);
         if killed && self.daemon.is_some() {
             self.daemon = None;
@@ -281,12 +291,17 @@ impl<'a> Drive<'a> {
             .sum();
         let wall_ns = self.wall_ns + self.now_us * 1_000 + step_ns;
         let process = u64::from(self.random.between(300, 32_767));
-        let daemon = Daemon::start(&self.config, wall_ns ^ process, self.daemons, self.now_us)?;
+        let config = setting::config(&self.schedule.situation, self.file)?;
+        let daemon = Daemon::start(&config, wall_ns ^ process, self.daemons, self.now_us)?;
+        self.program = Program::default();
+        self.drive_time_s = None;
+        self.newest_setpoint_ns = None;
+        self.changed = Some((1, config));
         self.tick_us = daemon.next_tick_us();
         self.daemon = Some(daemon);
         self.daemon_since_us = Some(self.now_us);
         self.newest_pose = None;
-        self.opens_us = Some(self.now_us + u64::from(self.random.between(0, 20)) * 1_000);
+        self.reads_from_us = self.now_us + u64::from(self.random.between(0, 20)) * 1_000;
         Ok(())
     }
 
@@ -299,9 +314,9 @@ impl<'a> Drive<'a> {
 
     /// People ask; a daemon that does not run hears nothing, one that is paused
     /// hears later.
-    fn ask(&mut self) {
+    fn ask(&mut self) -> Result<(), SetupError> {
         if self.paused {
-            return;
+            return Ok(());
         }
         while let Some(ask) = self.schedule.requests.get(self.next_request)
             && u64::from(ask.at_ms) * 1_000 <= self.now_us
@@ -311,13 +326,49 @@ impl<'a> Drive<'a> {
                 OperatorRequest::Arm => Request::Arm,
                 OperatorRequest::Disarm => Request::Disarm,
                 OperatorRequest::Stop => Request::EmergencyStop,
+                OperatorRequest::Reload => {
+                    self.reload()?;
+                    continue;
+                }
             };
             if let Some(daemon) = &mut self.daemon
-                && daemon.ask(request)
+                && daemon.request(request)
             {
                 self.pending_requests.push(request);
             }
         }
+        if let Some(daemon) = &self.daemon
+            && self.schedule.situation.reference == ReferenceKind::External
+            && let Some(setpoint) =
+                self.program
+                    .poll(self.now_us, &self.schedule.situation, self.drive_time_s)
+        {
+            let setpoint = if self.is_active(FaultKind::SetpointsNotANumber) {
+                Setpoint {
+                    velocity: Velocity::new(f64::NAN, 0.0),
+                    ..setpoint
+                }
+            } else {
+                setpoint
+            };
+            if !self.is_active(FaultKind::SetpointsGone) {
+                daemon.send(&setpoint);
+                if setpoint.is_finite() {
+                    self.newest_setpoint_ns = Some(setpoint.time.0);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The operator edits the daemon's configuration file, and has it reloaded.
+    fn reload(&mut self) -> Result<(), SetupError> {
+        self.file = self.file.other();
+        let config = setting::config(&self.schedule.situation, self.file)?;
+        if let Some(daemon) = &mut self.daemon {
+            daemon.reload(self.now_us, &config);
+        }
+        Ok(())
     }
 
     /// Bytes and datagrams reach the host, and the daemon if it is awake.
@@ -336,38 +387,32 @@ impl<'a> Drive<'a> {
         let Some(daemon) = &mut self.daemon else {
             return false;
         };
-        if self.opens_us.is_some_and(|us| us <= now_us)
-            && self.port.is_plugged()
-            && !daemon.has_port()
-        {
-            self.opens_us = None;
-            daemon.open_port(&mut self.port);
-            if self.schedule.situation.reset_on_open {
-                self.world.reset_board(ResetCause::External);
+        let has_read = now_us >= self.reads_from_us && daemon.poll_serial(now_us, &mut self.port);
+        if self.port.take_opened() && self.schedule.situation.reset_on_open {
+            self.world.reset_board(ResetCause::External);
+        }
+        let restarts = |fault: &Fault| fault.kind == FaultKind::CameraServerRestart;
+        let address = daemon.address;
+        daemon.poll_cameras(
+            now_us,
+            &mut HostSockets {
+                is_connected: !self.faults.iter().any(restarts),
+                network: &mut self.network,
+                world: &mut self.world,
+                address,
+            },
+        );
+        if let Some(exposure) = self.network.take_read() {
+            let is_newer = self
+                .newest_pose
+                .is_none_or(|pose| exposure.exposed_us >= pose.exposure.exposed_us);
+            if is_newer {
+                self.newest_pose = Some(ReceivedPose {
+                    exposure,
+                    received_us: now_us,
+                });
             }
         }
-        let has_read = daemon.read_port(now_us, &mut self.port, &mut self.buffers.chunk);
-        while let Some(packet) = self.network.read() {
-            daemon.receive(now_us, packet.source, &packet.bytes);
-            if let Some(exposure) = packet.exposure {
-                let newer = self
-                    .newest_pose
-                    .is_none_or(|pose| exposure.exposed_us >= pose.exposure.exposed_us);
-                if newer {
-                    self.newest_pose = Some(ReceivedPose {
-                        exposure,
-                        received_us: now_us,
-                    });
-                }
-            }
-        }
-        let (world, faults) = (&mut self.world, &self.faults);
-        daemon.talk(now_us, |from, bytes| {
-            let off = |fault: &Fault| fault.kind == FaultKind::CameraServerRestart;
-            if !faults.iter().any(off) {
-                world.handle_datagram(from, bytes);
-            }
-        });
         has_read
     }
 
@@ -378,7 +423,13 @@ impl<'a> Drive<'a> {
         let daemon = self.daemon.as_mut()?;
         self.port.set_queued(self.world.wire().bytes_to_board());
         let record = daemon.tick(self.now_us);
+        if let Some((number, config)) = daemon.settled() {
+            self.changed = Some((number, config.clone()));
+        }
         self.tick_us = daemon.next_tick_us();
+        if let Some(record) = &record {
+            self.drive_time_s = record.output.drive_time;
+        }
         for fault in &self.faults {
             if fault.kind == FaultKind::TicksLate {
                 self.tick_us += u64::from(self.random.between(0, fault.severity * 50));
@@ -388,8 +439,20 @@ impl<'a> Drive<'a> {
     }
 
     /// Everybody looks.
-    fn watch(&mut self, has_read: bool, mut tick: Option<TickRecord>, tamper: &mut dyn Tamper) {
+    fn watch(
+        &mut self,
+        has_read: bool,
+        mut tick: Option<TickRecord>,
+        tamper: &mut dyn Tamper,
+    ) -> Result<(), SetupError> {
         let now_us = self.now_us;
+        let mut configuration = None;
+        if let Some((number, mut config)) = self.changed.take() {
+            tamper.configuration(number, &mut config);
+            self.spec = Spec::new(&self.schedule.situation, &config).map_err(SetupError::Config)?;
+            let pilot = config.pilot().map_err(SetupError::Config)?;
+            configuration = Some((number, pilot));
+        }
         self.write(tamper);
         let Buffers {
             heard,
@@ -436,6 +499,8 @@ impl<'a> Drive<'a> {
             faults: &self.faults,
             new_faults: &self.new_faults,
             pending_requests: &self.pending_requests,
+            configuration: configuration.as_ref(),
+            newest_setpoint_ns: self.newest_setpoint_ns,
         };
         let has_ticked = observation.tick.is_some();
         let reason = observation.tick.and_then(|tick| tick.output.reason);
@@ -451,12 +516,13 @@ impl<'a> Drive<'a> {
                     time_us: now_us,
                     details,
                 });
-                return;
+                return Ok(());
             }
         }
         if has_ticked {
             self.pending_requests.clear();
         }
+        Ok(())
     }
 
     /// What the daemon wrote goes on the line.

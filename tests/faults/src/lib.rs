@@ -50,6 +50,7 @@ mod invariant;
 mod network;
 mod observation;
 mod port;
+mod program;
 mod random;
 mod recording;
 pub mod schedule;

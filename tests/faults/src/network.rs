@@ -7,6 +7,7 @@ use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
 };
 
+use singletrack_core::cameras::{Channel, Sockets};
 use singletrack_mocap::{
     codec::{
         BitstreamVersion, CameraTicks, Echo, Frame, FrameFlags, RigidBody, RigidBodyDefinition,
@@ -80,6 +81,7 @@ pub(crate) struct Network {
     sent: u64,
     /// Arrived, and not read by the daemon yet.
     unread: VecDeque<Packet>,
+    newest_read: Option<Exposure>,
     /// The car's last pose that was not falsified.
     last_car: Option<RigidBody>,
     /// What a server that was restarted counts from.
@@ -103,6 +105,7 @@ impl Network {
             packets: BTreeMap::new(),
             sent: 0,
             unread: VecDeque::new(),
+            newest_read: None,
             last_car: None,
             first_number: 0,
             first_ticks: 0,
@@ -181,9 +184,24 @@ impl Network {
         }
     }
 
-    /// The next datagram that has arrived.
-    pub(crate) fn read(&mut self) -> Option<Packet> {
-        self.unread.pop_front()
+    /// The next datagram that has arrived. Of several exposures that are read, the newest
+    /// is kept.
+    fn read(&mut self) -> Option<Packet> {
+        let packet = self.unread.pop_front()?;
+        if let Some(exposure) = packet.exposure {
+            let is_newer = self
+                .newest_read
+                .is_none_or(|newest| exposure.exposed_us >= newest.exposed_us);
+            if is_newer {
+                self.newest_read = Some(exposure);
+            }
+        }
+        Some(packet)
+    }
+
+    /// The newest exposure that was read since the last call.
+    pub(crate) const fn take_read(&mut self) -> Option<Exposure> {
+        self.newest_read.take()
     }
 
     fn send(&mut self, due_us: u64, packet: Packet) {
@@ -492,5 +510,36 @@ fn turn_by(body: &mut Option<RigidBody>, angle: f32) {
         let (s, c) = (sin as f32, cos as f32);
         let [x, y, z, w] = body.orientation_xyzw;
         body.orientation_xyzw = [c * x + s * z, c * y + s * w, c * z - s * x, c * w - s * y];
+    }
+}
+
+/// The daemon's sockets to the cameras.
+pub(crate) struct HostSockets<'a> {
+    pub(crate) network: &'a mut Network,
+    pub(crate) world: &'a mut World,
+    /// The source address of its datagrams.
+    pub(crate) address: SocketAddr,
+    /// Whether the server receives them.
+    pub(crate) is_connected: bool,
+}
+
+impl Sockets for HostSockets<'_> {
+    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+        if channel == Channel::Data {
+            return None;
+        }
+        loop {
+            let packet = self.network.read()?;
+            if let Some(room) = buffer.get_mut(..packet.bytes.len()) {
+                room.copy_from_slice(&packet.bytes);
+                return Some((packet.bytes.len(), packet.source));
+            }
+        }
+    }
+
+    fn send(&mut self, _: SocketAddr, bytes: &[u8]) {
+        if self.is_connected {
+            self.world.handle_datagram(self.address, bytes);
+        }
     }
 }

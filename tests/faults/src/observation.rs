@@ -1,8 +1,8 @@
 //! What an invariant may look at: the world as it really is, and what the host
 //! did.
 
-use singletrack_core::config::{Config, ConfigError};
-use singletrack_pilot::{Fence, Request};
+use singletrack_core::config::{Config, ConfigError, ReferenceSection};
+use singletrack_pilot::{Fence, PilotConfig, Request};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{Heard, PulseRecord, Truth};
@@ -32,6 +32,8 @@ pub(crate) struct Spec {
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
     pub(crate) period_s: f64,
+    /// How long a set-point is in force.
+    pub(crate) setpoint_timeout_ns: Option<u64>,
     pub(crate) fence: Fence,
 }
 
@@ -54,6 +56,13 @@ impl Spec {
             braking: config.fence.braking_m_s2,
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
+            setpoint_timeout_ns: match config.reference {
+                ReferenceSection::External {
+                    setpoint_timeout_ms,
+                    ..
+                } => Some(u64::from(setpoint_timeout_ms) * 1_000_000),
+                _ => None,
+            },
             period_s: f64::from(config.control.period_ms) * 1e-3,
             fence: config.fence.fence()?,
         })
@@ -129,6 +138,11 @@ pub(crate) struct Observation<'a> {
     /// The requests that were taken since the last tick but one: this one must
     /// know of them.
     pub(crate) pending_requests: &'a [Request],
+    /// The configuration that has just come into force, with its number: 1 for that of a
+    /// daemon that was started.
+    pub(crate) configuration: Option<&'a (u32, PilotConfig)>,
+    /// The host's time of the newest valid set-point that the daemon was sent.
+    pub(crate) newest_setpoint_ns: Option<u64>,
 }
 
 impl Observation<'_> {
@@ -154,7 +168,7 @@ pub(crate) mod scene {
     use singletrack_sim::PulseRecord;
 
     use super::{Exposure, Observation, ReceivedPose, Situation, Spec, Truth};
-    use crate::setting;
+    use crate::setting::{self, ConfigurationFile};
 
     /// A moment in which a car is driven as it should be.
     pub(crate) struct Scene {
@@ -166,7 +180,7 @@ pub(crate) mod scene {
     impl Scene {
         pub(crate) fn new() -> Self {
             let situation = Situation::default();
-            let config = setting::config(&situation).unwrap();
+            let config = setting::config(&situation, ConfigurationFile::default()).unwrap();
             Self {
                 spec: Spec::new(&situation, &config).unwrap(),
                 pulses: vec![PulseRecord {
@@ -207,6 +221,8 @@ pub(crate) mod scene {
                 faults: &[],
                 new_faults: &[],
                 pending_requests: &[],
+                configuration: None,
+                newest_setpoint_ns: None,
             }
         }
     }

@@ -6,7 +6,10 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use singletrack_core::{controller::Sent, line::Line};
+use singletrack_core::{
+    controller::Sent,
+    line::{Line, PortRead},
+};
 use singletrack_protocol::{Drive, Message, frame_length};
 
 /// A device whose queue shows takes nothing while more than this waits: the
@@ -31,6 +34,7 @@ struct State {
 pub(crate) struct Port {
     state: Arc<Mutex<State>>,
     unread: VecDeque<u8>,
+    opened: bool,
 }
 
 /// The half that the control thread writes.
@@ -52,14 +56,8 @@ impl Port {
         Self {
             state: Arc::new(Mutex::new(state)),
             unread: VecDeque::new(),
+            opened: false,
         }
-    }
-
-    /// Opens it, as the daemon does: what waits there belongs to a connection
-    /// of before.
-    pub(crate) fn open(&mut self) -> WriteHalf {
-        self.unread.clear();
-        WriteHalf(Arc::clone(&self.state))
     }
 
     pub(crate) fn set_plugged(&mut self, plugged: bool) {
@@ -88,12 +86,40 @@ impl Port {
         self.unread.extend(bytes.iter().take(room));
     }
 
-    /// What one read of at most `most` bytes gives.
-    pub(crate) fn read(&mut self, most: usize, into: &mut Vec<u8>) {
-        let count = most.min(self.unread.len());
-        into.clear();
-        into.extend(self.unread.drain(..count));
+    /// Whether the port was opened since the last call.
+    pub(crate) const fn take_opened(&mut self) -> bool {
+        core::mem::replace(&mut self.opened, false)
     }
+}
+
+impl singletrack_core::line::Port for Port {
+    type Line = WriteHalf;
+
+    /// What waits there belongs to an earlier connection.
+    fn open(&mut self) -> Option<WriteHalf> {
+        if !self.is_plugged() {
+            return None;
+        }
+        self.unread.clear();
+        self.opened = true;
+        Some(WriteHalf(Arc::clone(&self.state)))
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> PortRead {
+        if !self.is_plugged() {
+            return PortRead::HungUp;
+        }
+        let count = buffer.len().min(self.unread.len());
+        for (to, from) in buffer.iter_mut().zip(self.unread.drain(..count)) {
+            *to = from;
+        }
+        match count {
+            0 => PortRead::Nothing,
+            count => PortRead::Bytes(count),
+        }
+    }
+
+    fn close(&mut self) {}
 }
 
 impl Line for WriteHalf {

@@ -5,10 +5,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use singletrack_core::record_meta;
-use singletrack_record::{ClockMapping, Entry, RecordError, Recorder, TickRecord};
+use singletrack_core::{config::Config, record_meta};
+use singletrack_record::{
+    ClockMapping, ConfigurationRecord, Entry, RecordError, Recorder, TickRecord,
+};
 
-use crate::{SetupError, schedule::Schedule, setting, tamper::Tamper};
+use crate::{SetupError, schedule::Schedule, tamper::Tamper};
 
 /// What the clock on the wall shows when everything is switched on, in ns since 1970.
 const WALL_NS: u64 = 1_700_000_000_000_000_000;
@@ -16,17 +18,45 @@ const WALL_NS: u64 = 1_700_000_000_000_000_000;
 /// Takes the ticks of a drive. Tampers with nothing.
 #[derive(Debug, Default)]
 pub struct Recording {
-    /// One list for every daemon that was started.
-    daemons: Vec<Vec<TickRecord>>,
+    /// One for every daemon that was started.
+    daemons: Vec<DaemonRecord>,
+    /// A configuration that came into force with the tick to come.
+    changed: Option<(u32, Config)>,
+}
+
+#[derive(Debug)]
+struct DaemonRecord {
+    config: Config,
+    entries: Vec<Entry>,
 }
 
 impl Tamper for Recording {
-    fn tick(&mut self, tick: &mut TickRecord) {
-        if tick.index == 0 {
-            self.daemons.push(Vec::new());
+    fn configuration(&mut self, number: u32, config: &mut Config) {
+        if number == 1 {
+            self.daemons.push(DaemonRecord {
+                config: config.clone(),
+                entries: Vec::new(),
+            });
+        } else {
+            self.changed = Some((number, config.clone()));
         }
-        if let Some(ticks) = self.daemons.last_mut() {
-            ticks.push(tick.clone());
+    }
+
+    fn tick(&mut self, tick: &mut TickRecord) {
+        let Some(daemon) = self.daemons.last_mut() else {
+            return;
+        };
+        daemon.entries.push(Entry::Tick(tick.clone()));
+        if let Some((number, config)) = self.changed.take()
+            && let Ok(toml) = config.to_toml()
+        {
+            daemon
+                .entries
+                .push(Entry::Configuration(ConfigurationRecord {
+                    time_ns: tick.start_ns,
+                    number,
+                    toml,
+                }));
         }
     }
 }
@@ -53,26 +83,29 @@ impl Recording {
         folder: &Path,
         schedule: &Schedule,
     ) -> Result<Vec<PathBuf>, RecordingError> {
-        let config = setting::config(&schedule.situation)?;
         let seed = schedule.seed;
         let mut paths = Vec::new();
-        for (index, ticks) in mem::take(&mut self.daemons).into_iter().enumerate() {
+        for (index, daemon) in mem::take(&mut self.daemons).into_iter().enumerate() {
             let path = folder.join(match index {
                 0 => format!("seed-{seed}.mcap"),
                 index => format!("seed-{seed}-{}.mcap", index + 1),
             });
             let start = ClockMapping {
-                monotonic_ns: ticks.first().map_or(0, |tick| tick.start_ns),
+                monotonic_ns: match daemon.entries.first() {
+                    Some(Entry::Tick(tick)) => tick.start_ns,
+                    _ => 0,
+                },
                 wall_ns: WALL_NS,
             };
-            let meta =
-                record_meta(&config, Some(seed), start).map_err(|error| SetupError::Other {
+            let meta = record_meta(&daemon.config, Some(seed), start).map_err(|error| {
+                SetupError::Other {
                     part: "the daemon's configuration",
                     reason: error.to_string(),
-                })?;
+                }
+            })?;
             let mut recorder = Recorder::create(&path, &meta)?;
-            for tick in ticks {
-                recorder.write(&Entry::Tick(tick))?;
+            for entry in &daemon.entries {
+                recorder.write(entry)?;
             }
             recorder.finish()?;
             paths.push(path);

@@ -11,13 +11,39 @@ use crate::{
     schedule::{ReferenceKind, Schedule, Situation},
 };
 
+/// What the daemon's configuration file holds: a reload finds the other one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum ConfigurationFile {
+    /// As the situation has it.
+    #[default]
+    Initial,
+    /// With lower limits, for the host and for the board, and a slower reference.
+    Slower,
+}
+
+impl ConfigurationFile {
+    pub(crate) const fn other(self) -> Self {
+        match self {
+            Self::Initial => Self::Slower,
+            Self::Slower => Self::Initial,
+        }
+    }
+
+    const fn speed_share(self) -> f64 {
+        match self {
+            Self::Initial => 1.0,
+            Self::Slower => 0.8,
+        }
+    }
+}
+
 /// The daemon's configuration, as text: whatever it does not say is as shipped.
 ///
 /// # Errors
 ///
 /// What the daemon would say of it.
-pub(crate) fn config(situation: &Situation) -> Result<Config, SetupError> {
-    let speed = f64::from(situation.speed_mm_s) * 1e-3;
+pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<Config, SetupError> {
+    let speed = file.speed_share() * f64::from(situation.speed_mm_s) * 1e-3;
     let marker_loss = if situation.coast { "coast" } else { "hold" };
     let (outer_loop, reference) = match situation.reference {
         ReferenceKind::Circle => {
@@ -44,6 +70,10 @@ pub(crate) fn config(situation: &Situation) -> Result<Config, SetupError> {
                 ),
             )
         }
+        ReferenceKind::External => (
+            "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true",
+            "kind = \"external\"\nsetpoint_timeout_ms = 200".to_owned(),
+        ),
         ReferenceKind::Steps => (
             "kind = \"open-loop\"",
             format!(
@@ -79,6 +109,11 @@ pub(crate) fn config(situation: &Situation) -> Result<Config, SetupError> {
         stop_input: situation.stop_input,
         ..BoardSection::from(&default_board_configuration())
     };
+    if file == ConfigurationFile::Slower {
+        config.limits.max_speed_m_s *= file.speed_share();
+        config.limits.max_acceleration_m_s2 *= file.speed_share();
+        config.board.speed.max_forward_mm_s = 1_250;
+    }
     config.validate().map_err(SetupError::Config)?;
     Ok(config)
 }
@@ -93,7 +128,7 @@ const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmi
                      integral_limit_us = 60\nmax_forward_mm_s = 1500\n";
 
 /// A circle on which the tyres hold with a margin: 1.5 m/s² of 2.45.
-fn radius(speed: f64) -> f64 {
+pub(crate) fn radius(speed: f64) -> f64 {
     (speed * speed / 1.5).max(0.8)
 }
 
@@ -101,7 +136,7 @@ fn radius(speed: f64) -> f64 {
 fn reach(situation: &Situation) -> f64 {
     let speed = f64::from(situation.speed_mm_s) * 1e-3;
     match situation.reference {
-        ReferenceKind::Circle => radius(speed),
+        ReferenceKind::Circle | ReferenceKind::External => radius(speed),
         ReferenceKind::Eight => 1.5 * radius(speed),
         // With 1.2 s for each step.
         ReferenceKind::Steps => 1.2 * 2.2 * speed,
@@ -148,7 +183,7 @@ fn start(situation: &Situation) -> StartPose {
     const REACH_M: f64 = 0.1368 + 0.35;
     let speed = f64::from(situation.speed_mm_s) * 1e-3;
     match situation.reference {
-        ReferenceKind::Circle => StartPose {
+        ReferenceKind::Circle | ReferenceKind::External => StartPose {
             x_m: radius(speed),
             y_m: -REACH_M,
             yaw_rad: core::f64::consts::FRAC_PI_2,

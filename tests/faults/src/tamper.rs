@@ -1,5 +1,6 @@
 //! Planted bugs: what shows that a violation would be found.
 
+use singletrack_core::config::Config;
 use singletrack_record::TickRecord;
 use singletrack_sim::PulseRecord;
 
@@ -8,6 +9,12 @@ pub trait Tamper {
     /// What the host sends to the board at `now_us`.
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         let _ = (now_us, bytes);
+    }
+
+    /// The configuration in force as the invariants see it; `number` is 1 for a daemon
+    /// that has just started.
+    fn configuration(&mut self, number: u32, config: &mut Config) {
+        let _ = (number, config);
     }
 
     /// A frame of pulses as the invariants see it.

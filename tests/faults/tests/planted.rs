@@ -6,6 +6,8 @@
     reason = "a test fails by panicking"
 )]
 
+use singletrack_control::Time;
+use singletrack_core::config::Config;
 use singletrack_faults::{Tamper, Violation, attempt, schedule::Schedule, shrink};
 use singletrack_pilot::{Event, Mode};
 use singletrack_protocol::{Arm, Decoder, Drive, ToBoard};
@@ -332,6 +334,97 @@ fn a_pilot_that_jumps_contradicts_itself_or_has_no_numbers_is_found() {
     assert_eq!(violation("", contradicts).invariant, "mode-and-reason");
     let no_number = driving_from_6_s(|tick| tick.output.drive_time = Some(f64::NAN));
     assert_eq!(violation("", no_number).invariant, "finite");
+}
+
+/// A host that takes over another configuration than the one it was given.
+struct Configurations<F>(F);
+
+impl<F: FnMut(u32, &mut Config)> Tamper for Configurations<F> {
+    fn configuration(&mut self, number: u32, config: &mut Config) {
+        (self.0)(number, config);
+    }
+
+    fn is_replayed(&self) -> bool {
+        false
+    }
+}
+
+/// Reloaded while it stands, then driven and stopped.
+const RELOADED: &str = "ask reload at 2000; ask disarm at 6000";
+
+#[test]
+fn a_configuration_that_is_taken_over_by_halves_is_found() {
+    is_sound(RELOADED);
+    // The board got the new one, the pilot kept the old.
+    let slower = |number, config: &mut Config| {
+        if number == 2 {
+            config.limits.max_acceleration_m_s2 *= 0.9;
+            config.control.stop_deceleration_m_s2 *= 0.9;
+        }
+    };
+    assert_eq!(
+        violation(RELOADED, Configurations(slower)).invariant,
+        "command-rate"
+    );
+    // The pilot got the new one, the board kept the old.
+    let other_board = |number, config: &mut Config| {
+        if number == 2 {
+            config.board.speed.max_forward_mm_s += 1;
+        }
+    };
+    assert_eq!(
+        violation(RELOADED, Configurations(other_board)).invariant,
+        "armed-configuration"
+    );
+}
+
+#[test]
+fn a_configuration_that_comes_into_force_during_a_drive_is_found() {
+    // Refused by the host.
+    is_sound("ask reload at 5000");
+    let underway = driving_from_6_s(|tick| {
+        if tick.index == 650 {
+            let _ = tick.events.push(Event::Reconfigured(2));
+        }
+    });
+    assert_eq!(
+        violation("ask reload at 5000", underway).invariant,
+        "reconfigured-underway"
+    );
+}
+
+#[test]
+fn a_pilot_that_drives_on_by_old_setpoints_is_found() {
+    for fault in ["setpoints-gone", "setpoints-nan"] {
+        let more = format!("reference external; fault {fault} at 6500 for 900 severity 1");
+        is_sound(&more);
+        let goes_on = driving_from_6_s(|tick| {
+            tick.output.mode = Mode::Driving;
+            tick.output.reason = None;
+        });
+        let found = violation(&more, goes_on);
+        assert_eq!(found.invariant, "setpoint-silence", "{}", found.details);
+    }
+}
+
+#[test]
+fn a_grid_that_jumps_or_leaves_the_cameras_is_found() {
+    let jumps = driving_from_6_s(|tick| {
+        if tick.index >= 650 {
+            tick.scheduled_ns -= 60_000;
+        }
+    });
+    assert_eq!(violation("", jumps).invariant, "tick-grid");
+    // As if the grid had never slid: frames arrive just before the tick.
+    let unaligned = driving_from_6_s(|tick| {
+        let start = tick.start_ns;
+        for event in &mut tick.events {
+            if let Event::Pose(pose) = event {
+                pose.receive = Time(start - 100_000);
+            }
+        }
+    });
+    assert_eq!(violation("", unaligned).invariant, "camera-alignment");
 }
 
 #[test]

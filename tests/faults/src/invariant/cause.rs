@@ -289,6 +289,38 @@ impl Invariant for ImuStuck {
     }
 }
 
+/// `setpoint-silence`: a car whose reference is external does not drive on by a
+/// set-point that is older than its time-out.
+#[derive(Default)]
+pub(super) struct SetpointSilence;
+
+impl Invariant for SetpointSilence {
+    fn name(&self) -> &'static str {
+        "setpoint-silence"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let (Some(tick), Some(timeout_ns)) =
+            (observation.tick, observation.spec.setpoint_timeout_ns)
+        else {
+            return Ok(());
+        };
+        if tick.output.mode != Mode::Driving {
+            return Ok(());
+        }
+        let newest_ns = observation.newest_setpoint_ns.unwrap_or(0);
+        let age_ns = tick.pilot_time.0.saturating_sub(newest_ns);
+        if age_ns > timeout_ns {
+            return Err(format!(
+                "driving by a set-point of {} ms ago, {} allowed",
+                age_ns / 1_000_000,
+                timeout_ns / 1_000_000
+            ));
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

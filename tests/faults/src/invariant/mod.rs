@@ -3,7 +3,9 @@
 mod age;
 mod authority;
 mod cause;
+mod configuration;
 mod fence;
+mod grid;
 mod host;
 mod pulse;
 mod replayed;
@@ -48,6 +50,11 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<cause::MotorPulses>::default(),
         Box::<cause::ImuSilence>::default(),
         Box::<cause::ImuStuck>::default(),
+        Box::<cause::SetpointSilence>::default(),
+        Box::<configuration::ReconfiguredUnderway>::default(),
+        Box::<configuration::ArmedConfiguration>::default(),
+        Box::<grid::TickGrid>::default(),
+        Box::<grid::CameraAlignment>::default(),
         Box::<fence::Fence>::default(),
         Box::<host::CommandLimits>::default(),
         Box::<host::CommandRate>::default(),

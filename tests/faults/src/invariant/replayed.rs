@@ -28,6 +28,11 @@ impl Invariant for Replayed {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        match observation.configuration {
+            Some((1, pilot)) => self.config = pilot.clone(),
+            Some((number, pilot)) => self.replay.configuration(*number, pilot.clone()),
+            None => {}
+        }
         let Some(tick) = observation.tick.filter(|_| observation.is_replayed) else {
             return Ok(());
         };

@@ -68,7 +68,11 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         board,
         reference: random.choose(
             ReferenceKind::Circle,
-            &[ReferenceKind::Eight, ReferenceKind::Steps],
+            &[
+                ReferenceKind::Eight,
+                ReferenceKind::Steps,
+                ReferenceKind::External,
+            ],
         ),
         speed_mm_s: random.between(300, 1_500),
         coast: random.happens(500),
@@ -151,6 +155,15 @@ fn requests(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<Scheduled
             requests.push(ScheduledRequest {
                 request: OperatorRequest::Arm,
                 at_ms: fault.at_ms + random.between(0, fault.for_ms),
+            });
+        }
+    }
+    // A configuration is changed between two drives, or when somebody errs.
+    if random.happens(500) {
+        for _ in 0..random.between(1, 3) {
+            requests.push(ScheduledRequest {
+                request: OperatorRequest::Reload,
+                at_ms: random.between(FIRST_FAULT_MS, end_ms),
             });
         }
     }

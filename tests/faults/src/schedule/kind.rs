@@ -146,6 +146,10 @@ kinds! {
     TicksLate = "ticks-late", Host;
     /// The wall clock is off by s days, of which nothing must be noticed.
     WallClockStep = "wall-clock-step", Host;
+    /// The program that sends set-points is silent.
+    SetpointsGone = "setpoints-gone", Host;
+    /// Set-points are no numbers.
+    SetpointsNotANumber = "setpoints-nan", Host;
 }
 
 impl FaultKind {
@@ -173,6 +177,15 @@ impl FaultKind {
             Self::PulsesDoubled | Self::PulsesHalved | Self::PulsesErratic => Self::PulsesGone,
             kind => kind,
         }
+    }
+
+    /// Whether the host's threads run later or not at all.
+    #[must_use]
+    pub const fn delays_host(self) -> bool {
+        matches!(
+            self,
+            Self::DaemonPaused | Self::DaemonKilled | Self::TicksLate
+        )
     }
 
     /// Whether it happens in a moment.

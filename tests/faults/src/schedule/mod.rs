@@ -68,6 +68,8 @@ pub enum ReferenceKind {
     Eight,
     /// With one constant velocity after the other, open loop; has an end.
     Steps,
+    /// Where a program says, by set-points: round a circle.
+    External,
 }
 
 /// What a person asks for.
@@ -79,6 +81,8 @@ pub enum OperatorRequest {
     Disarm,
     /// Emergency stop.
     Stop,
+    /// Reload the configuration file, which now holds the other of two.
+    Reload,
 }
 
 /// A person asks for something.

@@ -23,8 +23,8 @@ pub enum ScheduleError {
     Missing(&'static str),
 }
 
-const EXPECTED: &str = "seed N, board native|uno, reference circle|eight|steps, a key of the \
-                        situation and its value, end_ms N, ask arm|disarm|stop at MS, or fault \
+const EXPECTED: &str = "seed N, board native|uno, reference circle|eight|steps|external, a key of the \
+                        situation and its value, end_ms N, ask arm|disarm|stop|reload at MS, or fault \
                         KIND at MS for MS severity 1..1000";
 
 impl fmt::Display for Schedule {
@@ -160,7 +160,8 @@ impl Draft {
         Some(())
     }
 
-    fn finish(self) -> Result<Schedule, ScheduleError> {
+    fn finish(mut self) -> Result<Schedule, ScheduleError> {
+        self.requests.sort_by_key(|request| request.at_ms);
         Ok(Schedule {
             seed: self.seed.ok_or(ScheduleError::Missing("seed"))?,
             situation: self.situation,
@@ -172,13 +173,14 @@ impl Draft {
 }
 
 impl ReferenceKind {
-    const ALL: [Self; 3] = [Self::Circle, Self::Eight, Self::Steps];
+    const ALL: [Self; 4] = [Self::Circle, Self::Eight, Self::Steps, Self::External];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Circle => "circle",
             Self::Eight => "eight",
             Self::Steps => "steps",
+            Self::External => "external",
         }
     }
 
@@ -188,13 +190,14 @@ impl ReferenceKind {
 }
 
 impl OperatorRequest {
-    const ALL: [Self; 3] = [Self::Arm, Self::Disarm, Self::Stop];
+    const ALL: [Self; 4] = [Self::Arm, Self::Disarm, Self::Stop, Self::Reload];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Arm => "arm",
             Self::Disarm => "disarm",
             Self::Stop => "stop",
+            Self::Reload => "reload",
         }
     }
 
