@@ -167,20 +167,30 @@ fn every_rule_of_udev_is_well_formed() {
         links += usize::from(rule.ends_with("SYMLINK+=\"singletrack-board\""));
     }
     assert!(links > 0);
-    let text = include_str!("../../../packaging/README.md");
-    assert!(text.contains("/dev/singletrack-board"));
+    for page in [
+        include_str!("../../../packaging/README.md"),
+        include_str!("../../../docs/odroid.md"),
+    ] {
+        assert!(page.contains("/dev/singletrack-board"));
+    }
 }
 
 #[test]
 fn every_file_that_is_to_be_installed_is_there() {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let readme = include_str!("../../../packaging/README.md");
-    let files: Vec<&str> = readme
-        .split_whitespace()
-        .filter(|word| word.starts_with("packaging/") || word.starts_with("host/"))
-        .collect();
-    assert!(files.len() >= 5, "{files:?}");
-    for file in files {
-        assert!(root.join(file).is_file(), "{file}");
+    // The list, and the page with the commands.
+    for page in [
+        include_str!("../../../packaging/README.md"),
+        include_str!("../../../docs/odroid.md"),
+    ] {
+        let files: Vec<&str> = page
+            .split_whitespace()
+            .filter_map(|word| word.split('=').next_back())
+            .filter(|word| word.starts_with("packaging/") || word.starts_with("host/"))
+            .collect();
+        assert!(files.len() >= 5, "{files:?}");
+        for file in files {
+            assert!(root.join(file).is_file(), "{file}");
+        }
     }
 }

@@ -1,0 +1,310 @@
+//! The documentation, compared with the repository: pages, links, anchors, paths
+//! and configuration keys.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Component, Path, PathBuf},
+};
+
+/// The longest README that is still read, in words.
+const README_WORDS: usize = 700;
+
+/// The folder that holds the workspace.
+fn root() -> PathBuf {
+    let own = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = own.ancestors().find(|folder| {
+        let file = folder.join("docs/SUMMARY.md");
+        file.is_file()
+    });
+    root.unwrap().to_owned()
+}
+
+/// Every Markdown file of the repository, by its path from the root.
+fn pages() -> BTreeMap<PathBuf, String> {
+    let root = root();
+    let mut pages = BTreeMap::new();
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy();
+            if name.starts_with('.') || name == "target" || name.starts_with("singletrack-") {
+                continue;
+            }
+            if path.is_dir() {
+                folders.push(path);
+            } else if name.ends_with(".md") {
+                let text = fs::read_to_string(&path).unwrap();
+                pages.insert(path.strip_prefix(&root).unwrap().to_owned(), text);
+            }
+        }
+    }
+    assert!(pages.len() >= 25, "only {} pages", pages.len());
+    pages
+}
+
+/// The lines of a page outside of its code blocks.
+fn prose(text: &str) -> impl Iterator<Item = &str> {
+    let mut in_code = false;
+    text.lines().filter(move |line| {
+        let fence = line.trim_start().starts_with("```");
+        in_code ^= fence;
+        !fence && !in_code
+    })
+}
+
+/// The lines of a page's shell commands.
+fn commands(text: &str) -> impl Iterator<Item = &str> {
+    let mut in_commands = false;
+    text.lines().filter(move |line| {
+        let line = line.trim_start();
+        if line.starts_with("```") {
+            in_commands = line == "```sh";
+        }
+        in_commands && !line.starts_with("```")
+    })
+}
+
+/// A line without its code spans, and the code spans.
+fn split_code(line: &str) -> (String, Vec<&str>) {
+    let parts: Vec<&str> = line.split('`').collect();
+    let text = parts.iter().step_by(2).copied().collect();
+    (text, parts.into_iter().skip(1).step_by(2).collect())
+}
+
+/// The targets of the links and pictures of a page.
+fn links(text: &str) -> Vec<String> {
+    prose(text)
+        .flat_map(|line| {
+            let (text, _) = split_code(line);
+            let targets: Vec<String> = text
+                .split("](")
+                .skip(1)
+                .filter_map(|rest| Some(rest.split_once(')')?.0.to_owned()))
+                .collect();
+            targets
+        })
+        .collect()
+}
+
+/// The anchors of a page: its headings in lower case, with `-` for spaces, as
+/// code hosts and mdBook make them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    prose(text)
+        .filter(|line| line.starts_with('#'))
+        .map(|line| {
+            line.trim_start_matches('#')
+                .trim()
+                .chars()
+                .filter_map(|letter| match letter {
+                    ' ' => Some('-'),
+                    '-' | '_' => Some(letter),
+                    _ if letter.is_alphanumeric() => Some(letter.to_ascii_lowercase()),
+                    _ => None,
+                })
+                .collect()
+        })
+        .collect()
+}
+
+/// A path without `.` and `..`; none if it leaves the repository.
+fn normal(path: &Path) -> Option<PathBuf> {
+    let mut normal = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::Normal(name) => normal.push(name),
+            Component::CurDir => {}
+            Component::ParentDir if normal.pop() => {}
+            _ => return None,
+        }
+    }
+    Some(normal)
+}
+
+#[test]
+fn every_relative_link_and_anchor_resolves() {
+    let pages = pages();
+    let mut count = 0;
+    for (page, text) in &pages {
+        for link in links(text) {
+            if link.contains("://") || link.starts_with("mailto:") {
+                continue;
+            }
+            count += 1;
+            let (file, anchor) = link.split_once('#').unwrap_or((&link, ""));
+            let target = if file.is_empty() {
+                page.clone()
+            } else {
+                let folder = page.parent().unwrap();
+                normal(&folder.join(file))
+                    .unwrap_or_else(|| panic!("{}: {link} leaves the repository", page.display()))
+            };
+            assert!(
+                root().join(&target).exists(),
+                "{}: {link} does not exist",
+                page.display()
+            );
+            if !anchor.is_empty() {
+                let anchors = anchors(&pages[&target]);
+                assert!(
+                    anchors.contains(anchor),
+                    "{}: {link} is no heading of {}",
+                    page.display(),
+                    target.display()
+                );
+            }
+        }
+    }
+    assert!(count >= 100, "only {count} links");
+}
+
+/// The site holds `docs/` alone: a link out of it works on a code host only.
+#[test]
+fn pages_of_the_site_link_to_the_site() {
+    for (page, text) in pages() {
+        if !page.starts_with("docs") {
+            continue;
+        }
+        for link in links(&text) {
+            assert!(!link.starts_with(".."), "{}: {link}", page.display());
+        }
+    }
+}
+
+#[test]
+fn every_page_of_the_site_is_in_its_summary_once() {
+    let pages = pages();
+    let summary = &pages[Path::new("docs/SUMMARY.md")];
+    let mut listed = links(summary);
+    listed.sort();
+    let there: Vec<String> = pages
+        .keys()
+        .filter_map(|page| page.strip_prefix("docs").ok())
+        .map(|page| page.to_string_lossy().into_owned())
+        .filter(|page| page != "SUMMARY.md")
+        .collect();
+    assert_eq!(listed, there);
+}
+
+#[test]
+fn the_readme_is_short() {
+    let words = pages()[Path::new("README.md")].split_whitespace().count();
+    assert!(words <= README_WORDS, "{words} words");
+}
+
+#[test]
+fn every_file_of_the_repository_that_a_page_names_exists() {
+    let root = root();
+    let folders = [
+        "docs/",
+        "firmware/",
+        "firmware-sim/",
+        "fuzz/",
+        "host/",
+        "packaging/",
+        "protocol/",
+        "tests/",
+        "tools/",
+        "xtask/",
+    ];
+    let endings = [".rs", ".toml", ".py", ".service", ".conf", ".rules", ".csv"];
+    let mut count = 0;
+    for (page, text) in pages() {
+        let shell = commands(&text)
+            .flat_map(str::split_whitespace)
+            .filter(|word| !word.contains(['$', '{', '*']));
+        let named = prose(&text)
+            .flat_map(|line| split_code(line).1)
+            .filter(|word| endings.iter().any(|ending| word.ends_with(ending)));
+        for word in shell.chain(named) {
+            if folders.iter().any(|folder| word.starts_with(folder)) {
+                count += 1;
+                assert!(
+                    root.join(word).exists(),
+                    "{}: {word} does not exist",
+                    page.display()
+                );
+            }
+        }
+    }
+    assert!(count >= 20, "only {count} files");
+}
+
+/// A key of the example configuration: whether it has no default, and the default
+/// if the line shows one.
+#[derive(Debug, Default)]
+struct Key {
+    required: bool,
+    default: Option<String>,
+}
+
+/// The keys of the example, by section and name.
+fn example_keys() -> BTreeMap<(String, String), Key> {
+    let mut keys = BTreeMap::<_, Key>::new();
+    let mut section = String::new();
+    for line in include_str!("../singletrackd.example.toml").lines() {
+        let bare = line.trim_start_matches('#');
+        if let Some(name) = bare.strip_prefix('[').and_then(|it| it.strip_suffix(']')) {
+            name.clone_into(&mut section);
+        } else if let Some((name, value)) = bare.trim_start().split_once(" = ")
+            && name.chars().all(|it| it == '_' || it.is_alphanumeric())
+            && !section.is_empty()
+        {
+            let key = keys.entry((section.clone(), name.to_owned())).or_default();
+            key.required |= !line.starts_with('#');
+            if line.starts_with('#') && !bare.starts_with(' ') {
+                key.default = Some(value.to_owned());
+            }
+        }
+    }
+    keys
+}
+
+/// The keys of the tables in the documentation, with the column of the defaults.
+fn documented_keys() -> BTreeMap<(String, String), String> {
+    let mut keys = BTreeMap::new();
+    let mut section = String::new();
+    let text = fs::read_to_string(root().join("docs/configuration.md")).unwrap();
+    for line in text.lines() {
+        if let Some(name) = line.strip_prefix("## `[") {
+            name.trim_end_matches("]`").clone_into(&mut section);
+        } else if let Some(row) = line.strip_prefix("| `") {
+            let (name, rest) = row.split_once("` | ").unwrap();
+            let (default, meaning) = rest.split_once(" | ").unwrap();
+            assert!(
+                !meaning.trim_end_matches(" |").is_empty(),
+                "{section}.{name}"
+            );
+            let key = (section.clone(), name.to_owned());
+            let before = keys.insert(key, default.to_owned());
+            assert!(before.is_none(), "{section}.{name} twice");
+        }
+    }
+    keys
+}
+
+#[test]
+fn the_tables_have_every_configuration_key_with_its_default() {
+    let example = example_keys();
+    let documented = documented_keys();
+    let of_the_example: BTreeSet<_> = example.keys().collect();
+    let of_the_page: BTreeSet<_> = documented.keys().collect();
+    assert_eq!(of_the_example, of_the_page);
+    for (key, value) in &example {
+        let cell = &documented[key];
+        if let Some(default) = &value.default {
+            assert_eq!(*cell, format!("`{default}`"), "{key:?}");
+        }
+        if value.required {
+            assert_eq!(cell, "**required**", "{key:?}");
+        }
+    }
+    assert!(example.len() >= 90, "only {} keys", example.len());
+}
