@@ -2,6 +2,7 @@
 
 use singletrack_control::{Estimate, MarkerLoss, Mode, wrap};
 use singletrack_sim::{LossPattern, Truth};
+use singletrack_statistics::RootMeanSquare;
 
 use crate::{
     simulate::{CarError, Scenario, virtual_drive_config},
@@ -88,10 +89,10 @@ pub fn study(
     }
 }
 
-/// Sums of squares.
+/// Errors of the estimate and of the tracking, summed over the ticks.
 #[derive(Default)]
 struct Sum {
-    squares: [f64; 6],
+    errors: [RootMeanSquare; 6],
     worst_position: f64,
     ticks: u32,
 }
@@ -107,8 +108,8 @@ impl Sum {
             estimate.speed - truth.speed,
             tracking,
         ];
-        for (square, error) in self.squares.iter_mut().zip(errors) {
-            *square += error * error;
+        for (sum, error) in self.errors.iter_mut().zip(errors) {
+            sum.add(error);
         }
         self.worst_position = self.worst_position.max(position);
         self.ticks += 1;
@@ -122,9 +123,7 @@ impl Sum {
             sideslip_rad,
             speed_m_s,
             tracking_m,
-        ] = self
-            .squares
-            .map(|square| (square / f64::from(self.ticks.max(1))).sqrt());
+        ] = self.errors.map(|errors| errors.value().unwrap_or(0.0));
         EstimationStudy {
             errors: EstimateErrors {
                 position_m,

@@ -6,12 +6,9 @@ use serde::Serialize;
 use singletrack_control::{Event, Mode};
 use singletrack_mocap::Counters as MocapCounters;
 use singletrack_record::TickRecord;
+use singletrack_statistics::{DurationHistogram, Percentiles};
 
-use crate::{
-    histogram::{Histogram, Percentiles},
-    realtime::RealTimeStatus,
-    report::LineCounters,
-};
+use crate::{realtime::RealTimeStatus, report::LineCounters};
 
 /// What a run came to.
 #[derive(Clone, Debug, Serialize)]
@@ -130,9 +127,9 @@ pub struct Dropped {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
     figures: Figures,
-    lateness: Histogram,
-    latency: Histogram,
-    duration: Histogram,
+    lateness: DurationHistogram,
+    latency: DurationHistogram,
+    duration: DurationHistogram,
 }
 
 impl Tally {

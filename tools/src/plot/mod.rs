@@ -5,7 +5,6 @@ mod figures;
 mod read;
 mod report;
 mod spans;
-mod statistics;
 mod summary;
 pub mod truth;
 

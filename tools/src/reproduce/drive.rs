@@ -2,6 +2,7 @@
 
 use singletrack_control::{Position, VehicleParameters, front_point};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_statistics::RootMeanSquare;
 use singletrackd::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
 use super::Setup;
@@ -223,8 +224,7 @@ impl Run {
 
     /// Their root mean square, in m.
     pub(super) fn rms_deviation(&self) -> f64 {
-        let squares: f64 = self.deviations().map(|deviation| deviation.powi(2)).sum();
-        (squares / self.rows.len().max(1) as f64).sqrt()
+        RootMeanSquare::of(self.deviations()).value().unwrap_or(0.0)
     }
 
     /// How far its P is from that of another drive of the same experiment at most, in m.

@@ -1,5 +1,6 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
+use singletrack_statistics::RootMeanSquare;
 use singletrackd::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
 
 use super::{
@@ -284,18 +285,16 @@ fn speed_lag(run: Option<&Run>) -> String {
     let Some(run) = run else {
         return "(not driven)".to_owned();
     };
-    let mut squares = 0.0;
-    let mut count = 0.0;
+    let mut lag = RootMeanSquare::default();
     for row in run.rows.iter().filter(|row| row.t > 1.0) {
         let at = run.seen.partition_point(|seen| seen.time < row.t);
         if let Some(seen) = run.seen.get(at) {
-            squares += (seen.speed - row.speed).powi(2);
-            count += 1.0_f64;
+            lag.add(seen.speed - row.speed);
         }
     }
     format!(
         "within its motor's lag, {} m/s RMS after the first second",
-        with_digits((squares / count.max(1.0)).sqrt(), 2)
+        with_digits(lag.value().unwrap_or(0.0), 2)
     )
 }
 

@@ -2,6 +2,7 @@
 //! `table`.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
+use singletrack_statistics::Distribution;
 
 /// Everything that was counted. What was not there to be counted is null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -28,10 +29,10 @@ pub(in crate::dump) struct Report {
     pub(super) entries_dropped: u64,
     /// How late ticks began.
     #[serde(rename = "lateness_us")]
-    pub(super) lateness: Option<Distribution>,
+    pub(super) lateness: Option<Durations>,
     /// From mid-exposure to the command leaving, in ticks with a new pose.
     #[serde(rename = "capture_to_command_us")]
-    pub(super) capture_to_command: Option<Distribution>,
+    pub(super) capture_to_command: Option<Durations>,
     /// The pilot's modes.
     pub(super) modes: Vec<ModeSpan>,
     /// The modes of the board's safety machine.
@@ -161,7 +162,7 @@ pub(super) struct ModeSpan {
 /// How durations are distributed, in microseconds. Every percentile is one of
 /// the durations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Distribution {
+pub(super) struct Durations {
     pub(super) count: u64,
     pub(super) min: f64,
     pub(super) p50: f64,
@@ -181,51 +182,42 @@ pub(super) struct Bucket {
     pub(super) count: u64,
 }
 
-impl Distribution {
-    /// Of durations in nanoseconds; none if there are none.
-    pub(super) fn of(durations_ns: &[i64]) -> Option<Self> {
-        let mut sorted = durations_ns.to_vec();
-        sorted.sort_unstable();
-        let microseconds = |ns: i64| ns as f64 / 1e3;
-        // The smallest that so many of a thousand do not exceed.
-        let quantile = |per_mille: usize| {
-            let rank = (sorted.len() * per_mille).div_ceil(1_000);
-            sorted
-                .get(rank.saturating_sub(1))
-                .copied()
-                .map(microseconds)
-        };
+impl Durations {
+    /// Of durations in microseconds; none if there are none.
+    pub(super) fn of(durations_us: &[f64]) -> Option<Self> {
+        let durations = Distribution::of(durations_us.iter().copied());
         Some(Self {
-            count: sorted.len() as u64,
-            min: sorted.first().copied().map(microseconds)?,
-            p50: quantile(500)?,
-            p90: quantile(900)?,
-            p99: quantile(990)?,
-            p999: quantile(999)?,
-            max: sorted.last().copied().map(microseconds)?,
-            histogram: histogram(&sorted),
+            count: durations.count() as u64,
+            min: durations.min()?,
+            p50: durations.quantile(0.5)?,
+            p90: durations.quantile(0.9)?,
+            p99: durations.quantile(0.99)?,
+            p999: durations.quantile(0.999)?,
+            max: durations.max()?,
+            histogram: histogram(&durations),
         })
     }
 }
 
 /// Buckets that end at 1, 2, 5, 10, 20, ... us, from the first to the last that
 /// something is in.
-fn histogram(sorted_ns: &[i64]) -> Vec<Bucket> {
-    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade) * 1_000));
+fn histogram(durations: &Distribution) -> Vec<Bucket> {
+    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade)));
     let mut buckets = Vec::new();
-    let mut rest = sorted_ns;
-    for end_ns in [0].into_iter().chain(ends) {
-        if rest.is_empty() {
+    let mut before = 0;
+    for end_us in [0].into_iter().chain(ends) {
+        if before == durations.count() {
             break;
         }
-        let count = rest.partition_point(|ns| *ns <= end_ns);
+        let up_to = end_us as f64;
+        let count = durations.count_up_to(up_to) - before;
         if count > 0 || !buckets.is_empty() {
             buckets.push(Bucket {
-                up_to: end_ns as f64 / 1e3,
+                up_to,
                 count: count as u64,
             });
         }
-        rest = rest.get(count..).unwrap_or_default();
+        before += count;
     }
     buckets
 }
@@ -237,8 +229,8 @@ mod tests {
 
     #[test]
     fn percentiles_are_durations_that_occurred() {
-        let durations: Vec<i64> = (1..=1_000).rev().map(|us| us * 1_000).collect();
-        let distribution = Distribution::of(&durations).unwrap();
+        let durations: Vec<f64> = (1..=1_000).rev().map(f64::from).collect();
+        let distribution = Durations::of(&durations).unwrap();
         assert_eq!(
             [
                 distribution.min,
@@ -250,14 +242,15 @@ mod tests {
             ],
             [1.0, 500.0, 900.0, 990.0, 999.0, 1_000.0]
         );
-        assert_eq!(Distribution::of(&[]), None);
-        assert_eq!(Distribution::of(&[-7]).unwrap().p999, -0.007);
+        assert_eq!(Durations::of(&[]), None);
+        assert_eq!(Durations::of(&[-0.007]).unwrap().p999, -0.007);
     }
 
     #[test]
     fn every_duration_is_in_one_bucket() {
         let durations = [-5, 0, 1, 1_000, 1_001, 2_000, 40_000, i64::MAX];
-        let buckets = histogram(&durations);
+        let durations = durations.map(|ns| ns as f64 / 1e3);
+        let buckets = histogram(&Distribution::of(durations));
         let shown: Vec<_> = buckets
             .iter()
             .filter(|bucket| bucket.count > 0)

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::report::{BoardCounters, Count, Distribution, ModeSpan, Report};
+use super::report::{BoardCounters, Count, Durations, ModeSpan, Report};
 
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
@@ -163,7 +163,7 @@ fn counts(page: &mut fmt::Formatter<'_>, counts: &[Count]) -> fmt::Result {
     Ok(())
 }
 
-fn distribution(page: &mut fmt::Formatter<'_>, of: &Distribution) -> fmt::Result {
+fn distribution(page: &mut fmt::Formatter<'_>, of: &Durations) -> fmt::Result {
     write!(page, "\n ")?;
     for (name, value) in [
         ("min", of.min),
