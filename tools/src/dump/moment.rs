@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use jiff::Timestamp;
+
 /// A moment of a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Moment {
@@ -49,67 +51,15 @@ impl Moment {
     }
 }
 
-/// ISO 8601: `2026-11-21T12:00:00.25+01:00`.
+/// ISO 8601 with a zone, in ns since 1970: `2026-11-21T12:00:00.25+01:00`.
 fn wall_ns(text: &str) -> Option<i64> {
-    let (date, rest) = text.split_once(['T', 't', ' '])?;
-    let mut parts = date.split('-');
-    let year = digits(parts.next()?, 4)?;
-    let month = digits(parts.next()?, 2)?;
-    let day = digits(parts.next()?, 2)?;
-    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+    let offset = text.rfind(['+', '-']).and_then(|sign| text.get(sign + 1..));
+    // An offset has its colon, as in RFC 3339; the library accepts it without.
+    if offset.is_some_and(|offset| offset.len() == 4) {
         return None;
     }
-    let (time, offset_s) = match rest.strip_suffix(['Z', 'z']) {
-        Some(time) => (time, 0),
-        None => {
-            let (time, zone) = rest.split_at_checked(rest.rfind(['+', '-'])?)?;
-            let (sign, zone) = match zone.strip_prefix('-') {
-                Some(zone) => (-1, zone),
-                None => (1, zone.strip_prefix('+')?),
-            };
-            let (hours, minutes) = zone.split_once(':').unwrap_or((zone, "00"));
-            let seconds = digits(hours, 2)? * 3_600 + digits(minutes, 2)? * 60;
-            (time, sign * seconds)
-        }
-    };
-    let (time, fraction_ns) = match time.split_once('.') {
-        Some((time, fraction)) if (1..=9).contains(&fraction.len()) => {
-            let value = digits(fraction, fraction.len())?;
-            (time, value * 10_i64.pow(9 - fraction.len() as u32))
-        }
-        Some(_) => return None,
-        None => (time, 0),
-    };
-    let mut parts = time.split(':');
-    let hour = digits(parts.next()?, 2)?;
-    let minute = digits(parts.next()?, 2)?;
-    let second = parts.next().map_or(Some(0), |second| digits(second, 2))?;
-    if parts.next().is_some() || hour > 23 || minute > 59 || second > 60 {
-        return None;
-    }
-    let seconds =
-        days_since_1970(year, month, day) * 86_400 + hour * 3_600 + minute * 60 + second - offset_s;
-    seconds.checked_mul(1_000_000_000)?.checked_add(fraction_ns)
-}
-
-/// A number of exactly so many digits.
-fn digits(text: &str, count: usize) -> Option<i64> {
-    (text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit()))
-        .then(|| text.parse().ok())?
-}
-
-/// Days from 1970-01-01 in the Gregorian calendar. Years are counted from March,
-/// so that the leap day is the last of its year.
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let (year, month) = if month > 2 {
-        (year, month - 3)
-    } else {
-        (year - 1, month + 9)
-    };
-    let leap_days = year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400);
-    // Five months from March on have 153 days.
-    let day_of_year = (153 * month + 2) / 5 + day - 1;
-    365 * year + leap_days + day_of_year - 719_468
+    let time: Timestamp = text.parse().ok()?;
+    i64::try_from(time.as_nanosecond()).ok()
 }
 
 #[cfg(test)]
