@@ -8,8 +8,12 @@ use singletrack_sim::{LossPattern, TimedTruth};
 use singletrackd::{Percentiles, Summary};
 
 use super::{
-    BoardFigures, CONFIGURATION, DemoArgs, DemoError, Drive, FIGURES, RECORD, SIMULATION, SUMMARY,
-    settings, write as write_file,
+    arguments::DemoArgs,
+    board_figures::BoardFigures,
+    error::DemoError,
+    files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
+    outcome::Drive,
+    settings,
 };
 use crate::{
     plot::{
@@ -108,7 +112,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         path: args.out.join(SUMMARY),
         source: error.into(),
     })?;
-    write_file(&args.out.join(SUMMARY), &format!("{json}\n"))?;
+    files::write(&args.out.join(SUMMARY), &format!("{json}\n"))?;
     // The reader of a pipe may have seen enough.
     let _ = print(
         &mut io::stdout().lock(),

@@ -9,7 +9,7 @@ use singletrack_sim::{
 };
 use singletrackd::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 
-use super::DemoArgs;
+use super::arguments::DemoArgs;
 use crate::simulated::{self, daemon_config};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.

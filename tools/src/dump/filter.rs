@@ -39,7 +39,7 @@ struct Wanted {
 
 /// It is no condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotACondition {
+pub enum ParseConditionError {
     /// There is nothing that compares.
     #[error(
         "not a condition: {0:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in quotes, for the shell)"
@@ -83,10 +83,10 @@ impl Operator {
 }
 
 impl FromStr for Condition {
-    type Err = NotACondition;
+    type Err = ParseConditionError;
 
-    fn from_str(text: &str) -> Result<Self, NotACondition> {
-        let none = || NotACondition::NoOperator(text.to_owned());
+    fn from_str(text: &str) -> Result<Self, ParseConditionError> {
+        let none = || ParseConditionError::NoOperator(text.to_owned());
         let at = text.find(['=', '!', '<', '>']).ok_or_else(none)?;
         let (field, rest) = text.split_at_checked(at).ok_or_else(none)?;
         let (sign, operator, value) = Operator::ALL
@@ -104,7 +104,7 @@ impl FromStr for Condition {
         };
         let ordered = !matches!(operator, Operator::Equal | Operator::Different);
         if ordered && wanted.number.is_none() {
-            return Err(NotACondition::NotANumber {
+            return Err(ParseConditionError::NotANumber {
                 field: field.to_owned(),
                 operator: sign,
                 value: value.to_owned(),

@@ -2,16 +2,28 @@
 
 use std::io::Write;
 
+use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
 
 use super::{
-    DumpError, Format,
+    error::DumpError,
     kind::{Kind, Place, TIME, check_field},
     source::{Row, Source},
 };
 
 /// So much is printed at once, unless somebody waits for it.
 const BLOCK: usize = 64 << 10;
+
+/// How rows are printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// Columns for a person; quantities to six digits.
+    Table,
+    /// One object a line, every digit.
+    Json,
+    /// One line a row, every digit.
+    Csv,
+}
 
 /// Prints rows.
 pub(super) struct Printer<W: Write> {

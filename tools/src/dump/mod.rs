@@ -15,14 +15,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use singletrack_record::{Topic, Value};
 use singletrack_sim::{LossPatternError, parse_duration_us};
 use singletrackd::config::{SerialSection, SocketSection};
 
 pub use error::DumpError;
-pub use filter::{Condition, NotACondition};
-pub use moment::{Moment, NotAMoment};
+pub use filter::{Condition, ParseConditionError};
+pub use format::Format;
+pub use moment::{Moment, ParseTimeError};
 pub use source::Direction;
 
 use crate::interrupt::Interrupt;
@@ -136,17 +137,6 @@ Examples:
           how good the line from the board is (needs the daemon stopped)
   singletrack dump line.bin --topic broken
           where a capture of the line is damaged, and how";
-
-/// How rows are printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// Columns for a person; quantities to six digits.
-    Table,
-    /// One object a line, every digit.
-    Json,
-    /// One line a row, every digit.
-    Csv,
-}
 
 fn duration(text: &str) -> Result<Duration, LossPatternError> {
     parse_duration_us(text).map(Duration::from_micros)

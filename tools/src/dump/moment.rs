@@ -18,12 +18,12 @@ pub enum Moment {
 #[error(
     "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
 )]
-pub struct NotAMoment(String);
+pub struct ParseTimeError(String);
 
 impl FromStr for Moment {
-    type Err = NotAMoment;
+    type Err = ParseTimeError;
 
-    fn from_str(text: &str) -> Result<Self, NotAMoment> {
+    fn from_str(text: &str) -> Result<Self, ParseTimeError> {
         if let Some(seconds) = text
             .parse()
             .ok()
@@ -33,7 +33,7 @@ impl FromStr for Moment {
         }
         wall_ns(text)
             .map(Self::WallNs)
-            .ok_or_else(|| NotAMoment(text.to_owned()))
+            .ok_or_else(|| ParseTimeError(text.to_owned()))
     }
 }
 

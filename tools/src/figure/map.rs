@@ -1,6 +1,6 @@
 //! A quantity over two others: shaded by bands of its values, with lines of equal value.
 
-use super::Column;
+use super::look::Column;
 
 /// A quantity at the crossings of a rectangular grid.
 #[derive(Clone, Debug)]

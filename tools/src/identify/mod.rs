@@ -3,6 +3,7 @@
 mod collect;
 mod figures;
 mod output;
+mod report;
 pub mod study;
 mod table;
 
@@ -18,7 +19,6 @@ use indicatif::ProgressBar;
 use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
-use singletrack_control::VehicleParameters;
 use singletrack_record::RecordError;
 use singletrackd::ConfigError;
 
@@ -29,6 +29,7 @@ use crate::{
 
 pub use collect::{Collector, RecordedDrive, read};
 pub use figures::figures;
+pub use report::{Identified, Report};
 
 /// What `singletrack identify` is asked.
 #[derive(Args, Clone, Debug)]
@@ -170,30 +171,6 @@ pub enum IdentifyError {
     /// Standard output can't be written.
     #[error("can't write to standard output: {0}")]
     Output(io::Error),
-}
-
-/// A drive, and what it says.
-#[derive(Clone, Debug)]
-pub struct Identified {
-    /// The record that it is in.
-    pub path: PathBuf,
-    /// Its number there, from 1.
-    pub drive: usize,
-    /// What it says.
-    pub identification: Identification,
-}
-
-/// Everything that was found.
-#[derive(Clone, Debug)]
-pub struct Report {
-    /// The car as it was believed to be.
-    pub vehicle: VehicleParameters,
-    /// The tyres' force curve.
-    pub tyres: Tyres,
-    /// From the first record.
-    pub identified: Identified,
-    /// How that fits the second.
-    pub validated: Option<Identified>,
 }
 
 /// Identifies, prints, and writes what is asked for. Tells progress and warnings on

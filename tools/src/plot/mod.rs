@@ -1,9 +1,11 @@
 //! `singletrack plot`: the figures of a drive, from its record alone.
 
 pub mod drive;
+mod error;
 mod figures;
 mod read;
 mod report;
+mod sample;
 mod spans;
 mod summary;
 pub mod truth;
@@ -15,8 +17,8 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use singletrack_record::RecordError;
 
+pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
 
@@ -57,40 +59,6 @@ pub enum PlotFormat {
     Svg,
     /// `report.html`: all figures and the summary, to look around in.
     Html,
-}
-
-/// Why nothing is plotted.
-#[derive(Debug, thiserror::Error)]
-pub enum PlotError {
-    /// The record cannot be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The car never drove.
-    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
-    NoDrive {
-        /// The record.
-        path: PathBuf,
-        /// What there is instead.
-        why: String,
-    },
-    /// There are fewer drives.
-    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
-    UnknownDrive {
-        /// The record.
-        path: PathBuf,
-        /// The number asked for.
-        wanted: usize,
-        /// How many there are.
-        count: usize,
-    },
-    /// A picture can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
 }
 
 /// What was written, and what was not.

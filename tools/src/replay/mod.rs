@@ -6,21 +6,24 @@
 
 mod change;
 mod source;
+mod span;
 mod verdict;
 
 use std::{
     io::{self, IsTerminal, Write},
     path::PathBuf,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Entry, Reader, RecordError, TickRecord, Topic};
+use singletrack_record::{Ending, Entry, Reader, RecordError, Topic};
 
 pub use change::{Change, ChangeError};
 pub use source::SourceError;
 pub use verdict::{Deviation, Deviations};
+
+use span::Span;
 
 /// What `singletrack replay` is asked.
 #[derive(Args, Clone, Debug)]
@@ -166,43 +169,6 @@ fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFai
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),
         Err(source) => Err(ReplayFailure::Figure { path, source }),
-    }
-}
-
-/// What has been replayed.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Span {
-    ticks: u64,
-    first_ns: u64,
-    last_ns: u64,
-}
-
-impl Span {
-    fn add(&mut self, tick: &TickRecord) {
-        if self.ticks == 0 {
-            self.first_ns = tick.start_ns;
-        }
-        self.ticks += 1;
-        self.last_ns = tick.start_ns;
-    }
-
-    /// From its beginning to `tick`, in s.
-    fn seconds_to(&self, tick: &TickRecord) -> f64 {
-        let first_ns = if self.ticks == 0 {
-            tick.start_ns
-        } else {
-            self.first_ns
-        };
-        tick.start_ns.saturating_sub(first_ns) as f64 * 1e-9
-    }
-
-    fn pace(&self, took: Duration) -> String {
-        let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
-        let took = took.as_secs_f64();
-        format!(
-            "{seconds:.2} s replayed in {took:.3} s: {:.0} times real time",
-            seconds / took
-        )
     }
 }
 

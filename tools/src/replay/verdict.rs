@@ -9,7 +9,7 @@ use singletrack_control::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
 use singletrack_statistics::RootMeanSquare;
 
-use super::Span;
+use super::span::Span;
 use crate::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// Who makes records, as they name it.

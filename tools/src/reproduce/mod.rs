@@ -6,6 +6,7 @@ mod circle;
 pub mod claims;
 mod comparison;
 mod drive;
+mod error;
 mod extreme;
 mod folder;
 mod model;
@@ -20,18 +21,16 @@ mod steps;
 mod table;
 mod text;
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 use clap::Args;
 use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
 
-pub use section::{Picture, Plate, Section, Table};
+pub use error::ReproduceError;
+pub use section::{Picture, Plate, Reproduction, Section, Table};
 pub use setup::Setup;
 
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::vehicle_file;
 use claims::{Judged, Measurements, judge, surprises};
 use progress::Progress;
 
@@ -49,56 +48,6 @@ pub struct ReproduceArgs {
     /// Coarser maps, shorter drives and fewer seeds
     #[arg(long)]
     pub quick: bool,
-}
-
-/// Why the paper was not reproduced.
-#[derive(Debug, thiserror::Error)]
-pub enum ReproduceError {
-    /// There is no such car.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// Something can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The folder is somebody else's.
-    #[error(
-        "{} holds other things than an earlier reproduction ({found}); choose another folder \
-         with --out",
-        path.display()
-    )]
-    Foreign {
-        /// The folder.
-        path: PathBuf,
-        /// The first thing in it.
-        found: String,
-    },
-    /// A claim came out otherwise than it should.
-    #[error(
-        "{count} of the claims came out otherwise than expected: see the lines marked with ! and {}",
-        report.display()
-    )]
-    Surprise {
-        /// How many.
-        count: usize,
-        /// The report.
-        report: PathBuf,
-    },
-}
-
-/// Everything that was computed.
-#[derive(Clone, Debug)]
-pub struct Reproduction {
-    /// The car.
-    pub setup: Setup,
-    /// The sections of the report, in order.
-    pub sections: Vec<Section>,
-    /// The claims with their verdicts.
-    pub claims: Vec<Judged>,
 }
 
 /// Reproduces the paper: the table of claims on standard output, all else in a folder.
@@ -197,11 +146,6 @@ fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
         Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
         _ => None,
     }
-}
-
-fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> {
-    let path = path.to_owned();
-    move |source| ReproduceError::Write { path, source }
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use std::{
 };
 
 use super::{
-    Reproduction,
     claims::{Judged, Verdict, surprises},
+    section::Reproduction,
     text::with_digits,
 };
 

@@ -8,7 +8,11 @@ use singletrack_analysis::stability::{
     infinite_speed_limit, smallest_point_distance,
 };
 
-use super::{CarArgs, StabilityCommandError, Subject, sampled::TimingArgs};
+use super::{
+    arguments::{CarArgs, TimingArgs},
+    error::StabilityCommandError,
+    subject::Subject,
+};
 use crate::vehicle_file;
 
 #[derive(Clone, Debug, Args)]

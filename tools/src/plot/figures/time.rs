@@ -1,6 +1,6 @@
 //! Figures over time.
 
-use super::{LOST, TIME, curve};
+use super::common::{LOST, TIME, curve};
 use crate::{
     figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width},
     plot::drive::Drive,

@@ -1,6 +1,6 @@
 //! The path of P on the floor.
 
-use super::{LOST, curve};
+use super::common::{LOST, curve};
 use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width},
     plot::drive::Drive,
