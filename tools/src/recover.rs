@@ -16,7 +16,7 @@ pub struct RecoverArgs {
     record: PathBuf,
     /// Where the new one goes: NAME.mcap unless told, or NAME.recovered.mcap for a
     /// record that has that name.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, alias = "out", value_name = "FILE")]
     output: Option<PathBuf>,
 }
 

@@ -18,7 +18,12 @@ pub struct DemoArgs {
     pub(super) board: BoardKind,
 
     /// Where the configuration, the record, the figures and the summary go
-    #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
+    #[arg(
+        long,
+        alias = "output",
+        value_name = "DIR",
+        default_value = "singletrack-demo"
+    )]
     pub(super) out: PathBuf,
 
     /// All random numbers of the simulation follow from this

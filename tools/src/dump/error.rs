@@ -5,6 +5,8 @@ use std::{io, path::PathBuf};
 use singletrack_record::{NotAnEntry, RecordError};
 use singletrackd::serial_port::PortError;
 
+use super::moment::Moment;
+
 /// A dump that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DumpError {
@@ -53,6 +55,24 @@ pub enum DumpError {
         similar: Option<String>,
         /// All that there are.
         known: Vec<String>,
+    },
+    /// No value of the field is that word.
+    #[error("{field} is never {word:?}; it is one of {}", .known.join(", "))]
+    UnknownWord {
+        /// The field.
+        field: String,
+        /// What it was compared with.
+        word: String,
+        /// The words that it can be.
+        known: Vec<String>,
+    },
+    /// The time ends before it begins.
+    #[error("--from {from} is after --to {to}: give the earlier time to --from")]
+    NoTime {
+        /// When it begins.
+        from: Moment,
+        /// When it ends.
+        to: Moment,
     },
     /// The source cannot tell when that was.
     #[error("{name} holds no wall time: give --{option} in seconds since its start")]

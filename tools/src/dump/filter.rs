@@ -4,6 +4,7 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::Value;
 
+use super::words::words;
 use super::{
     DumpError,
     kind::{Kind, Place, check_field},
@@ -118,6 +119,35 @@ impl FromStr for Condition {
     }
 }
 
+impl Condition {
+    /// Refuses a word that the field is never.
+    fn check_word<'a>(&self, kinds: impl Iterator<Item = &'a Kind>) -> Result<(), DumpError> {
+        let mut known: Vec<String> = Vec::new();
+        for kind in kinds.filter(|kind| kind.place(&self.field).is_some()) {
+            let words = words(kind.name, &self.field);
+            // What is absent equals the two.
+            let absent = ["", "none"].contains(&self.wanted.text.as_str());
+            if words.is_empty() || absent || words.contains(&self.wanted.text) {
+                return Ok(());
+            }
+            known.extend(
+                words
+                    .into_iter()
+                    .filter(|word| !known.contains(word))
+                    .collect::<Vec<_>>(),
+            );
+        }
+        if known.is_empty() {
+            return Ok(());
+        }
+        Err(DumpError::UnknownWord {
+            field: self.field.clone(),
+            word: self.wanted.text.clone(),
+            known,
+        })
+    }
+}
+
 impl Wanted {
     /// How a value compares; none if the two cannot be compared.
     fn compare(&self, value: &Value) -> Option<Ordering> {
@@ -173,6 +203,7 @@ impl Filter {
         let chosen = chosen.iter().filter_map(|index| kinds.get(*index));
         for condition in &conditions {
             check_field(chosen.clone(), &condition.field)?;
+            condition.check_word(chosen.clone())?;
         }
         let places = kinds
             .iter()

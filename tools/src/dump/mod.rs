@@ -8,6 +8,7 @@ mod kind;
 mod moment;
 mod source;
 mod stats;
+mod words;
 
 use std::{
     io::{self, IsTerminal, Write},
@@ -184,7 +185,7 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         source::kinds(args.direction)
     };
     let chosen = if !args.topic.is_empty() {
-        kind::choose(&kinds, &args.topic)?
+        kind::choose(&kinds, &topic_names(&args.topic))?
     } else if of_record && !args.stats {
         kind::choose(&kinds, &[Topic::Telemetry.name().to_owned()])?
     } else {
@@ -197,6 +198,11 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         let fields = &args.fields;
         Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
     };
+    if let (Some(from), Some(to)) = (args.from, args.to)
+        && from.is_after(to)
+    {
+        return Err(DumpError::NoTime { from, to });
+    }
     let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
     let mut source = open(args, &place, kinds, &chosen)?;
     let source = source.as_mut();
@@ -224,6 +230,19 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         eprintln!("singletrack: {note}");
     }
     Ok(())
+}
+
+/// The topics, without the folder of their channels in a record (`/singletrack/tick`).
+fn topic_names(topics: &[String]) -> Vec<String> {
+    topics
+        .iter()
+        .map(|name| {
+            Topic::ALL
+                .into_iter()
+                .find(|topic| topic.channel() == name)
+                .map_or_else(|| name.clone(), |topic| topic.name().to_owned())
+        })
+        .collect()
 }
 
 /// Where rows go.

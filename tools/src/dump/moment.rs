@@ -1,6 +1,6 @@
 //! Moments, as people write them.
 
-use std::str::FromStr;
+use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
 
@@ -37,7 +37,30 @@ impl FromStr for Moment {
     }
 }
 
+impl fmt::Display for Moment {
+    /// Seconds, or date and time in UTC.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Seconds(seconds) => write!(formatter, "{seconds}"),
+            Self::WallNs(wall_ns) => {
+                // All that fits into 64 bits is within the calendar: 1677 to 2262.
+                let time = Timestamp::from_nanosecond(i128::from(*wall_ns));
+                write!(formatter, "{}", time.unwrap_or_default())
+            }
+        }
+    }
+}
+
 impl Moment {
+    /// Whether it is after the other; false if one has seconds and the other a date.
+    pub(super) fn is_after(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Seconds(one), Self::Seconds(other)) => one > other,
+            (Self::WallNs(one), Self::WallNs(other)) => one > other,
+            _ => false,
+        }
+    }
+
     /// The moment in ns since a start at `start_wall_ns`; none if it is on the
     /// wall and the start is not known there.
     pub(super) fn since(self, start_wall_ns: Option<u64>) -> Option<i64> {
@@ -106,6 +129,19 @@ mod tests {
             let error = text.parse::<Moment>().unwrap_err().to_string();
             assert!(error.contains("use seconds since the start"), "{error}");
         }
+    }
+
+    #[test]
+    fn moments_of_a_kind_are_ordered_and_print_as_they_are_written() {
+        let moment = |text: &str| text.parse::<Moment>().unwrap();
+        let (early, late) = (
+            moment("2026-11-21T12:00:00Z"),
+            moment("2026-11-21T14:00:00+01:00"),
+        );
+        assert!(late.is_after(early) && !early.is_after(late) && !early.is_after(early));
+        assert!(moment("10").is_after(moment("5")) && !moment("10").is_after(early));
+        assert_eq!(late.to_string(), "2026-11-21T13:00:00Z");
+        assert_eq!(moment("12.50").to_string(), "12.5");
     }
 
     #[test]

@@ -71,7 +71,7 @@ pub struct IdentifyArgs {
     pub least_speed: f64,
 
     /// Write figures, identification.json and identified.toml, a vehicle file, there.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
 
     /// How to print what was found.

@@ -31,7 +31,7 @@ pub struct PlotArgs {
     pub record: PathBuf,
 
     /// Where the pictures go [default: a folder beside the record, named after it].
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
 
     /// Only these figures [default: all].

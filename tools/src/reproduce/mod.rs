@@ -38,7 +38,12 @@ use progress::Progress;
 #[derive(Args, Clone, Debug)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
-    #[arg(long, value_name = "DIR", default_value = "singletrack-reproduction")]
+    #[arg(
+        long,
+        alias = "output",
+        value_name = "DIR",
+        default_value = "singletrack-reproduction"
+    )]
     pub out: PathBuf,
 
     /// The car: a TOML file with a table `vehicle` [default: the paper's]

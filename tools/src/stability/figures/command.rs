@@ -33,7 +33,7 @@ pub(in crate::stability) struct FiguresArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Folder for the SVG files; made if it is not there
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
     /// Which figures to draw
     #[arg(
