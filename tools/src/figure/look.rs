@@ -5,7 +5,7 @@ use std::sync::Arc;
 /// Numbers of a curve, shared by all that draw them.
 pub type Column = Arc<[f64]>;
 
-/// How a line looks: told apart without colour as well, by grey, width and dashes.
+/// The style of a line: distinguishable without colour, by grey, width and dashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
     /// What should be: wide and grey, as in the paper.
@@ -14,7 +14,7 @@ pub enum Look {
     Actual,
     /// What a sensor said: thin and light.
     Measured,
-    /// What was really so, which only a simulation knows: dashed.
+    /// Ground truth, which only a simulation has: dashed.
     Truth,
     /// Where something was missing: a wide band of the shading's colour.
     Lost,

@@ -35,7 +35,7 @@ pub(crate) use xml::escaped;
 /// A figure: panels under one legend.
 #[derive(Clone, Debug)]
 pub struct Figure {
-    /// What it shows, in a few words; for whoever can't see it, too.
+    /// What it shows, in a few words; screen readers read it too.
     pub title: String,
     /// What to see in it, in a sentence.
     pub caption: String,
@@ -152,6 +152,9 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// Time t, in s.
+    pub const TIME: Self = Self::new("time", Some(Symbol::new("t", "")), "s");
+
     /// A linear axis, as long as its data.
     #[must_use]
     pub const fn new(quantity: &'static str, symbol: Option<Symbol>, unit: &'static str) -> Self {
@@ -198,6 +201,18 @@ pub struct Curve {
 }
 
 impl Curve {
+    /// A line through points that have no times of their own.
+    #[must_use]
+    pub fn new(name: &'static str, look: Look, x: &Column, y: Column) -> Self {
+        Self {
+            name,
+            look,
+            x: x.clone(),
+            y,
+            time: None,
+        }
+    }
+
     /// Whether no point of it can be drawn.
     #[must_use]
     pub fn is_empty(&self) -> bool {

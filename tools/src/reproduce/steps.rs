@@ -13,7 +13,7 @@ use super::{
     text::{metres, mm, number, with_digits},
 };
 use crate::{
-    figure::{Axis, Look, Symbol, Width},
+    figure::{Axis, Curve, Look, Symbol, Width},
     simulate::MarkerLoss,
 };
 
@@ -305,13 +305,13 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
     };
     let time = rear.column(|row| row.t);
     let mut curves = vec![
-        pictures::curve(
+        Curve::new(
             "2 |dl sin(Δψ/2)|",
             Look::Nominal,
             &time,
             predicted(setup.rear_deviation_m(), rear).collect(),
         ),
-        pictures::curve(
+        Curve::new(
             "ideal plant",
             Look::Actual,
             &time,
@@ -324,7 +324,7 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
             .iter()
             .zip(&right.rows)
             .map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p));
-        curves.push(pictures::curve(
+        curves.push(Curve::new(
             "car, from that with dl = 0",
             Look::Truth,
             &rear.column(|row| row.t),

@@ -11,7 +11,7 @@ use crate::{
 const BARS: usize = 50;
 /// Bars in every decade of a logarithmic one.
 const BARS_A_DECADE: i32 = 8;
-/// Nothing is told of lateness below, in µs.
+/// Lateness below this is in the first bar, in µs.
 const LEAST_LATENESS: f64 = 1.0;
 
 pub(super) fn latency(drive: &Drive) -> Figure {
