@@ -1,19 +1,19 @@
-//! What the demo is told.
+//! Options of `singletrack demo`.
 
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
 use singletrack_sim::{BoardKind, LossPattern, parse_duration_us};
 
-/// What the demo is told.
+/// Options of `singletrack demo`.
 #[derive(Clone, Debug, Args)]
 pub struct DemoArgs {
     /// How long to drive, such as 40s; a bare number is in seconds
     #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
     pub(super) duration: Duration,
 
-    /// What runs on the board: its code, compiled for this machine, or the Arduino's
-    /// image on a simulated processor (`cargo uno` builds it)
+    /// The board: its code compiled for this machine, or the Arduino's image on a simulated
+    /// processor (`cargo uno` builds it)
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     pub(super) board: BoardKind,
 
@@ -26,16 +26,16 @@ pub struct DemoArgs {
     )]
     pub(super) out: PathBuf,
 
-    /// All random numbers of the simulation follow from this
+    /// Seed of all random numbers of the simulation
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
 
-    /// Add the reference's velocity to the position loop: the error goes to zero
+    /// Add the reference's velocity to the position loop, so that the error goes to zero
     #[arg(long)]
     pub(super) feed_forward: bool,
 
-    /// Show the drive live, to Foxglove, Lichtblick and PlotJuggler on this machine: on
-    /// port 8765 unless told another
+    /// Serve the drive live to Foxglove, Lichtblick and PlotJuggler on this machine
+    /// [default port: 8765]
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub(super) live: Option<u16>,
 

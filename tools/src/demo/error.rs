@@ -22,7 +22,7 @@ pub enum DemoError {
     /// Ctrl-C can't be listened for.
     #[error("can't listen for signals: {0}")]
     Signals(io::Error),
-    /// Somebody ended it early.
+    /// Ctrl-C.
     #[error("interrupted")]
     Interrupted,
     /// No private folder for socket and port.
@@ -34,7 +34,7 @@ pub enum DemoError {
     /// The UNO's image, or the processor that it ran on.
     #[error("the board: {0}")]
     Board(String),
-    /// The daemon would not take its configuration.
+    /// The daemon rejects its configuration.
     #[error("the configuration: {0}")]
     Config(#[from] ConfigError),
     /// The configuration can't be written as TOML.
@@ -85,7 +85,7 @@ pub enum DemoError {
 }
 
 fn because(reason: Option<Reason>) -> String {
-    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
 /// What may be behind a stop that has nothing to do with the drive.

@@ -6,7 +6,7 @@ use singletrackd::Summary;
 
 use super::board_figures::BoardFigures;
 
-/// A drive that has come to its end, for the report.
+/// A finished drive, for the report.
 #[derive(Debug)]
 pub(super) struct Drive {
     /// How it ended before its time, if it did.

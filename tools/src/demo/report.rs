@@ -1,4 +1,4 @@
-//! What the demo leaves behind: a summary, figures, and a few lines to read.
+//! The results of the demo: a summary, figures, and a few printed lines.
 
 use std::io::{self, Write};
 
@@ -72,7 +72,7 @@ struct Milliseconds {
     max: f64,
 }
 
-/// Writes the summary and tells the person, also of the report if it is there.
+/// Writes the summary, and prints it with the path of the report if there is one.
 pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
@@ -113,7 +113,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         source: error.into(),
     })?;
     files::write(&args.out.join(SUMMARY), &format!("{json}\n"))?;
-    // The reader of a pipe may have seen enough.
+    // A closed pipe is no error.
     let _ = print(
         &mut io::stdout().lock(),
         args,
@@ -142,7 +142,7 @@ fn samples(drive: &Drive) -> Vec<Sample> {
         .collect()
 }
 
-/// Writes the figures of the record, with what was really so.
+/// Writes the figures of the record, with ground truth.
 pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotError> {
     let mut record = Record::read(&args.out.join(RECORD))?;
     let (number, drive) = record.choose(None)?;
@@ -156,7 +156,7 @@ pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotErro
     Ok(())
 }
 
-/// What was really so while the car drove.
+/// Ground truth while the car drove.
 fn true_samples(truth: &[TimedTruth], drive: &plot::drive::Drive) -> Vec<TruthSample> {
     truth
         .iter()

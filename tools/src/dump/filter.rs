@@ -38,17 +38,17 @@ struct Wanted {
     number: Option<f64>,
 }
 
-/// It is no condition.
+/// Why a text is not a condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ParseConditionError {
-    /// There is nothing that compares.
+    /// It has no operator.
     #[error(
         "not a condition: {0:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in quotes, for the shell)"
     )]
     NoOperator(String),
     /// Only numbers are less or greater.
     #[error(
-        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is none; use = or !="
+        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is not one; use = or !="
     )]
     NotANumber {
         /// The field.
@@ -149,7 +149,7 @@ impl Condition {
 }
 
 impl Wanted {
-    /// How a value compares; none if the two cannot be compared.
+    /// How a value compares; none if the two can't be compared.
     fn compare(&self, value: &Value) -> Option<Ordering> {
         match value {
             Value::Absent => matches!(self.text.as_str(), "" | "none").then_some(Ordering::Equal),
@@ -231,12 +231,12 @@ impl Filter {
         }
     }
 
-    /// Whether it looks at what the fields hold.
+    /// Whether it needs the values of the fields.
     pub(super) fn needs_values(&self) -> bool {
         !self.conditions.is_empty()
     }
 
-    /// What the row's time says.
+    /// Judges the row by its time.
     pub(super) fn judge_time(&self, row: &Row) -> Verdict {
         if self.from_ns.is_none() && self.to_ns.is_none() {
             return Verdict::Take;
@@ -252,7 +252,7 @@ impl Filter {
         }
     }
 
-    /// Whether the row's fields are as wanted.
+    /// Whether the row meets all conditions.
     pub(super) fn accepts(&self, row: &Row, values: &[Value]) -> bool {
         let Some(Some(places)) = self.places.get(row.kind) else {
             return false;

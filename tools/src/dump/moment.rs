@@ -1,19 +1,19 @@
-//! Moments, as people write them.
+//! Times on the command line.
 
 use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
 
-/// A moment of a record.
+/// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Moment {
-    /// So many seconds after the start of the record.
+    /// Seconds after the start of the record.
     Seconds(f64),
     /// On the wall, in ns since 1970.
     WallNs(i64),
 }
 
-/// It is neither a number of seconds nor a date with its time and zone.
+/// Why a text is not a time: it is neither a number of seconds nor a date with time and zone.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
@@ -104,7 +104,7 @@ mod tests {
             ("2026-11-21T03:30-0830", wall(0, 0)),
         ] {
             if text.ends_with("0830") {
-                // A zone without its colon is not what anybody writes.
+                // RFC 3339 has a colon in the zone.
                 assert!(text.parse::<Moment>().is_err());
             } else {
                 assert_eq!(text.parse::<Moment>().unwrap(), expected, "{text}");

@@ -1,4 +1,4 @@
-//! What was found, for programs: JSON, and a vehicle file.
+//! The result for programs: JSON, and a vehicle file.
 
 use serde_json::{Value, json};
 use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames, Tyres};
@@ -22,7 +22,7 @@ pub(super) fn json(report: &Report) -> String {
     format!("{document:#}\n")
 }
 
-/// What the intervals rest on and know nothing of: name, and value with unit.
+/// The values that the intervals assume to be exact: name, and value with unit.
 pub(super) fn taken_as_exact(report: &Report) -> impl Iterator<Item = (&'static str, String)> {
     let vehicle = &report.vehicle;
     let given = [

@@ -5,26 +5,26 @@ use std::path::PathBuf;
 use singletrack_analysis::identification::{Identification, Tyres};
 use singletrack_control::VehicleParameters;
 
-/// A drive, and what it says.
+/// A drive and its identification.
 #[derive(Clone, Debug)]
 pub struct Identified {
     /// The record that it is in.
     pub path: PathBuf,
     /// Its number there, from 1.
     pub drive: usize,
-    /// What it says.
+    /// Its result.
     pub identification: Identification,
 }
 
-/// Everything that was found.
+/// The result of the command.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// The car as it was believed to be.
+    /// The nominal car.
     pub vehicle: VehicleParameters,
     /// The tyres' force curve.
     pub tyres: Tyres,
     /// From the first record.
     pub identified: Identified,
-    /// How that fits the second.
+    /// Validation on the second.
     pub validated: Option<Identified>,
 }

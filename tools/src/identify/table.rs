@@ -1,4 +1,4 @@
-//! What was found, for a person.
+//! The result for a person.
 
 use std::fmt::Write as _;
 
@@ -68,7 +68,7 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(text, "\nthe intervals take as exact: {}", exact.join(", "))?;
     writeln!(
         text,
-        "with 1 % more mass c_f, c_r and i_z are 1 % more; the others can be estimated along \
+        "with 1 % more mass c_f, c_r and i_z are 1 % more; the others can be estimated jointly \
          (--parameters)"
     )?;
     writeln!(text, "\ncorrelation")?;

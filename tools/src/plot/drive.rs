@@ -10,7 +10,7 @@ pub use super::sample::{BoardPoint, TickSample};
 use super::{spans::lost_markers, truth::TruthSample};
 use crate::figure::Column;
 
-/// What a record tells of the drives in it.
+/// The drives of a record.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
     /// The drives, in order.
@@ -21,7 +21,7 @@ pub struct Recording {
     pub log: Vec<Log>,
     /// Configurations that came into force after the start.
     pub configurations: Vec<ConfigurationRecord>,
-    /// The number of the newest that a tick was told of; none for that of the start.
+    /// The number of the newest in force; none for that of the start.
     configuration: Option<u32>,
     /// Ticks, driving or not.
     pub ticks: u64,
@@ -58,7 +58,7 @@ pub struct Drive {
     pub configuration: Option<u32>,
     /// The mode that the drive led to, and why; none if the record ends before.
     pub ended: Option<(Mode, Option<Reason>)>,
-    /// What was really so, if somebody knows.
+    /// Ground truth, if the car is simulated.
     pub truth: Option<Vec<TruthSample>>,
 }
 
@@ -224,7 +224,7 @@ impl Drive {
         with_gaps(times, self.board.iter().map(value))
     }
 
-    /// A number for each moment of the truth; empty if nobody knows it.
+    /// A number for each sample of the ground truth; empty without it.
     #[must_use]
     pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
         self.spread_truth(self.truth.iter().flatten().map(value))
@@ -271,7 +271,7 @@ impl Drive {
             .collect()
     }
 
-    /// Whether the reference tells where P should be.
+    /// Whether the reference is a position.
     #[must_use]
     pub fn has_positions(&self) -> bool {
         self.ticks.iter().any(|tick| tick.reference[0].is_finite())
@@ -288,7 +288,7 @@ impl Drive {
     }
 
     /// How far the true P is from where it should be, at each moment of the truth, in
-    /// m; empty if nobody knows it.
+    /// m; empty without ground truth.
     #[must_use]
     pub fn true_errors(&self) -> Vec<f64> {
         let nominal = self.nominal();

@@ -1,10 +1,10 @@
-//! Why nothing is plotted.
+//! Why plotting failed.
 
 use std::{io, path::PathBuf};
 
 use singletrack_record::RecordError;
 
-/// Why nothing is plotted.
+/// Why plotting failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
     /// The record can't be read.
@@ -18,7 +18,7 @@ pub enum PlotError {
         /// What there is instead.
         why: String,
     },
-    /// There are fewer drives.
+    /// The record has fewer drives.
     #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
     UnknownDrive {
         /// The record.

@@ -24,13 +24,13 @@ pub use read::Record;
 
 use drive::Drive;
 
-/// What `singletrack plot` is asked.
+/// Options of `singletrack plot`.
 #[derive(Args, Clone, Debug)]
 pub struct PlotArgs {
-    /// A record (*.mcap, or *.mcap.part while or after it was cut short).
+    /// A record (*.mcap, or *.mcap.part if it is unfinished or truncated).
     pub record: PathBuf,
 
-    /// Where the pictures go [default: a folder beside the record, named after it].
+    /// Folder for the pictures [default: beside the record, named after it].
     #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
 
@@ -70,8 +70,8 @@ pub struct Plotted {
     pub missing: Vec<(FigureKind, &'static str)>,
 }
 
-/// Plots a record. Tells the files on standard output and all else on standard
-/// error.
+/// Plots a record. Prints the names of the files on standard output, and notes on
+/// standard error.
 ///
 /// # Errors
 ///
@@ -115,7 +115,7 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     let mut stdout = io::stdout().lock();
     for file in &plotted.files {
         if writeln!(stdout, "{}", file.display()).is_err() {
-            // Whoever read the names has seen enough.
+            // The reader of a pipe may close it at any time.
             break;
         }
     }
@@ -138,7 +138,7 @@ impl Record {
                     "in {} ticks the car was never driven; the last mode was {}{}",
                     recording.ticks,
                     last.mode,
-                    summary::why(last.reason)
+                    summary::because(last.reason)
                 ),
             };
             return Err(PlotError::NoDrive {

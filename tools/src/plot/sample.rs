@@ -1,4 +1,4 @@
-//! What a tick and the board say of a drive, in SI units.
+//! Samples of a drive, by the ticks and by the board, in SI units.
 
 use singletrack_control::Mode;
 

@@ -18,7 +18,7 @@ pub(super) struct Line {
     pub(super) value: String,
 }
 
-/// What a drive of a record came to; `number` counts from 1.
+/// The summary of a drive of a record; `number` counts from 1.
 pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut add = |name, value: Option<String>| {
@@ -120,9 +120,9 @@ fn many(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-/// Why the car does not drive, as people say it.
-pub(super) fn why(reason: Option<Reason>) -> String {
-    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+/// The reason of a mode in brackets, if it has one.
+pub(super) fn because(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
 /// The changes of mode in a drive, up to the one that ended it.
@@ -153,7 +153,13 @@ fn ended(record: &Record, drive: &Drive) -> String {
     let stop = changes.find(|(_, change)| !follows(change.mode));
     let stopped = stop.map_or_else(
         || "never stopped".to_owned(),
-        |(time, change)| format!("{} at {time:.2} s{}", change.mode, why(change.reason)),
+        |(time, change)| match (change.mode, change.reason) {
+            (Mode::Stopping, Some(Reason::Requested)) => {
+                format!("stopped on request at {time:.2} s")
+            }
+            (Mode::Stopping, reason) => format!("stopped at {time:.2} s{}", because(reason)),
+            (mode, reason) => format!("{mode} at {time:.2} s{}", because(reason)),
+        },
     );
     match drive.ended {
         None => format!("{stopped}; the record ends while the car is driven"),
@@ -228,7 +234,7 @@ fn configured(text: &str) -> Vec<(&'static str, String)> {
             .map(|(key, value)| format!("{key} = {value}"))
             .collect();
         let rest = rest.join(", ");
-        // Many steps are for whoever unfolds the configuration.
+        // A long list of steps is in the configuration.
         let rest = if rest.len() > 160 { "" } else { &rest };
         let gap = if rest.is_empty() { "" } else { ": " };
         lines.push(("reference", format!("{kind}{gap}{rest}")));

@@ -1,8 +1,8 @@
-//! `singletrack replay`: what the pilot saw in a record, given to it again.
+//! `singletrack replay`: runs the pilot on the inputs of a record.
 //!
-//! With the configuration that was in force, every output must be the same, to the
-//! bit. With another one, it shows what the pilot would have done at the sight of
-//! the same events: the loop is open, the car of the record goes its way.
+//! With the recorded configuration every output must be the same, bit for bit. With
+//! another one, the outputs show what the pilot would have commanded on the same
+//! events: the loop is open, since the car of the record does not react.
 
 mod change;
 mod source;
@@ -25,7 +25,7 @@ pub use verdict::{Deviation, Deviations};
 
 use span::Span;
 
-/// What `singletrack replay` is asked.
+/// Options of `singletrack replay`.
 #[derive(Args, Clone, Debug)]
 pub struct ReplayArgs {
     /// A record (*.mcap, or *.mcap.part).
@@ -37,7 +37,7 @@ pub struct ReplayArgs {
     pub verify: bool,
 
     /// Replay with another configuration, such as `law.point_distance_m=0.4`, and
-    /// tell how the outputs deviate. May be repeated.
+    /// print how the outputs deviate. May be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<Change>,
 
@@ -47,7 +47,7 @@ pub struct ReplayArgs {
     pub figure: Option<PathBuf>,
 }
 
-/// A name that no record has: a figure replaces what it finds.
+/// A name that no record has: the figure overwrites its file.
 fn svg(name: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(name);
     match path.extension() {
@@ -62,7 +62,7 @@ pub enum ReplayFailure {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// It does not say with which configuration it was made.
+    /// The record does not hold its configuration.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// It can't be replayed to its end.
@@ -72,13 +72,13 @@ pub enum ReplayFailure {
         path: PathBuf,
         /// Ticks that were the same.
         ticks: u64,
-        /// What stands in the way.
+        /// Why.
         source: singletrack_record::ReplayError,
     },
     /// There is nothing to replay.
     #[error("{}: the record has no ticks", .0.display())]
     Empty(PathBuf),
-    /// An output came out otherwise.
+    /// An output differs.
     #[error("{0}")]
     Differs(Box<str>),
     /// The figure can't be written.
@@ -101,7 +101,7 @@ fn so_far(ticks: u64) -> String {
     }
 }
 
-/// Replays a record and says what came of it.
+/// Replays a record and prints the result.
 ///
 /// # Errors
 ///
@@ -156,7 +156,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         eprintln!("singletrack: {}: {ending}", args.log.display());
     }
     match writeln!(io::stdout(), "{told}{pace}") {
-        // Whoever reads it has seen enough.
+        // The reader of a pipe may close it at any time.
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }

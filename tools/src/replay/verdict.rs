@@ -18,10 +18,10 @@ const DAEMON: &str = "singletrackd";
 /// The version of everything here.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Differences that are told one by one; of more, their number.
+/// Differences that are printed one by one; of more, their number.
 const TOLD: usize = 12;
 
-/// The first tick whose output is not the one recorded, with all that it was told.
+/// The first tick whose output is not the one recorded, with all its inputs.
 pub(super) fn first_difference(
     path: &Path,
     meta: &Meta,

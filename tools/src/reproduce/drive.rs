@@ -51,7 +51,7 @@ pub(super) struct Seen {
 /// A drive that was driven.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
-    /// What was really so, and the reference.
+    /// Ground truth and the reference.
     pub(super) rows: Vec<Row>,
     /// What the controller saw; nothing on the ideal plant, where it is the truth.
     pub(super) seen: Vec<Seen>,

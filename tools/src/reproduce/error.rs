@@ -21,9 +21,9 @@ pub enum ReproduceError {
         /// What the system says.
         source: io::Error,
     },
-    /// The folder is somebody else's.
+    /// The folder holds files that this command did not write.
     #[error(
-        "{} holds other things than an earlier reproduction ({found}); choose another folder \
+        "{} holds files that are not of an earlier reproduction ({found}); choose another folder \
          with --out",
         path.display()
     )]
@@ -33,9 +33,9 @@ pub enum ReproduceError {
         /// The first thing in it.
         found: String,
     },
-    /// A claim came out otherwise than it should.
+    /// A claim's verdict is not the expected one.
     #[error(
-        "{count} of the claims came out otherwise than expected: see the lines marked with ! and {}",
+        "{count} of the claims have another verdict than expected: see the lines marked with ! and {}",
         report.display()
     )]
     Surprise {

@@ -1,4 +1,4 @@
-//! The folder of a reproduction: what is in it, and that it is nobody else's.
+//! The folder of a reproduction; it holds no other files.
 
 use std::{
     ffi::OsStr,

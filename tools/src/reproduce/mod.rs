@@ -1,5 +1,5 @@
 //! `singletrack reproduce`: the paper's experiments and analyses, and its claims beside
-//! what they come to here.
+//! measured results.
 
 mod catalogue;
 mod circle;
@@ -34,7 +34,7 @@ use crate::vehicle_file;
 use claims::{Judged, Measurements, judge, surprises};
 use progress::Progress;
 
-/// What `singletrack reproduce` is asked.
+/// Options of `singletrack reproduce`.
 #[derive(Args, Clone, Debug)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
@@ -59,8 +59,8 @@ pub struct ReproduceArgs {
 ///
 /// # Errors
 ///
-/// When it can't be written, or when a claim came out otherwise than it should; what
-/// was computed is written all the same.
+/// When it can't be written, or when a claim's verdict is not the expected one; the
+/// files are written all the same.
 pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     let vehicle = vehicle_file::read_or_paper(args.vehicle.as_deref())?;
     let mut setup = Setup {
@@ -80,7 +80,7 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     outcome(&reproduction.claims, report)
 }
 
-/// Fails if a claim came out otherwise than it should.
+/// Fails if a claim's verdict is not the expected one.
 fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
     match surprises(claims) {
         0 => Ok(()),

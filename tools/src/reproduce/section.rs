@@ -106,7 +106,7 @@ pub struct Plate {
 pub struct Picture {
     /// The name of its file, without the ending.
     pub name: String,
-    /// What tells it from the others of its plate.
+    /// What distinguishes it from the others of its plate.
     pub label: String,
     /// The picture.
     pub figure: Figure,
@@ -144,7 +144,7 @@ impl Table {
         }
     }
 
-    /// As CSV: every digit that tells numbers apart; nothing where there is no number.
+    /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
     #[must_use]
     pub fn to_csv(&self) -> String {
         let cell = |value: &f64| {

@@ -59,7 +59,7 @@ pub(super) enum BeliefName {
 pub(super) enum Format {
     /// A header and a row for each point
     Csv,
-    /// One document, with the car and all that is known of each point
+    /// One document, with the car and all values of each point
     Json,
 }
 
@@ -128,7 +128,7 @@ pub(super) struct MapArgs {
     pub(super) format: Format,
 }
 
-/// When the loop acts.
+/// The timing of the sampled loop.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct TimingArgs {
     /// Period of the controller, in ms

@@ -1,4 +1,4 @@
-//! Why there is no result.
+//! Why a stability study failed.
 
 use std::io;
 
@@ -6,16 +6,16 @@ use singletrack_analysis::stability::{SamplingError, StabilityError};
 
 use crate::{figure::GridError, vehicle_file::VehicleFileError};
 
-/// Why there is no result.
+/// Why a stability study failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StabilityCommandError {
-    /// There is no such car.
+    /// The vehicle file is invalid.
     #[error(transparent)]
     Vehicle(#[from] VehicleFileError),
     /// There is no steady motion.
     #[error(transparent)]
     Stability(#[from] StabilityError),
-    /// The loop can't be sampled so.
+    /// The timing is invalid.
     #[error(transparent)]
     Sampling(#[from] SamplingError),
     /// There is nothing to draw a map of.

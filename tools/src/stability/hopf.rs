@@ -31,7 +31,7 @@ pub(super) struct HopfArgs {
 enum HopfFormat {
     /// A header and a row for each point
     Csv,
-    /// One document, with the car and all that is known of each point
+    /// One document, with the car and all values of each point
     Json,
     /// The paper's figure: the regions, the curve, and Lyapunov coefficients along it
     Svg,

@@ -27,7 +27,7 @@ pub use region::{RegionRow, region};
 pub use sampled::{SampledRow, sampled_map};
 pub use subject::Subject;
 
-/// What is to be known of the steady motion.
+/// Options of `singletrack stability`.
 #[derive(Clone, Debug, Args)]
 pub struct StabilityArgs {
     #[command(subcommand)]
@@ -52,11 +52,11 @@ enum StabilityCommand {
     Figures(figures::FiguresArgs),
 }
 
-/// Computes what is asked for and writes it to standard output.
+/// Runs the subcommand and writes its result to standard output.
 ///
 /// # Errors
 ///
-/// A car, law or range that makes no sense, or a result that can't be written.
+/// An invalid car, law or range, or a result that can't be written.
 pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
@@ -68,7 +68,7 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Figures(args) => figures::run(args),
     };
     match result {
-        // Whoever read it has seen enough.
+        // The reader of a pipe may close it at any time.
         Err(StabilityCommandError::Write(error)) if error.kind() == io::ErrorKind::BrokenPipe => {
             Ok(())
         }

@@ -93,12 +93,12 @@ pub struct SampledRow {
     pub longest_marker_interval_s: Option<f64>,
 }
 
-/// The sampled loop over all `speeds` and, for each, all `deviations`; tells `progress`
-/// of each point.
+/// The sampled loop over all `speeds` and, for each, all `deviations`; calls
+/// `progress` after each point.
 ///
 /// # Errors
 ///
-/// A point without a steady motion, or a timing that makes no sense.
+/// A point without a steady motion, or an invalid timing.
 pub fn sampled_map(
     subject: &Subject,
     speeds: &Grid,

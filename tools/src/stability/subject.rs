@@ -5,7 +5,7 @@ use singletrack_control::VehicleParameters;
 
 use super::grid::Grid;
 
-/// A car, its P and its law, as told on the command line.
+/// A car, its P and its law.
 #[derive(Clone, Copy, Debug)]
 pub struct Subject {
     /// The car.

@@ -23,7 +23,7 @@ pub(super) struct SummaryArgs {
     timing: TimingArgs,
 }
 
-/// Speeds that tell the story, in m/s.
+/// The speeds of the summary, in m/s.
 const SPEEDS: [f64; 5] = [0.1, 0.5, 1.0, 2.0, 5.0];
 
 pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {

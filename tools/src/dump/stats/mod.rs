@@ -1,4 +1,4 @@
-//! What there is to count: rates, gaps, losses, errors, latencies, modes.
+//! Statistics: rates, gaps, losses, errors, latencies, modes.
 
 mod report;
 mod table;
@@ -26,7 +26,7 @@ pub(super) struct Stats {
     last_ns: Option<i64>,
 }
 
-/// What is counted of a kind beside how often it comes.
+/// What is counted of a kind besides its rate.
 enum Counter {
     Ticks(Box<Ticks>),
     Telemetry(Telemetry),
@@ -265,7 +265,7 @@ impl Ticks {
     }
 }
 
-/// What the board's clock says of the telemetry that did not come.
+/// Lost telemetry, by the board's clock.
 struct Telemetry {
     board_time: Option<usize>,
     mode: Option<usize>,
@@ -337,7 +337,7 @@ impl Telemetry {
     }
 }
 
-/// The counters of the board, which wrap, and begin anew when the board does.
+/// The board's counters, which wrap, and start at zero when the board restarts.
 struct Status {
     board_time: Option<usize>,
     refusal: Option<usize>,
@@ -366,7 +366,7 @@ impl Status {
         let before = match self.last {
             Some((last_us, _)) if board_us.wrapping_sub(last_us).cast_signed() < 0 => [0; _],
             Some((_, last)) => last,
-            // What was before is not of this record.
+            // Counts before the record began do not belong to it.
             None => now,
         };
         for ((sum, now), before) in counters.counts.iter_mut().zip(now).zip(before) {
@@ -379,7 +379,7 @@ impl Status {
     }
 }
 
-/// What the motion capture said.
+/// Poses and frames of the motion capture.
 struct Poses {
     frame_number: Option<usize>,
     state: Option<usize>,
@@ -408,7 +408,7 @@ impl Poses {
     fn add(&mut self, time_ns: i64, values: &[Value]) {
         let state = word(values, self.state);
         if let Some(number) = number(values, self.frame_number) {
-            // Numbers that go back are those of another stream.
+            // Numbers that go back belong to another stream.
             let missing = self.last_frame.map_or(0, |last| number - last - 1);
             self.frames_missing += u64::try_from(missing).unwrap_or_default();
             self.last_frame = Some(number);
@@ -436,7 +436,7 @@ impl Poses {
     }
 }
 
-/// What is no frame.
+/// Bytes that are not a frame.
 struct Broken {
     reason: Option<usize>,
     counts: BTreeMap<String, u64>,

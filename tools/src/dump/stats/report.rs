@@ -1,17 +1,16 @@
-//! What has been counted, for a program; the same as a page for a person is in
-//! `table`.
+//! The statistics for a program; `table` prints them for a person.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 use singletrack_statistics::Distribution;
 
-/// Everything that was counted. What was not there to be counted is null or empty.
+/// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(in crate::dump) struct Report {
-    /// What was looked at.
+    /// The source.
     pub(super) source: String,
     /// Whether it is a record that has not been finished.
     pub(super) unfinished: bool,
-    /// Rows that came faster than they were taken, and are not counted.
+    /// Rows that arrived faster than they were read, and are not counted.
     pub(super) missed: u64,
     /// From the first row to the last.
     pub(super) span_s: f64,
@@ -19,11 +18,11 @@ pub(in crate::dump) struct Report {
     pub(super) topics: Vec<TopicReport>,
     /// The line from the board to the host.
     pub(super) line: LineReport,
-    /// What the board counted meanwhile.
+    /// The board's counters.
     pub(super) board: Option<BoardCounters>,
-    /// What the motion capture said.
+    /// Poses of the motion capture.
     pub(super) poses: Option<PoseReport>,
-    /// What the control thread counted.
+    /// Ticks of the control thread.
     pub(super) ticks: Option<TickReport>,
     /// Entries that did not reach the record.
     pub(super) entries_dropped: u64,
@@ -52,10 +51,10 @@ pub(super) struct TopicReport {
     pub(super) longest_gap_at_s: Option<f64>,
 }
 
-/// What became of the frames on the line.
+/// Frames on the line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct LineReport {
-    /// Whether there was telemetry to judge by.
+    /// Whether there was telemetry.
     #[serde(skip)]
     pub(super) telemetry: bool,
     /// Telemetry records that the board's clock misses.
@@ -65,14 +64,14 @@ pub(super) struct LineReport {
     pub(super) longest_gap_ms: Option<f64>,
     pub(super) longest_gap_at_s: Option<f64>,
     pub(super) board_restarts: u64,
-    /// What was no frame, by reason.
+    /// Bytes that are not a frame, by reason.
     #[serde(serialize_with = "as_map")]
     pub(super) broken: Vec<Count>,
     pub(super) bytes: Option<u64>,
     pub(super) bytes_per_s: Option<f64>,
 }
 
-/// How often something was so.
+/// A number of occurrences.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Count {
     pub(super) what: String,
@@ -124,29 +123,29 @@ impl Serialize for BoardCounters {
     }
 }
 
-/// What the motion capture said.
+/// Poses of the motion capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PoseReport {
-    /// Frames by what they said of the car.
+    /// Frames by the state of the car in them.
     #[serde(serialize_with = "as_map")]
     pub(super) states: Vec<Count>,
-    /// Numbers of frames that never came.
+    /// Frame numbers that never arrived.
     pub(super) frames_missing: u64,
     /// The longest time between two valid poses, if there are two.
     pub(super) longest_between_valid_ms: Option<f64>,
     pub(super) longest_between_valid_at_s: Option<f64>,
 }
 
-/// What the control thread counted.
+/// Ticks of the control thread.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct TickReport {
     /// Points of the grid without a tick: the one before took too long.
     pub(super) skipped: u64,
     /// Events that the pilot never saw.
     pub(super) events_dropped: u64,
-    /// Ticks that no new valid pose came to.
+    /// Ticks without a new valid pose.
     pub(super) without_new_pose: u64,
-    /// Commands that found no room on the line.
+    /// Commands that the line had no room for.
     pub(super) commands_not_written: u64,
 }
 

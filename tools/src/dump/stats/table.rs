@@ -1,4 +1,4 @@
-//! What has been counted, as a page for a person.
+//! The statistics as a page for a person.
 
 use core::fmt;
 
@@ -178,7 +178,7 @@ fn distribution(page: &mut fmt::Formatter<'_>, of: &Durations) -> fmt::Result {
     let most = of.histogram.iter().map(|bucket| bucket.count).max();
     for bucket in &of.histogram {
         write!(page, "\n  up to {:>9} {:>9}", bucket.up_to, bucket.count)?;
-        // Whatever is there is seen.
+        // Every bucket that is not empty has a bar.
         let bar = (bucket.count * BAR).div_ceil(most.unwrap_or(1).max(1));
         if bar > 0 {
             write!(page, "  {}", "#".repeat(bar as usize))?;
