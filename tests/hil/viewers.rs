@@ -7,6 +7,7 @@ use std::{
 
 use serde_json::{Value, json};
 use singletrack_hil::{Failure, Outcome, bench::Bench, ensure};
+use singletrack_statistics::Distribution;
 use socket2::{Domain, Socket, Type};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
@@ -54,9 +55,9 @@ fn looked_at(bench: &mut Bench) -> Outcome {
     let status = bench.status()?;
     let lost = status.figure("/dropped/record_entries")?;
     ensure!(lost == 0.0, "the record misses {lost} entries");
-    let [alone, watched] = [alone, watched].map(|mut values| {
-        values.sort_by(f64::total_cmp);
-        [0.5, 0.99].map(|part| percentile(&values, part))
+    let [alone, watched] = [alone, watched].map(|values| {
+        let values = Distribution::of(values);
+        [0.5, 0.99].map(|part| values.quantile(part).unwrap_or(f64::NAN))
     });
     bench.at_most(
         "lateness of a tick in two, times that without viewers",
@@ -83,13 +84,6 @@ fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
         values.push(late_ns.max(1.0) * 1e-3);
     }
     Ok(())
-}
-
-/// The smallest value that so large a part of them does not exceed.
-fn percentile(sorted: &[f64], part: f64) -> f64 {
-    let rank = (part * sorted.len() as f64).ceil() as usize;
-    let value = sorted.get(rank.saturating_sub(1));
-    value.copied().unwrap_or(f64::NAN)
 }
 
 /// Wants everything, and takes nothing. With the room that a viewer usually has for

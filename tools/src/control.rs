@@ -1,4 +1,4 @@
-//! `singletrack status|arm|disarm|stop`: a word with the running daemon.
+//! `singletrack status|arm|disarm|stop`: requests to the running daemon.
 
 use std::{
     io::{self, BufRead, BufReader, Write},
@@ -19,10 +19,10 @@ pub struct ControlArgs {
     pub(crate) socket: PathBuf,
 }
 
-/// What may be asked of the daemon.
+/// A request to the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlCommand {
-    /// How it is doing.
+    /// Its status.
     Status,
     /// Start driving along the reference.
     Arm,
@@ -43,10 +43,10 @@ impl ControlCommand {
     }
 }
 
-/// Why the daemon did not do what it was asked.
+/// Why the request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// Nobody listens.
+    /// No process listens at the socket.
     #[error(
         "can't reach the daemon at {}: {source}; is singletrackd running, with this socket.path?",
         path.display()
@@ -57,11 +57,11 @@ pub enum ControlError {
         /// What the system says.
         source: io::Error,
     },
-    /// The conversation broke off.
-    #[error("the daemon broke off: {0}")]
+    /// The connection failed.
+    #[error("lost the connection to the daemon: {0}")]
     BrokeOff(#[from] io::Error),
     /// The answer can't be read.
-    #[error("the daemon's answer makes no sense: {0}; are its version and this one the same?")]
+    #[error("can't understand the daemon's answer: {0}; is it the same version as singletrack?")]
     Answer(#[from] serde_json::Error),
     /// The output can't be written.
     #[error("can't write to standard output: {0}")]
@@ -71,8 +71,8 @@ pub enum ControlError {
     Refused(String),
 }
 
-/// Asks the daemon and prints what comes of it: its status as JSON, anything
-/// else in words. Whoever reads that may stop at any time.
+/// Sends the request and prints the result: the status as JSON, any other in words.
+/// A closed pipe is no error.
 ///
 /// # Errors
 ///
@@ -82,7 +82,7 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
         &json!({ "version": SOCKET_VERSION, "command": command.name() }),
         &args.socket,
     )?;
-    tell(&match command {
+    print(&match command {
         ControlCommand::Status => {
             serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
         }
@@ -92,8 +92,8 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
     })
 }
 
-/// Prints what came of it. Whoever reads that may stop at any time.
-pub(crate) fn tell(text: &str) -> Result<(), ControlError> {
+/// Prints a result. A closed pipe is no error.
+pub(crate) fn print(text: &str) -> Result<(), ControlError> {
     let mut stdout = io::stdout().lock();
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(ControlError::Output(error)),
@@ -108,7 +108,7 @@ pub(crate) fn connect(path: &Path) -> Result<UnixStream, ControlError> {
     })
 }
 
-/// The daemon's answer to one line, if it agrees.
+/// The daemon's answer to one line, unless it is a refusal.
 pub(crate) fn ask(line: &Value, path: &Path) -> Result<Value, ControlError> {
     let mut stream = connect(path)?;
     stream.write_all(format!("{line}\n").as_bytes())?;

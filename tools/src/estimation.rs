@@ -4,6 +4,7 @@ use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLossKind;
 use singletrack_pilot::Mode;
 use singletrack_sim::{LossPattern, Truth};
+use singletrack_statistics::RootMeanSquare;
 
 use crate::{
     simulate::{CarError, Scenario, virtual_drive_config},
@@ -91,10 +92,10 @@ pub fn study(
     }
 }
 
-/// Sums of squares.
+/// Errors of the estimate and of the tracking, summed over the ticks.
 #[derive(Default)]
 struct Sum {
-    squares: [f64; 6],
+    errors: [RootMeanSquare; 6],
     worst_position: f64,
     ticks: u32,
 }
@@ -110,8 +111,8 @@ impl Sum {
             estimate.speed - truth.speed,
             tracking,
         ];
-        for (square, error) in self.squares.iter_mut().zip(errors) {
-            *square += error * error;
+        for (sum, error) in self.errors.iter_mut().zip(errors) {
+            sum.add(error);
         }
         self.worst_position = self.worst_position.max(position);
         self.ticks += 1;
@@ -125,9 +126,7 @@ impl Sum {
             sideslip_rad,
             speed_m_s,
             tracking_m,
-        ] = self
-            .squares
-            .map(|square| (square / f64::from(self.ticks.max(1))).sqrt());
+        ] = self.errors.map(|errors| errors.value().unwrap_or(0.0));
         EstimationStudy {
             errors: EstimateErrors {
                 position_m,

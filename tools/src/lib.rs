@@ -26,6 +26,7 @@ pub mod vehicle_file;
 pub mod virtual_drive;
 pub mod virtual_record;
 
+mod csv_text;
 mod interrupt;
 #[cfg(feature = "desk")]
 mod template;

@@ -14,7 +14,7 @@ use singletrack::{
 #[cfg(feature = "desk")]
 use singletrack::{demo, identify, plot, reproduce, stability};
 
-/// Drive a small car by feedback linearisation: simulate, drive, look.
+/// Drive a small car by feedback linearisation: simulate, drive, analyse.
 #[derive(Parser)]
 #[command(version, max_term_width = 100)]
 struct Cli {
@@ -27,17 +27,17 @@ enum Command {
     #[cfg(feature = "desk")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
-    /// Print or count what is in a record, what the daemon sees now, or what is on the line.
+    /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     #[cfg(feature = "desk")]
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),
-    /// Make a complete record of one that was cut or damaged.
+    /// Repair a truncated or damaged record.
     Recover(recover::RecoverArgs),
-    /// Give the pilot what it saw in a record again, and compare what it does.
+    /// Run the pilot on a record's inputs again and compare its outputs with the recorded ones.
     Replay(replay::ReplayArgs),
     #[cfg(feature = "desk")]
-    /// Repeat the paper's experiments and analyses, and compare its claims with what they come to.
+    /// Repeat the paper's experiments and analyses, and compare its claims with measured results.
     Reproduce(reproduce::ReproduceArgs),
     /// Run a scenario in virtual time and print its trajectory.
     Simulate {
@@ -46,25 +46,25 @@ enum Command {
         /// How to print it.
         #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
         format: SimulateFormat,
-        /// Leave a record, as the daemon does: what the pilot saw and did in every tick.
+        /// Write a record, as the daemon does: every tick's inputs and outputs.
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
     },
     #[cfg(feature = "desk")]
-    /// Where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
+    /// Compute where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
     Stability(stability::StabilityArgs),
     #[cfg(feature = "desk")]
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
-    /// Ask the daemon how it is doing.
+    /// Print the daemon's status.
     Status(control::ControlArgs),
-    /// Have the daemon drive along its reference.
+    /// Arm the car and start driving.
     Arm(control::ControlArgs),
-    /// Have the car slow down, stop and be disarmed.
+    /// Slow down, stop and disarm.
     Disarm(control::ControlArgs),
     /// Emergency stop: neutral at once, until the board is reset.
     Stop(control::ControlArgs),
-    /// Give a car that stands another reference, until the configuration is read anew.
+    /// Replace the reference of a standing car; it lasts until the configuration is reloaded.
     SetReference(set_reference::SetReferenceArgs),
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
@@ -121,7 +121,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
                 eprintln!("singletrack: note: {note}");
             }
             match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
-                // Whoever read the rows has seen enough.
+                // The reader of a pipe may close it at any time.
                 Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
                 result => result?,
             }

@@ -1,4 +1,4 @@
-//! `singletrack recover`: a complete record of an unfinished or damaged one.
+//! `singletrack recover`: repairs an unfinished or damaged record.
 
 use std::{
     io::{self, Write},
@@ -12,22 +12,22 @@ use singletrack_record::{RecordError, Recovery};
 /// Options of `singletrack recover`.
 #[derive(Args)]
 pub struct RecoverArgs {
-    /// The record, such as NAME.mcap.part. It stays as it is.
+    /// The record, such as NAME.mcap.part. It is not changed.
     record: PathBuf,
-    /// Where the new one goes: NAME.mcap unless told, or NAME.recovered.mcap for a
-    /// record that has that name.
-    #[arg(long, value_name = "FILE")]
+    /// Where the repaired record goes [default: NAME.mcap, or NAME.recovered.mcap for a
+    /// record that has that name].
+    #[arg(long, alias = "out", value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
-/// Nothing was recovered, or it could not be told.
+/// Nothing was recovered, or the result could not be printed.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
     /// The record.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The output cannot be written.
-    #[error("cannot write to standard output: {0}")]
+    /// The output can't be written.
+    #[error("can't write to standard output: {0}")]
     Output(#[from] io::Error),
 }
 
@@ -35,7 +35,7 @@ pub enum RecoverError {
 ///
 /// # Errors
 ///
-/// When the record cannot be read, holds nothing, or the new one cannot be
+/// When the record can't be read, holds nothing, or the new one can't be
 /// written.
 pub fn run(args: &RecoverArgs) -> Result<(), RecoverError> {
     let output = match &args.output {

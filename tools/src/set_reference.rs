@@ -1,4 +1,4 @@
-//! `singletrack set-reference`: another reference for a car that stands.
+//! `singletrack set-reference`: replaces the reference of a standing car.
 
 use std::{
     fs, io,
@@ -13,7 +13,7 @@ use singletrackd::SOCKET_VERSION;
 
 use crate::control::{self, ControlArgs, ControlError};
 
-/// What to drive along.
+/// The new reference.
 #[derive(Clone, Debug, Args)]
 pub struct SetReferenceArgs {
     /// A TOML file with a table [reference], as in the daemon's configuration, and nothing else
@@ -23,7 +23,7 @@ pub struct SetReferenceArgs {
     control: ControlArgs,
 }
 
-/// Why the reference is the one of before.
+/// Why the reference was not replaced.
 #[derive(Debug, thiserror::Error)]
 pub enum SetReferenceError {
     /// The file can't be read.
@@ -34,7 +34,7 @@ pub enum SetReferenceError {
         /// What the system says.
         source: io::Error,
     },
-    /// It is no reference.
+    /// The file is not a reference.
     #[error(
         "{}: {source}a table [reference] is needed, as in the daemon's configuration, and nothing else",
         .path.display()
@@ -53,7 +53,7 @@ pub enum SetReferenceError {
         /// Why not.
         source: serde_json::Error,
     },
-    /// The daemon says no, or nothing.
+    /// The daemon refuses or does not answer.
     #[error(transparent)]
     Control(#[from] ControlError),
 }
@@ -64,11 +64,11 @@ struct File {
     reference: ReferenceSection,
 }
 
-/// Sends the reference and says which configuration it came into force with.
+/// Sends the reference and prints the number of the configuration that has it.
 ///
 /// # Errors
 ///
-/// When it is none, or the daemon does not take it.
+/// The file is not a reference, or the daemon refuses it.
 pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
     let reference = read(&args.file)?;
     let line = json!({
@@ -78,12 +78,12 @@ pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
     });
     let answer = control::ask(&line, &args.control.socket)?;
     let number = answer.get("configuration").unwrap_or(&Value::Null);
-    Ok(control::tell(&format!(
-        "the car will drive along it: configuration {number} is in force"
+    Ok(control::print(&format!(
+        "reference replaced: configuration {number} is in force"
     ))?)
 }
 
-/// The reference in a file, whose waypoints the daemon finds wherever it runs.
+/// The reference in a file, with absolute paths: the daemon runs in another folder.
 fn read(path: &Path) -> Result<Value, SetReferenceError> {
     let read = |source| SetReferenceError::Read {
         path: path.to_owned(),

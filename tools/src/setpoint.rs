@@ -1,7 +1,7 @@
 //! `singletrack setpoint`: set-points from standard input to the daemon.
 //!
-//! One a line: `VX VY`, how fast P should move, in m/s; `VX VY X Y` says where
-//! it should be as well, in m; or a JSON object with the keys of the socket's
+//! One a line: `VX VY`, the velocity of P in m/s; `VX VY X Y`, its position in m as
+//! well; or a JSON object with the keys of the socket's
 //! command, `{"velocity_m_s":[0.4,0.0]}`. The car stops soon after the last.
 
 use std::{
@@ -33,8 +33,8 @@ pub struct SetpointArgs {
 /// Why set-points no longer reach the daemon.
 #[derive(Debug, thiserror::Error)]
 pub enum SetpointError {
-    /// A line that is none.
-    #[error("line {number}: {line:?} is no set-point: {reason}; write VX VY, or VX VY X Y")]
+    /// A line that is not a set-point.
+    #[error("line {number}: {line:?} is not a set-point: {reason}; write VX VY, or VX VY X Y")]
     Line {
         /// From 1.
         number: u64,
@@ -46,15 +46,15 @@ pub enum SetpointError {
     /// The lines can't be read.
     #[error("can't read standard input: {0}")]
     Input(io::Error),
-    /// The daemon says no, or nothing.
+    /// The daemon refuses or does not answer.
     #[error(transparent)]
     Control(#[from] ControlError),
 }
 
-/// How long a daemon that does not read may keep us waiting.
+/// Time limit for a write to a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// What happens on one of the two sides.
+/// An event on standard input or on the socket.
 enum Event {
     Line {
         number: u64,
@@ -66,11 +66,11 @@ enum Event {
     Closed(io::Result<()>),
 }
 
-/// Sends what comes on standard input until that ends.
+/// Sends the set-points of standard input until its end.
 ///
 /// # Errors
 ///
-/// The first line that is no set-point, or that the daemon refuses.
+/// The first line that is not a set-point, or that the daemon refuses.
 pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
     let mut stream = control::connect(&args.control.socket)?;
     let prepared = || -> io::Result<UnixStream> {
@@ -118,7 +118,7 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
     Ok(())
 }
 
-/// What happens, in order, but of lines that came meanwhile only the last.
+/// The events in order; of the lines that are waiting, only the last.
 struct Newest {
     events: Receiver<Event>,
     /// What came after the last line.
@@ -153,7 +153,7 @@ fn read_input(events: &Sender<Event>) {
             Ok(text) if text.trim().is_empty() => {}
             Ok(text) => {
                 let time_ns = monotonic_ns();
-                // Nobody listens any more when the process is about to end.
+                // The receiver is gone when the process is about to end.
                 let _ = events.send(Event::Line {
                     number,
                     text,

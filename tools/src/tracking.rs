@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use serde::Serialize;
+use singletrack_statistics::RootMeanSquare;
 
 /// P and its reference at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,20 +44,21 @@ pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) ->
     let samples = &samples[first..];
     let count = samples.len() as f64;
 
-    let (mut along, mut across, mut squares) = (0.0, 0.0, 0.0);
+    let (mut along, mut across) = (0.0, 0.0);
+    let mut errors = RootMeanSquare::default();
     for sample in samples {
         let [x, y] = [0, 1].map(|axis| sample.point[axis] - centre[axis]);
         let [rx, ry] = [0, 1].map(|axis| sample.reference[axis] - centre[axis]);
         let radius = rx.hypot(ry);
         along += (x * rx + y * ry) / radius;
         across += (x * ry - y * rx) / radius;
-        squares += (x - rx).powi(2) + (y - ry).powi(2);
+        errors.add_square((x - rx).powi(2) + (y - ry).powi(2));
     }
     let (along, across) = (along / count, across / count);
     Some(Tracking {
         amplitude_m: along.hypot(across),
         lag_rad: across.atan2(along) * angular_velocity.signum(),
-        rms_error_m: (squares / count).sqrt(),
+        rms_error_m: errors.value()?,
     })
 }
 

@@ -366,10 +366,7 @@ fn the_report_is_one_file_with_summary_figures_and_numbers() {
             "duration",
             "10.19 s, of which P followed its reference for 9.99 s",
         ),
-        (
-            "ended",
-            "stopping at 10.00 s, because of requested; then ready",
-        ),
+        ("ended", "stopped on request at 10.00 s; then ready"),
         ("tracking error", &format!("{:.1} mm RMS", error * 1000.0)),
         ("speed", "0.400 m/s at the median"),
         ("markers", "lost once, for 200 ms at most; 20 frames"),

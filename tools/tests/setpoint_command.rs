@@ -80,7 +80,7 @@ fn a_reference_comes_into_force_with_waypoints_beside_its_file() {
     assert_eq!(text(&output.stderr), "");
     assert_eq!(
         text(&output.stdout),
-        "the car will drive along it: configuration 2 is in force\n"
+        "reference replaced: configuration 2 is in force\n"
     );
     assert_eq!(fixture.daemon.configuration().number, 2);
 }
@@ -140,5 +140,8 @@ fn a_set_point_that_is_refused_is_an_error_in_the_daemons_words() {
     let output = singletrack(&["setpoint"], &fixture.socket, "0.3\n");
     assert!(!output.status.success());
     let error = text(&output.stderr);
-    assert!(error.contains("line 1: \"0.3\" is no set-point"), "{error}");
+    assert!(
+        error.contains("line 1: \"0.3\" is not a set-point"),
+        "{error}"
+    );
 }

@@ -2,6 +2,7 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use jiff::Timestamp;
 use rustix::{
     thread::clock_nanosleep_absolute,
     time::{ClockId, Timespec, clock_gettime},
@@ -44,44 +45,13 @@ pub(crate) fn wall_ns() -> u64 {
         })
 }
 
-/// A moment in UTC as `20250131T235959Z`.
+/// A time on the wall in UTC, as `20250131T235959Z`.
 pub(crate) fn compact_utc(wall_ns: u64) -> String {
-    let seconds = wall_ns / SECOND_NS;
-    let (mut days, of_day) = (seconds / 86_400, seconds % 86_400);
-    let is_leap = |year: u64| {
-        year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
-    };
-    let mut year = 1970;
-    while days >= 365 + u64::from(is_leap(year)) {
-        days -= 365 + u64::from(is_leap(year));
-        year += 1;
-    }
-    let mut month = 1;
-    for length in [
-        31,
-        28 + u64::from(is_leap(year)),
-        31,
-        30,
-        31,
-        30,
-        31,
-        31,
-        30,
-        31,
-        30,
-        31,
-    ] {
-        if days < length {
-            break;
-        }
-        days -= length;
-        month += 1;
-    }
-    let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
-    format!(
-        "{year:04}{month:02}{:02}T{hour:02}{minute:02}{second:02}Z",
-        days + 1
-    )
+    // All that fits into 64 bits is within the calendar: 1970 to 2554.
+    Timestamp::from_nanosecond(i128::from(wall_ns))
+        .unwrap_or_default()
+        .strftime("%Y%m%dT%H%M%SZ")
+        .to_string()
 }
 
 #[cfg(test)]
@@ -97,6 +67,7 @@ mod tests {
             (1_735_689_599, "20241231T235959Z"),
             (1_735_689_600, "20250101T000000Z"),
             (4_107_542_400, "21000301T000000Z"),
+            (18_446_744_073, "25540721T233433Z"),
         ] {
             assert_eq!(compact_utc(seconds * SECOND_NS), text);
         }

@@ -7,11 +7,9 @@ use singletrack_core::LineCounters;
 use singletrack_mocap::Counters as MocapCounters;
 use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
+use singletrack_statistics::{DurationHistogram, Percentiles};
 
-use crate::{
-    histogram::{Histogram, Percentiles},
-    realtime::RealTimeStatus,
-};
+use crate::realtime::RealTimeStatus;
 
 /// What a run came to.
 #[derive(Clone, Debug, Serialize)]
@@ -130,9 +128,9 @@ pub struct Dropped {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
     figures: Figures,
-    lateness: Histogram,
-    latency: Histogram,
-    duration: Histogram,
+    lateness: DurationHistogram,
+    latency: DurationHistogram,
+    duration: DurationHistogram,
 }
 
 impl Tally {

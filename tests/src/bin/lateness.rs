@@ -18,6 +18,7 @@ use singletrack_hil::{
     ensure, program,
 };
 use singletrack_sim::BoardKind;
+use singletrack_statistics::Distribution;
 
 /// Lateness of the shipped daemon's ticks against cyclictest's.
 #[derive(Debug, Parser)]
@@ -81,17 +82,17 @@ fn measure(options: &Options) -> Outcome {
         "us", "samples", "p50", "p99", "p99.9", "max"
     );
     let rows = [
-        ("daemon, lateness", &mut ours),
-        ("cyclictest", &mut theirs),
-        ("daemon, capture to command", &mut latency),
+        ("daemon, lateness", ours),
+        ("cyclictest", theirs),
+        ("daemon, capture to command", latency),
     ];
     let [ours, theirs, _] = rows.map(|(name, values)| {
-        values.sort_by(f64::total_cmp);
-        let of = [0.5, 0.99, 0.999, 1.0].map(|part| percentile(values, part));
+        let values = Distribution::of(values);
+        let of = [0.5, 0.99, 0.999, 1.0].map(|part| values.quantile(part).unwrap_or(f64::NAN));
         let [p50, p99, p999, max] = of;
         println!(
             "{name:<28} {:>8} {p50:>8.1} {p99:>8.1} {p999:>8.1} {max:>8.1}",
-            values.len()
+            values.count()
         );
         of
     });
@@ -109,15 +110,6 @@ fn measure(options: &Options) -> Outcome {
         ratio(3)
     );
     Ok(())
-}
-
-/// The smallest value that so large a part of them does not exceed.
-fn percentile(sorted: &[f64], part: f64) -> f64 {
-    let rank = (part * sorted.len() as f64).ceil() as usize;
-    sorted
-        .get(rank.saturating_sub(1))
-        .copied()
-        .unwrap_or(f64::NAN)
 }
 
 /// Drives for a while, and takes down how late every tick was, in us.

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use singletrack_sim::{ImageSize, Installation, SimulatedBoard};
 
-use super::DemoError;
+use super::error::DemoError;
 
 /// What the UNO's image took of its processor, from power-on to the end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

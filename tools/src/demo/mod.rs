@@ -5,169 +5,32 @@
 //! pseudo-terminal and its cameras are UDP packets: nothing of it knows that
 //! the car is simulated.
 
+mod arguments;
 mod board_figures;
+mod error;
+mod files;
+mod outcome;
 mod progress;
 mod report;
 mod settings;
 
 use std::{
-    io,
-    path::{Path, PathBuf},
     thread,
     time::{Duration, Instant},
 };
 
 use board_figures::BoardFigures;
-use clap::Args;
+use files::{CONFIGURATION, RECORD, SIMULATION, prepare, write};
+use outcome::{Drive, Ended};
 use progress::Progress;
-use singletrack_core::ConfigError;
-use singletrack_pilot::{Mode, Reason, Request};
-use singletrack_sim::{
-    BoardKind, LossPattern, RealTimeError, RealTimeSimulator, TimedTruth, parse_duration_us,
-};
-use singletrackd::{Daemon, Snapshot, StartError, StartOptions, StopError, Summary};
+use singletrack_pilot::{Mode, Request};
+use singletrack_sim::RealTimeSimulator;
+use singletrackd::{Daemon, Snapshot, StartOptions};
 
-use crate::{
-    interrupt::Interrupt,
-    plot::{FigureKind, PlotError, REPORT},
-};
+use crate::interrupt::Interrupt;
 
-/// What the demo is told.
-#[derive(Clone, Debug, Args)]
-pub struct DemoArgs {
-    /// How long to drive, such as 40s; a bare number is in seconds
-    #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
-    duration: Duration,
-
-    /// What runs on the board: its code, compiled for this machine, or the Arduino's
-    /// image on a simulated processor (`cargo uno` builds it)
-    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
-    board: BoardKind,
-
-    /// Where the configuration, the record, the figures and the summary go
-    #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
-    out: PathBuf,
-
-    /// All random numbers of the simulation follow from this
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-
-    /// Add the reference's velocity to the position loop: the error goes to zero
-    #[arg(long)]
-    feed_forward: bool,
-
-    /// Show the drive live, to Foxglove, Lichtblick and PlotJuggler on this machine: on
-    /// port 8765 unless told another
-    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
-    live: Option<u16>,
-
-    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
-    #[arg(long, value_name = "DURATION@INTERVAL")]
-    loss: Option<LossPattern>,
-}
-
-/// Why a demo failed.
-#[derive(Debug, thiserror::Error)]
-pub enum DemoError {
-    /// Something can't be written.
-    #[error("can't write {}: {source}", path.display())]
-    Write {
-        /// What.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// Ctrl-C can't be listened for.
-    #[error("can't listen for signals: {0}")]
-    Signals(io::Error),
-    /// Somebody ended it early.
-    #[error("interrupted")]
-    Interrupted,
-    /// No private folder for socket and port.
-    #[error("can't make a temporary folder: {0}")]
-    Temporary(io::Error),
-    /// The simulator does not run.
-    #[error("the simulator: {0}")]
-    Simulator(#[from] RealTimeError),
-    /// The UNO's image, or the processor that it ran on.
-    #[error("the board: {0}")]
-    Board(String),
-    /// The daemon would not take its configuration.
-    #[error("the configuration: {0}")]
-    Config(#[from] ConfigError),
-    /// The configuration can't be written as TOML.
-    #[error("the configuration: {0}")]
-    Toml(#[from] toml::ser::Error),
-    /// The daemon does not start.
-    #[error("the daemon: {0}")]
-    Start(#[from] StartError),
-    /// The daemon did not end well.
-    #[error("the daemon: {0}")]
-    Stop(#[from] StopError),
-    /// There are no figures of the drive.
-    #[error(transparent)]
-    Plot(#[from] PlotError),
-    /// The daemon takes no requests.
-    #[error("the daemon: {0}")]
-    Stalled(#[from] singletrack_core::Stalled),
-    /// The car was never ready, or did not start.
-    #[error(
-        "the car did not start within {seconds} s: mode {mode}{}",
-        because(*reason)
-    )]
-    NotStarted {
-        /// The mode that it stayed in.
-        mode: Mode,
-        /// Why.
-        reason: Option<Reason>,
-        /// How long it was given.
-        seconds: u64,
-    },
-    /// The car stopped before its time.
-    #[error(
-        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}{}",
-        because(*reason), folder.display(), hint(*reason)
-    )]
-    Ended {
-        /// The mode it went to.
-        mode: Mode,
-        /// Why.
-        reason: Option<Reason>,
-        /// How long it drove, in s.
-        after_s: f64,
-        /// How long it should have, in s.
-        wanted_s: f64,
-        /// Where its record is.
-        folder: PathBuf,
-    },
-}
-
-fn because(reason: Option<Reason>) -> String {
-    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
-}
-
-/// What may be behind a stop that has nothing to do with the drive.
-fn hint(reason: Option<Reason>) -> &'static str {
-    match reason {
-        Some(Reason::BoardFailsafe | Reason::ImuSilent | Reason::LinkDown) => {
-            "\n(a command lives for 95 ms; a machine that is busy with other work can hold up \
-             a pseudo-terminal for longer: is this one?)"
-        }
-        _ => "",
-    }
-}
-
-fn parse_duration(text: &str) -> Result<Duration, String> {
-    let micros = match text.trim().parse::<u32>() {
-        Ok(seconds) => u64::from(seconds) * 1_000_000,
-        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
-    };
-    if (100_000..=86_400_000_000).contains(&micros) {
-        Ok(Duration::from_micros(micros))
-    } else {
-        Err(format!("{text} is not between 0.1s and 86400s"))
-    }
-}
+pub use arguments::DemoArgs;
+pub use error::DemoError;
 
 /// How long board, cameras and estimator may take to be ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(15);
@@ -175,23 +38,6 @@ const READY_TIMEOUT: Duration = Duration::from_secs(15);
 const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 /// How often the demo looks at the daemon.
 const POLL: Duration = Duration::from_millis(50);
-
-/// A drive that has come to its end, for the report.
-#[derive(Debug)]
-struct Drive {
-    /// How it ended before its time, if it did.
-    ended: Option<Ended>,
-    /// CLOCK_MONOTONIC of the first driving tick, in ns.
-    start_ns: u64,
-    /// How long the car drove, in s.
-    duration_s: f64,
-    /// Where the car truly was.
-    truth: Vec<TimedTruth>,
-    /// What the daemon counted.
-    summary: Summary,
-    /// What the image took of its processor.
-    board: Option<BoardFigures>,
-}
 
 /// Runs the demo.
 ///
@@ -275,40 +121,6 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
 }
 
-/// The files of a demo.
-const RECORD: &str = "demo.mcap";
-const CONFIGURATION: &str = "demo.toml";
-const SIMULATION: &str = "simulation.toml";
-const SUMMARY: &str = "summary.json";
-/// A folder.
-const FIGURES: &str = "figures";
-
-/// Makes the folder; removes what an earlier demo left there.
-fn prepare(folder: &Path) -> Result<(), DemoError> {
-    let error = |source| DemoError::Write {
-        path: folder.to_owned(),
-        source,
-    };
-    std::fs::create_dir_all(folder).map_err(error)?;
-    let unfinished = singletrack_record::part_path(Path::new(RECORD));
-    let files = [RECORD, CONFIGURATION, SIMULATION, SUMMARY, REPORT].map(PathBuf::from);
-    let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
-    for file in files.into_iter().chain([unfinished]).chain(figures) {
-        match std::fs::remove_file(folder.join(file)) {
-            Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(error(source)),
-            _ => {}
-        }
-    }
-    Ok(())
-}
-
-fn write(path: &Path, text: &str) -> Result<(), DemoError> {
-    std::fs::write(path, text).map_err(|source| DemoError::Write {
-        path: path.to_owned(),
-        source,
-    })
-}
-
 /// Waits until the car can drive, arms it, and waits until it does. Returns
 /// CLOCK_MONOTONIC of its first driving tick, in ns.
 fn start(
@@ -356,14 +168,6 @@ fn drive_start_ns(snapshot: &Snapshot) -> Option<u64> {
     let tick = snapshot.tick?;
     let driven_ns = (tick.drive_time_s? * 1e9) as u64;
     Some(tick.start_ns.saturating_sub(driven_ns))
-}
-
-/// A drive that ended before its time.
-#[derive(Clone, Copy, Debug)]
-struct Ended {
-    mode: Mode,
-    reason: Option<Reason>,
-    after_s: f64,
 }
 
 /// Watches the drive for its duration.

@@ -1,4 +1,4 @@
-//! What the demo leaves behind: a summary, figures, and a few lines to read.
+//! The results of the demo: a summary, figures, and a few printed lines.
 
 use std::io::{self, Write};
 
@@ -8,8 +8,12 @@ use singletrack_sim::{LossPattern, TimedTruth};
 use singletrackd::{Percentiles, Summary};
 
 use super::{
-    BoardFigures, CONFIGURATION, DemoArgs, DemoError, Drive, FIGURES, RECORD, SIMULATION, SUMMARY,
-    settings, write as write_file,
+    arguments::DemoArgs,
+    board_figures::BoardFigures,
+    error::DemoError,
+    files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
+    outcome::Drive,
+    settings,
 };
 use crate::{
     plot::{
@@ -68,7 +72,7 @@ struct Milliseconds {
     max: f64,
 }
 
-/// Writes the summary and tells the person, also of the report if it is there.
+/// Writes the summary, and prints it with the path of the report if there is one.
 pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
@@ -108,8 +112,8 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         path: args.out.join(SUMMARY),
         source: error.into(),
     })?;
-    write_file(&args.out.join(SUMMARY), &format!("{json}\n"))?;
-    // The reader of a pipe may have seen enough.
+    files::write(&args.out.join(SUMMARY), &format!("{json}\n"))?;
+    // A closed pipe is no error.
     let _ = print(
         &mut io::stdout().lock(),
         args,
@@ -138,7 +142,7 @@ fn samples(drive: &Drive) -> Vec<Sample> {
         .collect()
 }
 
-/// Writes the figures of the record, with what was really so.
+/// Writes the figures of the record, with ground truth.
 pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotError> {
     let mut record = Record::read(&args.out.join(RECORD))?;
     let (number, drive) = record.choose(None)?;
@@ -152,7 +156,7 @@ pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotErro
     Ok(())
 }
 
-/// What was really so while the car drove.
+/// Ground truth while the car drove.
 fn true_samples(truth: &[TimedTruth], drive: &plot::drive::Drive) -> Vec<TruthSample> {
     truth
         .iter()

@@ -9,7 +9,7 @@ use singletrack_sim::{
     RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
 
-use super::DemoArgs;
+use super::arguments::DemoArgs;
 use crate::simulated::{self, daemon_config};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.

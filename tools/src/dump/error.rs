@@ -1,21 +1,23 @@
-//! Why nothing, or not everything, is printed.
+//! Why a dump failed.
 
 use std::{io, path::PathBuf};
 
 use singletrack_record::{NotAnEntry, RecordError};
 use singletrackd::serial_port::PortError;
 
-/// A dump that failed.
+use super::moment::Moment;
+
+/// Why a dump failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DumpError {
-    /// The record cannot be read.
+    /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The serial port cannot be opened.
+    /// The serial port can't be opened.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The bytes of the line cannot be read.
-    #[error("cannot read {name}: {source}")]
+    /// The bytes of the line can't be read.
+    #[error("can't read {name}: {source}")]
     Capture {
         /// The file or the port.
         name: String,
@@ -54,7 +56,25 @@ pub enum DumpError {
         /// All that there are.
         known: Vec<String>,
     },
-    /// The source cannot tell when that was.
+    /// No value of the field is that word.
+    #[error("{field} is never {word:?}; it is one of {}", .known.join(", "))]
+    UnknownWord {
+        /// The field.
+        field: String,
+        /// What it was compared with.
+        word: String,
+        /// The words that it can be.
+        known: Vec<String>,
+    },
+    /// The time ends before it begins.
+    #[error("--from {from} is after --to {to}: give the earlier time to --from")]
+    NoTime {
+        /// When it begins.
+        from: Moment,
+        /// When it ends.
+        to: Moment,
+    },
+    /// The source has no time on the wall.
     #[error("{name} holds no wall time: give --{option} in seconds since its start")]
     NoWallTime {
         /// The source.
@@ -62,14 +82,14 @@ pub enum DumpError {
         /// Which option asked.
         option: &'static str,
     },
-    /// Statistics are no rows.
+    /// Statistics have no rows.
     #[error("--stats has no csv: use --format table or --format json")]
     StatsAsCsv,
-    /// Ctrl-C cannot be listened for.
-    #[error("cannot listen for Ctrl-C: {0}")]
+    /// Ctrl-C can't be listened for.
+    #[error("can't listen for Ctrl-C: {0}")]
     Interrupt(#[source] io::Error),
-    /// Nobody answers at the socket.
-    #[error("cannot reach the daemon at {}: {source}; start singletrackd, or name its socket with --socket", path.display())]
+    /// No process listens at the socket.
+    #[error("can't reach the daemon at {}: {source}; start singletrackd, or name its socket with --socket", path.display())]
     Unreachable {
         /// The socket.
         path: PathBuf,
@@ -84,7 +104,7 @@ pub enum DumpError {
         /// Why it failed.
         source: io::Error,
     },
-    /// The daemon will not tell.
+    /// The daemon refuses to send entries.
     #[error("the daemon at {} refuses: {error}", path.display())]
     Refused {
         /// The socket.
@@ -92,7 +112,7 @@ pub enum DumpError {
         /// Why, in its words.
         error: String,
     },
-    /// The daemon does not send entries.
+    /// The daemon sent a line that is not an entry.
     #[error("the daemon at {} answered something {source}; if it is another release, use its own singletrack", path.display())]
     Answer {
         /// The socket.
@@ -100,8 +120,8 @@ pub enum DumpError {
         /// What it said.
         source: NotAnEntry,
     },
-    /// The output cannot be written.
-    #[error("cannot write to standard output: {0}")]
+    /// The output can't be written.
+    #[error("can't write to standard output: {0}")]
     Output(#[from] io::Error),
 }
 

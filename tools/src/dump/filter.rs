@@ -4,6 +4,7 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::Value;
 
+use super::words::words;
 use super::{
     DumpError,
     kind::{Kind, Place, check_field},
@@ -37,17 +38,17 @@ struct Wanted {
     number: Option<f64>,
 }
 
-/// It is no condition.
+/// Why a text is not a condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotACondition {
-    /// There is nothing that compares.
+pub enum ParseConditionError {
+    /// It has no operator.
     #[error(
         "not a condition: {0:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in quotes, for the shell)"
     )]
     NoOperator(String),
     /// Only numbers are less or greater.
     #[error(
-        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is none; use = or !="
+        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is not one; use = or !="
     )]
     NotANumber {
         /// The field.
@@ -83,10 +84,10 @@ impl Operator {
 }
 
 impl FromStr for Condition {
-    type Err = NotACondition;
+    type Err = ParseConditionError;
 
-    fn from_str(text: &str) -> Result<Self, NotACondition> {
-        let none = || NotACondition::NoOperator(text.to_owned());
+    fn from_str(text: &str) -> Result<Self, ParseConditionError> {
+        let none = || ParseConditionError::NoOperator(text.to_owned());
         let at = text.find(['=', '!', '<', '>']).ok_or_else(none)?;
         let (field, rest) = text.split_at_checked(at).ok_or_else(none)?;
         let (sign, operator, value) = Operator::ALL
@@ -104,7 +105,7 @@ impl FromStr for Condition {
         };
         let ordered = !matches!(operator, Operator::Equal | Operator::Different);
         if ordered && wanted.number.is_none() {
-            return Err(NotACondition::NotANumber {
+            return Err(ParseConditionError::NotANumber {
                 field: field.to_owned(),
                 operator: sign,
                 value: value.to_owned(),
@@ -118,8 +119,37 @@ impl FromStr for Condition {
     }
 }
 
+impl Condition {
+    /// Refuses a word that the field is never.
+    fn check_word<'a>(&self, kinds: impl Iterator<Item = &'a Kind>) -> Result<(), DumpError> {
+        let mut known: Vec<String> = Vec::new();
+        for kind in kinds.filter(|kind| kind.place(&self.field).is_some()) {
+            let words = words(kind.name, &self.field);
+            // What is absent equals the two.
+            let absent = ["", "none"].contains(&self.wanted.text.as_str());
+            if words.is_empty() || absent || words.contains(&self.wanted.text) {
+                return Ok(());
+            }
+            known.extend(
+                words
+                    .into_iter()
+                    .filter(|word| !known.contains(word))
+                    .collect::<Vec<_>>(),
+            );
+        }
+        if known.is_empty() {
+            return Ok(());
+        }
+        Err(DumpError::UnknownWord {
+            field: self.field.clone(),
+            word: self.wanted.text.clone(),
+            known,
+        })
+    }
+}
+
 impl Wanted {
-    /// How a value compares; none if the two cannot be compared.
+    /// How a value compares; none if the two can't be compared.
     fn compare(&self, value: &Value) -> Option<Ordering> {
         match value {
             Value::Absent => matches!(self.text.as_str(), "" | "none").then_some(Ordering::Equal),
@@ -173,6 +203,7 @@ impl Filter {
         let chosen = chosen.iter().filter_map(|index| kinds.get(*index));
         for condition in &conditions {
             check_field(chosen.clone(), &condition.field)?;
+            condition.check_word(chosen.clone())?;
         }
         let places = kinds
             .iter()
@@ -200,12 +231,12 @@ impl Filter {
         }
     }
 
-    /// Whether it looks at what the fields hold.
+    /// Whether it needs the values of the fields.
     pub(super) fn needs_values(&self) -> bool {
         !self.conditions.is_empty()
     }
 
-    /// What the row's time says.
+    /// Judges the row by its time.
     pub(super) fn judge_time(&self, row: &Row) -> Verdict {
         if self.from_ns.is_none() && self.to_ns.is_none() {
             return Verdict::Take;
@@ -221,7 +252,7 @@ impl Filter {
         }
     }
 
-    /// Whether the row's fields are as wanted.
+    /// Whether the row meets all conditions.
     pub(super) fn accepts(&self, row: &Row, values: &[Value]) -> bool {
         let Some(Some(places)) = self.places.get(row.kind) else {
             return false;

@@ -2,16 +2,28 @@
 
 use std::io::Write;
 
+use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
 
 use super::{
-    DumpError, Format,
+    error::DumpError,
     kind::{Kind, Place, TIME, check_field},
     source::{Row, Source},
 };
 
-/// So much is printed at once, unless somebody waits for it.
+/// Bytes that are printed at once, unless a reader waits for them.
 const BLOCK: usize = 64 << 10;
+
+/// How rows are printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// Columns for a person; quantities to six digits.
+    Table,
+    /// One object a line, every digit.
+    Json,
+    /// One line a row, every digit.
+    Csv,
+}
 
 /// Prints rows.
 pub(super) struct Printer<W: Write> {
@@ -160,14 +172,14 @@ impl<W: Write> Printer<W> {
         Ok(())
     }
 
-    /// Hands everything printed so far to whoever reads it.
+    /// Passes all text so far to the reader.
     pub(super) fn flush(&mut self) -> Result<(), DumpError> {
         self.hand_over()?;
         Ok(self.output.flush()?)
     }
 
     fn hand_over(&mut self) -> Result<(), DumpError> {
-        // Also when it fails: nobody wants it twice.
+        // Also after a failure: the text must not be printed twice.
         let written = self.output.write_all(self.text.as_bytes());
         self.text.clear();
         Ok(written?)
@@ -199,7 +211,7 @@ impl<W: Write> Printer<W> {
             }
         }
         if self.text.len() == begin {
-            // An empty line would be no row.
+            // An empty line is not a row in CSV.
             self.text.push_str("\"\"");
         }
         self.text.push('\n');

@@ -1,5 +1,5 @@
-//! The telemetry dump: a record, what the daemon sees now, or the serial line
-//! itself, as a table, lines of JSON, or CSV; or what there is to count in it.
+//! `singletrack dump`: a record, the running daemon or the serial line, as a table, as
+//! lines of JSON, as CSV, or as statistics.
 
 mod error;
 mod filter;
@@ -8,6 +8,7 @@ mod kind;
 mod moment;
 mod source;
 mod stats;
+mod words;
 
 use std::{
     io::{self, IsTerminal, Write},
@@ -15,32 +16,32 @@ use std::{
     time::{Duration, Instant},
 };
 
-use clap::{Args, ValueEnum};
-use singletrack_core::config::{SerialSection, SocketSection};
-use singletrack_record::{Topic, Value};
-use singletrack_sim::{LossPatternError, parse_duration_us};
-
-pub use error::DumpError;
-pub use filter::{Condition, NotACondition};
-pub use moment::{Moment, NotAMoment};
-pub use source::Direction;
-
+use clap::Args;
 use filter::{Filter, Verdict};
 use format::Printer;
 use kind::Kind;
+use singletrack_core::config::{SerialSection, SocketSection};
+use singletrack_record::{Topic, Value};
+use singletrack_sim::{LossPatternError, parse_duration_us};
 use source::{Close, Line, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
 
 use crate::interrupt::Interrupt;
 
-/// What `singletrack dump` is asked.
+pub use error::DumpError;
+pub use filter::{Condition, ParseConditionError};
+pub use format::Format;
+pub use moment::{Moment, ParseTimeError};
+pub use source::Direction;
+
+/// Options of `singletrack dump`.
 #[derive(Args, Clone, Debug)]
 #[command(after_long_help = EXAMPLES)]
 pub struct DumpArgs {
-    /// Where to look: a record, the running daemon, a serial port, or a capture of its bytes.
+    /// The source: a record, the running daemon, a serial port, or a capture of its bytes.
     ///
     /// drive.mcap, drive.mcap.part   a record, finished or not
-    /// live                          what the running daemon sees
+    /// live                          the running daemon
     /// /dev/ttyUSB0                  a serial port: what the board sends, frame by frame
     /// line.bin, -                   a capture of the line's bytes, or standard input
     #[arg(required_unless_present = "serial", verbatim_doc_comment)]
@@ -49,8 +50,8 @@ pub struct DumpArgs {
     /// What to print, several with commas [default: telemetry of a record or of live, all of a line].
     ///
     /// Of a record or live: tick, telemetry, status, pose, log, configuration, drops. Of a line:
-    /// hello, telemetry, status, acknowledgement, refusal, and broken for what is no frame (to
-    /// the board: hello, configure, arm, disarm, drive, emergency-stop, broken).
+    /// hello, telemetry, status, acknowledgement, refusal, and broken for bytes that are not a
+    /// frame (to the board: hello, configure, arm, disarm, drive, emergency-stop, broken).
     #[arg(long, value_delimiter = ',')]
     pub topic: Vec<String>,
 
@@ -66,25 +67,25 @@ pub struct DumpArgs {
     #[arg(long, value_delimiter = ',')]
     pub fields: Vec<String>,
 
-    /// Only rows where a field is so: `mode=driving`, `'lateness_ns>500000'`.
+    /// Only rows that meet a condition: `mode=driving`, `'lateness_ns>500000'`.
     ///
-    /// Operators: = != < <= > >= (put < and > in quotes, for the shell). What is absent equals
-    /// `none`. Given several times, all must hold.
+    /// Operators: = != < <= > >= (put < and > in quotes, for the shell). An absent value equals
+    /// `none`. Of several conditions, all must be met.
     #[arg(long = "where", value_name = "CONDITION")]
     pub conditions: Vec<Condition>,
 
-    /// Only from then on: seconds since the start, or 2026-11-21T12:00:00Z.
+    /// Only from this time on: seconds since the start, or 2026-11-21T12:00:00Z.
     #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     pub from: Option<Moment>,
 
-    /// Only until then.
+    /// Only until this time.
     #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     pub to: Option<Moment>,
 
     /// Count instead of printing: rates, gaps, losses, errors, latencies, modes.
     ///
-    /// Of all topics unless --topic names some. Of a source without an end until Ctrl-C, or
-    /// for as long as --for says.
+    /// Counts all topics, or those of --topic. A source without an end is counted until Ctrl-C
+    /// or for the time of --for.
     #[arg(long)]
     pub stats: bool,
 
@@ -92,15 +93,15 @@ pub struct DumpArgs {
     #[arg(long)]
     pub follow: bool,
 
-    /// Stop after so long, such as `10s`.
+    /// Stop after this time, such as `10s`.
     #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
     pub duration: Option<Duration>,
 
     /// Listen to this serial port.
     ///
-    /// Nothing is ever written to it, and its control lines are left alone. But Linux itself
-    /// raises DTR when a port is opened that nobody had open, and on an Arduino UNO that is
-    /// the reset button. A port that singletrackd uses is busy: look at `live` then.
+    /// dump writes nothing to the port and does not change its control lines. But Linux raises
+    /// DTR when it opens a port that was closed, and DTR resets an Arduino UNO. A port that
+    /// singletrackd uses is busy: use `live` instead.
     #[arg(long, value_name = "PORT", conflicts_with = "source")]
     pub serial: Option<PathBuf>,
 
@@ -108,15 +109,15 @@ pub struct DumpArgs {
     #[arg(long, default_value_t = SerialSection::new("").baud)]
     pub baud: u32,
 
-    /// Which way the bytes of a line went.
+    /// The direction of the bytes on the line.
     #[arg(long, value_enum, default_value_t)]
     pub direction: Direction,
 
-    /// SOURCE is a capture of the line's bytes, whatever it looks like.
+    /// Read SOURCE as a capture of the line's bytes, whatever its name and contents.
     #[arg(long)]
     pub raw: bool,
 
-    /// Where the daemon listens, for `live`.
+    /// The daemon's control socket, for `live`.
     #[arg(long, default_value_os_t = SocketSection::default().path)]
     pub socket: PathBuf,
 }
@@ -124,40 +125,29 @@ pub struct DumpArgs {
 const EXAMPLES: &str = "\
 Examples:
   singletrack dump drive.mcap --stats
-          what happened, in a page: rates, gaps, losses, latencies, modes and why they ended
+          one page: rates, gaps, losses, latencies, modes and their reasons
   singletrack dump drive.mcap --topic tick --format csv > ticks.csv
           every field of every tick, for a spreadsheet or Python
   singletrack dump drive.mcap --topic tick --where mode!=driving --fields time_s,mode,reason
           when and why the car did not drive
   singletrack dump drive.mcap --topic tick,log --format json --from 12 --to 13.5
-          a second and a half, everything that was recorded of it
+          a second and a half, with all recorded fields
   singletrack dump live --topic tick
-          what the daemon does now
+          the ticks of the running daemon
   singletrack dump /dev/ttyUSB0 --stats --for 10s
-          how good the line from the board is (needs the daemon stopped)
+          the quality of the line from the board (stop the daemon first)
   singletrack dump line.bin --topic broken
-          where a capture of the line is damaged, and how";
-
-/// How rows are printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// Columns for a person; quantities to six digits.
-    Table,
-    /// One object a line, every digit.
-    Json,
-    /// One line a row, every digit.
-    Csv,
-}
+          the damaged places of a capture of the line";
 
 fn duration(text: &str) -> Result<Duration, LossPatternError> {
     parse_duration_us(text).map(Duration::from_micros)
 }
 
-/// Prints to standard output. Whoever reads that may stop at any time.
+/// Prints to standard output. A closed pipe is no error.
 ///
 /// # Errors
 ///
-/// When the source cannot be read, or a topic or a field does not exist.
+/// When the source can't be read, or a topic or a field does not exist.
 pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     let stdout = io::stdout();
     let format = args
@@ -177,8 +167,8 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
 ///
 /// # Errors
 ///
-/// When the source cannot be read, a topic or a field does not exist, or the
-/// output cannot be written.
+/// When the source can't be read, a topic or a field does not exist, or the
+/// output can't be written.
 pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
     if args.stats && format == Format::Csv {
         return Err(DumpError::StatsAsCsv);
@@ -195,19 +185,24 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         source::kinds(args.direction)
     };
     let chosen = if !args.topic.is_empty() {
-        kind::choose(&kinds, &args.topic)?
+        kind::choose(&kinds, &topic_names(&args.topic))?
     } else if of_record && !args.stats {
         kind::choose(&kinds, &[Topic::Telemetry.name().to_owned()])?
     } else {
         (0..kinds.len()).collect()
     };
-    // What is wrong with the words is said before anything is opened.
+    // Mistakes on the command line are reported before anything is opened.
     let mut sink = if args.stats {
         Sink::Count(Box::new(Stats::new(&kinds, &chosen)), output)
     } else {
         let fields = &args.fields;
         Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
     };
+    if let (Some(from), Some(to)) = (args.from, args.to)
+        && from.is_after(to)
+    {
+        return Err(DumpError::NoTime { from, to });
+    }
     let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
     let mut source = open(args, &place, kinds, &chosen)?;
     let source = source.as_mut();
@@ -227,7 +222,7 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     };
     sink.begin()?;
     let pumped = pump(source, &mut sink, &chosen, &filter, &limit);
-    // What came before a failure has been asked for as well.
+    // The rows before a failure are printed as well.
     let close = source.close();
     sink.end(format, &place.to_string(), &close)?;
     pumped?;
@@ -237,7 +232,20 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     Ok(())
 }
 
-/// Where rows go.
+/// The topics, without the folder of their channels in a record (`/singletrack/tick`).
+fn topic_names(topics: &[String]) -> Vec<String> {
+    topics
+        .iter()
+        .map(|name| {
+            Topic::ALL
+                .into_iter()
+                .find(|topic| topic.channel() == name)
+                .map_or_else(|| name.clone(), |topic| topic.name().to_owned())
+        })
+        .collect()
+}
+
+/// Receives the rows.
 enum Sink<W: Write> {
     Print(Printer<W>),
     Count(Box<Stats>, W),
@@ -298,7 +306,7 @@ impl<W: Write> Sink<W> {
     }
 }
 
-/// When to stop, if the source has no end.
+/// When to stop a source without an end.
 struct Limit {
     end: Option<Instant>,
     interrupt: Interrupt,
@@ -310,7 +318,7 @@ impl Limit {
     }
 }
 
-/// Lets rows flow from the source to the sink.
+/// Passes the rows of the source to the sink.
 fn pump<W: Write>(
     source: &mut dyn Source,
     sink: &mut Sink<W>,

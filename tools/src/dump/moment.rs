@@ -1,27 +1,29 @@
-//! Moments, as people write them.
+//! Times on the command line.
 
-use std::str::FromStr;
+use std::{fmt, str::FromStr};
 
-/// A moment of a record.
+use jiff::Timestamp;
+
+/// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Moment {
-    /// So many seconds after the start of the record.
+    /// Seconds after the start of the record.
     Seconds(f64),
     /// On the wall, in ns since 1970.
     WallNs(i64),
 }
 
-/// It is neither a number of seconds nor a date with its time and zone.
+/// Why a text is not a time: it is neither a number of seconds nor a date with time and zone.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
 )]
-pub struct NotAMoment(String);
+pub struct ParseTimeError(String);
 
 impl FromStr for Moment {
-    type Err = NotAMoment;
+    type Err = ParseTimeError;
 
-    fn from_str(text: &str) -> Result<Self, NotAMoment> {
+    fn from_str(text: &str) -> Result<Self, ParseTimeError> {
         if let Some(seconds) = text
             .parse()
             .ok()
@@ -31,11 +33,34 @@ impl FromStr for Moment {
         }
         wall_ns(text)
             .map(Self::WallNs)
-            .ok_or_else(|| NotAMoment(text.to_owned()))
+            .ok_or_else(|| ParseTimeError(text.to_owned()))
+    }
+}
+
+impl fmt::Display for Moment {
+    /// Seconds, or date and time in UTC.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Seconds(seconds) => write!(formatter, "{seconds}"),
+            Self::WallNs(wall_ns) => {
+                // All that fits into 64 bits is within the calendar: 1677 to 2262.
+                let time = Timestamp::from_nanosecond(i128::from(*wall_ns));
+                write!(formatter, "{}", time.unwrap_or_default())
+            }
+        }
     }
 }
 
 impl Moment {
+    /// Whether it is after the other; false if one has seconds and the other a date.
+    pub(super) fn is_after(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Seconds(one), Self::Seconds(other)) => one > other,
+            (Self::WallNs(one), Self::WallNs(other)) => one > other,
+            _ => false,
+        }
+    }
+
     /// The moment in ns since a start at `start_wall_ns`; none if it is on the
     /// wall and the start is not known there.
     pub(super) fn since(self, start_wall_ns: Option<u64>) -> Option<i64> {
@@ -49,67 +74,15 @@ impl Moment {
     }
 }
 
-/// ISO 8601: `2026-11-21T12:00:00.25+01:00`.
+/// ISO 8601 with a zone, in ns since 1970: `2026-11-21T12:00:00.25+01:00`.
 fn wall_ns(text: &str) -> Option<i64> {
-    let (date, rest) = text.split_once(['T', 't', ' '])?;
-    let mut parts = date.split('-');
-    let year = digits(parts.next()?, 4)?;
-    let month = digits(parts.next()?, 2)?;
-    let day = digits(parts.next()?, 2)?;
-    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+    let offset = text.rfind(['+', '-']).and_then(|sign| text.get(sign + 1..));
+    // An offset has its colon, as in RFC 3339; the library accepts it without.
+    if offset.is_some_and(|offset| offset.len() == 4) {
         return None;
     }
-    let (time, offset_s) = match rest.strip_suffix(['Z', 'z']) {
-        Some(time) => (time, 0),
-        None => {
-            let (time, zone) = rest.split_at_checked(rest.rfind(['+', '-'])?)?;
-            let (sign, zone) = match zone.strip_prefix('-') {
-                Some(zone) => (-1, zone),
-                None => (1, zone.strip_prefix('+')?),
-            };
-            let (hours, minutes) = zone.split_once(':').unwrap_or((zone, "00"));
-            let seconds = digits(hours, 2)? * 3_600 + digits(minutes, 2)? * 60;
-            (time, sign * seconds)
-        }
-    };
-    let (time, fraction_ns) = match time.split_once('.') {
-        Some((time, fraction)) if (1..=9).contains(&fraction.len()) => {
-            let value = digits(fraction, fraction.len())?;
-            (time, value * 10_i64.pow(9 - fraction.len() as u32))
-        }
-        Some(_) => return None,
-        None => (time, 0),
-    };
-    let mut parts = time.split(':');
-    let hour = digits(parts.next()?, 2)?;
-    let minute = digits(parts.next()?, 2)?;
-    let second = parts.next().map_or(Some(0), |second| digits(second, 2))?;
-    if parts.next().is_some() || hour > 23 || minute > 59 || second > 60 {
-        return None;
-    }
-    let seconds =
-        days_since_1970(year, month, day) * 86_400 + hour * 3_600 + minute * 60 + second - offset_s;
-    seconds.checked_mul(1_000_000_000)?.checked_add(fraction_ns)
-}
-
-/// A number of exactly so many digits.
-fn digits(text: &str, count: usize) -> Option<i64> {
-    (text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit()))
-        .then(|| text.parse().ok())?
-}
-
-/// Days from 1970-01-01 in the Gregorian calendar. Years are counted from March,
-/// so that the leap day is the last of its year.
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let (year, month) = if month > 2 {
-        (year, month - 3)
-    } else {
-        (year - 1, month + 9)
-    };
-    let leap_days = year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400);
-    // Five months from March on have 153 days.
-    let day_of_year = (153 * month + 2) / 5 + day - 1;
-    365 * year + leap_days + day_of_year - 719_468
+    let time: Timestamp = text.parse().ok()?;
+    i64::try_from(time.as_nanosecond()).ok()
 }
 
 #[cfg(test)]
@@ -131,7 +104,7 @@ mod tests {
             ("2026-11-21T03:30-0830", wall(0, 0)),
         ] {
             if text.ends_with("0830") {
-                // A zone without its colon is not what anybody writes.
+                // RFC 3339 has a colon in the zone.
                 assert!(text.parse::<Moment>().is_err());
             } else {
                 assert_eq!(text.parse::<Moment>().unwrap(), expected, "{text}");
@@ -156,6 +129,19 @@ mod tests {
             let error = text.parse::<Moment>().unwrap_err().to_string();
             assert!(error.contains("use seconds since the start"), "{error}");
         }
+    }
+
+    #[test]
+    fn moments_of_a_kind_are_ordered_and_print_as_they_are_written() {
+        let moment = |text: &str| text.parse::<Moment>().unwrap();
+        let (early, late) = (
+            moment("2026-11-21T12:00:00Z"),
+            moment("2026-11-21T14:00:00+01:00"),
+        );
+        assert!(late.is_after(early) && !early.is_after(late) && !early.is_after(early));
+        assert!(moment("10").is_after(moment("5")) && !moment("10").is_after(early));
+        assert_eq!(late.to_string(), "2026-11-21T13:00:00Z");
+        assert_eq!(moment("12.50").to_string(), "12.5");
     }
 
     #[test]

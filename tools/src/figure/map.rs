@@ -1,6 +1,6 @@
 //! A quantity over two others: shaded by bands of its values, with lines of equal value.
 
-use super::Column;
+use super::look::Column;
 
 /// A quantity at the crossings of a rectangular grid.
 #[derive(Clone, Debug)]
@@ -23,7 +23,7 @@ pub enum GridError {
     },
     /// The lines of a grid don't cross.
     #[error(
-        "a grid's values along {axis} must be finite and ascend: {value} cannot follow {before}"
+        "a grid's values along {axis} must be finite and ascend: {value} can't follow {before}"
     )]
     Order {
         /// The axis' name.
@@ -251,8 +251,8 @@ mod tests {
         assert_eq!(error(&[0.0, 1.0], 4), Ok(()));
         for (x, count, why) in [
             (&[0.0][..], 2, "two values or more along x, and has 1"),
-            (&[0.0, 0.0], 4, "0 cannot follow 0"),
-            (&[0.0, f64::NAN], 4, "NaN cannot follow 0"),
+            (&[0.0, 0.0], 4, "0 can't follow 0"),
+            (&[0.0, f64::NAN], 4, "NaN can't follow 0"),
             (&[0.0, 1.0], 5, "2 by 2 has 4 values, not 5"),
         ] {
             let said = error(x, count).err().unwrap_or_default();

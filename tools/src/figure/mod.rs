@@ -11,32 +11,31 @@
 mod contours;
 mod hatch;
 mod legend;
+mod look;
 mod map;
 mod note;
+mod page;
 mod place;
 mod scale;
 mod svg;
 mod thin;
 mod typeset;
+mod xml;
 
-use std::sync::Arc;
-
+pub use look::{Column, Look, MarkKind};
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
 pub use note::{Callout, Callouts, Estimate, Level};
 pub use scale::Scale;
-#[cfg(feature = "desk")]
-pub(crate) use svg::escaped;
 pub use typeset::plain;
 #[cfg(feature = "desk")]
 pub(crate) use typeset::superscript;
-
-/// Numbers of a curve, shared by all that draw them.
-pub type Column = Arc<[f64]>;
+#[cfg(feature = "desk")]
+pub(crate) use xml::escaped;
 
 /// A figure: panels under one legend.
 #[derive(Clone, Debug)]
 pub struct Figure {
-    /// What it shows, in a few words; for whoever can't see it, too.
+    /// What it shows, in a few words; screen readers read it too.
     pub title: String,
     /// What to see in it, in a sentence.
     pub caption: String,
@@ -153,6 +152,9 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// Time t, in s.
+    pub const TIME: Self = Self::new("time", Some(Symbol::new("t", "")), "s");
+
     /// A linear axis, as long as its data.
     #[must_use]
     pub const fn new(quantity: &'static str, symbol: Option<Symbol>, unit: &'static str) -> Self {
@@ -199,6 +201,18 @@ pub struct Curve {
 }
 
 impl Curve {
+    /// A line through points that have no times of their own.
+    #[must_use]
+    pub fn new(name: &'static str, look: Look, x: &Column, y: Column) -> Self {
+        Self {
+            name,
+            look,
+            x: x.clone(),
+            y,
+            time: None,
+        }
+    }
+
     /// Whether no point of it can be drawn.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -211,47 +225,6 @@ impl Curve {
     }
 }
 
-/// How a line looks: told apart without colour as well, by grey, width and dashes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Look {
-    /// What should be: wide and grey, as in the paper.
-    Nominal,
-    /// What was: thin and black, as in the paper.
-    Actual,
-    /// What a sensor said: thin and light.
-    Measured,
-    /// What was really so, which only a simulation knows: dashed.
-    Truth,
-    /// Where something was missing: a wide band of the shading's colour.
-    Lost,
-    /// The other of two that are compared: black, in long dashes.
-    Other,
-    /// Where one kind of behaviour turns into another: thick and black.
-    Boundary,
-    /// The end of a range: thin, dashed.
-    RangeEnd,
-    /// What is approached and not reached: thin, dashes and dots.
-    Asymptote,
-}
-
-impl Look {
-    /// Its name in a style sheet.
-    #[must_use]
-    pub const fn class(self) -> &'static str {
-        match self {
-            Self::Nominal => "nominal",
-            Self::Actual => "actual",
-            Self::Measured => "measured",
-            Self::Truth => "truth",
-            Self::Lost => "lost",
-            Self::Other => "other",
-            Self::Boundary => "boundary",
-            Self::RangeEnd => "range-end",
-            Self::Asymptote => "asymptote",
-        }
-    }
-}
-
 /// A point that matters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mark {
@@ -261,29 +234,6 @@ pub struct Mark {
     pub point: [f64; 2],
     /// What it looks like.
     pub kind: MarkKind,
-}
-
-/// What a mark looks like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MarkKind {
-    /// Where a trajectory starts: a triangle.
-    Start,
-    /// Where it ends: a circle.
-    End,
-    /// A value that was found: a dot.
-    Found,
-}
-
-impl MarkKind {
-    /// Its name in a style sheet.
-    #[must_use]
-    pub const fn class(self) -> &'static str {
-        match self {
-            Self::Start => "start",
-            Self::End => "end",
-            Self::Found => "found",
-        }
-    }
 }
 
 /// A bar of a histogram, from zero up.

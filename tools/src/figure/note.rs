@@ -1,6 +1,6 @@
 //! What is written or marked in a panel beside its lines.
 
-use super::{Look, MarkKind};
+use super::look::{Look, MarkKind};
 
 /// A value of the vertical axis that matters, drawn across the panel.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use super::svg::{TEXT_SIZE, escaped};
+use super::{page::TEXT_SIZE, xml::escaped};
 
 /// A part of a text.
 #[derive(Clone, Copy, Debug, PartialEq)]

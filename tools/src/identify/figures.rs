@@ -8,7 +8,6 @@ use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
 use super::{Identified, Report};
 use crate::figure::{Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width};
 
-const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
 /// Of a long drive the figures over time show this much from its middle, in s: on paper
 /// more can't be told apart.
 const SHOWN: f64 = 10.0;
@@ -60,23 +59,18 @@ fn column(points: &[SimulationPoint], value: impl Fn(&SimulationPoint) -> f64) -
     points.iter().map(value).collect()
 }
 
-fn curve(name: &'static str, look: Look, x: &Column, y: Column) -> Curve {
-    Curve {
-        name,
-        look,
-        x: x.clone(),
-        y,
-        time: None,
-    }
-}
-
 /// The paper's figure of part of the inputs and the trajectory.
 fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
     let time = column(points, |point| point.time_s);
     let over_time = |y, value: fn(&SimulationPoint) -> f64| Panel {
         height_mm: 34.0,
-        curves: vec![curve("input", Look::Actual, &time, column(points, value))],
-        ..Panel::new(TIME, y)
+        curves: vec![Curve::new(
+            "input",
+            Look::Actual,
+            &time,
+            column(points, value),
+        )],
+        ..Panel::new(Axis::TIME, y)
     };
     let trajectory = Panel {
         height_mm: 70.0,
@@ -84,7 +78,7 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
         curves: vec![
             Curve {
                 time: Some(time.clone()),
-                ..curve(
+                ..Curve::new(
                     MODEL,
                     Look::Nominal,
                     &column(points, |point| point.position_m[0]),
@@ -93,7 +87,7 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
             },
             Curve {
                 time: Some(time.clone()),
-                ..curve(
+                ..Curve::new(
                     MEASURED,
                     Look::Actual,
                     &column(points, |point| point.measured_m[0]),
@@ -138,10 +132,10 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
                  model: fn(&SimulationPoint) -> f64| Panel {
         begins_row,
         curves: vec![
-            curve(MODEL, Look::Nominal, &time, column(points, model)),
-            curve(MEASURED, Look::Actual, &time, column(points, measured)),
+            Curve::new(MODEL, Look::Nominal, &time, column(points, model)),
+            Curve::new(MEASURED, Look::Actual, &time, column(points, measured)),
         ],
-        ..Panel::new(TIME, y)
+        ..Panel::new(Axis::TIME, y)
     };
     Figure {
         title: "Measured and simulated states".to_owned(),
@@ -190,7 +184,7 @@ const fn named(channel: Channel) -> &'static str {
     }
 }
 
-/// The errors over time, and beside it how much one tells of those after it.
+/// The prediction errors over time, and their autocorrelation.
 fn errors(residuals: &[Residuals]) -> Figure {
     let panels = residuals.iter().enumerate().flat_map(|(index, residuals)| {
         let x: Column = Arc::from(&residuals.times_s[..]);
@@ -199,9 +193,9 @@ fn errors(residuals: &[Residuals]) -> Figure {
             title: named(residuals.channel).to_owned(),
             begins_row: index > 0,
             height_mm: 24.0,
-            curves: vec![curve("prediction error", Look::Measured, &x, y)],
+            curves: vec![Curve::new("prediction error", Look::Measured, &x, y)],
             ..Panel::new(
-                TIME,
+                Axis::TIME,
                 Axis {
                     include: Some(4.0),
                     ..Axis::new("error", None, "σ")

@@ -3,12 +3,13 @@
 mod collect;
 mod figures;
 mod output;
+mod report;
 pub mod study;
 mod table;
 
 use std::{
-    fs, io,
-    io::Write as _,
+    fs,
+    io::{self, Write as _},
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -18,7 +19,6 @@ use indicatif::ProgressBar;
 use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
-use singletrack_control::VehicleParameters;
 use singletrack_core::ConfigError;
 use singletrack_record::RecordError;
 
@@ -29,26 +29,27 @@ use crate::{
 
 pub use collect::{Collector, RecordedDrive, read};
 pub use figures::figures;
+pub use report::{Identified, Report};
 
-/// What `singletrack identify` is asked.
+/// Options of `singletrack identify`.
 #[derive(Args, Clone, Debug)]
 pub struct IdentifyArgs {
     /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
     pub record: PathBuf,
 
-    /// Another drive, to see how well what was identified predicts it.
+    /// Another drive, to validate the identified parameters.
     #[arg(long, value_name = "RECORD")]
     pub validate: Option<PathBuf>,
 
-    /// The car as it is believed to be: mass, wheelbase, friction, and where the fit starts
+    /// The nominal car: mass, wheelbase, friction, and where the fit starts
     /// [default: the one in the record's configuration].
     #[arg(long, value_name = "FILE")]
     pub vehicle: Option<PathBuf>,
 
-    /// What to estimate: some of `c_f`, `c_r`, `i_z`, `l_f`, `friction` and `steering_gain`.
+    /// Parameters to estimate: some of `c_f`, `c_r`, `i_z`, `l_f`, `friction` and `steering_gain`.
     ///
     /// Lag, delay and trim of the steering, and delay and bias of the IMU are always
-    /// estimated along.
+    /// estimated jointly.
     #[arg(
         long,
         value_name = "NAMES",
@@ -65,15 +66,15 @@ pub struct IdentifyArgs {
     #[arg(long, value_name = "N")]
     pub drive: Option<usize>,
 
-    /// Leave out what is slower, in m/s: there the tyres hardly slip.
+    /// Leave out slower driving, in m/s: there the tyres hardly slip.
     #[arg(long, value_name = "SPEED", default_value_t = 0.5)]
     pub least_speed: f64,
 
-    /// Write figures, identification.json and identified.toml, a vehicle file, there.
-    #[arg(long, value_name = "DIR")]
+    /// Folder for figures, identification.json and identified.toml, a vehicle file.
+    #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
 
-    /// How to print what was found.
+    /// How to print the result.
     #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
     pub format: IdentifyFormat,
 }
@@ -96,7 +97,7 @@ impl TyreKind {
     }
 }
 
-/// How to print what was found.
+/// How to print the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum IdentifyFormat {
     /// For a person.
@@ -105,7 +106,7 @@ pub enum IdentifyFormat {
     Json,
 }
 
-/// Why nothing is identified.
+/// Why the identification failed.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentifyError {
     /// The record has no such drive.
@@ -123,7 +124,7 @@ pub enum IdentifyError {
     Configuration {
         /// The record.
         path: PathBuf,
-        /// What the daemon says of it.
+        /// Why the daemon rejects it.
         source: Box<ConfigError>,
     },
     /// The record does not hold the configuration of the drive.
@@ -143,7 +144,7 @@ pub enum IdentifyError {
     /// A speed that is none.
     #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
     LeastSpeed(f64),
-    /// The drive does not tell it.
+    /// The drive does not determine the parameters.
     #[error("{}, drive {drive}: {source}", path.display())]
     Identification {
         /// The record.
@@ -161,7 +162,7 @@ pub enum IdentifyError {
         /// What the system says.
         source: io::Error,
     },
-    /// A vehicle file of somebody's is where ours would go.
+    /// The folder has a vehicle file that this command did not write.
     #[error(
         "{} is not of an earlier identification; choose another folder with --out, or rename it",
         .0.display()
@@ -172,36 +173,12 @@ pub enum IdentifyError {
     Output(io::Error),
 }
 
-/// A drive, and what it says.
-#[derive(Clone, Debug)]
-pub struct Identified {
-    /// The record that it is in.
-    pub path: PathBuf,
-    /// Its number there, from 1.
-    pub drive: usize,
-    /// What it says.
-    pub identification: Identification,
-}
-
-/// Everything that was found.
-#[derive(Clone, Debug)]
-pub struct Report {
-    /// The car as it was believed to be.
-    pub vehicle: VehicleParameters,
-    /// The tyres' force curve.
-    pub tyres: Tyres,
-    /// From the first record.
-    pub identified: Identified,
-    /// How that fits the second.
-    pub validated: Option<Identified>,
-}
-
-/// Identifies, prints, and writes what is asked for. Tells progress and warnings on
-/// standard error.
+/// Identifies, prints and writes the result. Progress and warnings go to standard
+/// error.
 ///
 /// # Errors
 ///
-/// When a record or the drive in it says nothing, or something can't be written.
+/// When a record can't be used, or a file can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     if let Some(folder) = &args.out {
         prepare(folder)?;
@@ -215,7 +192,7 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
             .into_iter()
             .flat_map(|i| &i.identification.warnings)
         {
-            tell(&format!("warning: {what}{warning}"));
+            print_note(&format!("warning: {what}{warning}"));
         }
     }
     let text = match args.format {
@@ -223,19 +200,19 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
         IdentifyFormat::Json => output::json(&report),
     };
     match io::stdout().lock().write_all(text.as_bytes()) {
-        // Whoever read it has seen enough.
+        // The reader of a pipe may close it at any time.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
         result => result.map_err(IdentifyError::Output)?,
     }
     if let Some(folder) = &args.out {
         for path in write(&report, folder)? {
-            tell(&format!("wrote {}", path.display()));
+            print_note(&format!("wrote {}", path.display()));
         }
     }
     Ok(())
 }
 
-/// Reads and identifies, and prints nothing but progress.
+/// Identifies without printing anything but progress.
 ///
 /// # Errors
 ///
@@ -352,13 +329,13 @@ impl RecordedDrive {
 
 fn told(recorded: RecordedDrive) -> RecordedDrive {
     for note in &recorded.notes {
-        tell(&format!("{}: {note}", recorded.path.display()));
+        print_note(&format!("{}: {note}", recorded.path.display()));
     }
     recorded
 }
 
-/// A line on standard error; whoever closed it has read enough.
-fn tell(what: &str) {
+/// Prints a line on standard error, which may be closed.
+fn print_note(what: &str) {
     let _ = writeln!(io::stderr().lock(), "singletrack: {what}");
 }
 

@@ -1,9 +1,9 @@
-//! What was found, for programs: JSON, and a vehicle file.
+//! The result for programs: JSON, and a vehicle file.
 
 use serde_json::{Value, json};
 use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames, Tyres};
 
-use super::{Identified, Report, table::speeds};
+use super::{Identified, Report};
 
 pub(super) fn json(report: &Report) -> String {
     let document = json!({
@@ -22,7 +22,7 @@ pub(super) fn json(report: &Report) -> String {
     format!("{document:#}\n")
 }
 
-/// What the intervals rest on and know nothing of: name, and value with unit.
+/// The values that the intervals assume to be exact: name, and value with unit.
 pub(super) fn taken_as_exact(report: &Report) -> impl Iterator<Item = (&'static str, String)> {
     let vehicle = &report.vehicle;
     let given = [
@@ -179,4 +179,12 @@ pub(super) fn vehicle_file(report: &Report) -> String {
         text += &format!("{key} = {value:?}\n");
     }
     text
+}
+
+/// Slowest and fastest of what was used, in m/s.
+pub(super) fn speeds(identification: &Identification) -> [f64; 2] {
+    let speeds = identification.track.iter().map(|point| point.speed_m_s);
+    speeds.fold([f64::INFINITY, 0.0], |[least, most], speed| {
+        [least.min(speed), most.max(speed)]
+    })
 }

@@ -188,7 +188,7 @@ fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
     Ok(scenario)
 }
 
-/// What a record of the drive would tell, without a file.
+/// The data that a record of the drive would have, without a file.
 fn simulated(text: &str, seed: u64) -> Result<DriveData, StudyError> {
     let scenario = scenario(text, seed)?;
     let mut entries = Vec::new();

@@ -1,10 +1,13 @@
-//! What was found, for a person.
+//! The result for a person.
 
 use std::fmt::Write as _;
 
-use singletrack_analysis::identification::{Estimate, Identification, Parameter, Score, Tyres};
+use singletrack_analysis::identification::{Estimate, Parameter, Score, Tyres};
 
-use super::{Identified, Report, output::taken_as_exact};
+use super::{
+    Identified, Report,
+    output::{speeds, taken_as_exact},
+};
 
 /// How a parameter is shown: its unit there, how many of them make one of its own, and
 /// digits behind the point.
@@ -65,7 +68,7 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(text, "\nthe intervals take as exact: {}", exact.join(", "))?;
     writeln!(
         text,
-        "with 1 % more mass c_f, c_r and i_z are 1 % more; the others can be estimated along \
+        "with 1 % more mass c_f, c_r and i_z are 1 % more; the others can be estimated jointly \
          (--parameters)"
     )?;
     writeln!(text, "\ncorrelation")?;
@@ -141,12 +144,4 @@ fn score(text: &mut String, what: &str, score: &Score) -> std::fmt::Result {
         )?;
     }
     Ok(())
-}
-
-/// Slowest and fastest of what was used, in m/s.
-pub(super) fn speeds(identification: &Identification) -> [f64; 2] {
-    let speeds = identification.track.iter().map(|point| point.speed_m_s);
-    speeds.fold([f64::INFINITY, 0.0], |[least, most], speed| {
-        [least.min(speed), most.max(speed)]
-    })
 }

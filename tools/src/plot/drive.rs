@@ -7,10 +7,11 @@ use singletrack_control::Time;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord};
 
+pub use super::sample::{BoardPoint, TickSample};
 use super::{spans::lost_markers, truth::TruthSample};
 use crate::figure::Column;
 
-/// What a record tells of the drives in it.
+/// The drives of a record.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
     /// The drives, in order.
@@ -21,7 +22,7 @@ pub struct Recording {
     pub log: Vec<Log>,
     /// Configurations that came into force after the start.
     pub configurations: Vec<ConfigurationRecord>,
-    /// The number of the newest that a tick was told of; none for that of the start.
+    /// The number of the newest in force; none for that of the start.
     configuration: Option<u32>,
     /// Ticks, driving or not.
     pub ticks: u64,
@@ -58,56 +59,8 @@ pub struct Drive {
     pub configuration: Option<u32>,
     /// The mode that the drive led to, and why; none if the record ends before.
     pub ended: Option<(Mode, Option<Reason>)>,
-    /// What was really so, if somebody knows.
+    /// Ground truth, if the car is simulated.
     pub truth: Option<Vec<TruthSample>>,
-}
-
-/// What a tick saw and did.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TickSample {
-    /// Since the first driving tick, in s.
-    pub time: f64,
-    /// The mode after the tick.
-    pub mode: Mode,
-    /// Whether no new pose came since the tick before.
-    pub held: bool,
-    /// P as estimated, world frame, in m.
-    pub point: [f64; 2],
-    /// Where P should be, in m; not a number for a reference that is a velocity alone.
-    pub reference: [f64; 2],
-    /// How fast P should move by the reference, in m/s.
-    pub reference_velocity: [f64; 2],
-    /// The velocity commanded of P, in m/s.
-    pub point_velocity: [f64; 2],
-    /// Speed of G that was asked for, after limits, in m/s.
-    pub commanded_speed: f64,
-    /// Steering angle that was asked for, after limits, in rad.
-    pub steering: f64,
-    /// Speed of G as estimated, in m/s.
-    pub speed: f64,
-    /// Sideslip as estimated, in rad.
-    pub sideslip: f64,
-    /// Yaw rate as estimated, in rad/s.
-    pub yaw_rate: f64,
-    /// How late the tick began, in s.
-    pub lateness: f64,
-    /// From the mid-exposure of a new pose to the command that rests on it, in s.
-    pub latency: f64,
-    /// Points of the control grid skipped just before it.
-    pub skipped: u32,
-    /// Frames since the tick before that had no valid pose.
-    pub poses_missing: u32,
-}
-
-/// What the board measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BoardPoint {
-    /// Since the first driving tick, in s.
-    pub time: f64,
-    /// Speed of the rear axle by the motor's pulses, in m/s.
-    pub motor_speed: f64,
-    /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
-    pub yaw_rate: f64,
 }
 
 /// Ticks farther apart than this were not neighbours, in s: a line between them
@@ -272,7 +225,7 @@ impl Drive {
         with_gaps(times, self.board.iter().map(value))
     }
 
-    /// A number for each moment of the truth; empty if nobody knows it.
+    /// A number for each sample of the ground truth; empty without it.
     #[must_use]
     pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
         self.spread_truth(self.truth.iter().flatten().map(value))
@@ -319,7 +272,7 @@ impl Drive {
             .collect()
     }
 
-    /// Whether the reference tells where P should be.
+    /// Whether the reference is a position.
     #[must_use]
     pub fn has_positions(&self) -> bool {
         self.ticks.iter().any(|tick| tick.reference[0].is_finite())
@@ -336,7 +289,7 @@ impl Drive {
     }
 
     /// How far the true P is from where it should be, at each moment of the truth, in
-    /// m; empty if nobody knows it.
+    /// m; empty without ground truth.
     #[must_use]
     pub fn true_errors(&self) -> Vec<f64> {
         let nominal = self.nominal();

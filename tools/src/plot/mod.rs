@@ -1,11 +1,12 @@
 //! `singletrack plot`: the figures of a drive, from its record alone.
 
 pub mod drive;
+mod error;
 mod figures;
 mod read;
 mod report;
+mod sample;
 mod spans;
-mod statistics;
 mod summary;
 pub mod truth;
 
@@ -16,21 +17,21 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use singletrack_record::RecordError;
 
+pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
 
 use drive::Drive;
 
-/// What `singletrack plot` is asked.
+/// Options of `singletrack plot`.
 #[derive(Args, Clone, Debug)]
 pub struct PlotArgs {
-    /// A record (*.mcap, or *.mcap.part while or after it was cut short).
+    /// A record (*.mcap, or *.mcap.part if it is unfinished or truncated).
     pub record: PathBuf,
 
-    /// Where the pictures go [default: a folder beside the record, named after it].
-    #[arg(long, value_name = "DIR")]
+    /// Folder for the pictures [default: beside the record, named after it].
+    #[arg(long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
 
     /// Only these figures [default: all].
@@ -60,40 +61,6 @@ pub enum PlotFormat {
     Html,
 }
 
-/// Why nothing is plotted.
-#[derive(Debug, thiserror::Error)]
-pub enum PlotError {
-    /// The record cannot be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The car never drove.
-    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
-    NoDrive {
-        /// The record.
-        path: PathBuf,
-        /// What there is instead.
-        why: String,
-    },
-    /// There are fewer drives.
-    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
-    UnknownDrive {
-        /// The record.
-        path: PathBuf,
-        /// The number asked for.
-        wanted: usize,
-        /// How many there are.
-        count: usize,
-    },
-    /// A picture can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-}
-
 /// What was written, and what was not.
 #[derive(Clone, Debug, Default)]
 pub struct Plotted {
@@ -103,8 +70,8 @@ pub struct Plotted {
     pub missing: Vec<(FigureKind, &'static str)>,
 }
 
-/// Plots a record. Tells the files on standard output and all else on standard
-/// error.
+/// Plots a record. Prints the names of the files on standard output, and notes on
+/// standard error.
 ///
 /// # Errors
 ///
@@ -148,7 +115,7 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     let mut stdout = io::stdout().lock();
     for file in &plotted.files {
         if writeln!(stdout, "{}", file.display()).is_err() {
-            // Whoever read the names has seen enough.
+            // The reader of a pipe may close it at any time.
             break;
         }
     }
@@ -171,7 +138,7 @@ impl Record {
                     "in {} ticks the car was never driven; the last mode was {}{}",
                     recording.ticks,
                     last.mode,
-                    summary::why(last.reason)
+                    summary::because(last.reason)
                 ),
             };
             return Err(PlotError::NoDrive {

@@ -1,6 +1,6 @@
 //! When the cameras lost the markers.
 
-use super::drive::TickSample;
+use super::sample::TickSample;
 
 /// How many usual intervals between new poses may pass: one tick without a pose is
 /// the beat of two clocks, two are a loss.

@@ -1,13 +1,14 @@
 //! A drive in a few lines.
 
+use jiff::Timestamp;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{Level, Meta};
+use singletrack_statistics::Distribution;
 use toml::{Table, Value};
 
 use super::{
     drive::{Change, Drive},
     read::Record,
-    statistics::Distribution,
 };
 
 /// A line of the summary.
@@ -17,7 +18,7 @@ pub(super) struct Line {
     pub(super) value: String,
 }
 
-/// What a drive of a record came to; `number` counts from 1.
+/// The summary of a drive of a record; `number` counts from 1.
 pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut add = |name, value: Option<String>| {
@@ -50,7 +51,7 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
         "speed",
         speed
             .quantile(0.5)
-            .zip(speed.most())
+            .zip(speed.max())
             .map(|(median, most)| format!("{median:.3} m/s at the median, {most:.3} m/s at most")),
     );
     let held = ticks.iter().filter(|tick| tick.held).count();
@@ -84,7 +85,7 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
     );
     let percentiles = |values: Distribution, unit, decimals: usize| {
         let (p50, p99) = (values.quantile(0.5)?, values.quantile(0.99)?);
-        let most = values.most()?;
+        let most = values.max()?;
         Some(format!(
             "{p50:.decimals$} {unit} at the median, {p99:.decimals$} {unit} at 99 %, \
              {most:.decimals$} {unit} at most"
@@ -119,9 +120,9 @@ fn many(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-/// Why the car does not drive, as people say it.
-pub(super) fn why(reason: Option<Reason>) -> String {
-    reason.map_or_else(String::new, |reason| format!(", because of {reason}"))
+/// The reason of a mode in brackets, if it has one.
+pub(super) fn because(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
 /// The changes of mode in a drive, up to the one that ended it.
@@ -143,7 +144,7 @@ pub(super) fn changes<'a>(record: &'a Record, drive: &Drive) -> Vec<(f64, &'a Ch
 
 fn begun(record: &Record, drive: &Drive) -> String {
     let wall = record.meta.start.wall_ns_at(drive.start_ns);
-    format!("{} UTC", utc(wall / 1_000_000_000))
+    format!("{} UTC", utc(wall))
 }
 
 fn ended(record: &Record, drive: &Drive) -> String {
@@ -152,7 +153,13 @@ fn ended(record: &Record, drive: &Drive) -> String {
     let stop = changes.find(|(_, change)| !follows(change.mode));
     let stopped = stop.map_or_else(
         || "never stopped".to_owned(),
-        |(time, change)| format!("{} at {time:.2} s{}", change.mode, why(change.reason)),
+        |(time, change)| match (change.mode, change.reason) {
+            (Mode::Stopping, Some(Reason::Requested)) => {
+                format!("stopped on request at {time:.2} s")
+            }
+            (Mode::Stopping, reason) => format!("stopped at {time:.2} s{}", because(reason)),
+            (mode, reason) => format!("{mode} at {time:.2} s{}", because(reason)),
+        },
     );
     match drive.ended {
         None => format!("{stopped}; the record ends while the car is driven"),
@@ -171,8 +178,8 @@ fn errors(drive: &Drive, timed: impl Iterator<Item = (f64, f64)>) -> Option<Stri
     let all = Distribution::of(timed.iter().map(|(_, error)| *error));
     let late = timed.iter().filter(|(time, _)| *time >= half);
     let late = Distribution::of(late.map(|(_, error)| *error));
-    let (rms, most) = (all.root_mean_square()?, all.most()?);
-    let (late_rms, late_most) = (late.root_mean_square()?, late.most()?);
+    let (rms, most) = (all.root_mean_square()?, all.max()?);
+    let (late_rms, late_most) = (late.root_mean_square()?, late.max()?);
     Some(format!(
         "{:.1} mm RMS, {:.1} mm at most; in the second half {:.1} mm RMS, {:.1} mm at most",
         rms * 1000.0,
@@ -227,7 +234,7 @@ fn configured(text: &str) -> Vec<(&'static str, String)> {
             .map(|(key, value)| format!("{key} = {value}"))
             .collect();
         let rest = rest.join(", ");
-        // Many steps are for whoever unfolds the configuration.
+        // A long list of steps is in the configuration.
         let rest = if rest.len() > 160 { "" } else { &rest };
         let gap = if rest.is_empty() { "" } else { ": " };
         lines.push(("reference", format!("{kind}{gap}{rest}")));
@@ -245,24 +252,13 @@ fn versions(meta: &Meta) -> String {
     parts.join(", ")
 }
 
-/// Seconds since 1970 as a date and time.
-fn utc(seconds: u64) -> String {
-    let (days, second) = (seconds / 86_400, seconds % 86_400);
-    // The civil calendar in eras of 400 years that begin in March.
-    let shifted = days + 719_468;
-    let (era, day) = (shifted / 146_097, shifted % 146_097);
-    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let day = day - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    let year = year + era * 400 + u64::from(month <= 2);
-    format!(
-        "{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02}",
-        second / 3_600,
-        second / 60 % 60,
-        second % 60
-    )
+/// A time on the wall in UTC, as `2025-01-31 23:59:59`.
+fn utc(wall_ns: u64) -> String {
+    // All that fits into 64 bits is within the calendar: 1970 to 2554.
+    Timestamp::from_nanosecond(i128::from(wall_ns))
+        .unwrap_or_default()
+        .strftime("%Y-%m-%d %H:%M:%S")
+        .to_string()
 }
 
 #[cfg(test)]
@@ -271,11 +267,12 @@ mod tests {
 
     #[test]
     fn dates_are_those_of_the_calendar() {
+        const SECOND_NS: u64 = 1_000_000_000;
         assert_eq!(utc(0), "1970-01-01 00:00:00");
-        assert_eq!(utc(951_782_399), "2000-02-28 23:59:59");
-        assert_eq!(utc(951_782_400), "2000-02-29 00:00:00");
-        assert_eq!(utc(1_700_000_000), "2023-11-14 22:13:20");
-        assert_eq!(utc(4_107_542_400), "2100-03-01 00:00:00");
+        assert_eq!(utc(951_782_399 * SECOND_NS), "2000-02-28 23:59:59");
+        assert_eq!(utc(951_782_400 * SECOND_NS), "2000-02-29 00:00:00");
+        assert_eq!(utc(1_700_000_000 * SECOND_NS), "2023-11-14 22:13:20");
+        assert_eq!(utc(4_107_542_400 * SECOND_NS), "2100-03-01 00:00:00");
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! What was really so, for drives of a simulation that knows.
+//! Ground truth, for simulated drives.
 
-/// What was really so at a moment.
+/// Ground truth at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
     /// Since the first driving tick, in s.

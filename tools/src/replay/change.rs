@@ -11,10 +11,10 @@ pub struct Change {
     value: Value,
 }
 
-/// Why a change makes no sense.
+/// Why a change is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ChangeError {
-    /// It is no assignment.
+    /// It is not an assignment.
     #[error("{0:?}: write KEY=VALUE, such as law.point_distance_m=0.4")]
     NoAssignment(String),
     /// The key is empty, or a part of it is.

@@ -1,28 +1,31 @@
-//! `singletrack replay`: what the pilot saw in a record, given to it again.
+//! `singletrack replay`: runs the pilot on the inputs of a record.
 //!
-//! With the configuration that was in force, every output must be the same, to the
-//! bit. With another one, it shows what the pilot would have done at the sight of
-//! the same events: the loop is open, the car of the record goes its way.
+//! With the recorded configuration every output must be the same, bit for bit. With
+//! another one, the outputs show what the pilot would have commanded on the same
+//! events: the loop is open, since the car of the record does not react.
 
 mod change;
 mod source;
+mod span;
 mod verdict;
 
 use std::{
     io::{self, IsTerminal, Write},
     path::PathBuf,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Entry, Reader, RecordError, TickRecord, Topic};
+use singletrack_record::{Ending, Entry, Reader, RecordError, Topic};
 
 pub use change::{Change, ChangeError};
 pub use source::SourceError;
 pub use verdict::{Deviation, Deviations};
 
-/// What `singletrack replay` is asked.
+use span::Span;
+
+/// Options of `singletrack replay`.
 #[derive(Args, Clone, Debug)]
 pub struct ReplayArgs {
     /// A record (*.mcap, or *.mcap.part).
@@ -34,7 +37,7 @@ pub struct ReplayArgs {
     pub verify: bool,
 
     /// Replay with another configuration, such as `law.point_distance_m=0.4`, and
-    /// tell how the outputs deviate. May be repeated.
+    /// print how the outputs deviate. May be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<Change>,
 
@@ -44,7 +47,7 @@ pub struct ReplayArgs {
     pub figure: Option<PathBuf>,
 }
 
-/// A name that no record has: a figure replaces what it finds.
+/// A name that no record has: the figure overwrites its file.
 fn svg(name: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(name);
     match path.extension() {
@@ -59,7 +62,7 @@ pub enum ReplayFailure {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// It does not say with which configuration it was made.
+    /// The record does not hold its configuration.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// It can't be replayed to its end.
@@ -69,13 +72,13 @@ pub enum ReplayFailure {
         path: PathBuf,
         /// Ticks that were the same.
         ticks: u64,
-        /// What stands in the way.
+        /// Why.
         source: singletrack_record::ReplayError,
     },
     /// There is nothing to replay.
     #[error("{}: the record has no ticks", .0.display())]
     Empty(PathBuf),
-    /// An output came out otherwise.
+    /// An output differs.
     #[error("{0}")]
     Differs(Box<str>),
     /// The figure can't be written.
@@ -98,7 +101,7 @@ fn so_far(ticks: u64) -> String {
     }
 }
 
-/// Replays a record and says what came of it.
+/// Replays a record and prints the result.
 ///
 /// # Errors
 ///
@@ -153,7 +156,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         eprintln!("singletrack: {}: {ending}", args.log.display());
     }
     match writeln!(io::stdout(), "{told}{pace}") {
-        // Whoever reads it has seen enough.
+        // The reader of a pipe may close it at any time.
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
@@ -166,43 +169,6 @@ fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFai
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),
         Err(source) => Err(ReplayFailure::Figure { path, source }),
-    }
-}
-
-/// What has been replayed.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Span {
-    ticks: u64,
-    first_ns: u64,
-    last_ns: u64,
-}
-
-impl Span {
-    fn add(&mut self, tick: &TickRecord) {
-        if self.ticks == 0 {
-            self.first_ns = tick.start_ns;
-        }
-        self.ticks += 1;
-        self.last_ns = tick.start_ns;
-    }
-
-    /// From its beginning to `tick`, in s.
-    fn seconds_to(&self, tick: &TickRecord) -> f64 {
-        let first_ns = if self.ticks == 0 {
-            tick.start_ns
-        } else {
-            self.first_ns
-        };
-        tick.start_ns.saturating_sub(first_ns) as f64 * 1e-9
-    }
-
-    fn pace(&self, took: Duration) -> String {
-        let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
-        let took = took.as_secs_f64();
-        format!(
-            "{seconds:.2} s replayed in {took:.3} s: {:.0} times real time",
-            seconds / took
-        )
     }
 }
 

@@ -1,4 +1,4 @@
-//! The pilot of a record, as it was configured or otherwise.
+//! The pilot of a record, with the recorded or another configuration.
 
 use std::path::{Path, PathBuf};
 
@@ -8,13 +8,13 @@ use singletrack_record::{Entry, Reader, RecordError, Replay, Topic};
 
 use super::{Change, ChangeError, change};
 
-/// Why there is no pilot.
+/// Why the pilot can't be made.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// A change makes no sense.
+    /// A change is invalid.
     #[error("--set {0}")]
     Change(#[from] ChangeError),
     /// The changes and the rest of the configuration do not go together.

@@ -7,8 +7,9 @@ use std::{
 
 use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
+use singletrack_statistics::RootMeanSquare;
 
-use super::Span;
+use super::span::Span;
 use crate::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// Who makes records, as they name it.
@@ -17,10 +18,10 @@ const DAEMON: &str = "singletrackd";
 /// The version of everything here.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Differences that are told one by one; of more, their number.
+/// Differences that are printed one by one; of more, their number.
 const TOLD: usize = 12;
 
-/// The first tick whose output is not the one recorded, with all that it was told.
+/// The first tick whose output is not the one recorded, with all its inputs.
 pub(super) fn first_difference(
     path: &Path,
     meta: &Meta,
@@ -93,12 +94,10 @@ const QUANTITIES: [Quantity; 9] = [
 /// How one quantity deviates over a record.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Deviation {
-    /// Ticks in which both have it.
-    pub count: u64,
+    /// Replayed minus recorded, in the ticks in which both have it.
+    pub differences: RootMeanSquare,
     /// Ticks in which one has it.
     pub unmatched: u64,
-    /// Sum of the squares of replayed minus recorded.
-    pub squares: f64,
     /// The largest of them, by amount.
     pub largest: f64,
     /// When that was, in s from the first tick.
@@ -110,8 +109,7 @@ impl Deviation {
         match (recorded, replayed) {
             (Some(recorded), Some(replayed)) => {
                 let deviation = replayed - recorded;
-                self.count += 1;
-                self.squares += deviation * deviation;
+                self.differences.add(deviation);
                 if deviation.abs() > self.largest.abs() {
                     (self.largest, self.largest_at) = (deviation, time);
                 }
@@ -124,10 +122,7 @@ impl Deviation {
     /// Root of the mean square.
     #[must_use]
     pub fn rms(&self) -> f64 {
-        if self.count == 0 {
-            return 0.0;
-        }
-        (self.squares / self.count as f64).sqrt()
+        self.differences.value().unwrap_or(0.0)
     }
 }
 

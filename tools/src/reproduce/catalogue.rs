@@ -2,12 +2,10 @@
 //! where numbers and tolerances stand.
 
 mod analyses;
+mod claim;
 mod experiments;
 
-use super::{
-    Setup,
-    claims::{Claim, Criterion, Quantity, Scope},
-};
+use super::{claims::Claim, setup::Setup};
 
 /// All claims, in the order of the report.
 pub(super) fn claims(setup: &Setup) -> Vec<Claim> {
@@ -18,80 +16,6 @@ pub(super) fn claims(setup: &Setup) -> Vec<Claim> {
     claims
 }
 
-/// A claim that begins without quantities.
-fn claim(
-    id: &'static str,
-    section: usize,
-    scope: Scope,
-    claim: impl Into<String>,
-    paper: impl Into<String>,
-) -> Claim {
-    Claim {
-        id,
-        section,
-        claim: claim.into(),
-        paper: paper.into(),
-        quantities: Vec::new(),
-        unit: "",
-        scope,
-        why: String::new(),
-    }
-}
-
-impl Claim {
-    fn unit(mut self, unit: &'static str) -> Self {
-        self.unit = unit;
-        self
-    }
-
-    fn because(mut self, why: impl Into<String>) -> Self {
-        self.why = why.into();
-        self
-    }
-
-    /// A number that should agree.
-    fn agrees(mut self, label: &'static str, name: &str, agrees: Criterion) -> Self {
-        self.quantities.push(Quantity {
-            label,
-            name: name.to_owned(),
-            agrees,
-            instead: None,
-            of_paper_car: false,
-        });
-        self
-    }
-
-    /// A number that should not, and what it is instead.
-    fn differs(
-        mut self,
-        label: &'static str,
-        name: &str,
-        agrees: Criterion,
-        instead: Criterion,
-    ) -> Self {
-        self.quantities.push(Quantity {
-            label,
-            name: name.to_owned(),
-            agrees,
-            instead: Some(instead),
-            of_paper_car: false,
-        });
-        self
-    }
-
-    /// The last number is of the simulated car, with tolerances for the paper's.
-    fn on_the_car(mut self) -> Self {
-        if let Some(last) = self.quantities.last_mut() {
-            last.of_paper_car = true;
-        }
-        self
-    }
-}
-
-const fn near(value: f64, tolerance: f64) -> Criterion {
-    Criterion::Near { value, tolerance }
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
@@ -99,6 +23,7 @@ mod tests {
     use singletrack_control::VehicleParameters;
 
     use super::*;
+    use crate::reproduce::claims::Criterion;
 
     fn setup() -> Setup {
         Setup {

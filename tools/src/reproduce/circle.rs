@@ -15,7 +15,7 @@ use super::{
     text::{number, with_digits},
 };
 use crate::{
-    figure::{Axis, Figure, Look, Symbol, Width},
+    figure::{Axis, Curve, Figure, Look, Symbol, Width},
     tracking::{Sample, Tracking, last_turn},
 };
 
@@ -344,13 +344,13 @@ fn lag_plate(drives: &Drives, lag: f64, section: &mut Section) {
                 let time = run.column(|row| row.t);
                 if curves.is_empty() {
                     let theory = run.column(|_| lag);
-                    curves.push(pictures::curve("atan 0.5", Look::Nominal, &time, theory));
+                    curves.push(Curve::new("atan 0.5", Look::Nominal, &time, theory));
                 }
                 let behind = run.column(|row| {
                     let angle = row.y_ref.atan2(row.x_ref) - row.y_p.atan2(row.x_p);
                     (angle + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0
                 });
-                curves.push(pictures::curve(legend, look, &time, behind));
+                curves.push(Curve::new(legend, look, &time, behind));
             }
             let figure = pictures::over_time(
                 "How far P is behind its reference",

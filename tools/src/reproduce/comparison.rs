@@ -12,13 +12,12 @@ use super::{
     Setup,
     drive::Run,
     extreme::largest,
-    pictures,
     progress::Progress,
     section::{Picture, Plate, Section, Table, or_note},
     steps,
     text::{metres, mm, number, with_digits},
 };
-use crate::figure::{Axis, Figure, Look, Panel, Symbol, Width};
+use crate::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// How far behind its place the centre of mass is believed, for the paper's car, in m.
 pub(super) const DEVIATION_M: f64 = 0.01;
@@ -354,7 +353,7 @@ fn parameter_plate(believing: &[Believing], section: &mut Section) {
                     };
                     let run = &believing.run;
                     let time = run.column(|row| row.t);
-                    pictures::curve(name, look, &time, run.deviations().collect())
+                    Curve::new(name, look, &time, run.deviations().collect())
                 })
                 .collect();
             let y = Axis {
@@ -364,7 +363,7 @@ fn parameter_plate(believing: &[Believing], section: &mut Section) {
             (!curves.is_empty()).then(|| Panel {
                 title: (*symbol).to_owned(),
                 curves,
-                ..Panel::new(pictures::TIME, y)
+                ..Panel::new(Axis::TIME, y)
             })
         })
         .collect();

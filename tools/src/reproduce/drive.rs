@@ -3,9 +3,9 @@
 use singletrack_control::{Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_statistics::RootMeanSquare;
 
-use super::Setup;
-use super::extreme::largest;
+use super::{Setup, extreme::largest};
 use crate::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection, SteeringHold,
@@ -50,7 +50,7 @@ pub(super) struct Seen {
 /// A drive that was driven.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
-    /// What was really so, and the reference.
+    /// Ground truth and the reference.
     pub(super) rows: Vec<Row>,
     /// What the controller saw; nothing on the ideal plant, where it is the truth.
     pub(super) seen: Vec<Seen>,
@@ -224,8 +224,7 @@ impl Run {
 
     /// Their root mean square, in m.
     pub(super) fn rms_deviation(&self) -> f64 {
-        let squares: f64 = self.deviations().map(|deviation| deviation.powi(2)).sum();
-        (squares / self.rows.len().max(1) as f64).sqrt()
+        RootMeanSquare::of(self.deviations()).value().unwrap_or(0.0)
     }
 
     /// How far its P is from that of another drive of the same experiment at most, in m.

@@ -1,4 +1,4 @@
-//! The folder of a reproduction: what is in it, and that it is nobody else's.
+//! The folder of a reproduction; it holds no other files.
 
 use std::{
     ffi::OsStr,
@@ -10,10 +10,13 @@ use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
 
 use super::{
-    ReproduceError, Reproduction,
     claims::{Judged, Verdict},
-    report, table, write_error,
+    error::{ReproduceError, write_error},
+    report,
+    section::Reproduction,
+    table,
 };
+use crate::csv_text::csv_text;
 
 /// The names of the files.
 const REPORT: &str = "report.html";
@@ -207,13 +210,25 @@ impl<'a> Row<'a> {
 
 /// A row for each number of each claim.
 fn csv(claims: &[Judged]) -> String {
-    let mut csv = "id,section,claim,paper,quantity,measured,unit,agrees_if,should_be,verdict,\
-                   expected,why\n"
-        .to_owned();
+    const COLUMNS: [&str; 12] = [
+        "id",
+        "section",
+        "claim",
+        "paper",
+        "quantity",
+        "measured",
+        "unit",
+        "agrees_if",
+        "should_be",
+        "verdict",
+        "expected",
+        "why",
+    ];
+    let mut rows = vec![COLUMNS.map(ToOwned::to_owned)];
     for judged in claims {
         let row = Row::of(judged);
         for number in &row.measured {
-            let cells = [
+            rows.push([
                 row.id.to_owned(),
                 row.section.to_string(),
                 row.claim.to_owned(),
@@ -228,21 +243,10 @@ fn csv(claims: &[Judged]) -> String {
                 row.verdict.name().to_owned(),
                 if row.surprise.is_some() { "no" } else { "yes" }.to_owned(),
                 row.why.to_owned(),
-            ];
-            csv.push_str(&cells.map(|cell| quoted(&cell)).join(","));
-            csv.push('\n');
+            ]);
         }
     }
-    csv
-}
-
-/// A cell of a CSV file.
-fn quoted(cell: &str) -> String {
-    if cell.contains(['"', ',', '\n']) {
-        format!("\"{}\"", cell.replace('"', "\"\""))
-    } else {
-        cell.to_owned()
-    }
+    csv_text(rows)
 }
 
 #[cfg(test)]
@@ -319,11 +323,5 @@ mod tests {
         prepare(folder.path()).unwrap();
         write(folder.path(), &reproduction).unwrap();
         assert!(folder.path().join(REPORT).exists());
-    }
-
-    #[test]
-    fn cells_with_commas_and_quotes_stay_one_cell() {
-        assert_eq!(quoted("plain"), "plain");
-        assert_eq!(quoted(r#"a "b", c"#), r#""a ""b"", c""#);
     }
 }

@@ -1,11 +1,12 @@
 //! `singletrack reproduce`: the paper's experiments and analyses, and its claims beside
-//! what they come to here.
+//! measured results.
 
 mod catalogue;
 mod circle;
 pub mod claims;
 mod comparison;
 mod drive;
+mod error;
 mod extreme;
 mod folder;
 mod model;
@@ -20,26 +21,29 @@ mod steps;
 mod table;
 mod text;
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 use clap::Args;
 use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
 
-pub use section::{Picture, Plate, Section, Table};
+pub use error::ReproduceError;
+pub use section::{Picture, Plate, Reproduction, Section, Table};
 pub use setup::Setup;
 
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::vehicle_file;
 use claims::{Judged, Measurements, judge, surprises};
 use progress::Progress;
 
-/// What `singletrack reproduce` is asked.
+/// Options of `singletrack reproduce`.
 #[derive(Args, Clone, Debug)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
-    #[arg(long, value_name = "DIR", default_value = "singletrack-reproduction")]
+    #[arg(
+        long,
+        alias = "output",
+        value_name = "DIR",
+        default_value = "singletrack-reproduction"
+    )]
     pub out: PathBuf,
 
     /// The car: a TOML file with a table `vehicle` [default: the paper's]
@@ -51,62 +55,12 @@ pub struct ReproduceArgs {
     pub quick: bool,
 }
 
-/// Why the paper was not reproduced.
-#[derive(Debug, thiserror::Error)]
-pub enum ReproduceError {
-    /// There is no such car.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// Something can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The folder is somebody else's.
-    #[error(
-        "{} holds other things than an earlier reproduction ({found}); choose another folder \
-         with --out",
-        path.display()
-    )]
-    Foreign {
-        /// The folder.
-        path: PathBuf,
-        /// The first thing in it.
-        found: String,
-    },
-    /// A claim came out otherwise than it should.
-    #[error(
-        "{count} of the claims came out otherwise than expected: see the lines marked with ! and {}",
-        report.display()
-    )]
-    Surprise {
-        /// How many.
-        count: usize,
-        /// The report.
-        report: PathBuf,
-    },
-}
-
-/// Everything that was computed.
-#[derive(Clone, Debug)]
-pub struct Reproduction {
-    /// The car.
-    pub setup: Setup,
-    /// The sections of the report, in order.
-    pub sections: Vec<Section>,
-    /// The claims with their verdicts.
-    pub claims: Vec<Judged>,
-}
-
 /// Reproduces the paper: the table of claims on standard output, all else in a folder.
 ///
 /// # Errors
 ///
-/// When it can't be written, or when a claim came out otherwise than it should; what
-/// was computed is written all the same.
+/// When it can't be written, or when a claim's verdict is not the expected one; the
+/// files are written all the same.
 pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     let vehicle = vehicle_file::read_or_paper(args.vehicle.as_deref())?;
     let mut setup = Setup {
@@ -126,7 +80,7 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     outcome(&reproduction.claims, report)
 }
 
-/// Fails if a claim came out otherwise than it should.
+/// Fails if a claim's verdict is not the expected one.
 fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
     match surprises(claims) {
         0 => Ok(()),
@@ -197,11 +151,6 @@ fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
         Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
         _ => None,
     }
-}
-
-fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> {
-    let path = path.to_owned();
-    move |source| ReproduceError::Write { path, source }
 }
 
 #[cfg(test)]

@@ -6,18 +6,6 @@ use crate::{
     simulate::Row,
 };
 
-pub(super) const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
-
-pub(super) fn curve(name: &'static str, look: Look, x: &Column, y: Column) -> Curve {
-    Curve {
-        name,
-        look,
-        x: x.clone(),
-        y,
-        time: None,
-    }
-}
-
 impl Run {
     /// A number for each row.
     pub(super) fn column(&self, value: impl Fn(&Row) -> f64) -> Column {
@@ -34,7 +22,7 @@ impl Run {
             spans: self.lost.clone(),
             span_name: "markers lost",
             curves,
-            ..Panel::new(TIME, y)
+            ..Panel::new(Axis::TIME, y)
         }
     }
 
@@ -56,13 +44,13 @@ impl Run {
             height_mm,
             equal: true,
             curves: vec![
-                curve(
+                Curve::new(
                     "nominal",
                     Look::Nominal,
                     &self.column(|row| row.x_ref),
                     self.column(|row| row.y_ref),
                 ),
-                curve(
+                Curve::new(
                     "actual",
                     Look::Actual,
                     &self.column(|row| row.x_p),
@@ -100,7 +88,7 @@ impl Run {
         let panel = |below, value: fn(&Row) -> f64| {
             self.over_time(
                 Axis::new("velocity", Some(Symbol::new("v", below)), "m/s"),
-                vec![curve(
+                vec![Curve::new(
                     "commanded",
                     Look::Actual,
                     &self.time(),
@@ -120,16 +108,16 @@ impl Run {
         let y = Axis::new("steering", Some(Symbol::new("δ", "")), "rad");
         let wheels = self.column(|row| row.steering);
         let curves = if self.seen.is_empty() {
-            vec![curve("law", Look::Actual, &self.time(), wheels)]
+            vec![Curve::new("law", Look::Actual, &self.time(), wheels)]
         } else {
             vec![
-                curve(
+                Curve::new(
                     "law",
                     Look::Actual,
                     &self.seen_time(),
                     self.seen_column(|seen| seen.steering),
                 ),
-                curve("wheels", Look::Truth, &self.time(), wheels),
+                Curve::new("wheels", Look::Truth, &self.time(), wheels),
             ]
         };
         Figure {
@@ -144,16 +132,16 @@ impl Run {
     pub(super) fn speed(&self) -> Figure {
         let y = Axis::new("speed", Some(Symbol::new("v", "")), "m/s");
         let reference = self.column(|row| row.speed);
-        let mut curves = vec![curve(
+        let mut curves = vec![Curve::new(
             "reference",
             Look::Nominal,
             &self.time(),
             reference.clone(),
         )];
         curves.push(if self.seen.is_empty() {
-            curve("actual", Look::Actual, &self.time(), reference)
+            Curve::new("actual", Look::Actual, &self.time(), reference)
         } else {
-            curve(
+            Curve::new(
                 "actual",
                 Look::Actual,
                 &self.seen_time(),
@@ -171,7 +159,7 @@ impl Run {
     pub(super) fn position(&self) -> Figure {
         let panel =
             |letter, should: fn(&Row) -> f64, is: fn(&Row) -> f64, seen: fn(&Seen) -> f64| {
-                let mut curves = vec![curve(
+                let mut curves = vec![Curve::new(
                     "nominal",
                     Look::Nominal,
                     &self.time(),
@@ -179,15 +167,15 @@ impl Run {
                 )];
                 let (time, is) = (self.time(), self.column(is));
                 if self.seen.is_empty() {
-                    curves.push(curve("actual", Look::Actual, &time, is));
+                    curves.push(Curve::new("actual", Look::Actual, &time, is));
                 } else {
-                    curves.push(curve(
+                    curves.push(Curve::new(
                         "as measured",
                         Look::Actual,
                         &self.seen_time(),
                         self.seen_column(seen),
                     ));
-                    curves.push(curve("true", Look::Truth, &time, is));
+                    curves.push(Curve::new("true", Look::Truth, &time, is));
                 }
                 self.over_time(
                     Axis::new("position", Some(Symbol::new(letter, "P")), "m"),
@@ -211,16 +199,16 @@ impl Run {
         let panel = |quantity, letter, unit, is: fn(&Row) -> f64, seen: fn(&Seen) -> f64| {
             let truth = self.column(is);
             let curves = if self.seen.is_empty() {
-                vec![curve("true", Look::Actual, &self.time(), truth)]
+                vec![Curve::new("true", Look::Actual, &self.time(), truth)]
             } else {
                 vec![
-                    curve(
+                    Curve::new(
                         "measured",
                         Look::Actual,
                         &self.seen_time(),
                         self.seen_column(seen),
                     ),
-                    curve("true", Look::Truth, &self.time(), truth),
+                    Curve::new("true", Look::Truth, &self.time(), truth),
                 ]
             };
             self.over_time(
@@ -287,7 +275,7 @@ pub(super) fn over_time(
         width,
         panels: vec![Panel {
             curves,
-            ..Panel::new(TIME, y)
+            ..Panel::new(Axis::TIME, y)
         }],
     }
 }

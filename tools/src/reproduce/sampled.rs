@@ -21,7 +21,7 @@ fn ms(time: Option<f64>, limit: f64) -> String {
     )
 }
 
-/// The speeds that are told in words, for the paper's car, in m/s.
+/// The speeds that the text names, for the paper's car, in m/s.
 const TOLD: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
 
 /// The greatest speed that is looked at, for the paper's car, in m/s.

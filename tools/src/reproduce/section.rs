@@ -2,11 +2,12 @@
 
 use super::{
     Setup,
-    claims::Measurements,
+    claims::{Judged, Measurements},
     drive::{DriveError, Experiment, Run},
     text,
 };
 use crate::{
+    csv_text::csv_text,
     figure::Figure,
     simulate::{HEADER, Row},
 };
@@ -76,6 +77,17 @@ impl Section {
     }
 }
 
+/// Everything that was computed.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// The car.
+    pub setup: Setup,
+    /// The sections of the report, in order.
+    pub sections: Vec<Section>,
+    /// The claims with their verdicts.
+    pub claims: Vec<Judged>,
+}
+
 /// Pictures that belong together, beside the paper's.
 #[derive(Clone, Debug)]
 pub struct Plate {
@@ -94,7 +106,7 @@ pub struct Plate {
 pub struct Picture {
     /// The name of its file, without the ending.
     pub name: String,
-    /// What tells it from the others of its plate.
+    /// What distinguishes it from the others of its plate.
     pub label: String,
     /// The picture.
     pub figure: Figure,
@@ -132,26 +144,19 @@ impl Table {
         }
     }
 
-    /// As CSV: every digit that tells numbers apart; nothing where there is no number.
+    /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
     #[must_use]
     pub fn to_csv(&self) -> String {
-        let mut csv = self.header.clone();
-        csv.push('\n');
-        for row in &self.rows {
-            let cells: Vec<String> = row
-                .iter()
-                .map(|value| {
-                    if value.is_nan() {
-                        String::new()
-                    } else {
-                        value.to_string()
-                    }
-                })
-                .collect();
-            csv.push_str(&cells.join(","));
-            csv.push('\n');
-        }
-        csv
+        let cell = |value: &f64| {
+            if value.is_nan() {
+                String::new()
+            } else {
+                value.to_string()
+            }
+        };
+        let header: Vec<String> = self.header.split(',').map(ToOwned::to_owned).collect();
+        let rows = self.rows.iter().map(|row| row.iter().map(cell).collect());
+        csv_text([header].into_iter().chain(rows))
     }
 }
 

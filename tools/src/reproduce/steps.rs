@@ -1,6 +1,7 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
+use singletrack_statistics::RootMeanSquare;
 
 use super::{
     Setup,
@@ -12,7 +13,7 @@ use super::{
     text::{metres, mm, number, with_digits},
 };
 use crate::{
-    figure::{Axis, Look, Symbol, Width},
+    figure::{Axis, Curve, Look, Symbol, Width},
     simulate::MarkerLoss,
 };
 
@@ -284,18 +285,16 @@ fn speed_lag(run: Option<&Run>) -> String {
     let Some(run) = run else {
         return "(not driven)".to_owned();
     };
-    let mut squares = 0.0;
-    let mut count = 0.0;
+    let mut lag = RootMeanSquare::default();
     for row in run.rows.iter().filter(|row| row.t > 1.0) {
         let at = run.seen.partition_point(|seen| seen.time < row.t);
         if let Some(seen) = run.seen.get(at) {
-            squares += (seen.speed - row.speed).powi(2);
-            count += 1.0_f64;
+            lag.add(seen.speed - row.speed);
         }
     }
     format!(
         "within its motor's lag, {} m/s RMS after the first second",
-        with_digits((squares / count.max(1.0)).sqrt(), 2)
+        with_digits(lag.value().unwrap_or(0.0), 2)
     )
 }
 
@@ -306,13 +305,13 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
     };
     let time = rear.column(|row| row.t);
     let mut curves = vec![
-        pictures::curve(
+        Curve::new(
             "2 |dl sin(Δψ/2)|",
             Look::Nominal,
             &time,
             predicted(setup.rear_deviation_m(), rear).collect(),
         ),
-        pictures::curve(
+        Curve::new(
             "ideal plant",
             Look::Actual,
             &time,
@@ -325,7 +324,7 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
             .iter()
             .zip(&right.rows)
             .map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p));
-        curves.push(pictures::curve(
+        curves.push(Curve::new(
             "car, from that with dl = 0",
             Look::Truth,
             &rear.column(|row| row.t),

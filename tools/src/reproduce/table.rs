@@ -6,8 +6,8 @@ use std::{
 };
 
 use super::{
-    Reproduction,
     claims::{Judged, Verdict, surprises},
+    section::Reproduction,
     text::with_digits,
 };
 
@@ -20,7 +20,7 @@ const COLUMNS: [(&str, usize); 5] = [
     ("why", 34),
 ];
 
-/// Prints the table and where the report is. Whoever closes the pipe has seen enough.
+/// Prints the table and where the report is. A closed pipe is no error.
 pub(super) fn print(reproduction: &Reproduction, report: &Path) {
     let mut out = io::stdout().lock();
     let _ = write(&mut out, reproduction, report);

@@ -8,7 +8,7 @@ pub(super) fn number(value: f64) -> String {
     with_digits(value, 5)
 }
 
-/// The same with as many significant digits as told.
+/// The same with the given number of significant digits.
 pub(super) fn with_digits(value: f64, digits: i32) -> String {
     if value == 0.0 {
         return "0".to_owned();

@@ -2,6 +2,8 @@
 
 use std::io::{self, Write};
 
+use crate::csv_text::csv_text;
+
 /// Rows per second.
 pub(crate) const ROWS_PER_SECOND: u64 = 20;
 
@@ -75,11 +77,11 @@ impl Row {
 ///
 /// Those of the writer.
 pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
-    writeln!(out, "{HEADER}")?;
-    for row in rows {
-        let values = row.values().map(significant);
-        writeln!(out, "{}", values.join(","))?;
-    }
+    let header = HEADER.split(',').map(ToOwned::to_owned).collect();
+    let rows = rows
+        .iter()
+        .map(|row| row.values().map(significant).to_vec());
+    out.write_all(csv_text([header].into_iter().chain(rows)).as_bytes())?;
     out.flush()
 }
 

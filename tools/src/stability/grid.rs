@@ -1,8 +1,8 @@
-//! A range of values, as it is written on the command line.
+//! A range of values on the command line.
 
 use std::str::FromStr;
 
-/// More points than this nobody looks at.
+/// The largest number of points.
 const MOST_POINTS: f64 = 100_000.0;
 
 /// Evenly spaced values: `A:B:STEP` with both ends, or a single value.
@@ -86,7 +86,7 @@ fn decimals(text: &str) -> usize {
     usize::try_from(decimals.max(0)).unwrap_or(0)
 }
 
-/// The value that is written with so many decimals.
+/// The value rounded to a number of decimals.
 fn rounded(value: f64, decimals: usize) -> f64 {
     // Beyond that, rounding to decimals changes nothing.
     if decimals > 15 {

@@ -7,24 +7,21 @@ use serde_json::json;
 use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
 
 use super::{
-    Grid, LoopArgs, StabilityCommandError, Subject,
+    arguments::{LoopArgs, SpeedArgs},
+    error::StabilityCommandError,
     figures::{self, Scene},
+    grid::Grid,
     output::{Table, write_json},
-    region,
+    region::region,
+    subject::Subject,
 };
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct HopfArgs {
     #[command(flatten)]
     subject: LoopArgs,
-    /// Speeds of the steady motion, in m/s
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0.1:8:0.05"
-    )]
-    speeds: Grid,
+    #[command(flatten)]
+    speed: SpeedArgs,
     /// How to write them
     #[arg(long, value_enum, default_value_t = HopfFormat::Csv)]
     format: HopfFormat,
@@ -34,7 +31,7 @@ pub(super) struct HopfArgs {
 enum HopfFormat {
     /// A header and a row for each point
     Csv,
-    /// One document, with the car and all that is known of each point
+    /// One document, with the car and all values of each point
     Json,
     /// The paper's figure: the regions, the curve, and Lyapunov coefficients along it
     Svg,
@@ -42,7 +39,7 @@ enum HopfFormat {
 
 pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let curve = hopf_curve(&subject, &args.speeds)?;
+    let curve = hopf_curve(&subject, &args.speed.speeds)?;
     if curve.is_empty() {
         eprintln!("singletrack: there is no Hopf point at these speeds, for any dl");
     }
@@ -54,7 +51,7 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
         }
         HopfFormat::Svg => {
             let deviations = figures::drawn_deviations(&subject, 241);
-            let region = region(&subject, &args.speeds, &deviations)?;
+            let region = region(&subject, &args.speed.speeds, &deviations)?;
             let figure = figures::region(&Scene::new(&subject, &curve)?, &region)?;
             io::stdout().write_all(figure.to_svg().as_bytes())?;
         }

@@ -1,13 +1,17 @@
 //! The linearisation at one steady motion.
 
-use std::io::{self, BufWriter, Write};
+use std::io;
 
 use clap::Args;
 use nalgebra::DMatrix;
 use serde_json::json;
 use singletrack_analysis::stability::{CharacteristicPolynomial, Law};
 
-use super::{Format, LoopArgs, StabilityCommandError, output::write_json};
+use super::{
+    arguments::{Format, LoopArgs},
+    error::StabilityCommandError,
+    output::{print_csv, write_json},
+};
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct JacobianArgs {
@@ -72,11 +76,13 @@ pub(super) fn run(args: &JacobianArgs) -> Result<(), StabilityCommandError> {
 }
 
 fn write_csv(states: &[&str], jacobian: &DMatrix<f64>) -> io::Result<()> {
-    let mut out = BufWriter::new(io::stdout().lock());
-    writeln!(out, "derivative_of,{}", states.join(","))?;
-    for (state, row) in states.iter().zip(jacobian.row_iter()) {
-        let fields: Vec<String> = row.iter().map(f64::to_string).collect();
-        writeln!(out, "{state},{}", fields.join(","))?;
-    }
-    out.flush()
+    let names = states.iter().map(ToString::to_string);
+    let header = ["derivative_of".to_owned()]
+        .into_iter()
+        .chain(names.clone());
+    let rows = names.zip(jacobian.row_iter()).map(|(state, row)| {
+        let cells = row.iter().map(f64::to_string);
+        [state].into_iter().chain(cells).collect()
+    });
+    print_csv([header.collect()].into_iter().chain(rows))
 }

@@ -6,7 +6,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law};
 
-use super::Subject;
+use super::subject::Subject;
+use crate::csv_text::csv_text;
 
 /// A table: the names of its columns and its rows. A missing number is an empty field.
 pub(super) struct Table {
@@ -16,18 +17,19 @@ pub(super) struct Table {
 
 impl Table {
     pub(super) fn write_csv(&self) -> io::Result<()> {
-        let mut out = BufWriter::new(io::stdout().lock());
-        writeln!(out, "{}", self.columns.join(","))?;
-        for row in &self.rows {
-            let fields: Vec<String> = row
-                .iter()
-                // The shortest text that is this number and no other.
-                .map(|value| value.map_or_else(String::new, |value| value.to_string()))
-                .collect();
-            writeln!(out, "{}", fields.join(","))?;
-        }
-        out.flush()
+        // The shortest text that is this number and no other.
+        let cell = |value: &Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+        let header = self.columns.iter().map(ToString::to_string).collect();
+        let rows = self.rows.iter().map(|row| row.iter().map(cell).collect());
+        print_csv([header].into_iter().chain(rows))
     }
+}
+
+/// Writes rows of cells to standard output.
+pub(super) fn print_csv(rows: impl IntoIterator<Item = Vec<String>>) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_all(csv_text(rows).as_bytes())?;
+    out.flush()
 }
 
 /// Writes a document: what was looked at, and `points`.

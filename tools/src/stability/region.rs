@@ -1,41 +1,20 @@
 //! Where the steady motion is stable.
 
-use clap::Args;
 use serde::Serialize;
 use singletrack_analysis::stability::StabilityError;
 
 use super::{
-    Format, Grid, LoopArgs, StabilityCommandError, Subject,
+    arguments::{Format, MapArgs},
+    error::StabilityCommandError,
+    grid::Grid,
     output::{Table, write_json},
+    subject::Subject,
 };
 
-#[derive(Clone, Debug, Args)]
-pub(super) struct RegionArgs {
-    #[command(flatten)]
-    subject: LoopArgs,
-    /// Speeds of the steady motion, in m/s
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0.1:8:0.1"
-    )]
-    speeds: Grid,
-    /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
-    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
-    dl: Option<Grid>,
-    /// How to write it
-    #[arg(long, value_enum, default_value_t = Format::Csv)]
-    format: Format,
-}
-
-pub(super) fn run(args: &RegionArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let dl = args
-        .dl
-        .clone()
-        .unwrap_or_else(|| subject.usual_deviations());
-    let region = region(&subject, &args.speeds, &dl)?;
+    let dl = args.points.deviations_or(|| subject.usual_deviations());
+    let region = region(&subject, args.points.speeds(), &dl)?;
     match args.format {
         Format::Csv => Table {
             columns: vec!["speed_m_s", "dl_m", "largest_re_per_s", "stable"],

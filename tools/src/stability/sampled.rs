@@ -6,25 +6,27 @@ use serde::Serialize;
 use singletrack_analysis::stability::{MarginLimits, SampledLoop};
 
 use super::{
-    Format, Grid, LoopArgs, StabilityCommandError, Subject,
+    arguments::{Format, LoopArgs, PointArgs, TimingArgs},
+    error::StabilityCommandError,
+    grid::Grid,
     output::{Table, write_json},
+    subject::Subject,
 };
 
 #[derive(Clone, Debug, Args)]
+#[command(
+    mut_arg("speeds", |speeds| speeds.default_value("0.25:5:0.25")),
+    mut_arg("dl", |dl| {
+        dl.help(
+            "Deviations dl of the centre of mass, in m [default: 21 over the meaningful range]",
+        )
+    })
+)]
 pub(super) struct SampledArgs {
     #[command(flatten)]
     subject: LoopArgs,
-    /// Speeds of the steady motion, in m/s
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0.25:5:0.25"
-    )]
-    speeds: Grid,
-    /// Deviations dl of the centre of mass, in m [default: 21 over the meaningful range]
-    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
-    dl: Option<Grid>,
+    #[command(flatten)]
+    points: PointArgs,
     #[command(flatten)]
     timing: TimingArgs,
     /// How to write it
@@ -32,62 +34,21 @@ pub(super) struct SampledArgs {
     format: Format,
 }
 
-/// When the loop acts.
-#[derive(Clone, Copy, Debug, Args)]
-pub struct TimingArgs {
-    /// Period of the controller, in ms
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 10.0
-    )]
-    pub period_ms: f64,
-    /// From a tick's measurement until its command acts, in ms
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 10.0
-    )]
-    pub delay_ms: f64,
-    /// Ticks from one seen pose to the next; in between it is held
-    #[arg(long, value_name = "TICKS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub marker_interval: u32,
-    /// Gain of a proportional position loop around the law, in 1/s; 0 for the law alone
-    #[arg(
-        long,
-        value_name = "K",
-        allow_negative_numbers = true,
-        default_value_t = 0.0
-    )]
-    pub position_gain: f64,
-}
-
-impl Default for TimingArgs {
-    fn default() -> Self {
-        Self {
-            period_ms: 10.0,
-            delay_ms: 10.0,
-            marker_interval: 1,
-            position_gain: 0.0,
-        }
-    }
-}
-
 pub(super) fn run(args: &SampledArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let dl = args.dl.clone().unwrap_or_else(|| {
+    let dl = args.points.deviations_or(|| {
         let range =
             singletrack_analysis::stability::ClosedLoop::meaningful_deviations(&subject.vehicle);
         Grid::spanning(range, 21)
     });
-    let total = args.speeds.values().len() * dl.values().len();
+    let total = args.points.speeds().values().len() * dl.values().len();
     let bar = ProgressBar::new(total as u64).with_style(
         ProgressStyle::with_template("{wide_bar} {pos}/{len} points")
             .unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
-    let map = sampled_map(&subject, &args.speeds, &dl, args.timing, || bar.inc(1))?;
+    let map = sampled_map(&subject, args.points.speeds(), &dl, args.timing, || {
+        bar.inc(1);
+    })?;
     bar.finish_and_clear();
     match args.format {
         Format::Csv => Table {
@@ -132,12 +93,12 @@ pub struct SampledRow {
     pub longest_marker_interval_s: Option<f64>,
 }
 
-/// The sampled loop over all `speeds` and, for each, all `deviations`; tells `progress`
-/// of each point.
+/// The sampled loop over all `speeds` and, for each, all `deviations`; calls
+/// `progress` after each point.
 ///
 /// # Errors
 ///
-/// A point without a steady motion, or a timing that makes no sense.
+/// A point without a steady motion, or an invalid timing.
 pub fn sampled_map(
     subject: &Subject,
     speeds: &Grid,

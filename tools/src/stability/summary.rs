@@ -8,7 +8,11 @@ use singletrack_analysis::stability::{
     infinite_speed_limit, smallest_point_distance,
 };
 
-use super::{CarArgs, StabilityCommandError, Subject, sampled::TimingArgs};
+use super::{
+    arguments::{CarArgs, TimingArgs},
+    error::StabilityCommandError,
+    subject::Subject,
+};
 use crate::vehicle_file;
 
 #[derive(Clone, Debug, Args)]
@@ -19,7 +23,7 @@ pub(super) struct SummaryArgs {
     timing: TimingArgs,
 }
 
-/// Speeds that tell the story, in m/s.
+/// The speeds of the summary, in m/s.
 const SPEEDS: [f64; 5] = [0.1, 0.5, 1.0, 2.0, 5.0];
 
 pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {

@@ -66,6 +66,15 @@ fn conditions_choose_rows_by_what_their_fields_hold() {
 }
 
 #[test]
+fn a_topic_may_have_the_name_of_its_channel() {
+    let printed = |topic| printed(&["--fields=index", topic]);
+    assert_eq!(
+        printed("--topic=/singletrack/tick"),
+        printed("--topic=tick")
+    );
+}
+
+#[test]
 fn a_topic_without_the_field_of_a_condition_is_left_out() {
     let arguments = ["--topic=tick,log", "--where=index>=0", "--format=json"];
     let printed = printed(&arguments);
@@ -114,6 +123,14 @@ fn what_is_misspelt_is_named_with_what_was_probably_meant() {
         ),
         (&["--from=soon"], "not a time: \"soon\"; use seconds"),
         (&["--for=10"], "10"),
+        (
+            &["--topic=tick", "--where=mode=drivng"],
+            "mode is never \"drivng\"; it is one of disconnected, idle, ready, arming, driving",
+        ),
+        (
+            &["--from=10", "--to=5"],
+            "--from 10 is after --to 5: give the earlier time to --from",
+        ),
         (&["--stats", "--format=csv"], "--stats has no csv"),
     ] {
         let error = refused(arguments);

@@ -1,19 +1,22 @@
-//! Reads what is needed from an ELF file for the AVR: the bytes of the flash and
-//! where the static data end.
+//! Reads the image's ELF file: the bytes of the flash and the end of the static data.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
+use object::{
+    LittleEndian,
+    elf::{EF_AVR_ARCH, EF_AVR_ARCH_AVR5, EM_AVR, FileHeader32, PT_LOAD, SHT_SYMTAB},
+    read::elf::{FileHeader as _, ProgramHeader as _, Sym as _},
+};
+
 const FLASH_BYTES: usize = 32 * 1024;
-const EM_AVR: u16 = 83;
-/// Of the flags: the family of processors, and the ATmega328P's.
-const FAMILY: u32 = 0x7F;
-const AVR5: u32 = 5;
-const PT_LOAD: u32 = 1;
-const SHT_SYMTAB: u32 = 2;
 /// Where the linker puts the data space.
 const DATA_SPACE: u32 = 0x0080_0000;
 const SRAM_START: u16 = 0x100;
+/// The symbols that linker scripts put above the static data.
+const ENDS: [&[u8]; 4] = [b"__data_end", b"__bss_end", b"_end", b"__noinit_end"];
+
+type Header = FileHeader32<LittleEndian>;
 
 /// A program for the ATmega328P.
 #[derive(Debug)]
@@ -23,7 +26,7 @@ pub(crate) struct Image {
     pub(crate) static_end: u16,
 }
 
-/// Why a file is no program for the board.
+/// Why a file is not a program for the board.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ImageError {
     #[error("can't read {0}: {1}")]
@@ -32,7 +35,7 @@ pub(crate) enum ImageError {
     NotElf(PathBuf),
     #[error("{0} is for machine {1}, not for the AVR ({EM_AVR})")]
     NotAvr(PathBuf, u16),
-    #[error("{0} is for the processors avr{1}, not for avr{AVR5} (-mmcu=atmega328p)")]
+    #[error("{0} is for the processors avr{1}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)")]
     OtherFamily(PathBuf, u32),
     #[error("{0} is cut off or damaged")]
     Damaged(PathBuf),
@@ -40,30 +43,6 @@ pub(crate) enum ImageError {
     TooLarge(PathBuf, usize),
     #[error("{0} holds nothing for the flash")]
     Empty(PathBuf),
-}
-
-struct Bytes<'a>(&'a [u8]);
-
-impl<'a> Bytes<'a> {
-    fn array<const N: usize>(&self, offset: usize) -> Option<[u8; N]> {
-        self.slice(offset, N)?.try_into().ok()
-    }
-
-    fn slice(&self, offset: usize, length: usize) -> Option<&'a [u8]> {
-        self.0.get(offset..offset.checked_add(length)?)
-    }
-
-    fn u16(&self, offset: usize) -> Option<u16> {
-        self.array(offset).map(u16::from_le_bytes)
-    }
-
-    fn u32(&self, offset: usize) -> Option<u32> {
-        self.array(offset).map(u32::from_le_bytes)
-    }
-
-    fn offset(&self, at: usize) -> Option<usize> {
-        self.u32(at).map(|value| value as usize)
-    }
 }
 
 impl Image {
@@ -74,21 +53,18 @@ impl Image {
     }
 
     fn parse(bytes: &[u8], path: &Path) -> Result<Self, ImageError> {
-        let file = Bytes(bytes);
-        if file.array(0) != Some(*b"\x7fELF\x01\x01") {
-            return Err(ImageError::NotElf(path.to_owned()));
-        }
-        let damaged = || ImageError::Damaged(path.to_owned());
-        let machine = file.u16(18).ok_or_else(damaged)?;
+        let header = Header::parse(bytes).map_err(|_| ImageError::NotElf(path.to_owned()))?;
+        let damaged = |Damaged| ImageError::Damaged(path.to_owned());
+        let machine = header.e_machine(LittleEndian);
         if machine != EM_AVR {
             return Err(ImageError::NotAvr(path.to_owned(), machine));
         }
-        let family = file.u32(36).ok_or_else(damaged)? & FAMILY;
-        if family != AVR5 {
+        let family = header.e_flags(LittleEndian) & EF_AVR_ARCH;
+        if family != EF_AVR_ARCH_AVR5 {
             return Err(ImageError::OtherFamily(path.to_owned(), family));
         }
         let mut flash = Vec::new();
-        for (address, contents) in segments(&file).ok_or_else(damaged)? {
+        for (address, contents) in segments(header, bytes).map_err(damaged)? {
             let end = address + contents.len();
             if end > FLASH_BYTES {
                 return Err(ImageError::TooLarge(path.to_owned(), end));
@@ -105,76 +81,61 @@ impl Image {
         }
         Ok(Self {
             flash,
-            static_end: static_end(&file).ok_or_else(damaged)?,
+            static_end: static_end(header, bytes).map_err(damaged)?,
         })
     }
 }
 
-/// What is loaded into the flash, and where. EEPROM and fuses have addresses
-/// beyond the data space.
-fn segments<'a>(file: &Bytes<'a>) -> Option<Vec<(usize, &'a [u8])>> {
-    let table = file.offset(28)?;
-    let size = usize::from(file.u16(42)?);
-    let count = usize::from(file.u16(44)?);
-    let mut segments = Vec::new();
-    for index in 0..count {
-        let header = table.checked_add(index * size)?;
-        let length = file.offset(header + 16)?;
-        let address = file.u32(header + 12)?;
-        if file.u32(header)? == PT_LOAD && length > 0 && address < DATA_SPACE {
-            segments.push((
-                address as usize,
-                file.slice(file.offset(header + 4)?, length)?,
-            ));
-        }
+/// A part of the file is missing or contradicts another.
+struct Damaged;
+
+impl From<object::Error> for Damaged {
+    fn from(_: object::Error) -> Self {
+        Self
     }
-    Some(segments)
 }
 
-/// The highest of the symbols that linker scripts put above the static data.
-fn static_end(file: &Bytes<'_>) -> Option<u16> {
-    let table = file.offset(32)?;
-    let size = usize::from(file.u16(46)?);
-    let count = usize::from(file.u16(48)?);
-    let section = |index: usize| table.checked_add(index.checked_mul(size)?);
-    let mut end = SRAM_START;
-    for index in 0..count {
-        let header = section(index)?;
-        if file.u32(header + 4)? != SHT_SYMTAB {
-            continue;
-        }
-        let (symbols, length) = (file.offset(header + 16)?, file.offset(header + 20)?);
-        let names = file.offset(section(file.offset(header + 24)?)? + 16)?;
-        for symbol in (symbols..symbols.checked_add(length)?).step_by(16) {
-            let name = names.checked_add(file.offset(symbol)?)?;
-            let is = |wanted: &[u8]| file.slice(name, wanted.len()) == Some(wanted);
-            let value = file.u32(symbol + 4)?;
-            if value >= DATA_SPACE
-                && [
-                    &b"__data_end\0"[..],
-                    b"__bss_end\0",
-                    b"_end\0",
-                    b"__noinit_end\0",
-                ]
-                .into_iter()
-                .any(is)
-            {
-                end = end.max(u16::try_from(value - DATA_SPACE).ok()?);
-            }
+/// The address and the contents of each part of the flash. EEPROM and fuses have
+/// addresses beyond the data space.
+fn segments<'a>(header: &Header, bytes: &'a [u8]) -> Result<Vec<(usize, &'a [u8])>, Damaged> {
+    let mut segments = Vec::new();
+    for segment in header.program_headers(LittleEndian, bytes)? {
+        let address = segment.p_paddr(LittleEndian);
+        if segment.p_type(LittleEndian) == PT_LOAD
+            && segment.p_filesz(LittleEndian) > 0
+            && address < DATA_SPACE
+        {
+            let contents = segment.data(LittleEndian, bytes).map_err(|()| Damaged)?;
+            segments.push((address as usize, contents));
         }
     }
-    Some(end)
+    Ok(segments)
+}
+
+/// The highest of the symbols above the static data.
+fn static_end(header: &Header, bytes: &[u8]) -> Result<u16, Damaged> {
+    let sections = header.sections(LittleEndian, bytes)?;
+    let symbols = sections.symbols(LittleEndian, bytes, SHT_SYMTAB)?;
+    let mut end = SRAM_START;
+    for symbol in symbols.iter() {
+        let name = symbol.name(LittleEndian, symbols.strings())?;
+        let value = symbol.st_value(LittleEndian);
+        if value >= DATA_SPACE && ENDS.contains(&name) {
+            end = end.max(u16::try_from(value - DATA_SPACE).map_err(|_| Damaged)?);
+        }
+    }
+    Ok(end)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A file of one segment of four bytes at `address`, without symbols.
+    /// A file with one segment of four bytes at `address`, without symbols.
     fn file(machine: u16, family: u8, address: u32) -> Vec<u8> {
         let mut bytes = vec![0; 52 + 32];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
-        put(0, b"\x7fELF\x01\x01");
+        put(0, b"\x7fELF\x01\x01\x01");
         put(18, &machine.to_le_bytes());
         put(28, &52_u32.to_le_bytes());
         put(36, &[family]);

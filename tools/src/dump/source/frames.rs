@@ -23,7 +23,7 @@ pub enum Direction {
     ToBoard,
 }
 
-/// The kind of what is no frame.
+/// The kind of bytes that are not a frame.
 pub(in crate::dump) const BROKEN: &str = "broken";
 
 /// No more bytes than this of something broken are shown.

@@ -37,7 +37,7 @@ pub(in crate::dump) struct Live {
 }
 
 impl Live {
-    /// Asks the daemon to tell of the `chosen` kinds, and waits until it agrees.
+    /// Subscribes to the `chosen` kinds, and waits until the daemon agrees.
     pub(in crate::dump) fn connect(
         path: &Path,
         kinds: &[Kind],
@@ -89,7 +89,7 @@ impl Live {
         Ok(live)
     }
 
-    /// The daemon's first line says whether it will tell anything.
+    /// The daemon's first line accepts or refuses the subscription.
     fn expect_agreement(&mut self) -> Result<(), DumpError> {
         let asked = Instant::now();
         while !self.take_line()? {
@@ -244,7 +244,7 @@ impl Source for Live {
     }
 }
 
-/// The field that tells when an entry reached the host.
+/// The field with the time at which an entry reached the host.
 fn time_field(kind: &Kind) -> Option<usize> {
     ["start_ns", "receive_time_ns", "time_ns"]
         .into_iter()

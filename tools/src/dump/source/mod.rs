@@ -24,7 +24,7 @@ pub(super) use record::Record;
 
 use super::DumpError;
 
-/// How long a source waits for more before it lets others look.
+/// The longest time that a source waits for more.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// What is known of a row before its fields are read.
@@ -32,8 +32,8 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub(super) struct Row {
     /// Which of the source's kinds it is.
     pub(super) kind: usize,
-    /// When it reached the host, in ns since the start; none before anything
-    /// told the time.
+    /// When it reached the host, in ns since the start; none before the first time
+    /// is known.
     pub(super) time_ns: Option<i64>,
 }
 
@@ -59,7 +59,7 @@ pub(super) enum Next {
 /// How a source ended, and what can be said of it as a whole.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Close {
-    /// Worth a line on standard error.
+    /// A note for standard error.
     pub(super) note: Option<String>,
     /// Bytes that came over the line.
     pub(super) line_bytes: Option<u64>,
@@ -137,7 +137,7 @@ impl Place {
             return Self::Record(path.to_owned());
         }
         let Ok(metadata) = path.metadata() else {
-            // A record says best what is wrong with it.
+            // Opening a record reports best why it failed.
             return Self::Record(path.to_owned());
         };
         if metadata.file_type().is_char_device() {

@@ -1,4 +1,4 @@
-//! What there is to count: rates, gaps, losses, errors, latencies, modes.
+//! Statistics: rates, gaps, losses, errors, latencies, modes.
 
 mod report;
 mod table;
@@ -7,24 +7,26 @@ use std::collections::BTreeMap;
 
 use singletrack_protocol::TELEMETRY_PERIOD_US;
 use singletrack_record::{Topic, Value};
+use singletrack_statistics::{Arrivals, Gap};
 
 use super::{
     kind::Kind,
     source::{BROKEN, Close, Row},
 };
 use report::{
-    BoardCounters, Count, Distribution, ModeSpan, PoseReport, Report, TickReport, TopicReport,
+    BoardCounters, Count, Durations, ModeSpan, PoseReport, Report, TickReport, TopicReport,
 };
 
 /// Counts rows.
 pub(super) struct Stats {
-    topics: Vec<Option<Flow>>,
+    /// The name of each kind, and its arrivals if it is counted.
+    topics: Vec<Option<(&'static str, Arrivals)>>,
     counters: Vec<Counter>,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
 }
 
-/// What is counted of a kind beside how often it comes.
+/// What is counted of a kind besides its rate.
 enum Counter {
     Ticks(Box<Ticks>),
     Telemetry(Telemetry),
@@ -38,12 +40,15 @@ enum Counter {
 impl Stats {
     /// Counts the `chosen` of the `kinds`.
     pub(super) fn new(kinds: &[Kind], chosen: &[usize]) -> Self {
-        let flow = |index, kind: &Kind| chosen.contains(&index).then(|| Flow::new(kind.name));
+        let topic = |index, kind: &Kind| {
+            let name = kind.name;
+            chosen.contains(&index).then(|| (name, Arrivals::default()))
+        };
         Self {
             topics: kinds
                 .iter()
                 .enumerate()
-                .map(|(index, kind)| flow(index, kind))
+                .map(|(index, kind)| topic(index, kind))
                 .collect(),
             counters: kinds.iter().map(Counter::of).collect(),
             first_ns: None,
@@ -57,8 +62,8 @@ impl Stats {
             self.first_ns = Some(self.first_ns.map_or(time_ns, |first| first.min(time_ns)));
             self.last_ns = Some(self.last_ns.map_or(time_ns, |last| last.max(time_ns)));
         }
-        if let Some(Some(flow)) = self.topics.get_mut(row.kind) {
-            flow.add(row.time_ns);
+        if let Some(Some((_, arrivals))) = self.topics.get_mut(row.kind) {
+            arrivals.add(row.time_ns);
         }
         if let Some(counter) = self.counters.get_mut(row.kind) {
             counter.add(row.time_ns.unwrap_or_default(), values);
@@ -71,12 +76,15 @@ impl Stats {
             (Some(first), Some(last)) => seconds(last - first),
             _ => 0.0,
         };
+        let topics = self.topics.iter().flatten();
         let mut report = Report {
             source: source.to_owned(),
             unfinished: close.unfinished,
             missed: close.missed,
             span_s,
-            topics: self.topics.iter().flatten().map(Flow::report).collect(),
+            topics: topics
+                .map(|(name, arrivals)| topic_report(name, arrivals))
+                .collect(),
             ..Report::default()
         };
         if let Some(bytes) = close.line_bytes {
@@ -142,71 +150,16 @@ impl Counter {
     }
 }
 
-/// How often something comes.
-struct Flow {
-    name: &'static str,
-    count: u64,
-    first_ns: i64,
-    last_ns: i64,
-    gap: Gap,
-}
-
-/// The longest time between two.
-#[derive(Clone, Copy, Default)]
-struct Gap {
-    longest_ns: i64,
-    /// When it began.
-    begin_ns: i64,
-}
-
-impl Gap {
-    fn add(&mut self, begin_ns: i64, end_ns: i64) {
-        if end_ns - begin_ns > self.longest_ns {
-            *self = Self {
-                longest_ns: end_ns - begin_ns,
-                begin_ns,
-            };
-        }
-    }
-}
-
-impl Flow {
-    const fn new(name: &'static str) -> Self {
-        Self {
-            name,
-            count: 0,
-            first_ns: 0,
-            last_ns: 0,
-            gap: Gap {
-                longest_ns: 0,
-                begin_ns: 0,
-            },
-        }
-    }
-
-    fn add(&mut self, time_ns: Option<i64>) {
-        let time_ns = time_ns.unwrap_or(self.last_ns);
-        if self.count == 0 {
-            self.first_ns = time_ns;
-        } else {
-            self.gap.add(self.last_ns, time_ns);
-        }
-        self.count += 1;
-        self.last_ns = self.last_ns.max(time_ns);
-    }
-
-    fn report(&self) -> TopicReport {
-        let span_s = seconds(self.last_ns - self.first_ns);
-        let several = self.count > 1;
-        TopicReport {
-            topic: self.name,
-            count: self.count,
-            rate_hz: (several && span_s > 0.0).then(|| (self.count - 1) as f64 / span_s),
-            first_s: (self.count > 0).then(|| seconds(self.first_ns)),
-            last_s: (self.count > 0).then(|| seconds(self.last_ns)),
-            longest_gap_ms: several.then(|| milliseconds(self.gap.longest_ns)),
-            longest_gap_at_s: several.then(|| seconds(self.gap.begin_ns)),
-        }
+fn topic_report(topic: &'static str, arrivals: &Arrivals) -> TopicReport {
+    let gap = arrivals.longest_gap();
+    TopicReport {
+        topic,
+        count: arrivals.count(),
+        rate_hz: arrivals.rate_hz(),
+        first_s: arrivals.first_ns().map(seconds),
+        last_s: arrivals.last_ns().map(seconds),
+        longest_gap_ms: gap.map(|gap| milliseconds(gap.longest_ns)),
+        longest_gap_at_s: gap.map(|gap| seconds(gap.begin_ns)),
     }
 }
 
@@ -247,8 +200,9 @@ impl Modes {
 struct Ticks {
     fields: TickFields,
     counts: TickReport,
-    lateness_ns: Vec<i64>,
-    capture_to_command_ns: Vec<i64>,
+    /// In us, as all that is reported of them.
+    lateness_us: Vec<f64>,
+    capture_to_command_us: Vec<f64>,
     modes: Modes,
 }
 
@@ -277,8 +231,8 @@ impl Ticks {
                 capture_to_command: kind.index("capture_to_command_ns"),
             },
             counts: TickReport::default(),
-            lateness_ns: Vec::new(),
-            capture_to_command_ns: Vec::new(),
+            lateness_us: Vec::new(),
+            capture_to_command_us: Vec::new(),
             modes: Modes::default(),
         }
     }
@@ -291,11 +245,12 @@ impl Ticks {
         counts.events_dropped += number(values, fields.events_dropped).unwrap_or_default() as u64;
         counts.without_new_pose += u64::from(held);
         counts.commands_not_written += u64::from(truth(values, fields.written) == Some(false));
-        self.lateness_ns.extend(number(values, fields.lateness));
+        self.lateness_us
+            .extend(number(values, fields.lateness).map(microseconds));
         // In a held tick the pose is an old one, which says nothing of the latency.
         if !held {
-            self.capture_to_command_ns
-                .extend(number(values, fields.capture_to_command));
+            self.capture_to_command_us
+                .extend(number(values, fields.capture_to_command).map(microseconds));
         }
         if let Some(mode) = text(values, fields.mode) {
             self.modes.add(time_ns, mode, text(values, fields.reason));
@@ -303,14 +258,14 @@ impl Ticks {
     }
 
     fn report(&self, end_ns: i64, report: &mut Report) {
-        report.ticks = (!self.lateness_ns.is_empty()).then(|| self.counts.clone());
-        report.lateness = Distribution::of(&self.lateness_ns);
-        report.capture_to_command = Distribution::of(&self.capture_to_command_ns);
+        report.ticks = (!self.lateness_us.is_empty()).then(|| self.counts.clone());
+        report.lateness = Durations::of(&self.lateness_us);
+        report.capture_to_command = Durations::of(&self.capture_to_command_us);
         report.modes = self.modes.report(end_ns);
     }
 }
 
-/// What the board's clock says of the telemetry that did not come.
+/// Lost telemetry, by the board's clock.
 struct Telemetry {
     board_time: Option<usize>,
     mode: Option<usize>,
@@ -382,7 +337,7 @@ impl Telemetry {
     }
 }
 
-/// The counters of the board, which wrap, and begin anew when the board does.
+/// The board's counters, which wrap, and start at zero when the board restarts.
 struct Status {
     board_time: Option<usize>,
     refusal: Option<usize>,
@@ -411,7 +366,7 @@ impl Status {
         let before = match self.last {
             Some((last_us, _)) if board_us.wrapping_sub(last_us).cast_signed() < 0 => [0; _],
             Some((_, last)) => last,
-            // What was before is not of this record.
+            // Counts before the record began do not belong to it.
             None => now,
         };
         for ((sum, now), before) in counters.counts.iter_mut().zip(now).zip(before) {
@@ -424,7 +379,7 @@ impl Status {
     }
 }
 
-/// What the motion capture said.
+/// Poses and frames of the motion capture.
 struct Poses {
     frame_number: Option<usize>,
     state: Option<usize>,
@@ -453,7 +408,7 @@ impl Poses {
     fn add(&mut self, time_ns: i64, values: &[Value]) {
         let state = word(values, self.state);
         if let Some(number) = number(values, self.frame_number) {
-            // Numbers that go back are those of another stream.
+            // Numbers that go back belong to another stream.
             let missing = self.last_frame.map_or(0, |last| number - last - 1);
             self.frames_missing += u64::try_from(missing).unwrap_or_default();
             self.last_frame = Some(number);
@@ -481,7 +436,7 @@ impl Poses {
     }
 }
 
-/// What is no frame.
+/// Bytes that are not a frame.
 struct Broken {
     reason: Option<usize>,
     counts: BTreeMap<String, u64>,
@@ -529,6 +484,10 @@ fn word(values: &[Value], field: Option<usize>) -> String {
 
 fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
+}
+
+fn microseconds(ns: i64) -> f64 {
+    ns as f64 / 1e3
 }
 
 fn milliseconds(ns: i64) -> f64 {

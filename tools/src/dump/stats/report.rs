@@ -1,16 +1,16 @@
-//! What has been counted, for a program; the same as a page for a person is in
-//! `table`.
+//! The statistics for a program; `table` prints them for a person.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
+use singletrack_statistics::Distribution;
 
-/// Everything that was counted. What was not there to be counted is null or empty.
+/// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(in crate::dump) struct Report {
-    /// What was looked at.
+    /// The source.
     pub(super) source: String,
     /// Whether it is a record that has not been finished.
     pub(super) unfinished: bool,
-    /// Rows that came faster than they were taken, and are not counted.
+    /// Rows that arrived faster than they were read, and are not counted.
     pub(super) missed: u64,
     /// From the first row to the last.
     pub(super) span_s: f64,
@@ -18,20 +18,20 @@ pub(in crate::dump) struct Report {
     pub(super) topics: Vec<TopicReport>,
     /// The line from the board to the host.
     pub(super) line: LineReport,
-    /// What the board counted meanwhile.
+    /// The board's counters.
     pub(super) board: Option<BoardCounters>,
-    /// What the motion capture said.
+    /// Poses of the motion capture.
     pub(super) poses: Option<PoseReport>,
-    /// What the control thread counted.
+    /// Ticks of the control thread.
     pub(super) ticks: Option<TickReport>,
     /// Entries that did not reach the record.
     pub(super) entries_dropped: u64,
     /// How late ticks began.
     #[serde(rename = "lateness_us")]
-    pub(super) lateness: Option<Distribution>,
+    pub(super) lateness: Option<Durations>,
     /// From mid-exposure to the command leaving, in ticks with a new pose.
     #[serde(rename = "capture_to_command_us")]
-    pub(super) capture_to_command: Option<Distribution>,
+    pub(super) capture_to_command: Option<Durations>,
     /// The pilot's modes.
     pub(super) modes: Vec<ModeSpan>,
     /// The modes of the board's safety machine.
@@ -51,10 +51,10 @@ pub(super) struct TopicReport {
     pub(super) longest_gap_at_s: Option<f64>,
 }
 
-/// What became of the frames on the line.
+/// Frames on the line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct LineReport {
-    /// Whether there was telemetry to judge by.
+    /// Whether there was telemetry.
     #[serde(skip)]
     pub(super) telemetry: bool,
     /// Telemetry records that the board's clock misses.
@@ -64,14 +64,14 @@ pub(super) struct LineReport {
     pub(super) longest_gap_ms: Option<f64>,
     pub(super) longest_gap_at_s: Option<f64>,
     pub(super) board_restarts: u64,
-    /// What was no frame, by reason.
+    /// Bytes that are not a frame, by reason.
     #[serde(serialize_with = "as_map")]
     pub(super) broken: Vec<Count>,
     pub(super) bytes: Option<u64>,
     pub(super) bytes_per_s: Option<f64>,
 }
 
-/// How often something was so.
+/// A number of occurrences.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Count {
     pub(super) what: String,
@@ -123,29 +123,29 @@ impl Serialize for BoardCounters {
     }
 }
 
-/// What the motion capture said.
+/// Poses of the motion capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PoseReport {
-    /// Frames by what they said of the car.
+    /// Frames by the state of the car in them.
     #[serde(serialize_with = "as_map")]
     pub(super) states: Vec<Count>,
-    /// Numbers of frames that never came.
+    /// Frame numbers that never arrived.
     pub(super) frames_missing: u64,
     /// The longest time between two valid poses, if there are two.
     pub(super) longest_between_valid_ms: Option<f64>,
     pub(super) longest_between_valid_at_s: Option<f64>,
 }
 
-/// What the control thread counted.
+/// Ticks of the control thread.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct TickReport {
     /// Points of the grid without a tick: the one before took too long.
     pub(super) skipped: u64,
     /// Events that the pilot never saw.
     pub(super) events_dropped: u64,
-    /// Ticks that no new valid pose came to.
+    /// Ticks without a new valid pose.
     pub(super) without_new_pose: u64,
-    /// Commands that found no room on the line.
+    /// Commands that the line had no room for.
     pub(super) commands_not_written: u64,
 }
 
@@ -161,7 +161,7 @@ pub(super) struct ModeSpan {
 /// How durations are distributed, in microseconds. Every percentile is one of
 /// the durations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Distribution {
+pub(super) struct Durations {
     pub(super) count: u64,
     pub(super) min: f64,
     pub(super) p50: f64,
@@ -181,51 +181,42 @@ pub(super) struct Bucket {
     pub(super) count: u64,
 }
 
-impl Distribution {
-    /// Of durations in nanoseconds; none if there are none.
-    pub(super) fn of(durations_ns: &[i64]) -> Option<Self> {
-        let mut sorted = durations_ns.to_vec();
-        sorted.sort_unstable();
-        let microseconds = |ns: i64| ns as f64 / 1e3;
-        // The smallest that so many of a thousand do not exceed.
-        let quantile = |per_mille: usize| {
-            let rank = (sorted.len() * per_mille).div_ceil(1_000);
-            sorted
-                .get(rank.saturating_sub(1))
-                .copied()
-                .map(microseconds)
-        };
+impl Durations {
+    /// Of durations in microseconds; none if there are none.
+    pub(super) fn of(durations_us: &[f64]) -> Option<Self> {
+        let durations = Distribution::of(durations_us.iter().copied());
         Some(Self {
-            count: sorted.len() as u64,
-            min: sorted.first().copied().map(microseconds)?,
-            p50: quantile(500)?,
-            p90: quantile(900)?,
-            p99: quantile(990)?,
-            p999: quantile(999)?,
-            max: sorted.last().copied().map(microseconds)?,
-            histogram: histogram(&sorted),
+            count: durations.count() as u64,
+            min: durations.min()?,
+            p50: durations.quantile(0.5)?,
+            p90: durations.quantile(0.9)?,
+            p99: durations.quantile(0.99)?,
+            p999: durations.quantile(0.999)?,
+            max: durations.max()?,
+            histogram: histogram(&durations),
         })
     }
 }
 
 /// Buckets that end at 1, 2, 5, 10, 20, ... us, from the first to the last that
 /// something is in.
-fn histogram(sorted_ns: &[i64]) -> Vec<Bucket> {
-    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade) * 1_000));
+fn histogram(durations: &Distribution) -> Vec<Bucket> {
+    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade)));
     let mut buckets = Vec::new();
-    let mut rest = sorted_ns;
-    for end_ns in [0].into_iter().chain(ends) {
-        if rest.is_empty() {
+    let mut before = 0;
+    for end_us in [0].into_iter().chain(ends) {
+        if before == durations.count() {
             break;
         }
-        let count = rest.partition_point(|ns| *ns <= end_ns);
+        let up_to = end_us as f64;
+        let count = durations.count_up_to(up_to) - before;
         if count > 0 || !buckets.is_empty() {
             buckets.push(Bucket {
-                up_to: end_ns as f64 / 1e3,
+                up_to,
                 count: count as u64,
             });
         }
-        rest = rest.get(count..).unwrap_or_default();
+        before += count;
     }
     buckets
 }
@@ -237,8 +228,8 @@ mod tests {
 
     #[test]
     fn percentiles_are_durations_that_occurred() {
-        let durations: Vec<i64> = (1..=1_000).rev().map(|us| us * 1_000).collect();
-        let distribution = Distribution::of(&durations).unwrap();
+        let durations: Vec<f64> = (1..=1_000).rev().map(f64::from).collect();
+        let distribution = Durations::of(&durations).unwrap();
         assert_eq!(
             [
                 distribution.min,
@@ -250,14 +241,15 @@ mod tests {
             ],
             [1.0, 500.0, 900.0, 990.0, 999.0, 1_000.0]
         );
-        assert_eq!(Distribution::of(&[]), None);
-        assert_eq!(Distribution::of(&[-7]).unwrap().p999, -0.007);
+        assert_eq!(Durations::of(&[]), None);
+        assert_eq!(Durations::of(&[-0.007]).unwrap().p999, -0.007);
     }
 
     #[test]
     fn every_duration_is_in_one_bucket() {
         let durations = [-5, 0, 1, 1_000, 1_001, 2_000, 40_000, i64::MAX];
-        let buckets = histogram(&durations);
+        let durations = durations.map(|ns| ns as f64 / 1e3);
+        let buckets = histogram(&Distribution::of(durations));
         let shown: Vec<_> = buckets
             .iter()
             .filter(|bucket| bucket.count > 0)

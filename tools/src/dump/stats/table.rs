@@ -1,8 +1,8 @@
-//! What has been counted, as a page for a person.
+//! The statistics as a page for a person.
 
 use core::fmt;
 
-use super::report::{BoardCounters, Count, Distribution, ModeSpan, Report};
+use super::report::{BoardCounters, Count, Durations, ModeSpan, Report};
 
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
@@ -163,7 +163,7 @@ fn counts(page: &mut fmt::Formatter<'_>, counts: &[Count]) -> fmt::Result {
     Ok(())
 }
 
-fn distribution(page: &mut fmt::Formatter<'_>, of: &Distribution) -> fmt::Result {
+fn distribution(page: &mut fmt::Formatter<'_>, of: &Durations) -> fmt::Result {
     write!(page, "\n ")?;
     for (name, value) in [
         ("min", of.min),
@@ -178,7 +178,7 @@ fn distribution(page: &mut fmt::Formatter<'_>, of: &Distribution) -> fmt::Result
     let most = of.histogram.iter().map(|bucket| bucket.count).max();
     for bucket in &of.histogram {
         write!(page, "\n  up to {:>9} {:>9}", bucket.up_to, bucket.count)?;
-        // Whatever is there is seen.
+        // Every bucket that is not empty has a bar.
         let bar = (bucket.count * BAR).div_ceil(most.unwrap_or(1).max(1));
         if bar > 0 {
             write!(page, "  {}", "#".repeat(bar as usize))?;

@@ -3,17 +3,16 @@
 use std::fmt::{self, Write as _};
 
 use super::{
-    INK, TEXT_SIZE,
     area::Area,
     map::draw_dotted,
-    mark_shape, pen,
-    write::{label, line, number, through},
+    write::{label, line, mark_shape, number, pen, through},
 };
 use crate::figure::{
     Estimate, Level, Panel,
+    page::{INK, TEXT_SIZE},
     place::{Obstacles, Segment, Slot},
-    svg::escaped,
     typeset,
+    xml::escaped,
 };
 
 /// Half the height of a label's slot, in mm: 'x' and figures, not every descender.

@@ -1,8 +1,8 @@
 //! Where the panels of a figure lie on its page.
 
-use super::{BELOW, LEAST_HEIGHT, MARGIN, NAME_ROOM, PANEL_GAP, ROW_GAP, TICK_GAP, TITLE_HEIGHT};
 use crate::figure::{
     Axis, Figure, Panel, Scale,
+    page::{BELOW, LEAST_HEIGHT, MARGIN, NAME_ROOM, PANEL_GAP, ROW_GAP, TICK_GAP, TITLE_HEIGHT},
     place::Slot,
     scale::{Ruler, equalise, roomy},
     typeset,

@@ -3,7 +3,6 @@
 use std::fmt::{self, Write as _};
 
 use super::{
-    INK, TEXT_SIZE,
     area::Area,
     write::{label, number, through},
 };
@@ -12,10 +11,11 @@ use crate::figure::{
     contours::Sheet,
     hatch::hatch,
     legend,
+    page::{INK, TEXT_SIZE},
     place::{Obstacles, RIM, Slot, interrupted, length, segments},
-    svg::escaped,
     thin::{Piece, thin},
     typeset,
+    xml::escaped,
 };
 
 /// Of an area's edge nothing smaller than this can be seen, in mm.

@@ -10,22 +10,20 @@ mod write;
 
 use std::fmt::{self, Write as _};
 
-pub(crate) use write::escaped;
-
 use self::{
     area::{Area, areas},
-    write::{line, number, text, through},
+    write::{line, mark_shape, number, pen, text, through},
 };
 use super::{
-    Axis, Curve, Figure, Look, Mark, MarkKind, Panel, Rule, Symbol,
+    Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
     legend::{self, Entry, Key},
+    page::{BELOW, INK, MARGIN, TEXT_SIZE, TICK_GAP},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
     typeset,
+    xml::escaped,
 };
 
-/// Size of all text but the axes' names, in mm: 7 pt.
-pub(super) const TEXT_SIZE: f64 = 2.47;
 /// Size of the axes' names, in mm: 8 pt.
 const NAME_SIZE: f64 = 2.82;
 /// Nothing smaller than this can be seen, in mm.
@@ -33,21 +31,6 @@ const TOLERANCE: f64 = 0.03;
 /// Of a line that only goes to the right, no more is drawn in a column of this
 /// width than its extremes, in mm.
 const COLUMN: f64 = 0.1;
-/// An area is not lower than this, however wide its data, in mm.
-const LEAST_HEIGHT: f64 = 30.0;
-const MARGIN: f64 = 1.5;
-/// Below an area: its ticks and the axis' name.
-const BELOW: f64 = 9.2;
-/// Room for the axis' name left of its ticks.
-const NAME_ROOM: f64 = 4.6;
-const TICK_GAP: f64 = 1.0;
-const PANEL_GAP: f64 = 5.0;
-/// Between the name of an axis and what is in the row below.
-const ROW_GAP: f64 = 2.0;
-/// Above an area that has a title.
-const TITLE_HEIGHT: f64 = 4.2;
-
-const INK: &str = "#1a1a1a";
 const FAINT: &str = "#dedede";
 const SHADE: &str = "#f1dfb6";
 const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif";
@@ -287,23 +270,6 @@ fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt:
     writeln!(svg, r#""><title>{}</title></path>"#, escaped(curve.name))
 }
 
-/// Colour, width and dashes of a look. The greys differ as the colours do.
-const fn pen(look: Look) -> &'static str {
-    match look {
-        Look::Nominal => r##"stroke="#9a9a9a" stroke-width="0.6" stroke-linecap="round""##,
-        Look::Actual => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-linecap="round""##,
-        Look::Measured => r##"stroke="#d59a4a" stroke-width="0.2" stroke-linecap="round""##,
-        Look::Truth => r##"stroke="#2166ac" stroke-width="0.25" stroke-dasharray="1.1 0.6""##,
-        Look::Lost => r##"stroke="#f1dfb6" stroke-width="2.2" stroke-linecap="butt""##,
-        Look::Other => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-dasharray="2.2 0.7""##,
-        Look::Boundary => r##"stroke="#1a1a1a" stroke-width="0.55" stroke-linecap="round""##,
-        Look::RangeEnd => r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="1.4 0.7""##,
-        Look::Asymptote => {
-            r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="2 0.6 0.3 0.6""##
-        }
-    }
-}
-
 fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::Result {
     let x = area.x.at(rule.value);
     line(svg, "rule", INK, 0.2, [x, area.top, x, area.bottom])?;
@@ -330,25 +296,6 @@ fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
         svg,
         "<title>{} ({at_x:.3}, {at_y:.3})</title></path>",
         escaped(mark.name)
-    )
-}
-
-/// The opening tag of a mark.
-fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> fmt::Result {
-    let (shape, fill) = match kind {
-        MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", "#ffffff"),
-        MarkKind::End => (
-            "m-1.05 0a1.05 1.05 0 1 0 2.1 0a1.05 1.05 0 1 0 -2.1 0z",
-            "#ffffff",
-        ),
-        MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
-    };
-    write!(
-        svg,
-        r##"<path class="mark {}" d="M{} {}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">"##,
-        kind.class(),
-        number(x),
-        number(y),
     )
 }
 

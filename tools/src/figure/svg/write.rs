@@ -2,8 +2,12 @@
 
 use std::fmt::{self, Write as _};
 
-use super::{INK, TEXT_SIZE};
-use crate::figure::{place::Slot, typeset};
+use crate::figure::{
+    look::{Look, MarkKind},
+    page::{INK, TEXT_SIZE},
+    place::Slot,
+    typeset,
+};
 
 /// A text in the small size, from, around or up to a place on its base line.
 pub(super) fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, content: &str) -> fmt::Result {
@@ -73,22 +77,38 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-/// Text that means nothing to XML.
-pub(crate) fn escaped(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            // Not allowed in XML, not even escaped.
-            letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
-                escaped.push('\u{fffd}');
-            }
-            letter => escaped.push(letter),
+/// Colour, width and dashes of a look. The greys differ as the colours do.
+pub(super) const fn pen(look: Look) -> &'static str {
+    match look {
+        Look::Nominal => r##"stroke="#9a9a9a" stroke-width="0.6" stroke-linecap="round""##,
+        Look::Actual => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-linecap="round""##,
+        Look::Measured => r##"stroke="#d59a4a" stroke-width="0.2" stroke-linecap="round""##,
+        Look::Truth => r##"stroke="#2166ac" stroke-width="0.25" stroke-dasharray="1.1 0.6""##,
+        Look::Lost => r##"stroke="#f1dfb6" stroke-width="2.2" stroke-linecap="butt""##,
+        Look::Other => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-dasharray="2.2 0.7""##,
+        Look::Boundary => r##"stroke="#1a1a1a" stroke-width="0.55" stroke-linecap="round""##,
+        Look::RangeEnd => r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="1.4 0.7""##,
+        Look::Asymptote => {
+            r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="2 0.6 0.3 0.6""##
         }
     }
-    escaped
+}
+
+/// The opening tag of a mark.
+pub(super) fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> fmt::Result {
+    let (shape, fill) = match kind {
+        MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", "#ffffff"),
+        MarkKind::End => (
+            "m-1.05 0a1.05 1.05 0 1 0 2.1 0a1.05 1.05 0 1 0 -2.1 0z",
+            "#ffffff",
+        ),
+        MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
+    };
+    write!(
+        svg,
+        r##"<path class="mark {}" d="M{} {}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">"##,
+        kind.class(),
+        number(x),
+        number(y),
+    )
 }

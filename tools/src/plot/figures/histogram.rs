@@ -1,15 +1,17 @@
 //! How punctual the controller was.
 
+use singletrack_statistics::Distribution;
+
 use crate::{
     figure::{Axis, Bar, Figure, Panel, Rule, Scale, Width},
-    plot::{drive::Drive, statistics::Distribution},
+    plot::drive::Drive,
 };
 
 /// Bars in a linear histogram.
 const BARS: usize = 50;
 /// Bars in every decade of a logarithmic one.
 const BARS_A_DECADE: i32 = 8;
-/// Nothing is told of lateness below, in µs.
+/// Lateness below this is in the first bar, in µs.
 const LEAST_LATENESS: f64 = 1.0;
 
 pub(super) fn latency(drive: &Drive) -> Figure {
@@ -21,7 +23,7 @@ pub(super) fn latency(drive: &Drive) -> Figure {
     );
     let mut beyond = 0;
     if let (Some(least), Some(p99), Some(most)) =
-        (latency.least(), latency.quantile(0.99), latency.most())
+        (latency.min(), latency.quantile(0.99), latency.max())
     {
         // A single outlier must not press all others into one bar.
         let end = if most > p99 + 2.0 * (p99 - least).max(0.1) {
@@ -29,7 +31,7 @@ pub(super) fn latency(drive: &Drive) -> Figure {
         } else {
             most
         };
-        let (bars, outside) = linear(latency.sorted(), least.floor(), end.ceil());
+        let (bars, outside) = linear(&latency, least.floor(), end.ceil());
         (panel.bars, beyond) = (bars, outside);
         panel.rules = rules(&latency, "ms", 1);
     }
@@ -59,7 +61,7 @@ pub(super) fn lateness(drive: &Drive) -> Figure {
         },
         Axis::new("part of the ticks", None, "%"),
     );
-    panel.bars = logarithmic(lateness.sorted());
+    panel.bars = logarithmic(&lateness);
     panel.rules = rules(&lateness, "µs", 0);
     for rule in &mut panel.rules {
         rule.value = rule.value.max(LEAST_LATENESS);
@@ -89,20 +91,20 @@ fn rules(distribution: &Distribution, unit: &str, decimals: usize) -> Vec<Rule> 
 
 /// Bars of equal width from `low` to `high`, in % of all values, and how many
 /// values are outside.
-fn linear(sorted: &[f64], low: f64, high: f64) -> (Vec<Bar>, usize) {
+fn linear(values: &Distribution, low: f64, high: f64) -> (Vec<Bar>, usize) {
     let high = high.max(low + 1.0);
     let edge = |index: usize| low + (high - low) * index as f64 / BARS as f64;
     let bars: Vec<Bar> = (0..BARS)
-        .map(|index| bar(sorted, [edge(index), edge(index + 1)], index + 1 == BARS))
+        .map(|index| bar(values, [edge(index), edge(index + 1)], index + 1 == BARS))
         .collect();
-    let beyond = sorted.iter().filter(|value| **value > high).count();
+    let beyond = values.count() - values.count_up_to(high);
     (bars, beyond)
 }
 
 /// Bars of equal width on a logarithmic axis from [`LEAST_LATENESS`] on, in % of
 /// all values; those below it are in the first.
-fn logarithmic(sorted: &[f64]) -> Vec<Bar> {
-    let Some(most) = sorted.last() else {
+fn logarithmic(values: &Distribution) -> Vec<Bar> {
+    let Some(most) = values.max() else {
         return Vec::new();
     };
     let decades = (most.max(10.0 * LEAST_LATENESS).log10().ceil()) as i32;
@@ -115,7 +117,7 @@ fn logarithmic(sorted: &[f64]) -> Vec<Bar> {
             } else {
                 edge(index)
             };
-            let bar = bar(sorted, [from, edge(index + 1)], index + 1 == bars);
+            let bar = bar(values, [from, edge(index + 1)], index + 1 == bars);
             Bar {
                 span: [edge(index), edge(index + 1)],
                 ..bar
@@ -126,16 +128,16 @@ fn logarithmic(sorted: &[f64]) -> Vec<Bar> {
 
 /// The bar of the values from the first end up to the second, which the last bar
 /// includes.
-fn bar(sorted: &[f64], [from, to]: [f64; 2], last: bool) -> Bar {
-    let first = sorted.partition_point(|value| *value < from);
+fn bar(values: &Distribution, [from, to]: [f64; 2], last: bool) -> Bar {
+    let first = values.count_below(from);
     let end = if last {
-        sorted.partition_point(|value| *value <= to)
+        values.count_up_to(to)
     } else {
-        sorted.partition_point(|value| *value < to)
+        values.count_below(to)
     };
     Bar {
         span: [from, to],
-        height: 100.0 * end.saturating_sub(first) as f64 / sorted.len().max(1) as f64,
+        height: 100.0 * end.saturating_sub(first) as f64 / values.count().max(1) as f64,
     }
 }
 
@@ -145,9 +147,7 @@ mod tests {
 
     #[test]
     fn bars_hold_all_values_once() {
-        let values: Vec<f64> = (0..1000)
-            .map(|index| 8.0 + f64::from(index) * 0.004)
-            .collect();
+        let values = Distribution::of((0..1000).map(|index| 8.0 + f64::from(index) * 0.004));
         let (bars, beyond) = linear(&values, 8.0, 12.0);
         let all: f64 = bars.iter().map(|bar| bar.height).sum();
         assert!((all - 100.0).abs() < 1e-9 && beyond == 0, "{all} {beyond}");
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn lateness_of_nothing_is_in_the_first_bar() {
-        let bars = logarithmic(&[-3.0, 0.0, 0.5, 1000.0]);
+        let bars = logarithmic(&Distribution::of([-3.0, 0.0, 0.5, 1000.0]));
         assert_eq!(bars[0].height, 75.0);
         assert_eq!(bars[bars.len() - 1].height, 25.0);
         assert_eq!(bars[bars.len() - 1].span[1], 1000.0);

@@ -1,6 +1,7 @@
 //! The figures of a drive, each as in the paper's experimental section or about
 //! how the controller ran.
 
+mod common;
 mod histogram;
 mod time;
 mod trajectory;
@@ -8,7 +9,7 @@ mod trajectory;
 use clap::ValueEnum;
 
 use super::drive::Drive;
-use crate::figure::{Axis, Column, Curve, Figure, Look, Symbol};
+use crate::figure::Figure;
 
 /// A figure of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -106,20 +107,5 @@ impl FigureKind {
             return Err(lacking);
         }
         Ok(figure)
-    }
-}
-
-/// What the shading of every figure means.
-const LOST: &str = "markers lost";
-
-const TIME: Axis = Axis::new("time", Some(Symbol::new("t", "")), "s");
-
-fn curve(name: &'static str, look: Look, x: &Column, y: Column) -> Curve {
-    Curve {
-        name,
-        look,
-        x: x.clone(),
-        y,
-        time: None,
     }
 }

@@ -1,6 +1,6 @@
 //! Figures over time.
 
-use super::{LOST, TIME, curve};
+use super::common::LOST;
 use crate::{
     figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width},
     plot::drive::Drive,
@@ -13,13 +13,13 @@ fn over_time(drive: &Drive, y: Axis, curves: Vec<Curve>) -> Panel {
         spans: drive.lost_markers(),
         span_name: LOST,
         curves,
-        ..Panel::new(TIME, y)
+        ..Panel::new(Axis::TIME, y)
     }
 }
 
-/// What was really so, if somebody knows.
+/// Ground truth, if the car is simulated.
 fn truth(drive: &Drive, value: impl Fn(&TruthSample) -> f64) -> Curve {
-    curve(
+    Curve::new(
         "true (simulation)",
         Look::Truth,
         &drive.truth_column(|sample| sample.time),
@@ -35,7 +35,7 @@ pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
         over_time(
             drive,
             y,
-            vec![curve("commanded", Look::Actual, &time, velocity)],
+            vec![Curve::new("commanded", Look::Actual, &time, velocity)],
         )
     };
     Figure {
@@ -62,7 +62,7 @@ pub(super) fn steering(drive: &Drive) -> Figure {
             drive,
             y,
             vec![
-                curve("commanded", Look::Actual, &time, steering),
+                Curve::new("commanded", Look::Actual, &time, steering),
                 truth(drive, |sample| sample.steering),
             ],
         )],
@@ -83,19 +83,19 @@ pub(super) fn speed(drive: &Drive) -> Figure {
             drive,
             y,
             vec![
-                curve(
+                Curve::new(
                     "motor pulses",
                     Look::Measured,
                     &board,
                     drive.board_column(|sample| sample.motor_speed),
                 ),
-                curve(
+                Curve::new(
                     "reference",
                     Look::Nominal,
                     &time,
                     drive.column(|tick| tick.commanded_speed),
                 ),
-                curve(
+                Curve::new(
                     "actual",
                     Look::Actual,
                     &time,
@@ -118,8 +118,8 @@ pub(super) fn position(drive: &Drive) -> Figure {
             drive,
             y,
             vec![
-                curve("nominal", Look::Nominal, &time, should),
-                curve("actual", Look::Actual, &time, is),
+                Curve::new("nominal", Look::Nominal, &time, should),
+                Curve::new("actual", Look::Actual, &time, is),
                 truth(drive, |sample| sample.point[axis]),
             ],
         )
@@ -156,7 +156,7 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
                 drive,
                 sideslip,
                 vec![
-                    curve(
+                    Curve::new(
                         "estimated",
                         Look::Actual,
                         &time,
@@ -169,13 +169,13 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
                 drive,
                 yaw_rate,
                 vec![
-                    curve(
+                    Curve::new(
                         "gyro",
                         Look::Measured,
                         &board,
                         drive.board_column(|sample| sample.yaw_rate),
                     ),
-                    curve(
+                    Curve::new(
                         "estimated",
                         Look::Actual,
                         &time,
@@ -208,8 +208,8 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
             drive,
             y,
             vec![
-                curve("estimated", Look::Actual, &time, drive.spread(error)),
-                curve(
+                Curve::new("estimated", Look::Actual, &time, drive.spread(error)),
+                Curve::new(
                     "true (simulation)",
                     Look::Truth,
                     &drive.truth_column(|sample| sample.time),

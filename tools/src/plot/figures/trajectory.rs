@@ -1,6 +1,6 @@
 //! The path of P on the floor.
 
-use super::{LOST, curve};
+use super::common::LOST;
 use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width},
     plot::drive::Drive,
@@ -18,7 +18,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         lost(drive),
         over(
             &time,
-            curve(
+            Curve::new(
                 "nominal",
                 Look::Nominal,
                 &drive.spread(nominal.iter().map(|point| point[0])),
@@ -27,7 +27,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ),
         over(
             &time,
-            curve(
+            Curve::new(
                 "actual",
                 Look::Actual,
                 &drive.column(|tick| tick.point[0]),
@@ -36,7 +36,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ),
         over(
             &true_time,
-            curve(
+            Curve::new(
                 "true (simulation)",
                 Look::Truth,
                 &drive.truth_column(|sample| sample.point[0]),
@@ -77,7 +77,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
     }
 }
 
-/// The path while the markers were lost: the true one if somebody knows it, or what
+/// The path while the markers were lost: the true one if it is known, or what
 /// the estimate held and then jumped to.
 fn lost(drive: &Drive) -> Curve {
     let spans = drive.lost_markers();
@@ -108,6 +108,6 @@ fn lost(drive: &Drive) -> Curve {
     };
     Curve {
         time: Some(points.iter().map(|(time, _)| *time).collect()),
-        ..curve(LOST, Look::Lost, &column(0), column(1))
+        ..Curve::new(LOST, Look::Lost, &column(0), column(1))
     }
 }

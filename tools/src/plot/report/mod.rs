@@ -18,7 +18,7 @@ use crate::{
     template,
 };
 
-/// More lines of the log than anybody reads are left out; warnings and errors last.
+/// Lines of the log in a report; of more, the warnings and errors stay longest.
 const MOST_LOG_LINES: usize = 2_000;
 
 /// The report of a drive of a record; `number` counts from 1.
@@ -70,7 +70,7 @@ fn subtitle(drive: &Drive) -> String {
         "A drive of {:.1} s. Times are since its first driving tick; {}.",
         drive.duration(),
         if drive.truth.is_some() {
-            "what was really so is known because the car was simulated"
+            "ground truth is shown because the car is simulated"
         } else {
             "all that is shown comes from the record"
         }

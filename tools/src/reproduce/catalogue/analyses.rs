@@ -10,7 +10,7 @@ use super::{
         setup::Setup,
         text::{mm, number, with_digits},
     },
-    claim, near,
+    claim::{claim, near},
 };
 
 pub(super) fn claims(setup: &Setup) -> Vec<Claim> {

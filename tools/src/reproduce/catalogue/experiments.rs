@@ -6,7 +6,7 @@ use super::{
         setup::{GAIN, Setup, TURN_RATE},
         text::{metres, with_digits},
     },
-    claim, near,
+    claim::{claim, near},
 };
 
 /// Two integrators agree with each other to this, in m and rad.

@@ -16,17 +16,24 @@ use super::{
 use crate::{
     figure::Figure,
     stability::{
-        Grid, LoopArgs, SampledRow, StabilityCommandError, Subject, TimingArgs, eigenvalue_map,
-        hopf_curve, region as stable_region, sampled_map,
+        Grid, SampledRow, StabilityCommandError, Subject,
+        arguments::{LoopArgs, PointArgs, TimingArgs},
+        eigenvalue_map, hopf_curve, region as stable_region, sampled_map,
     },
 };
 
 #[derive(Clone, Debug, Args)]
+#[command(mut_arg("dl", |dl| {
+    dl.help(
+        "Deviations dl of the centre of mass, in m [default: the meaningful ones with a \
+         margin, and as far down as the bifurcations lie]",
+    )
+}))]
 pub(in crate::stability) struct FiguresArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Folder for the SVG files; made if it is not there
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
     /// Which figures to draw
     #[arg(
@@ -36,18 +43,8 @@ pub(in crate::stability) struct FiguresArgs {
         default_values_t = Kind::ALL
     )]
     figures: Vec<Kind>,
-    /// Speeds of the steady motion, in m/s
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0.1:8:0.05"
-    )]
-    speeds: Grid,
-    /// Deviations dl of the centre of mass, in m [default: the meaningful ones with a
-    /// margin, and as far down as the bifurcations lie]
-    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
-    dl: Option<Grid>,
+    #[command(flatten)]
+    points: PointArgs,
     #[command(flatten)]
     timing: TimingArgs,
 }
@@ -112,11 +109,10 @@ fn figures(
     subject: &Subject,
     args: &FiguresArgs,
 ) -> Result<Vec<(String, Figure)>, StabilityCommandError> {
-    let speeds = &args.speeds;
+    let speeds = args.points.speeds();
     let deviations = args
-        .dl
-        .clone()
-        .unwrap_or_else(|| drawn_deviations(subject, DEVIATIONS));
+        .points
+        .deviations_or(|| drawn_deviations(subject, DEVIATIONS));
     let scene = Scene::new(subject, &hopf_curve(subject, speeds)?)?;
     let wants = |kind| args.figures.contains(&kind);
     let mut figures = Vec::new();
@@ -161,16 +157,15 @@ fn sampled_rows(
     subject: &Subject,
     args: &FiguresArgs,
 ) -> Result<Vec<SampledRow>, StabilityCommandError> {
-    let speeds = match args.speeds.values() {
-        [first, .., last] if args.speeds.values().len() > MOST_SAMPLED_SPEEDS => {
+    let speeds = match args.points.speeds().values() {
+        all @ [first, .., last] if all.len() > MOST_SAMPLED_SPEEDS => {
             Grid::spanning([*first, *last], MOST_SAMPLED_SPEEDS)
         }
-        _ => args.speeds.clone(),
+        _ => args.points.speeds().clone(),
     };
     let deviations = args
-        .dl
-        .clone()
-        .unwrap_or_else(|| around_meaningful(subject, SAMPLED_DEVIATIONS));
+        .points
+        .deviations_or(|| around_meaningful(subject, SAMPLED_DEVIATIONS));
     let points = speeds.values().len() * deviations.values().len();
     let bar = ProgressBar::new(points as u64).with_style(
         ProgressStyle::with_template("{wide_bar} {pos}/{len} points of the sampled loop")

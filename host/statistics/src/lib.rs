@@ -1,0 +1,18 @@
+//! Percentiles, root mean squares and rates of measured values, for the daemon, the
+//! command line and the tests.
+//!
+//! Every percentile is a nearest-rank percentile: the smallest value that a given part
+//! of all values does not exceed.
+//!
+//! [`Distribution`] keeps every value and is exact. [`DurationHistogram`] needs a fixed
+//! amount of memory, however long the daemon runs, and rounds up by at most 1 %.
+
+mod arrivals;
+mod distribution;
+mod duration_histogram;
+mod root_mean_square;
+
+pub use arrivals::{Arrivals, Gap};
+pub use distribution::Distribution;
+pub use duration_histogram::{DurationHistogram, Percentiles};
+pub use root_mean_square::RootMeanSquare;

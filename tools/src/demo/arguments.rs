@@ -1,0 +1,57 @@
+//! Options of `singletrack demo`.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use singletrack_sim::{BoardKind, LossPattern, parse_duration_us};
+
+/// Options of `singletrack demo`.
+#[derive(Clone, Debug, Args)]
+pub struct DemoArgs {
+    /// How long to drive, such as 40s; a bare number is in seconds
+    #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
+    pub(super) duration: Duration,
+
+    /// The board: its code compiled for this machine, or the Arduino's image on a simulated
+    /// processor (`cargo uno` builds it)
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
+    pub(super) board: BoardKind,
+
+    /// Where the configuration, the record, the figures and the summary go
+    #[arg(
+        long,
+        alias = "output",
+        value_name = "DIR",
+        default_value = "singletrack-demo"
+    )]
+    pub(super) out: PathBuf,
+
+    /// Seed of all random numbers of the simulation
+    #[arg(long, default_value_t = 1)]
+    pub(super) seed: u64,
+
+    /// Add the reference's velocity to the position loop, so that the error goes to zero
+    #[arg(long)]
+    pub(super) feed_forward: bool,
+
+    /// Serve the drive live to Foxglove, Lichtblick and PlotJuggler on this machine
+    /// [default port: 8765]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    pub(super) live: Option<u16>,
+
+    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
+    #[arg(long, value_name = "DURATION@INTERVAL")]
+    pub(super) loss: Option<LossPattern>,
+}
+
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    let micros = match text.trim().parse::<u32>() {
+        Ok(seconds) => u64::from(seconds) * 1_000_000,
+        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
+    };
+    if (100_000..=86_400_000_000).contains(&micros) {
+        Ok(Duration::from_micros(micros))
+    } else {
+        Err(format!("{text} is not between 0.1s and 86400s"))
+    }
+}

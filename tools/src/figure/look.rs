@@ -1,0 +1,70 @@
+//! How lines and marks look, and the numbers that they are drawn through.
+
+use std::sync::Arc;
+
+/// Numbers of a curve, shared by all that draw them.
+pub type Column = Arc<[f64]>;
+
+/// The style of a line: distinguishable without colour, by grey, width and dashes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// What should be: wide and grey, as in the paper.
+    Nominal,
+    /// What was: thin and black, as in the paper.
+    Actual,
+    /// What a sensor said: thin and light.
+    Measured,
+    /// Ground truth, which only a simulation has: dashed.
+    Truth,
+    /// Where something was missing: a wide band of the shading's colour.
+    Lost,
+    /// The other of two that are compared: black, in long dashes.
+    Other,
+    /// Where one kind of behaviour turns into another: thick and black.
+    Boundary,
+    /// The end of a range: thin, dashed.
+    RangeEnd,
+    /// What is approached and not reached: thin, dashes and dots.
+    Asymptote,
+}
+
+impl Look {
+    /// Its name in a style sheet.
+    #[must_use]
+    pub const fn class(self) -> &'static str {
+        match self {
+            Self::Nominal => "nominal",
+            Self::Actual => "actual",
+            Self::Measured => "measured",
+            Self::Truth => "truth",
+            Self::Lost => "lost",
+            Self::Other => "other",
+            Self::Boundary => "boundary",
+            Self::RangeEnd => "range-end",
+            Self::Asymptote => "asymptote",
+        }
+    }
+}
+
+/// What a mark looks like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkKind {
+    /// Where a trajectory starts: a triangle.
+    Start,
+    /// Where it ends: a circle.
+    End,
+    /// A value that was found: a dot.
+    Found,
+}
+
+impl MarkKind {
+    /// Its name in a style sheet.
+    #[must_use]
+    pub const fn class(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::End => "end",
+            Self::Found => "found",
+        }
+    }
+}

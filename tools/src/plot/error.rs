@@ -1,0 +1,39 @@
+//! Why plotting failed.
+
+use std::{io, path::PathBuf};
+
+use singletrack_record::RecordError;
+
+/// Why plotting failed.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The car never drove.
+    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
+    NoDrive {
+        /// The record.
+        path: PathBuf,
+        /// What there is instead.
+        why: String,
+    },
+    /// The record has fewer drives.
+    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
+    UnknownDrive {
+        /// The record.
+        path: PathBuf,
+        /// The number asked for.
+        wanted: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// A picture can't be written.
+    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}

@@ -1,0 +1,51 @@
+//! Samples of a drive, by the ticks and by the board, in SI units.
+
+use singletrack_pilot::Mode;
+
+/// What a tick saw and did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickSample {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// The mode after the tick.
+    pub mode: Mode,
+    /// Whether no new pose came since the tick before.
+    pub held: bool,
+    /// P as estimated, world frame, in m.
+    pub point: [f64; 2],
+    /// Where P should be, in m; not a number for a reference that is a velocity alone.
+    pub reference: [f64; 2],
+    /// How fast P should move by the reference, in m/s.
+    pub reference_velocity: [f64; 2],
+    /// The velocity commanded of P, in m/s.
+    pub point_velocity: [f64; 2],
+    /// Speed of G that was asked for, after limits, in m/s.
+    pub commanded_speed: f64,
+    /// Steering angle that was asked for, after limits, in rad.
+    pub steering: f64,
+    /// Speed of G as estimated, in m/s.
+    pub speed: f64,
+    /// Sideslip as estimated, in rad.
+    pub sideslip: f64,
+    /// Yaw rate as estimated, in rad/s.
+    pub yaw_rate: f64,
+    /// How late the tick began, in s.
+    pub lateness: f64,
+    /// From the mid-exposure of a new pose to the command that rests on it, in s.
+    pub latency: f64,
+    /// Points of the control grid skipped just before it.
+    pub skipped: u32,
+    /// Frames since the tick before that had no valid pose.
+    pub poses_missing: u32,
+}
+
+/// What the board measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoardPoint {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// Speed of the rear axle by the motor's pulses, in m/s.
+    pub motor_speed: f64,
+    /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
+    pub yaw_rate: f64,
+}

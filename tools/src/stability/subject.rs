@@ -1,0 +1,52 @@
+//! The car and the law that are studied.
+
+use singletrack_analysis::stability::{Belief, ClosedLoop, Law, StabilityError};
+use singletrack_control::VehicleParameters;
+
+use super::grid::Grid;
+
+/// A car, its P and its law.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject {
+    /// The car.
+    pub vehicle: VehicleParameters,
+    /// The law.
+    pub law: Law,
+    /// What it has wrong.
+    pub belief: Belief,
+    /// The distance p, in m.
+    pub point_distance: f64,
+}
+
+impl Subject {
+    /// Its steady motion at a speed (m/s), with the centre of mass believed `deviation`
+    /// (m) behind where it is.
+    ///
+    /// # Errors
+    ///
+    /// A parameter with which there is no steady motion.
+    pub fn at(&self, speed: f64, deviation: f64) -> Result<ClosedLoop, StabilityError> {
+        Ok(ClosedLoop::new(
+            self.vehicle,
+            self.law,
+            self.point_distance,
+            speed,
+            deviation,
+        )?
+        .believing(self.belief))
+    }
+
+    /// The deviations that the paper looks at: all meaningful ones, and for the
+    /// front-point law as far down as its bifurcations lie.
+    #[must_use]
+    pub fn usual_deviations(&self) -> Grid {
+        let [from, to] = ClosedLoop::meaningful_deviations(&self.vehicle);
+        let from = match self.law {
+            Law::FrontPoint => {
+                -(self.vehicle.wheelbase_m() + self.point_distance) - 0.3 * from.abs()
+            }
+            Law::VelocityPoint => from,
+        };
+        Grid::spanning([from, to], 121)
+    }
+}
