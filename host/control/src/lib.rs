@@ -34,6 +34,7 @@ mod supervisor;
 mod time;
 mod vehicle;
 mod watch;
+mod words;
 
 pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};

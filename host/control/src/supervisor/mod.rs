@@ -10,18 +10,19 @@ pub use reason::Reason;
 
 use crate::{
     BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState,
-    Request, Time,
+    Request, Time, words::words,
 };
 
-/// What the supervisor asks of the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardRequest {
-    /// Arm.
-    Arm,
-    /// Disarm.
-    Disarm,
-    /// Stop until reset.
-    EmergencyStop,
+words! {
+    /// What the supervisor asks of the board.
+    pub enum BoardRequest {
+        /// Arm.
+        Arm = "arm",
+        /// Disarm.
+        Disarm = "disarm",
+        /// Stop until reset.
+        EmergencyStop = "emergency-stop",
+    }
 }
 
 /// What the supervisor judges by, at a tick.
