@@ -89,6 +89,19 @@ pub enum Level {
     Error,
 }
 
+impl Level {
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Debug => "debug",
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        }
+    }
+}
+
 /// Entries that were made and did not reach the record, because the writer was
 /// behind. Written whenever the count has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -11,8 +11,7 @@ pub fn write_json_object<'a>(
     topic: &str,
     fields: impl IntoIterator<Item = (&'a str, &'a Value)>,
 ) {
-    Writer::object(json, |object| {
-        object.put_text("topic", topic);
+    Writer::entry(json, topic, |object| {
         for (path, value) in fields {
             object.put(path, value);
         }

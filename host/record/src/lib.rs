@@ -20,6 +20,8 @@
 //! file's log and publish times are the same moments on the wall clock, by the
 //! one mapping taken when the record began: setting the clock changes nothing.
 
+mod batch;
+mod cdr;
 mod channel;
 mod chunk;
 mod container;
@@ -40,9 +42,10 @@ mod tick_feed;
 mod topic;
 mod value;
 
+pub use batch::{EncodeError, Publication};
 pub use channel::Channel;
 pub use container::part_path;
-pub use encoder::{EncodeError, Encoder, Publication};
+pub use encoder::Encoder;
 pub use entry::{ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
 pub use error::RecordError;
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};

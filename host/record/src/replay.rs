@@ -3,10 +3,12 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use byteorder::LittleEndian;
 use singletrack_control::{Event, Output, Pilot, PilotConfig, Underway};
 
-use crate::{Entry, TickRecord, Value, message::TickMessage};
+use crate::{
+    Entry, TickRecord, Topic, Value, cdr,
+    message::{Represents, TickMessage},
+};
 
 /// A pilot that is given the ticks of a record again.
 #[derive(Clone, Debug)]
@@ -136,7 +138,9 @@ impl TickRecord {
                 output: *output,
                 ..*self
             };
-            cdr_encoding::to_vec::<_, LittleEndian>(&TickMessage::from(&tick)).ok()
+            let mut bytes = Vec::new();
+            let encoded = cdr::encode(&TickMessage::of(&tick), &mut bytes);
+            encoded.is_ok().then_some(bytes)
         };
         // Equality of numbers does not do: -0 and 0, and what is not a number.
         matches!((bytes(&self.output), bytes(output)), (Some(a), Some(b)) if a == b)
@@ -150,7 +154,7 @@ impl TickRecord {
             output: *output,
             ..self.clone()
         });
-        crate::Topic::Tick
+        Topic::Tick
             .fields()
             .into_iter()
             .zip(values(self.clone()).into_iter().zip(replayed))

@@ -89,6 +89,21 @@ pub enum LinkPhase {
     Ready,
 }
 
+impl LinkPhase {
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Disconnected => "disconnected",
+            Self::Greeting => "greeting",
+            Self::VersionMismatch => "version-mismatch",
+            Self::Configuring => "configuring",
+            Self::ConfigurationRefused => "configuration-refused",
+            Self::Ready => "ready",
+        }
+    }
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use singletrack_control::{

@@ -2,8 +2,6 @@
 
 use std::{borrow::Cow, fmt};
 
-use crate::Topic;
-
 /// A part of a message that has no parts itself.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
@@ -166,9 +164,9 @@ impl<'a> Json<'a> {
     }
 
     /// Writes one object that begins with its topic.
-    pub(crate) fn entry(text: &'a mut String, topic: Topic, fields: impl FnOnce(&mut Json<'_>)) {
+    pub(crate) fn entry(text: &'a mut String, topic: &str, fields: impl FnOnce(&mut Json<'_>)) {
         Self::object(text, |json| {
-            json.put_text("topic", topic.name());
+            json.put_text("topic", topic);
             fields(json);
         });
     }

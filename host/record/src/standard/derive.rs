@@ -13,7 +13,9 @@ use super::{
     },
 };
 use crate::{
-    Channel, EncodeError, Entry, TelemetryRecord, TickRecord, encoder::Batch, message::Coded,
+    Channel, Entry, TelemetryRecord, TickRecord,
+    batch::{Batch, EncodeError},
+    message::Coded,
 };
 
 /// What ROS takes for an unknown covariance.

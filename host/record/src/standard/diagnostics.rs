@@ -8,7 +8,10 @@ use super::{
     derive::header,
     message::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
 };
-use crate::{Channel, EncodeError, Entry, LinkPhase, encoder::Batch, message::Coded};
+use crate::{
+    Channel, Entry, LinkPhase,
+    batch::{Batch, EncodeError},
+};
 
 const OK: Byte = Byte(0);
 const WARN: Byte = Byte(1);
@@ -91,7 +94,7 @@ impl Diagnostics {
             vec![
                 pair("mode", mode.name()),
                 pair("reason", reason),
-                pair("link", link.word()),
+                pair("link", link.name()),
             ],
         ))
     }
@@ -111,17 +114,17 @@ impl Diagnostics {
         };
         let message = match mode {
             _ if lost => "no word from the board",
-            Some(mode) => mode.word(),
+            Some(mode) => mode.name(),
             None => "no telemetry yet",
         };
         let mut values = Vec::new();
         if let Some((mode, cause)) = self.board {
-            values.extend([pair("mode", mode.word()), pair("stop_cause", cause.word())]);
+            values.extend([pair("mode", mode.name()), pair("stop_cause", cause.name())]);
         }
         values.extend([
             pair("battery_V", &(f64::from(report.battery_mv) / 1_000.0)),
             pair("stop_input_open", &report.stop_input_open),
-            pair("reset_cause", report.reset_cause.word()),
+            pair("reset_cause", report.reset_cause.name()),
             pair(
                 "configuration_hash",
                 &format_args!("{:08x}", report.configuration_hash),
@@ -130,7 +133,7 @@ impl Diagnostics {
             pair("frames_damaged", &report.frames_damaged),
             pair("frames_dropped", &report.frames_dropped),
             pair("drives_refused", &report.drives_refused),
-            pair("last_refusal", report.last_refusal.word()),
+            pair("last_refusal", report.last_refusal.name()),
             pair("bytes_overrun", &report.bytes_overrun),
             pair("imu_errors", &report.imu_errors),
         ]);

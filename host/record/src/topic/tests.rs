@@ -119,7 +119,7 @@ impl<'a> BySchema<'a> {
         }
         let mut reader = Self {
             definitions,
-            bytes: bytes.strip_prefix(&ENCAPSULATION).unwrap(),
+            bytes: bytes.strip_prefix(&cdr::ENCAPSULATION).unwrap(),
             at: 0,
             seen: Vec::new(),
         };
