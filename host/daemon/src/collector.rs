@@ -25,7 +25,6 @@ use crate::{
     snapshot::TickView,
     summary::Tally,
     wall_watch::WallWatch,
-    words::{loss_name, refusal_name, request_name, restart_name},
 };
 
 /// How long the collector sleeps when nobody wakes it.
@@ -236,35 +235,30 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         ),
         LinkEvent::ConfigurationRefused { reason } => (
             Level::Error,
-            format!("board refused its configuration: {}", refusal_name(*reason)),
+            format!("board refused its configuration: {}", reason.name()),
         ),
         LinkEvent::BoardRestarted { evidence } => (
             Level::Warning,
-            format!("board restarted: {}", restart_name(*evidence)),
+            format!("board restarted: {}", evidence.name()),
         ),
         LinkEvent::Acknowledged { request, .. } => (
             Level::Info,
-            format!("board did as asked: {}", request_name(*request)),
+            format!("board did as asked: {}", request.name()),
         ),
         LinkEvent::Refused {
             request, reason, ..
         } => (
             Level::Warning,
-            format!(
-                "board refused: {}: {}",
-                request_name(*request),
-                refusal_name(*reason)
-            ),
+            format!("board refused: {}: {}", request.name(), reason.name()),
         ),
         LinkEvent::Unanswered { request, .. } => (
             Level::Warning,
-            format!("board did not answer: {}", request_name(*request)),
+            format!("board did not answer: {}", request.name()),
         ),
-        LinkEvent::StopConfirmed { request } => (
-            Level::Info,
-            format!("board confirmed: {}", request_name(*request)),
-        ),
-        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", loss_name(*cause))),
+        LinkEvent::StopConfirmed { request } => {
+            (Level::Info, format!("board confirmed: {}", request.name()))
+        }
+        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", cause.name())),
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
             (Level::Debug, "board reported".to_owned())
         }

@@ -40,7 +40,6 @@ mod summary;
 mod system;
 mod wake;
 mod wall_watch;
-mod words;
 
 pub use clock::monotonic_ns;
 pub use config::{Config, ConfigError};

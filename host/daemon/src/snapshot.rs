@@ -6,11 +6,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
 use crate::{
-    live::LiveStatus,
-    realtime::RealTimeStatus,
-    reconfigure::ConfigurationView,
-    summary::Figures,
-    words::{board_mode_name, link_name, stop_cause_name},
+    live::LiveStatus, realtime::RealTimeStatus, reconfigure::ConfigurationView, summary::Figures,
 };
 
 /// How the daemon is doing: the last tick, what the board last said, and the
@@ -103,7 +99,7 @@ impl Snapshot {
         json!({
             "mode": self.mode().name(),
             "reason": self.reason().map(Reason::name),
-            "link": tick.map(|tick| link_name(tick.link)),
+            "link": tick.map(|tick| tick.link.name()),
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
@@ -124,8 +120,8 @@ impl Snapshot {
                 "steering_rad": tick.steering_rad,
             })),
             "board": self.board.map(|(mode, cause)| json!({
-                "mode": board_mode_name(mode),
-                "stop_cause": stop_cause_name(cause),
+                "mode": mode.name(),
+                "stop_cause": cause.name(),
                 "battery_mv": self.board_status.map(|status| status.battery_mv),
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),

@@ -31,7 +31,7 @@ impl Channel {
     #[must_use]
     pub const fn index(self) -> usize {
         match self {
-            Self::Entry(topic) => topic as usize,
+            Self::Entry(topic) => topic.index(),
             Self::Standard(topic) => Topic::ALL.len() + topic as usize,
         }
     }

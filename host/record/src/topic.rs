@@ -14,24 +14,25 @@ use crate::{
 };
 
 /// Gives the list of topics to the macro `$then`, after its own arguments: the variant
-/// of [`Topic`] and [`Entry`], its message and its name.
+/// of [`Topic`] and [`Entry`], its message, its name, and the field with the time at
+/// which the entry reached the host.
 macro_rules! topics {
     ($then:ident $($arguments:tt)*) => {
         $then! {
             [$($arguments)*]
-            Tick: TickMessage = "tick",
-            Telemetry: TelemetryMessage = "telemetry",
-            Status: StatusMessage = "status",
-            Pose: PoseMessage = "pose",
-            Log: LogMessage = "log",
-            Configuration: ConfigurationMessage = "configuration",
-            Drops: DropsMessage = "drops",
+            Tick: TickMessage = "tick" at start_ns,
+            Telemetry: TelemetryMessage = "telemetry" at receive_time_ns,
+            Status: StatusMessage = "status" at receive_time_ns,
+            Pose: PoseMessage = "pose" at receive_time_ns,
+            Log: LogMessage = "log" at time_ns,
+            Configuration: ConfigurationMessage = "configuration" at time_ns,
+            Drops: DropsMessage = "drops" at time_ns,
         }
     };
 }
 
 macro_rules! declare {
-    ([] $($topic:ident: $message:ident = $name:literal,)*) => {
+    ([] $($topic:ident: $message:ident = $name:literal at $time:ident,)*) => {
         /// A kind of [`Entry`].
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Topic {
@@ -60,6 +61,14 @@ macro_rules! declare {
                     $(Self::$topic => concat!("/singletrack/", $name),)*
                 }
             }
+
+            /// The field with the time of [`Entry::time_ns`].
+            #[must_use]
+            pub const fn time_field(self) -> &'static str {
+                match self {
+                    $(Self::$topic => stringify!($time),)*
+                }
+            }
         }
 
         impl Entry {
@@ -68,6 +77,14 @@ macro_rules! declare {
             pub const fn topic(&self) -> Topic {
                 match self {
                     $(Self::$topic(_) => Topic::$topic,)*
+                }
+            }
+
+            /// When it reached the host, in nanoseconds of the monotonic clock.
+            #[must_use]
+            pub const fn time_ns(&self) -> u64 {
+                match self {
+                    $(Self::$topic(entry) => entry.$time,)*
                 }
             }
         }
@@ -79,7 +96,7 @@ topics!(declare);
 macro_rules! match_topic {
     (
         [$value:expr, $message:ident of $entry:ident => $result:expr]
-        $($topic:ident: $type:ident = $name:literal,)*
+        $($topic:ident: $type:ident = $name:literal at $time:ident,)*
     ) => {
         match $value {
             $(Topic::$topic => {
@@ -106,7 +123,7 @@ macro_rules! with_message {
 macro_rules! match_entry {
     (
         [$value:expr, $message:ident => $result:expr]
-        $($topic:ident: $type:ident = $name:literal,)*
+        $($topic:ident: $type:ident = $name:literal at $time:ident,)*
     ) => {
         match $value {
             $(Entry::$topic(entry) => {
@@ -125,6 +142,12 @@ macro_rules! with_entry {
 }
 
 impl Topic {
+    /// Its place among all of them.
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
     /// The name of its message, such as `singletrack_msgs/msg/Tick`.
     #[must_use]
     pub fn schema_name(self) -> String {
@@ -206,20 +229,6 @@ impl FromStr for Topic {
 }
 
 impl Entry {
-    /// When it reached the host, in nanoseconds of the monotonic clock.
-    #[must_use]
-    pub const fn time_ns(&self) -> u64 {
-        match self {
-            Self::Tick(tick) => tick.start_ns,
-            Self::Telemetry(record) => record.receive_time_ns,
-            Self::Status(record) => record.receive_time_ns,
-            Self::Pose(observation) => observation.receive_time_ns,
-            Self::Log(log) => log.time_ns,
-            Self::Configuration(configuration) => configuration.time_ns,
-            Self::Drops(drops) => drops.time_ns,
-        }
-    }
-
     /// When what it tells of happened, in nanoseconds of the monotonic clock.
     #[must_use]
     pub const fn sample_time_ns(&self) -> u64 {

@@ -66,8 +66,11 @@ impl Live {
             .map_err(unreachable)?;
         let times = kinds
             .iter()
-            .enumerate()
-            .map(|(index, kind)| chosen.contains(&index).then(|| time_field(kind))?)
+            .zip(Topic::ALL)
+            .map(|(kind, topic)| {
+                let chosen = chosen.contains(&topic.index());
+                chosen.then(|| kind.index(topic.time_field()))?
+            })
             .collect();
         let mut live = Self {
             path: path.to_owned(),
@@ -140,9 +143,7 @@ impl Live {
 
     /// The row that a line of an entry is; none if it was not asked for.
     fn row(&self, shown: &Shown) -> Option<Row> {
-        let kind = Topic::ALL
-            .into_iter()
-            .position(|topic| topic == shown.topic)?;
+        let kind = shown.topic.index();
         let field = (*self.times.get(kind)?)?;
         let time_ns = match shown.values.get(field) {
             Some(Value::Unsigned(ns)) => Some(ns.wrapping_sub(self.start_ns).cast_signed()),
@@ -242,13 +243,6 @@ impl Source for Live {
             ..Close::default()
         }
     }
-}
-
-/// The field that tells when an entry reached the host.
-fn time_field(kind: &Kind) -> Option<usize> {
-    ["start_ns", "receive_time_ns", "time_ns"]
-        .into_iter()
-        .find_map(|name| kind.index(name))
 }
 
 /// How many entries the daemon says it could not send.
