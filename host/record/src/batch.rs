@@ -6,25 +6,25 @@ use serde::Serialize;
 
 use crate::{Channel, ClockMapping, cdr};
 
-/// A message on a channel. Times are on the wall, in ns since 1970, by the one
-/// mapping taken when the record began.
+/// A message on a channel. Times are on the wall clock, in ns since 1970, by the mapping
+/// taken when the record began.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Publication<'a> {
-    /// The channel it is on.
+    /// Its channel.
     pub channel: Channel,
-    /// When the entry that it comes from reached the host.
+    /// When its entry reached the host.
     pub log_time_ns: u64,
-    /// When what it tells of happened.
+    /// When the described event happened.
     pub publish_time_ns: u64,
     /// The message as ROS 2 encodes it: CDR with its header.
     pub bytes: &'a [u8],
 }
 
-/// A message could not be encoded: a text in it is longer than 4 GB.
+/// A message cannot be encoded, because a text in it is longer than 4 GB.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cannot encode a message of {topic}: {reason}")]
 pub struct EncodeError {
-    /// The topic it is on.
+    /// Its topic.
     pub topic: &'static str,
     /// Why it failed.
     pub reason: String,
@@ -49,7 +49,7 @@ impl Batch {
     pub(crate) fn new(start: ClockMapping) -> Self {
         Self {
             start,
-            // A tick with all that follows from it.
+            // Enough for a tick and all messages that follow from it.
             bytes: Vec::with_capacity(8 << 10),
             messages: Vec::with_capacity(Channel::COUNT),
         }
@@ -60,7 +60,7 @@ impl Batch {
         self.messages.clear();
     }
 
-    /// The wall's time at a moment of the monotonic clock, both in ns.
+    /// The wall clock at a time of the monotonic clock, both in ns.
     pub(crate) const fn wall_ns_at(&self, monotonic_ns: u64) -> u64 {
         self.start.wall_ns_at(monotonic_ns)
     }

@@ -8,10 +8,9 @@ use crate::{
 
 /// Encodes entries as the messages of the channels.
 ///
-/// Each entry becomes one message on its own topic, which holds all of it, and
-/// then those of the [`crate::StandardTopic`]s that follow from it. The same
-/// entries in the same order give the same bytes. An encoder is meant for the
-/// thread that writes or sends them: it allocates.
+/// An entry gives one complete message on its own topic, then the messages on the
+/// [`crate::StandardTopic`]s that follow from it. The same entries in the same order
+/// give the same bytes. An encoder allocates: use it on the thread that writes or sends.
 #[derive(Debug)]
 pub struct Encoder {
     start: ClockMapping,
@@ -20,7 +19,7 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// For entries of a record that begins with `start`.
+    /// An encoder for a record that begins at `start`.
     #[must_use]
     pub fn new(start: ClockMapping) -> Self {
         Self {
@@ -30,11 +29,11 @@ impl Encoder {
         }
     }
 
-    /// The messages that `entry` becomes, its own first.
+    /// The messages of `entry`, its own first.
     ///
     /// # Errors
     ///
-    /// When one of them cannot be encoded; none of them is then given.
+    /// When one of them cannot be encoded. Then none is returned.
     pub fn encode(
         &mut self,
         entry: &Entry,

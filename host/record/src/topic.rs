@@ -1,4 +1,4 @@
-//! The kinds of entries, each with its own channel and message in the file.
+//! The kinds of entries. Each has its own channel and message in the file.
 
 use std::{fmt, str::FromStr};
 
@@ -43,7 +43,7 @@ macro_rules! declare {
         }
 
         impl Topic {
-            /// All of them.
+            /// All topics.
             pub const ALL: [Self; [$($name),*].len()] = [$(Self::$topic,)*];
 
             /// Its name, on the command line and in JSON.
@@ -72,7 +72,7 @@ macro_rules! declare {
         }
 
         impl Entry {
-            /// What kind of entry it is.
+            /// Its topic.
             #[must_use]
             pub const fn topic(&self) -> Topic {
                 match self {
@@ -109,8 +109,8 @@ macro_rules! match_topic {
     };
 }
 
-/// Evaluates an expression with `$message` as the topic's message type and `$entry` as
-/// the variant of [`Entry`].
+/// Evaluates an expression with `$message` as the message type of the topic and
+/// `$entry` as its variant of [`Entry`].
 macro_rules! with_message {
     ($topic:expr, $message:ident => $result:expr) => {
         with_message!($topic, $message of _Variant => $result)
@@ -142,10 +142,17 @@ macro_rules! with_entry {
 }
 
 impl Topic {
-    /// Its place among all of them.
+    /// Its index among all topics.
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
+    }
+
+    /// The topic with this channel, if there is one.
+    pub(crate) fn of_channel(channel: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|topic| topic.channel() == channel)
     }
 
     /// The name of its message, such as `singletrack_msgs/msg/Tick`.
@@ -160,7 +167,7 @@ impl Topic {
         with_message!(self, M => schema_text::<M>())
     }
 
-    /// The paths of its fields, in order: `estimate.yaw_rad`. Those of
+    /// The paths of its fields, such as `estimate.yaw_rad`, in the order of
     /// [`Entry::values`].
     #[must_use]
     pub fn fields(self) -> Vec<String> {
@@ -176,8 +183,8 @@ impl Topic {
         Ok(())
     }
 
-    /// Where its messages have the length of the list that they end with, if they
-    /// do: all that comes before is as long in one as in the other.
+    /// The offset of the length of the list at the end of its messages; none if they end
+    /// with no list. Everything before the list has the same length in all messages.
     pub(crate) fn list_at(self) -> Option<usize> {
         let mut bytes = Vec::new();
         match self {
@@ -187,7 +194,7 @@ impl Topic {
         bytes.len().checked_sub(size_of::<u32>())
     }
 
-    /// Adds the message that `bytes` encode to `json`: [`Entry::write_json`].
+    /// Adds the message that `bytes` encode to `json`, as [`Entry::write_json`] does.
     pub(crate) fn write_json(self, bytes: &[u8], json: &mut String) -> Result<(), String> {
         with_message!(self, M => {
             let message = cdr::decode::<M>(bytes)?;
@@ -229,7 +236,7 @@ impl FromStr for Topic {
 }
 
 impl Entry {
-    /// When what it tells of happened, in nanoseconds of the monotonic clock.
+    /// When the described event happened, in nanoseconds of the monotonic clock.
     #[must_use]
     pub const fn sample_time_ns(&self) -> u64 {
         match self {
@@ -245,7 +252,7 @@ impl Entry {
         }
     }
 
-    /// Its fields, in the order of [`Topic::fields`]. A list shows as its length.
+    /// Its fields, in the order of [`Topic::fields`]. The value of a list is its length.
     #[must_use]
     pub fn values(&self) -> Vec<Value> {
         let mut values = Vec::new();
@@ -253,9 +260,9 @@ impl Entry {
         values
     }
 
-    /// Adds it to `json` as one object on one line, without a line end: `topic`,
-    /// then the fields of its message. Times are integers beyond 2^53; what is
-    /// absent, and a quantity that is not a number, is null.
+    /// Adds it to `json` as one object on one line, without a line end: `topic`, then the
+    /// fields of its message. Times are integers beyond 2^53. An absent value and a
+    /// quantity that is not finite are null.
     pub fn write_json(&self, json: &mut String) {
         with_entry!(self, message => {
             Json::entry(json, self.topic().name(), |object| message.visit(object));

@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use singletrack_record::{NotAnEntry, RecordError};
+use singletrack_record::{ParseEntryError, RecordError};
 use singletrackd::serial_port::PortError;
 
 /// A dump that failed.
@@ -98,7 +98,7 @@ pub enum DumpError {
         /// The socket.
         path: PathBuf,
         /// What it said.
-        source: NotAnEntry,
+        source: ParseEntryError,
     },
     /// The output cannot be written.
     #[error("cannot write to standard output: {0}")]

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use singletrack_control::{Event, Mode, Reason, Time};
-use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord};
+use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
 
 use super::{spans::lost_markers, truth::TruthSample};
 use crate::figure::Column;
@@ -232,7 +232,7 @@ impl Drive {
     }
 
     fn time(&self, time: Time) -> f64 {
-        time.0.wrapping_sub(self.start_ns) as i64 as f64 * 1e-9
+        seconds_since(self.start_ns, time.0)
     }
 
     /// When its last tick was, in s.

@@ -1,4 +1,4 @@
-//! How pilot, board and record are doing, in the words of the diagnostics tools.
+//! The states of pilot, board and record for diagnostics tools.
 
 use singletrack_control::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -18,13 +18,13 @@ const WARN: Byte = Byte(1);
 const ERROR: Byte = Byte(2);
 const STALE: Byte = Byte(3);
 
-/// The latest of what is told.
+/// The latest states.
 #[derive(Debug, Default)]
 pub(crate) struct Diagnostics {
     pilot: Option<Pilot>,
     board: Option<(BoardMode, StopCause)>,
     status: Option<Status>,
-    /// Whether a counter of trouble rose with the last status.
+    /// Whether an error counter rose with the last status.
     trouble: bool,
     dropped: u64,
 }
@@ -37,7 +37,8 @@ struct Pilot {
 }
 
 impl Diagnostics {
-    /// Takes in an entry, and adds a message if it brings something to tell.
+    /// Takes an entry, and adds a message if a state has changed or the board has sent its
+    /// status.
     pub(crate) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
         match entry {
             Entry::Tick(tick) => {
@@ -159,7 +160,7 @@ impl Diagnostics {
     }
 }
 
-/// Counters that should stand still.
+/// The counters of errors.
 const fn troubles(status: &Status) -> [u16; 5] {
     [
         status.frames_damaged,

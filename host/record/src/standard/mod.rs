@@ -1,8 +1,7 @@
-//! What general tools understand of a record: odometry, transforms, poses,
-//! commands, diagnostics, as messages of ROS 2's own packages.
+//! The part of a record that general tools understand: odometry, transforms, poses,
+//! commands and diagnostics, as messages of the standard packages of ROS 2.
 //!
-//! They follow from the entries and say nothing that the entries do not say: a
-//! [`crate::Reader`] passes over them.
+//! They follow from the entries and add nothing to them: a [`crate::Reader`] skips them.
 
 mod derive;
 mod diagnostics;
@@ -22,7 +21,7 @@ pub const WORLD_FRAME: &str = "world";
 /// The frame of the car: origin in the centre of mass G, x forward, y left, z up.
 pub const BASE_FRAME: &str = "base_link";
 
-/// Declares the topics: each with its messages' type and its channel.
+/// Declares the topics: each with the type of its messages and its channel.
 macro_rules! standard_topics {
     (
         $(#[$about:meta])*
@@ -37,7 +36,7 @@ macro_rules! standard_topics {
         }
 
         impl StandardTopic {
-            /// All of them.
+            /// All topics.
             pub const ALL: [Self; [$($channel),*].len()] = [$(Self::$topic,)*];
 
             /// Its channel in the file, named as ROS names topics.
@@ -75,14 +74,14 @@ standard_topics! {
         /// `nav_msgs/msg/Odometry` from the estimate of a tick: the pose of
         /// [`BASE_FRAME`] in [`WORLD_FRAME`]; the velocity of G in [`BASE_FRAME`].
         Odometry: Odometry = "/odom",
-        /// `tf2_msgs/msg/TFMessage`: the same pose, for viewers to move the car by.
+        /// `tf2_msgs/msg/TFMessage`: the same pose, with which viewers move the car.
         Transforms: TfMessage = "/tf",
         /// `geometry_msgs/msg/PoseStamped` from a valid pose of the rigid body: its
         /// pivot, and its yaw alone, in [`WORLD_FRAME`], at mid-exposure.
         MocapPose: PoseStamped = "/mocap/pose",
         /// `sensor_msgs/msg/Imu` from telemetry with a new sample whose time is
         /// known, in the axes of [`BASE_FRAME`]. Its acceleration is **without
-        /// gravity**. The zero of its yaw is the sensor's own.
+        /// gravity**. The zero of its yaw is that of the sensor.
         Imu: Imu = "/imu",
         /// `ackermann_msgs/msg/AckermannDriveStamped` from the command of a tick.
         /// Speed is that of the rear axle.
@@ -92,8 +91,8 @@ standard_topics! {
         Reference: PointStamped = "/reference",
         /// `geometry_msgs/msg/PointStamped`: where P is, as far as the law knows.
         PointP: PointStamped = "/point_p",
-        /// `diagnostic_msgs/msg/DiagnosticArray`: pilot, board and record, whenever
-        /// the board sends its status and whenever mode, reason or drops change.
+        /// `diagnostic_msgs/msg/DiagnosticArray`: states of pilot, board and record, at each
+        /// status of the board and at each change of mode, reason, link or drops.
         Diagnostics: DiagnosticArray = "/diagnostics",
         /// `rcl_interfaces/msg/Log` from a line of the log.
         Rosout: Log = "/rosout",

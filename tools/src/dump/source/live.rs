@@ -8,7 +8,7 @@ use std::{
 };
 
 use serde_json::json;
-use singletrack_record::{NotAnEntry, Shown, Topic, Value};
+use singletrack_record::{ParseEntryError, Shown, Topic, Value};
 use singletrackd::{SOCKET_VERSION, monotonic_ns};
 
 use super::{Close, Next, PATIENCE, Row, Source};
@@ -107,7 +107,7 @@ impl Live {
             self.wait()?;
         }
         let answer = serde_json::from_str::<serde_json::Value>(&self.line).map_err(|error| {
-            self.makes_no_sense(NotAnEntry::NotJson {
+            self.makes_no_sense(ParseEntryError::NotJson {
                 line: self.line.clone(),
                 reason: error.to_string(),
             })
@@ -120,7 +120,7 @@ impl Live {
                 path: self.path.clone(),
                 error: error.to_owned(),
             },
-            None => self.makes_no_sense(NotAnEntry::NoTopic {
+            None => self.makes_no_sense(ParseEntryError::NoTopic {
                 line: self.line.clone(),
             }),
         })
@@ -159,7 +159,7 @@ impl Live {
         }
     }
 
-    fn makes_no_sense(&self, source: NotAnEntry) -> DumpError {
+    fn makes_no_sense(&self, source: ParseEntryError) -> DumpError {
         DumpError::Answer {
             path: self.path.clone(),
             source,
@@ -189,7 +189,7 @@ impl Source for Live {
                     }
                 }
                 // A newer daemon may have more topics than this program.
-                Err(NotAnEntry::NoTopic { line }) if line.contains("\"topic\"") => {}
+                Err(ParseEntryError::NoTopic { line }) if line.contains("\"topic\"") => {}
                 Err(source) => match missed(&self.line) {
                     Some(count) => {
                         self.missed += count;
