@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::{Channel, ClockMapping, cdr};
+use crate::{Channel, ClockMapping, EncodeError, cdr};
 
 /// A message on a channel. Times are on the wall clock, in ns since 1970, by the mapping
 /// taken when the record began.
@@ -18,16 +18,6 @@ pub struct Publication<'a> {
     pub publish_time_ns: u64,
     /// The message as ROS 2 encodes it: CDR with its header.
     pub bytes: &'a [u8],
-}
-
-/// A message cannot be encoded, because a text in it is longer than 4 GB.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("cannot encode a message of {topic}: {reason}")]
-pub struct EncodeError {
-    /// Its topic.
-    pub topic: &'static str,
-    /// Why it failed.
-    pub reason: String,
 }
 
 /// The messages of one entry, end to end.

@@ -1,9 +1,9 @@
 //! From entries to messages on channels, for the file and for live viewers.
 
 use crate::{
-    Channel, ClockMapping, Entry,
-    batch::{Batch, EncodeError, Publication},
-    standard::{Diagnostics, derive},
+    Channel, ClockMapping, EncodeError, Entry, Publication,
+    batch::Batch,
+    derive::{Diagnostics, derive},
 };
 
 /// Encodes entries as the messages of the channels.

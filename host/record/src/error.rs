@@ -2,8 +2,6 @@
 
 use std::{io, path::PathBuf};
 
-use crate::EncodeError;
-
 /// A record cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -110,4 +108,14 @@ pub enum RecordError {
         /// What happened.
         what: String,
     },
+}
+
+/// A message cannot be encoded, because a text in it is longer than 4 GB.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("cannot encode a message of {topic}: {reason}")]
+pub struct EncodeError {
+    /// Its topic.
+    pub topic: &'static str,
+    /// Why it failed.
+    pub reason: String,
 }

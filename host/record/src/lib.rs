@@ -26,6 +26,7 @@ mod cdr;
 mod channel;
 mod chunk;
 mod container;
+mod derive;
 mod encoder;
 mod entry;
 mod error;
@@ -43,14 +44,14 @@ mod tick_feed;
 mod topic;
 mod value;
 
-pub use batch::{EncodeError, Publication};
+pub use batch::Publication;
 pub use channel::Channel;
 pub use container::part_path;
 pub use encoder::Encoder;
 pub use entry::{
     ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord, seconds_since,
 };
-pub use error::RecordError;
+pub use error::{EncodeError, RecordError};
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use json::{ParseEntryError, Shown, write_json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};

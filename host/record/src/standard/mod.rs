@@ -3,18 +3,16 @@
 //!
 //! They follow from the entries and add nothing to them: a [`crate::Reader`] skips them.
 
-mod derive;
-mod diagnostics;
 mod message;
 
 use std::fmt;
 
-pub(crate) use derive::derive;
-pub(crate) use diagnostics::Diagnostics;
-use message::{
-    AckermannDriveStamped, DiagnosticArray, Imu, Log, Odometry, PointStamped, PoseStamped,
-    TfMessage, schema_name, schema_text,
+pub(crate) use message::{
+    AckermannDrive, AckermannDriveStamped, Byte, DiagnosticArray, DiagnosticStatus, Header, Imu,
+    KeyValue, Log, Odometry, Point, PointStamped, Pose, PoseStamped, PoseWithCovariance,
+    Quaternion, TfMessage, Time, Transform, TransformStamped, Twist, TwistWithCovariance, Vector3,
 };
+use message::{schema_name, schema_text};
 
 /// The frame of the motion capture: z up, origin and x axis as it was calibrated.
 pub const WORLD_FRAME: &str = "world";
@@ -104,6 +102,3 @@ impl fmt::Display for StandardTopic {
         formatter.write_str(self.channel())
     }
 }
-
-#[cfg(test)]
-mod tests;

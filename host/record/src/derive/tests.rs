@@ -11,10 +11,9 @@ use singletrack_control::{Mode, Reason};
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, Status};
 
-use super::*;
 use crate::{
-    Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry, StatusRecord,
-    TelemetryRecord, TickRecord, tick,
+    BASE_FRAME, Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry,
+    StandardTopic, StatusRecord, TelemetryRecord, TickRecord, WORLD_FRAME, tick,
     topic::tests::{BySchema, telemetry},
 };
 

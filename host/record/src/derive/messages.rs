@@ -3,18 +3,17 @@
 use singletrack_control::{Estimate, Position};
 use singletrack_mocap::{Pose as BodyPose, PoseState};
 
-use super::{
-    BASE_FRAME, StandardTopic, WORLD_FRAME,
-    message::{
-        AckermannDrive, AckermannDriveStamped, Header, Imu, Log, Odometry, Point, PointStamped,
-        Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time, Transform,
-        TransformStamped, Twist, TwistWithCovariance, Vector3,
-    },
-};
+use super::header::{header, stamp};
 use crate::{
-    Channel, Entry, TelemetryRecord, TickRecord,
-    batch::{Batch, EncodeError},
+    BASE_FRAME, Channel, EncodeError, Entry, StandardTopic, TelemetryRecord, TickRecord,
+    WORLD_FRAME,
+    batch::Batch,
     message::Coded,
+    standard::{
+        AckermannDrive, AckermannDriveStamped, Imu, Log, Odometry, Point, PointStamped, Pose,
+        PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Transform, TransformStamped, Twist,
+        TwistWithCovariance, Vector3,
+    },
 };
 
 /// The value for an unknown covariance in ROS.
@@ -177,24 +176,6 @@ fn add(
     batch: &mut Batch,
 ) -> Result<(), EncodeError> {
     batch.add(Channel::Standard(topic), time_ns, message)
-}
-
-/// A header for a time of the monotonic clock.
-pub(super) fn header(time_ns: u64, frame_id: &'static str, batch: &Batch) -> Header {
-    Header {
-        stamp: stamp(time_ns, batch),
-        frame_id,
-    }
-}
-
-fn stamp(time_ns: u64, batch: &Batch) -> Time {
-    const SECOND: u64 = 1_000_000_000;
-    let wall_ns = batch.wall_ns_at(time_ns);
-    Time {
-        // The seconds of ROS end in 2038.
-        sec: i32::try_from(wall_ns / SECOND).unwrap_or(i32::MAX),
-        nanosec: (wall_ns % SECOND) as u32,
-    }
 }
 
 fn on_the_floor(position: Position) -> Point {

@@ -3,14 +3,11 @@
 use singletrack_control::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::{
-    StandardTopic,
-    derive::header,
-    message::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
-};
+use super::header::header;
 use crate::{
-    Channel, Entry, LinkPhase,
-    batch::{Batch, EncodeError},
+    Channel, EncodeError, Entry, LinkPhase, StandardTopic,
+    batch::Batch,
+    standard::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
 };
 
 const OK: Byte = Byte(0);
