@@ -7,12 +7,6 @@
 //! field is a call; what is missing or means nothing is noted, and asked about at
 //! the end.
 
-use crate::{
-    Acknowledgement, Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop,
-    EscCalibration, FailsafeAction, Hello, ImuState, Refusal, RefusalReason, Request, ResetCause,
-    Sequence, ServoCalibration, SpeedLoop, Status, StopCause, Telemetry,
-};
-
 /// What a payload is made of.
 pub trait Field: Sized {
     /// Appends it.
@@ -109,7 +103,7 @@ impl<'a> Reader<'a> {
 
     /// A number below `count`; zero instead of another one.
     #[inline(never)]
-    fn take_below(&mut self, count: u8) -> u8 {
+    pub(crate) fn take_below(&mut self, count: u8) -> u8 {
         let number = self.next();
         if number < count {
             return number;
@@ -181,139 +175,82 @@ impl<T: Field, const N: usize> Field for [T; N] {
     }
 }
 
-impl Field for Sequence {
-    fn write(&self, writer: &mut Writer<'_>) {
-        self.0.write(writer);
-    }
+/// Declares a structure of the wire. The list of its fields stands once: serde's
+/// derives, for postcard, and the codec of the board both follow from it, in the
+/// order in which the fields are sent.
+macro_rules! structure {
+    (
+        $(#[$about:meta])*
+        pub struct $name:ident {
+            $( $(#[$field_about:meta])* pub $field:ident: $kind:ty, )*
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+        pub struct $name {
+            $( $(#[$field_about])* pub $field: $kind, )*
+        }
 
-    fn read(reader: &mut Reader<'_>) -> Self {
-        Self(u8::read(reader))
-    }
-}
-
-/// Structures: their fields, all of them, in the order in which they are sent.
-macro_rules! structures {
-    ($($name:ident { $($field:ident,)* })*) => {$(
-        impl Field for $name {
-            fn write(&self, writer: &mut Writer<'_>) {
-                let Self { $($field,)* } = self;
-                $($field.write(writer);)*
+        impl $crate::codec::Field for $name {
+            fn write(&self, writer: &mut $crate::codec::Writer<'_>) {
+                $( $crate::codec::Field::write(&self.$field, writer); )*
             }
 
-            fn read(reader: &mut Reader<'_>) -> Self {
-                Self { $($field: Field::read(reader),)* }
+            fn read(reader: &mut $crate::codec::Reader<'_>) -> Self {
+                Self { $( $field: $crate::codec::Field::read(reader), )* }
             }
         }
-    )*};
+    };
 }
 
-/// Enumerations: their variants, all of them, numbered from zero.
-macro_rules! enumerations {
-    ($($name:ident { $first:ident, $($variant:ident,)* })*) => {$(
-        impl Field for $name {
-            fn write(&self, writer: &mut Writer<'_>) {
-                // Does not compile when one is missing.
+/// Declares an enumeration of the wire: its variants once, numbered from zero, each
+/// with its word.
+macro_rules! enumeration {
+    (
+        $(#[$about:meta])*
+        pub enum $name:ident {
+            $(#[$first_about:meta])* $first:ident = $first_word:literal,
+            $( $(#[$variant_about:meta])* $variant:ident = $word:literal, )*
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+        pub enum $name {
+            $(#[$first_about])* $first,
+            $( $(#[$variant_about])* $variant, )*
+        }
+
+        impl $name {
+            /// All values, in the order of their numbers on the wire.
+            pub const ALL: [Self; [$name::$first, $($name::$variant,)*].len()] =
+                [Self::$first, $(Self::$variant,)*];
+
+            /// The word for this value in status, log, record and documentation.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
                 match self {
-                    Self::$first $(| Self::$variant)* => writer.put_8(*self as u8),
+                    Self::$first => $first_word,
+                    $(Self::$variant => $word,)*
                 }
             }
+        }
 
-            fn read(reader: &mut Reader<'_>) -> Self {
-                const COUNT: u8 = [$name::$first, $($name::$variant,)*].len() as u8;
-                match reader.take_below(COUNT) {
+        impl $crate::codec::Field for $name {
+            fn write(&self, writer: &mut $crate::codec::Writer<'_>) {
+                $crate::codec::Field::write(&(*self as u8), writer);
+            }
+
+            fn read(reader: &mut $crate::codec::Reader<'_>) -> Self {
+                match reader.take_below(Self::ALL.len() as u8) {
                     $(number if number == Self::$variant as u8 => Self::$variant,)*
                     _ => Self::$first,
                 }
             }
         }
-    )*};
+    };
 }
 
-structures! {
-    Hello { protocol_version, software_version, nonce, }
-    Configure { request, configuration, }
-    Configuration { servo, esc, speed, failsafe, max_pose_age_ms, stop_input, }
-    ServoCalibration { centre_us, gain_us_per_rad, min_us, max_us, slew_us_per_20ms, }
-    EscCalibration { neutral_us, deadband_us, min_us, max_us, slew_us_per_20ms, brake_us, }
-    SpeedLoop {
-        pulse_distance_um,
-        feed_forward_us_per_m_s,
-        proportional_us_per_m_s,
-        integral_us_per_m,
-        integral_limit_us,
-        max_forward_mm_s,
-        max_reverse_mm_s,
-    }
-    Arm { request, configuration_hash, telemetry_time_us, }
-    Disarm { request, }
-    EmergencyStop { request, }
-    Drive { sequence, speed_mm_s, steering_100urad, telemetry_time_us, pose_age_ms, }
-    Telemetry {
-        board_time_us,
-        mode,
-        stop_cause,
-        last_sequence,
-        imu,
-        imu_age_100us,
-        linear_acceleration_mm_s2,
-        angular_velocity_mrad_s,
-        attitude_q14,
-        motor_speed_mm_s,
-        servo_us,
-        esc_us,
-    }
-    Status {
-        board_time_us,
-        configuration_hash,
-        reset_cause,
-        stop_input_open,
-        battery_mv,
-        frames_received,
-        frames_damaged,
-        drives_refused,
-        last_refusal,
-        frames_dropped,
-        bytes_overrun,
-        imu_errors,
-    }
-    Acknowledgement { request, sequence, configuration_hash, }
-    Refusal { request, sequence, reason, }
-}
-
-enumerations! {
-    FailsafeAction { Coast, Brake, }
-    BoardMode { Boot, Neutral, Armed, Driving, Failsafe, EmergencyStopped, }
-    StopCause {
-        None,
-        Disarmed,
-        CommandTimeout,
-        PoseTooOld,
-        MotorSensor,
-        StopInput,
-        EmergencyStop,
-        HostRestarted,
-    }
-    RefusalReason {
-        None,
-        NotConfigured,
-        ConfigurationDiffers,
-        InvalidConfiguration,
-        Busy,
-        NotYetNeutral,
-        Moving,
-        StopInputOpen,
-        EmergencyStopLatched,
-        Stale,
-        OutOfSequence,
-        PoseTooOld,
-        NotArmed,
-        ReverseDisabled,
-        VersionDiffers,
-    }
-    Request { Configure, Arm, Disarm, EmergencyStop, }
-    ImuState { Silent, Fresh, Repeated, }
-    ResetCause { PowerOn, External, BrownOut, Watchdog, Unknown, }
-}
+pub(crate) use {enumeration, structure};
 
 #[cfg(test)]
 mod tests {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::codec::{Field, Reader, Writer, structure};
+
 /// A wrapping sequence number; the newest wins, duplicates and older ones are
 /// refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,56 +23,70 @@ impl Sequence {
     }
 }
 
-/// Asks the board to accept [`Drive`] commands from now on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Arm {
-    /// Names this request in the answer.
-    pub request: Sequence,
-    /// [`crate::Configuration::hash`] of the configuration that the host
-    /// believes the board has.
-    #[serde(with = "postcard::fixint::le")]
-    pub configuration_hash: u32,
-    /// Board time of the newest telemetry that the host has seen. A request
-    /// that has waited in a stuck line must not arm the car.
-    #[serde(with = "postcard::fixint::le")]
-    pub telemetry_time_us: u32,
+impl Field for Sequence {
+    fn write(&self, writer: &mut Writer<'_>) {
+        self.0.write(writer);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Self {
+        Self(u8::read(reader))
+    }
 }
 
-/// Asks the board to go to neutral and to refuse [`Drive`] commands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Disarm {
-    /// Names this request in the answer.
-    pub request: Sequence,
+structure! {
+    /// Asks the board to accept [`Drive`] commands from now on.
+    pub struct Arm {
+        /// Names this request in the answer.
+        pub request: Sequence,
+        /// [`crate::Configuration::hash`] of the configuration that the host
+        /// believes the board has.
+        #[serde(with = "postcard::fixint::le")]
+        pub configuration_hash: u32,
+        /// Board time of the newest telemetry that the host has seen. A request
+        /// that has waited in a stuck line must not arm the car.
+        #[serde(with = "postcard::fixint::le")]
+        pub telemetry_time_us: u32,
+    }
 }
 
-/// Asks the board to go to neutral and to stay there until it is reset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct EmergencyStop {
-    /// Names this request in the answer.
-    pub request: Sequence,
+structure! {
+    /// Asks the board to go to neutral and to refuse [`Drive`] commands.
+    pub struct Disarm {
+        /// Names this request in the answer.
+        pub request: Sequence,
+    }
 }
 
-/// Steering and speed, with the two ages that let the board judge them.
-///
-/// Not acknowledged: [`crate::Telemetry::last_sequence`] tells what the board
-/// accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Drive {
-    /// Newest wins.
-    pub sequence: Sequence,
-    /// Speed of the rear axle along the car, forward positive, in mm/s.
-    #[serde(with = "postcard::fixint::le")]
-    pub speed_mm_s: i16,
-    /// Steering angle of the front wheels, left positive, in units of 100 µrad.
-    #[serde(with = "postcard::fixint::le")]
-    pub steering_100urad: i16,
-    /// Board time of the newest telemetry that the host had seen: the board
-    /// measures with its own clock how old this command is.
-    #[serde(with = "postcard::fixint::le")]
-    pub telemetry_time_us: u32,
-    /// Age, at `telemetry_time_us`, of the pose behind this command: the
-    /// mid-exposure of the last pose that was *accepted*, which neither holding
-    /// nor coasting renews. In milliseconds, rounded up; `u16::MAX` for none.
-    #[serde(with = "postcard::fixint::le")]
-    pub pose_age_ms: u16,
+structure! {
+    /// Asks the board to go to neutral and to stay there until it is reset.
+    pub struct EmergencyStop {
+        /// Names this request in the answer.
+        pub request: Sequence,
+    }
+}
+
+structure! {
+    /// Steering and speed, with the two ages that let the board judge them.
+    ///
+    /// Not acknowledged: [`crate::Telemetry::last_sequence`] tells what the board
+    /// accepted.
+    pub struct Drive {
+        /// Newest wins.
+        pub sequence: Sequence,
+        /// Speed of the rear axle along the car, forward positive, in mm/s.
+        #[serde(with = "postcard::fixint::le")]
+        pub speed_mm_s: i16,
+        /// Steering angle of the front wheels, left positive, in units of 100 µrad.
+        #[serde(with = "postcard::fixint::le")]
+        pub steering_100urad: i16,
+        /// Board time of the newest telemetry that the host had seen: the board
+        /// measures with its own clock how old this command is.
+        #[serde(with = "postcard::fixint::le")]
+        pub telemetry_time_us: u32,
+        /// Age, at `telemetry_time_us`, of the pose behind this command: the
+        /// mid-exposure of the last pose that was *accepted*, which neither holding
+        /// nor coasting renews. In milliseconds, rounded up; `u16::MAX` for none.
+        #[serde(with = "postcard::fixint::le")]
+        pub pose_age_ms: u16,
+    }
 }

@@ -1,22 +1,23 @@
 //! The two sets of messages, and their way into frames and out of packets.
 
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Serialize, de::DeserializeOwned};
 
-use crate::codec::{Field, Reader};
+use crate::codec::{Field, Reader, structure};
 use crate::frame::{Frame, MAX_PAYLOAD_LENGTH, Packet};
 use crate::{
     Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
     Status, Telemetry,
 };
 
-/// Gives the board its calibration and limits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Configure {
-    /// Names this request in the answer.
-    pub request: Sequence,
-    /// What the board is to use from now on, whole: nothing is kept of an
-    /// earlier one.
-    pub configuration: Configuration,
+structure! {
+    /// Gives the board its calibration and limits.
+    pub struct Configure {
+        /// Names this request in the answer.
+        pub request: Sequence,
+        /// What the board is to use from now on, whole: nothing is kept of an
+        /// earlier one.
+        pub configuration: Configuration,
+    }
 }
 
 /// The byte that begins every packet.

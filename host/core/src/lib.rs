@@ -16,7 +16,6 @@ pub mod reconfigure;
 pub mod serial;
 pub mod setpoint_slot;
 pub mod virtual_host;
-pub mod words;
 
 mod alignment;
 mod meta;

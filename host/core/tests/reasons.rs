@@ -14,21 +14,7 @@ use singletrack_pilot::Reason;
 use singletrack_protocol::{RefusalReason, StopCause};
 use singletrack_record::Topic;
 
-use singletrack_core::words;
-
 const TABLE: &str = include_str!("../../../docs/reasons.md");
-
-/// The values of an enumeration; the match fails to compile when one is missing.
-macro_rules! all {
-    ($type:ident: $($value:ident)*) => {{
-        const fn _complete(value: $type) {
-            match value {
-                $($type::$value => {})*
-            }
-        }
-        [$($type::$value),*]
-    }};
-}
 
 /// Rows of the table: who decides, word, and the three columns of text.
 fn rows() -> Vec<[&'static str; 5]> {
@@ -84,16 +70,13 @@ fn assert_same(who: &str, code: &[&str], recorded: &BTreeSet<String>) {
 
 #[test]
 fn the_table_has_every_reason_of_the_host_in_the_words_of_status_log_and_record() {
-    let code: Vec<_> = Reason::ALL.iter().map(|reason| reason.name()).collect();
+    let code = Reason::ALL.map(Reason::name);
     assert_same("host", &code, &recorded(Topic::Tick, "REASON_"));
 }
 
 #[test]
 fn the_table_has_every_cause_of_the_board_to_stop() {
-    let code = all!(StopCause:
-        None Disarmed CommandTimeout PoseTooOld MotorSensor StopInput EmergencyStop HostRestarted
-    );
-    let code = code.map(words::stop_cause_name);
+    let code = StopCause::ALL.map(StopCause::name);
     assert_same(
         "board stop",
         &code,
@@ -103,38 +86,14 @@ fn the_table_has_every_cause_of_the_board_to_stop() {
 
 #[test]
 fn the_table_has_every_reason_of_the_board_to_refuse() {
-    let code = all!(RefusalReason:
-        None NotConfigured ConfigurationDiffers InvalidConfiguration Busy NotYetNeutral Moving
-        StopInputOpen EmergencyStopLatched Stale OutOfSequence PoseTooOld NotArmed ReverseDisabled
-        VersionDiffers
-    );
-    let code = code.map(words::refusal_name);
+    let code = RefusalReason::ALL.map(RefusalReason::name);
     assert_same("board refusal", &code, &recorded(Topic::Status, "REFUSAL_"));
 }
 
 #[test]
 fn the_table_has_every_reason_not_to_believe_a_pose() {
-    let code = all!(RejectReason:
-        NotFinite NotUnitQuaternion DuplicateId MeanError CaptureTime Jump Flip
-    );
-    let code: Vec<_> = code
-        .iter()
-        .map(|reason| kebab(&format!("{reason:?}")))
-        .collect();
-    let code: Vec<_> = code.iter().map(String::as_str).collect();
+    let code = RejectReason::ALL.map(RejectReason::name);
     assert_same("cameras", &code, &recorded(Topic::Pose, "REJECTED_"));
-}
-
-/// `LikeThis` as `like-this`.
-fn kebab(name: &str) -> String {
-    let mut word = String::new();
-    for letter in name.chars() {
-        if letter.is_ascii_uppercase() && !word.is_empty() {
-            word.push('-');
-        }
-        word.push(letter.to_ascii_lowercase());
-    }
-    word
 }
 
 #[test]

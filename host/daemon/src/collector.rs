@@ -12,11 +12,7 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{
-    Report,
-    cameras::CameraReport,
-    words::{loss_name, refusal_name, request_name, restart_name},
-};
+use singletrack_core::{Report, cameras::CameraReport};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -238,35 +234,30 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         ),
         LinkEvent::ConfigurationRefused { reason } => (
             Level::Error,
-            format!("board refused its configuration: {}", refusal_name(*reason)),
+            format!("board refused its configuration: {}", reason.name()),
         ),
         LinkEvent::BoardRestarted { evidence } => (
             Level::Warning,
-            format!("board restarted: {}", restart_name(*evidence)),
+            format!("board restarted: {}", evidence.name()),
         ),
         LinkEvent::Acknowledged { request, .. } => (
             Level::Info,
-            format!("board did as asked: {}", request_name(*request)),
+            format!("board did as asked: {}", request.name()),
         ),
         LinkEvent::Refused {
             request, reason, ..
         } => (
             Level::Warning,
-            format!(
-                "board refused: {}: {}",
-                request_name(*request),
-                refusal_name(*reason)
-            ),
+            format!("board refused: {}: {}", request.name(), reason.name()),
         ),
         LinkEvent::Unanswered { request, .. } => (
             Level::Warning,
-            format!("board did not answer: {}", request_name(*request)),
+            format!("board did not answer: {}", request.name()),
         ),
-        LinkEvent::StopConfirmed { request } => (
-            Level::Info,
-            format!("board confirmed: {}", request_name(*request)),
-        ),
-        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", loss_name(*cause))),
+        LinkEvent::StopConfirmed { request } => {
+            (Level::Info, format!("board confirmed: {}", request.name()))
+        }
+        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", cause.name())),
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
             (Level::Debug, "board reported".to_owned())
         }

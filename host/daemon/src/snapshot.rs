@@ -2,7 +2,6 @@
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
-use singletrack_core::words::{board_mode_name, link_name, stop_cause_name};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
@@ -101,7 +100,7 @@ impl Snapshot {
         json!({
             "mode": self.mode().name(),
             "reason": self.reason().map(Reason::name),
-            "link": tick.map(|tick| link_name(tick.link)),
+            "link": tick.map(|tick| tick.link.name()),
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
@@ -122,8 +121,8 @@ impl Snapshot {
                 "steering_rad": tick.steering_rad,
             })),
             "board": self.board.map(|(mode, cause)| json!({
-                "mode": board_mode_name(mode),
-                "stop_cause": stop_cause_name(cause),
+                "mode": mode.name(),
+                "stop_cause": cause.name(),
                 "battery_mv": self.board_status.map(|status| status.battery_mv),
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),

@@ -110,6 +110,18 @@ pub enum RestartEvidence {
     ConfigurationGone,
 }
 
+impl RestartEvidence {
+    /// The word for this value in status and log.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Announced => "announced",
+            Self::ClockRestarted => "clock-restarted",
+            Self::ConfigurationGone => "configuration-gone",
+        }
+    }
+}
+
 /// How the loss of the board was noticed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossCause {
@@ -117,6 +129,17 @@ pub enum LossCause {
     Silence,
     /// The port was closed or hung up.
     HangUp,
+}
+
+impl LossCause {
+    /// The word for this value in status and log.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Silence => "silence",
+            Self::HangUp => "hang-up",
+        }
+    }
 }
 
 /// Two versions that cannot talk.

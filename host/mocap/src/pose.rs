@@ -73,6 +73,25 @@ pub enum CaptureTimeSource {
     FrameTimestamp,
 }
 
+impl CaptureTimeSource {
+    /// All values.
+    pub const ALL: [Self; 3] = [
+        Self::MidExposureEcho,
+        Self::MidExposureMinDelay,
+        Self::FrameTimestamp,
+    ];
+
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::MidExposureEcho => "mid-exposure-echo",
+            Self::MidExposureMinDelay => "mid-exposure-min-delay",
+            Self::FrameTimestamp => "frame-timestamp",
+        }
+    }
+}
+
 /// What is known of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PoseState {
@@ -116,6 +135,33 @@ pub enum RejectReason {
     /// The body would have turned faster than it can, or its up axis is too far
     /// from the world's.
     Flip,
+}
+
+impl RejectReason {
+    /// All values.
+    pub const ALL: [Self; 7] = [
+        Self::NotFinite,
+        Self::NotUnitQuaternion,
+        Self::DuplicateId,
+        Self::MeanError,
+        Self::CaptureTime,
+        Self::Jump,
+        Self::Flip,
+    ];
+
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NotFinite => "not-finite",
+            Self::NotUnitQuaternion => "not-unit-quaternion",
+            Self::DuplicateId => "duplicate-id",
+            Self::MeanError => "mean-error",
+            Self::CaptureTime => "capture-time",
+            Self::Jump => "jump",
+            Self::Flip => "flip",
+        }
+    }
 }
 
 impl Pose {

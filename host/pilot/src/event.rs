@@ -2,6 +2,8 @@
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
 
+use crate::words::words;
+
 /// Something that happened since the last tick.
 ///
 /// The list of events is all that a [`crate::Pilot`] knows of the world: the
@@ -71,19 +73,20 @@ pub struct RealTimeState {
     pub memory_locked: bool,
 }
 
-/// Why a frame brought no pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PoseMissing {
-    /// The body was in the frame, marked as not tracked.
-    Untracked,
-    /// The body was not in the frame.
-    Absent,
-    /// The stream has gone silent.
-    Stale,
-    /// The pose was not plausible.
-    Rejected,
-    /// So many poses in a row were not plausible that none can be trusted.
-    Untrustworthy,
+words! {
+    /// Why a frame brought no pose.
+    pub enum PoseMissing {
+        /// The body was in the frame, marked as not tracked.
+        Untracked = "untracked",
+        /// The body was not in the frame.
+        Absent = "absent",
+        /// The stream has gone silent.
+        Stale = "stale",
+        /// The pose was not plausible.
+        Rejected = "rejected",
+        /// So many poses in a row were not plausible that none can be trusted.
+        Untrustworthy = "untrustworthy",
+    }
 }
 
 /// What the board measured, in the car's axes (forward, left, up).
@@ -99,46 +102,49 @@ pub struct BoardSample {
     pub state: BoardState,
 }
 
-/// The board's safety machine, as far as the pilot cares.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardState {
-    /// Starting up.
-    Booting,
-    /// At neutral; can be armed.
-    Neutral,
-    /// Armed, waiting for the first command.
-    Armed,
-    /// Obeying commands.
-    Driving,
-    /// Stopped by itself; can be armed again.
-    Failsafe,
-    /// Stopped until it is reset.
-    EmergencyStopped,
+words! {
+    /// The board's safety machine, as far as the pilot cares.
+    pub enum BoardState {
+        /// Starting up.
+        Booting = "booting",
+        /// At neutral; can be armed.
+        Neutral = "neutral",
+        /// Armed, waiting for the first command.
+        Armed = "armed",
+        /// Obeying commands.
+        Driving = "driving",
+        /// Stopped by itself; can be armed again.
+        Failsafe = "failsafe",
+        /// Stopped until it is reset.
+        EmergencyStopped = "emergency-stopped",
+    }
 }
 
-/// The link to the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkState {
-    /// No board, or none that has its configuration yet.
-    Down,
-    /// The board speaks another version of the protocol.
-    VersionDiffers,
-    /// The board does not take its configuration.
-    ConfigurationRefused,
-    /// The board does not take its configuration because an emergency stop is
-    /// latched until it is reset.
-    EmergencyStopped,
-    /// The board answers, has the configuration and reports.
-    Ready,
+words! {
+    /// The link to the board.
+    pub enum LinkState {
+        /// No board, or none that has its configuration yet.
+        Down = "down",
+        /// The board speaks another version of the protocol.
+        VersionDiffers = "version-differs",
+        /// The board does not take its configuration.
+        ConfigurationRefused = "configuration-refused",
+        /// The board does not take its configuration because an emergency stop is
+        /// latched until it is reset.
+        EmergencyStopped = "emergency-stopped",
+        /// The board answers, has the configuration and reports.
+        Ready = "ready",
+    }
 }
 
-/// What a person or program asks of the pilot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Request {
-    /// Start driving along the reference.
-    Arm,
-    /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
-    Disarm,
-    /// Neutral now, until the board is reset.
-    EmergencyStop,
+words! {
+    /// What a person or program asks of the pilot.
+    pub enum Request {
+        /// Start driving along the reference.
+        Arm = "arm",
+        /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
+        Disarm = "disarm",
+        /// Neutral now, until the board is reset.
+        EmergencyStop = "emergency-stop",
+    }
 }

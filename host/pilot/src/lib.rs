@@ -17,6 +17,7 @@ mod fence;
 mod pilot;
 mod supervisor;
 mod watch;
+mod words;
 
 pub use event::{
     BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,

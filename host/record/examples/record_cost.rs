@@ -1,12 +1,12 @@
-//! What a record of ten minutes costs: on the thread that tells what happens, on
-//! the thread that writes, and on the disk.
+//! The cost of a record of ten minutes: on the thread that pushes, on the thread that
+//! writes, and on the disk.
 //!
 //! ```text
 //! cargo run --release -p singletrack-record --example record_cost [FOLDER]
 //! ```
 //!
-//! 100 ticks a second with all their parts, 100 poses, 100 telemetry records and
-//! 5 status records, in virtual time: as fast as the writer can.
+//! 100 ticks a second with all their parts, 100 poses, 100 telemetry records and 5 status
+//! records, in virtual time: as fast as the writer allows.
 
 use std::{
     error::Error,
@@ -26,9 +26,9 @@ const SECONDS: u64 = 600;
 const RATE: u64 = 100;
 const PERIOD_NS: u64 = 10_000_000;
 const STATUS_EVERY: u64 = 20;
-/// A second; by the clock, the recorder itself sees to that.
+/// Flushes in a second of virtual time. In real time the recorder flushes by the clock.
 const FLUSHES: u64 = 2;
-/// Ticks that the daemon's ring holds.
+/// Capacity of the ring of the daemon, in ticks.
 const RING: usize = 256;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -56,15 +56,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         bytes as f64 / entries as f64
     );
     fs::remove_file(&path)?;
-    // Not if it was there before, with something in it.
+    // Fails, and is ignored, if the folder is not empty.
     let _ = fs::remove_dir(&folder);
     Ok(())
 }
 
-/// What a thread pays to push to a ring that another one empties: the control
-/// thread its ticks, the collector its entries.
+/// The cost of a push to a ring that another thread empties: of ticks by the control
+/// thread, of entries by the collector.
 fn pushes() {
-    // What the clock and the machine's other tenants cost.
+    // The cost of the clock and of other processes.
     measure_pushes("nothing", false, |_| (Instant::now().elapsed(), true));
     for cold in [false, true] {
         let (mut input, mut output) = tick_feed(RING);
@@ -84,7 +84,7 @@ fn pushes() {
             (start.elapsed(), pushed)
         });
         drop(input);
-        // It ends when the ring is left alone.
+        // The thread ends when the input of the ring is gone.
         let _ = emptying.join();
     }
 }
@@ -108,7 +108,7 @@ fn measure_pushes(name: &str, cold: bool, mut push: impl FnMut(u64) -> (Duration
     took.print(name, 1.0);
 }
 
-/// What it takes to make an entry's messages.
+/// The cost of the messages of an entry.
 fn encoder() -> Result<(), Box<dyn Error>> {
     println!("\nto encode, us              p50      p99    p99.9      max");
     let mut encoder = Encoder::new(drive::meta().start);
@@ -134,7 +134,7 @@ fn encoder() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What the writing thread pays; the file's length.
+/// The cost on the writing thread; returns the length of the file.
 fn writer(path: &std::path::Path) -> Result<u64, Box<dyn Error>> {
     let mut recorder = Recorder::create(path, &drive::meta())?;
     let [mut ticks, mut others, mut flushes] = [const { Durations(Vec::new()) }; 3];

@@ -1,37 +1,37 @@
-//! The channels of a record: each is a topic that messages of one type are on.
+//! The channels of a record: topics, each with messages of one type.
 
 use crate::{StandardTopic, Topic};
 
 /// A topic in the file or in a live view, and the type of its messages.
 ///
-/// What an [`crate::Encoder`] publishes names one of them.
+/// Every message of an [`crate::Encoder`] is on one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Channel {
-    /// Entries as they are, bit for bit.
+    /// The entries of one topic, complete and exact.
     Entry(Topic),
-    /// The part of them that a general tool understands.
+    /// Messages of a standard type, derived from the entries.
     Standard(StandardTopic),
 }
 
 impl Channel {
-    /// How many there are.
+    /// The number of channels.
     pub const COUNT: usize = Topic::ALL.len() + StandardTopic::ALL.len();
-    /// How messages are encoded, as MCAP calls it.
+    /// MCAP's name for the encoding of the messages.
     pub const MESSAGE_ENCODING: &'static str = "cdr";
-    /// How schemas are written, as MCAP calls it.
+    /// MCAP's name for the language of the schemas.
     pub const SCHEMA_ENCODING: &'static str = "ros2msg";
 
-    /// All of them, in the order of [`Channel::index`].
+    /// All channels, in the order of [`Channel::index`].
     pub fn all() -> impl Iterator<Item = Self> {
         let entries = Topic::ALL.into_iter().map(Self::Entry);
         entries.chain(StandardTopic::ALL.into_iter().map(Self::Standard))
     }
 
-    /// Its place among all of them, less than [`Channel::COUNT`].
+    /// Its index among all channels, less than [`Channel::COUNT`].
     #[must_use]
     pub const fn index(self) -> usize {
         match self {
-            Self::Entry(topic) => topic as usize,
+            Self::Entry(topic) => topic.index(),
             Self::Standard(topic) => Topic::ALL.len() + topic as usize,
         }
     }

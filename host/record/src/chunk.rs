@@ -1,12 +1,18 @@
-//! The part of an MCAP file that is compressed: records, one after the other.
+//! The chunks of an MCAP file: compressed sequences of records.
 
-use mcap::records::ChunkHeader;
+use mcap::{
+    McapError,
+    records::{ChunkHeader, Record, op},
+};
+
+/// The largest length of a part of a record. A larger one is damage, and must not be
+/// allocated.
+pub(crate) const MAX_PART_LENGTH: usize = 16 << 20;
 
 /// Opcode and length of a record.
 const HEAD_LENGTH: usize = 1 + 8;
 
-/// The records of one chunk. One is used for all chunks of a file: it keeps its
-/// memory.
+/// The records of one chunk. It is reused for all chunks of a file and keeps its memory.
 #[derive(Default)]
 pub(crate) struct Chunk {
     zstd: Option<zstd::bulk::Decompressor<'static>>,
@@ -14,7 +20,7 @@ pub(crate) struct Chunk {
     at: usize,
 }
 
-/// Why a chunk is not believed.
+/// Why a chunk is refused.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ChunkError {
     #[error("a chunk of {size} bytes, more than the {limit} that one may have")]
@@ -29,17 +35,22 @@ pub(crate) enum ChunkError {
     Checksum { expected: u32, actual: u32 },
     #[error("a record in a chunk is longer than the rest of it")]
     Record,
+    #[error(transparent)]
+    Container(#[from] McapError),
 }
 
 impl Chunk {
-    /// Takes in a whole chunk, of which nothing is believed before its checksum.
-    /// One that would need more than `limit` bytes is refused.
-    pub(crate) fn open(
-        &mut self,
-        header: &ChunkHeader,
-        data: &[u8],
-        limit: usize,
-    ) -> Result<(), ChunkError> {
+    /// Opens the chunk that the content of a part of the file encodes.
+    pub(crate) fn open_part(&mut self, content: &[u8]) -> Result<(), ChunkError> {
+        match mcap::parse_record(op::CHUNK, content)? {
+            Record::Chunk { header, data } => self.open(&header, &data, MAX_PART_LENGTH),
+            _ => Ok(()),
+        }
+    }
+
+    /// Decompresses a whole chunk and checks it before any of its records is used. A chunk
+    /// of more than `limit` bytes is refused.
+    fn open(&mut self, header: &ChunkHeader, data: &[u8], limit: usize) -> Result<(), ChunkError> {
         self.content.clear();
         self.at = 0;
         let size = usize::try_from(header.uncompressed_size)
@@ -57,14 +68,14 @@ impl Chunk {
                     Some(zstd) => zstd,
                     none => none.insert(zstd::bulk::Decompressor::new()?),
                 };
-                // At once, into memory that nobody has had to clear.
+                // In one call, into memory that need not be cleared first.
                 zstd.decompress_to_buffer(data, &mut self.content)?;
             }
             other => return Err(ChunkError::Compression(other.to_owned())),
         }
         let refused = if self.content.len() == size {
             let actual = crc32fast::hash(&self.content);
-            // Zero says that nobody calculated one.
+            // Zero means that there is no checksum.
             (![0, actual].contains(&header.uncompressed_crc)).then_some(ChunkError::Checksum {
                 expected: header.uncompressed_crc,
                 actual,
@@ -84,7 +95,7 @@ impl Chunk {
         }
     }
 
-    /// The next record: its opcode and its content.
+    /// The next record: opcode and content.
     pub(crate) fn next(&mut self) -> Option<Result<(u8, &[u8]), ChunkError>> {
         let rest = self.content.get(self.at..)?;
         if rest.is_empty() {
@@ -184,7 +195,7 @@ mod tests {
         let mut chunk = Chunk::default();
         for length in [1, 200, 255] {
             let mut bytes = RECORDS;
-            // The second record claims far more than there is.
+            // The second record claims more bytes than the chunk has.
             bytes[13..].fill(length);
             let header = ChunkHeader {
                 uncompressed_crc: crc32fast::hash(&bytes),

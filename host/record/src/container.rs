@@ -1,5 +1,5 @@
-//! The MCAP file of a record while it is written: under another name until it
-//! is complete, and never over another one.
+//! The MCAP file of a record while it is written. It has another name until it is
+//! complete, and never replaces another file.
 
 use std::{
     collections::BTreeMap,
@@ -18,18 +18,18 @@ use crate::{Channel, RecordError};
 
 /// The profile that tells readers to expect ROS 2 messages.
 pub(crate) const PROFILE: &str = "ros2";
-/// What the library in the header of our files begins with.
+/// The first word of the library in the header of our files.
 pub(crate) const LIBRARY_NAME: &str = "singletrack";
-/// Who wrote the file.
+/// The library in the header of the files that this version writes.
 pub(crate) const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
 
-/// What the file at `path` is called until it is finished.
+/// The name of the file at `path` until it is finished.
 #[must_use]
 pub fn part_path(path: &Path) -> PathBuf {
     with_suffix(path, ".part")
 }
 
-/// A path with something after its name.
+/// A path with a suffix after its name.
 pub(crate) fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
     name.push(suffix);
@@ -46,7 +46,7 @@ pub(crate) struct Container {
 }
 
 impl Container {
-    /// Starts the file that will be at `path`, as `part`.
+    /// Starts the file that will be at `path`, under the name `part`.
     pub(crate) fn create(path: &Path, part: PathBuf) -> Result<Self, RecordError> {
         if path.exists() {
             return Err(RecordError::Exists(path.to_owned()));
@@ -57,17 +57,17 @@ impl Container {
             }
             result => result.map_err(failure("create", &part))?,
         };
-        // Held for as long as the file is open, for `recover` to see. Where files can't
-        // be locked it is nobody's to see.
+        // Held as long as the file is open, so that `recover` refuses it. Some file systems
+        // have no locks: an error is ignored.
         let _ = file.try_lock();
         let handle = file.try_clone().map_err(failure("open", &part))?;
         let writer = WriteOptions::new()
             .profile(PROFILE)
             .library(LIBRARY)
             .compression(Some(Compression::Zstd))
-            // The thread pool costs milliseconds a chunk.
+            // The thread pool costs milliseconds per chunk.
             .compression_threads(0)
-            // When a chunk is full, whoever writes knows better: see `end_chunk`.
+            // The recorder ends the chunks: see `end_chunk`.
             .chunk_size(None)
             // Otherwise an open chunk makes the whole file unreadable.
             .disable_seeking(true)
@@ -89,12 +89,12 @@ impl Container {
         &self.path
     }
 
-    /// Where it is meanwhile.
+    /// The unfinished file.
     pub(crate) fn part(&self) -> &Path {
         &self.part
     }
 
-    /// Writes something.
+    /// Calls `write` with the writer of the file.
     pub(crate) fn write<T>(
         &mut self,
         write: impl FnOnce(&mut Writer<BufWriter<File>>) -> Result<T, McapError>,
@@ -105,8 +105,8 @@ impl Container {
         })
     }
 
-    /// Describes all channels, and tells the id of each, by [`Channel::index`]. The ids
-    /// are the same in every new file.
+    /// Writes the descriptions of all channels; returns their ids by [`Channel::index`].
+    /// The ids are the same in every new file.
     pub(crate) fn describe(&mut self) -> Result<[u16; Channel::COUNT], RecordError> {
         let mut ids = [0; Channel::COUNT];
         self.write(|writer| {
@@ -128,19 +128,19 @@ impl Container {
         Ok(ids)
     }
 
-    /// Begins another chunk with what is written next: what is in one is there
-    /// altogether or not at all.
+    /// Ends the chunk; the next message begins another one. A truncated file has a chunk
+    /// whole or not at all.
     pub(crate) fn end_chunk(&mut self) -> Result<(), RecordError> {
         self.write(Writer::flush)
     }
 
-    /// Makes everything so far survive the end of the process and of the power.
+    /// Writes everything so far to the disk.
     pub(crate) fn flush(&mut self) -> Result<(), RecordError> {
         self.end_chunk()?;
         self.file.sync_data().map_err(failure("sync", &self.part))
     }
 
-    /// Completes the file and gives it its name; tells its size.
+    /// Completes the file and renames it to its final name; returns its size.
     pub(crate) fn finish(mut self) -> Result<u64, RecordError> {
         self.write(Writer::finish)?;
         let Self {
@@ -162,13 +162,13 @@ impl Container {
         Ok(bytes)
     }
 
-    /// Removes the file again.
+    /// Removes the file.
     pub(crate) fn discard(self) -> Result<(), RecordError> {
         fs::remove_file(&self.part).map_err(failure("remove", &self.part))
     }
 }
 
-/// Names the file in what the system says.
+/// Adds operation and file to an error of the system.
 pub(crate) fn failure(
     action: &'static str,
     path: &Path,
@@ -181,14 +181,13 @@ pub(crate) fn failure(
     }
 }
 
-/// Whether a part of this kind and content may stand where data stands, outside a chunk:
-/// messages and what describes them are in chunks.
-/// What else is there was something else: a bit of an opcode is enough to have a reader
-/// pass over a part, or take it for the end.
+/// Whether a part with this opcode and content is valid in the data section, outside a
+/// chunk. Messages, schemas and channels are always in chunks. Any other part is damage:
+/// one flipped bit in an opcode makes a reader skip a part or see the end of the data.
 pub(crate) fn is_data_part(opcode: u8, content: &[u8]) -> bool {
     match opcode {
         op::HEADER | op::CHUNK | op::ATTACHMENT | op::METADATA => true,
-        // A channel, and a list with its length before it.
+        // A channel, and a list after its length.
         op::MESSAGE_INDEX => content
             .split_at_checked(2)
             .and_then(|(_, list)| list.split_first_chunk())
@@ -201,8 +200,8 @@ pub(crate) fn is_data_part(opcode: u8, content: &[u8]) -> bool {
     }
 }
 
-/// As [`mcap::parse_record`], which panics at an attachment that is shorter than
-/// its head and its checksum.
+/// Parses as [`mcap::parse_record`] does, which panics if an attachment is shorter than its
+/// head and its checksum.
 pub(crate) fn parse_record(opcode: u8, content: &[u8]) -> Result<Record<'_>, McapError> {
     const TIMES: usize = 8 + 8;
     const LENGTH_AND_CHECKSUM: usize = 8 + 4;

@@ -1,19 +1,18 @@
-//! Everything that a record can hold.
+//! The entries of a record.
 
 use singletrack_mocap::Observation;
-use singletrack_protocol::{Status, Telemetry};
+use singletrack_protocol::{ImuState, Status, Telemetry};
 
 use crate::TickRecord;
 
-/// One line of a record.
+/// One entry of a record.
 ///
-/// Without an allocation, except in [`Entry::Log`] and
-/// [`Entry::Configuration`]. All times are nanoseconds on
-/// the host's monotonic clock.
+/// It owns no memory on the heap, except in [`Entry::Log`] and
+/// [`Entry::Configuration`]. All times are nanoseconds on the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "the control thread must not allocate to tell what it did"
+    reason = "the control thread must not allocate to report a tick"
 )]
 pub enum Entry {
     /// A control tick.
@@ -22,35 +21,69 @@ pub enum Entry {
     Telemetry(TelemetryRecord),
     /// A status record of the board.
     Status(StatusRecord),
-    /// What one frame of the motion capture said of the car.
+    /// The state of the car in one frame of the motion capture.
     Pose(Observation),
     /// A line of the log.
     Log(Log),
-    /// The configuration changes.
+    /// A change of the configuration.
     Configuration(ConfigurationRecord),
-    /// What the record does not hold.
+    /// The count of entries that the record lacks.
     Drops(Drops),
 }
 
-/// A telemetry record in host time.
+/// A telemetry record of the board, with its times on the clock of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TelemetryRecord {
     /// When its last byte was received.
     pub receive_time_ns: u64,
     /// When the board made it.
     pub board_time_host_ns: u64,
-    /// When the IMU took its sample; none if that cannot be told.
+    /// When the IMU took its sample; none if unknown.
     pub imu_time_host_ns: Option<u64>,
-    /// What the board said.
+    /// The record as the board sent it.
     pub telemetry: Telemetry,
 }
 
-/// A status record in host time.
+impl TelemetryRecord {
+    /// When the IMU took its sample, if the record before did not carry the same sample
+    /// and the time is known.
+    #[must_use]
+    pub fn new_imu_time_ns(&self) -> Option<u64> {
+        self.imu_time_host_ns
+            .filter(|_| self.telemetry.imu == ImuState::Fresh)
+    }
+
+    /// Acceleration without gravity along the axes of the car (forward, left, up), in
+    /// m/s².
+    #[must_use]
+    pub fn linear_acceleration_m_s2(&self) -> [f64; 3] {
+        self.telemetry.linear_acceleration_mm_s2.map(thousandths)
+    }
+
+    /// Angular velocity about the axes of the car (forward, left, up), in rad/s.
+    #[must_use]
+    pub fn angular_velocity_rad_s(&self) -> [f64; 3] {
+        self.telemetry.angular_velocity_mrad_s.map(thousandths)
+    }
+}
+
+fn thousandths(value: i16) -> f64 {
+    f64::from(value) / 1_000.0
+}
+
+/// Time from `start_ns` to `time_ns` of the same clock, in s; negative if `time_ns` is
+/// the earlier one.
+#[must_use]
+pub const fn seconds_since(start_ns: u64, time_ns: u64) -> f64 {
+    time_ns.wrapping_sub(start_ns).cast_signed() as f64 * 1e-9
+}
+
+/// A status record of the board, with its time of reception.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatusRecord {
     /// When its last byte was received.
     pub receive_time_ns: u64,
-    /// What the board said.
+    /// The record as the board sent it.
     pub status: Status,
 }
 
@@ -59,42 +92,56 @@ pub struct StatusRecord {
 pub struct Log {
     /// When it was logged.
     pub time_ns: u64,
-    /// How much it matters.
+    /// Its severity.
     pub level: Level,
-    /// What it says.
+    /// Its text.
     pub text: String,
 }
 
-/// Which configuration is in force; that of the start is in the [`crate::Meta`].
+/// A configuration that came into force during the record. The first one is in the
+/// [`crate::Meta`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigurationRecord {
-    /// When that was known, after the tick that took it over.
+    /// When the change was known, after the first tick with it.
     pub time_ns: u64,
-    /// The number that [`singletrack_pilot::Event::Reconfigured`] names it by.
+    /// Its number in [`singletrack_pilot::Event::Reconfigured`].
     pub number: u32,
-    /// The whole of it, as TOML.
+    /// The whole configuration, as TOML.
     pub toml: String,
 }
 
-/// How much a line of the log matters.
+/// The severity of a line of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// For whoever looks for a fault.
+    /// Details for fault finding.
     Debug,
-    /// The normal course of things.
+    /// Normal operation.
     Info,
-    /// Something is not as it should be; the car can do without.
+    /// A fault that the car can drive with.
     Warning,
-    /// Something failed.
+    /// A failure.
     Error,
 }
 
-/// Entries that were made and did not reach the record, because the writer was
-/// behind. Written whenever the count has changed.
+impl Level {
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Debug => "debug",
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        }
+    }
+}
+
+/// The count of entries that did not reach the record because the writer was behind.
+/// Written whenever the count has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drops {
     /// When the count was taken.
     pub time_ns: u64,
-    /// How many since the record began.
+    /// Entries lost since the record began.
     pub entries: u64,
 }

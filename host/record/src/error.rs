@@ -1,26 +1,24 @@
-//! What can go wrong with a record, and what to do about it.
+//! The errors of writing and reading records.
 
 use std::{io, path::PathBuf};
-
-use crate::EncodeError;
 
 /// A record cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The file system says no.
+    /// An operation on the file failed.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
-        /// What was attempted.
+        /// The operation.
         action: &'static str,
-        /// With which file.
+        /// The file.
         path: PathBuf,
-        /// Why it failed.
+        /// The reason.
         source: io::Error,
     },
-    /// A record is never overwritten.
+    /// The file exists, and records are never overwritten.
     #[error("{} exists already and records are never overwritten: move it or choose another name", .0.display())]
     Exists(PathBuf),
-    /// Somebody writes it.
+    /// Another process is writing the record.
     #[error("{} is being written: wait until its recorder has ended", .0.display())]
     Busy(PathBuf),
     /// The container could not be written.
@@ -28,7 +26,7 @@ pub enum RecordError {
     Write {
         /// The unfinished file.
         path: PathBuf,
-        /// Why it failed.
+        /// The reason.
         source: Box<mcap::McapError>,
     },
     /// An entry could not be encoded.
@@ -36,23 +34,23 @@ pub enum RecordError {
     Encode {
         /// The unfinished file.
         path: PathBuf,
-        /// Which message, and why.
+        /// The message and the reason.
         source: EncodeError,
     },
-    /// The file is something else.
+    /// The file is not an MCAP file.
     #[error("{} is not an MCAP file: name a record written by singletrackd, simulate or demo (*.mcap or *.mcap.part)", .0.display())]
     NotMcap(PathBuf),
-    /// An MCAP file that someone else wrote.
+    /// The file is an MCAP file of another program.
     #[error("{} is an MCAP file of \"{library}\" with profile \"{profile}\", not a record of Singletrack: open it with a viewer such as Foxglove or PlotJuggler", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
         /// The profile in its header.
         profile: String,
-        /// Who wrote it, by its header.
+        /// The library in its header.
         library: String,
     },
-    /// The file ends before anything was recorded.
+    /// The file ends before its first entry.
     #[error("{} ends after {bytes} bytes, before its first entry: nothing was recorded", path.display())]
     Empty {
         /// The file.
@@ -60,29 +58,29 @@ pub enum RecordError {
         /// Its length.
         bytes: u64,
     },
-    /// What the record says of itself does not make sense.
+    /// A value in the metadata is invalid.
     #[error("the metadata of {} has {key} = {value:?}, which is not {expected}", path.display())]
     Metadata {
         /// The file.
         path: PathBuf,
-        /// Which part of it.
+        /// The key.
         key: &'static str,
-        /// What it says.
+        /// The value.
         value: String,
-        /// What it should say.
+        /// The expected value.
         expected: &'static str,
     },
-    /// Another generation of records.
+    /// The record has another version.
     #[error("{} is a record of version {found}; this program reads version {known}: use the singletrack of the release that wrote it", path.display())]
     OtherVersion {
         /// The file.
         path: PathBuf,
         /// Its version.
         found: u32,
-        /// The version that can be read.
+        /// The version that this program reads.
         known: u32,
     },
-    /// A message has the known name and another layout.
+    /// A message has a known name and another layout.
     #[error("{} has another layout of {schema} than this program: use the singletrack of the release that wrote it", path.display())]
     OtherSchema {
         /// The file.
@@ -90,19 +88,19 @@ pub enum RecordError {
         /// The message.
         schema: String,
     },
-    /// The file is damaged: more than merely cut off.
+    /// The file is damaged, and not only truncated.
     #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; what comes before can be used, and `singletrack recover` saves what is whole after it", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
         /// Entries before the damage.
         entries: u64,
-        /// How far the file had been read.
+        /// Bytes read up to there.
         bytes: u64,
-        /// What is wrong.
+        /// The kind of damage.
         reason: String,
     },
-    /// The writer's thread could not be started or has died.
+    /// The thread of the writer could not be started, or panicked.
     #[error("the thread that writes {} {what}", path.display())]
     Thread {
         /// The record.
@@ -110,4 +108,14 @@ pub enum RecordError {
         /// What happened.
         what: String,
     },
+}
+
+/// A message cannot be encoded, because a text in it is longer than 4 GB.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("cannot encode a message of {topic}: {reason}")]
+pub struct EncodeError {
+    /// Its topic.
+    pub topic: &'static str,
+    /// Why it failed.
+    pub reason: String,
 }

@@ -1,5 +1,5 @@
-//! Writing a record without keeping anyone waiting: bounded rings in, a thread
-//! that empties them, and a count of what found no room.
+//! Writing a record on a thread of its own, behind bounded rings: producers never wait,
+//! and entries that find a ring full are counted.
 
 use std::{
     path::PathBuf,
@@ -16,19 +16,19 @@ use crate::{Drops, Entry, Finished, RecordError, Recorder};
 /// How long the thread sleeps when there is nothing to write.
 const IDLE: Duration = Duration::from_millis(5);
 
-/// The end of a ring where entries go in. Neither waits nor allocates.
+/// The input of a ring of entries. It neither waits nor allocates.
 pub struct FeedInput {
     ring: rtrb::Producer<Entry>,
     dropped: Arc<AtomicU64>,
 }
 
-/// The end of a ring where entries come out.
+/// The output of a ring of entries.
 pub struct FeedOutput {
     ring: rtrb::Consumer<Entry>,
     dropped: Arc<AtomicU64>,
 }
 
-/// A ring for `capacity` entries, about 5 kB each. One thread, one ring.
+/// A ring for `capacity` entries of about 5 kB each. Each producing thread needs its own.
 #[must_use]
 pub fn feed(capacity: usize) -> (FeedInput, FeedOutput) {
     let (producer, consumer) = rtrb::RingBuffer::new(capacity);
@@ -46,8 +46,7 @@ pub fn feed(capacity: usize) -> (FeedInput, FeedOutput) {
 }
 
 impl FeedInput {
-    /// Hands an entry over; false if the ring is full, which is counted and
-    /// recorded.
+    /// Pushes an entry; false if the ring is full. Such losses are counted and recorded.
     pub fn push(&mut self, entry: Entry) -> bool {
         let pushed = self.ring.push(entry).is_ok();
         if !pushed {
@@ -58,7 +57,7 @@ impl FeedInput {
 }
 
 impl FeedOutput {
-    /// The oldest entry that waits; none if none does.
+    /// The oldest entry in the ring; none if the ring is empty.
     pub fn pop(&mut self) -> Option<Entry> {
         self.ring.pop().ok()
     }
@@ -72,8 +71,8 @@ pub struct RecorderThread {
 }
 
 impl RecorderThread {
-    /// Starts writing what comes out of `feeds`. Before it writes an entry, it
-    /// shows it to `observe`, which should not take long: meanwhile the rings fill.
+    /// Starts to write the entries of `feeds`. Before the thread writes an entry, it
+    /// passes it to `observe`, which must be short: the rings fill meanwhile.
     ///
     /// # Errors
     ///
@@ -96,14 +95,14 @@ impl RecorderThread {
         Ok(Self { path, stop, thread })
     }
 
-    /// Whether it still writes. It stops when it is told to, or when the file
-    /// cannot be written: [`RecorderThread::finish`] then says why.
+    /// Whether the thread still writes. It stops early when the file cannot be written:
+    /// [`RecorderThread::finish`] then gives the error.
     #[must_use]
     pub fn is_writing(&self) -> bool {
         !self.thread.is_finished()
     }
 
-    /// Writes what is still in the rings and completes the file.
+    /// Writes the entries that are still in the rings and completes the file.
     ///
     /// # Errors
     ///
@@ -130,11 +129,12 @@ fn run(
         entries: 0,
     };
     loop {
-        // Asked before the rings are emptied: what was pushed before the stop is written.
+        // Read before the rings are emptied, so that every entry pushed before the stop is
+        // written.
         let stopping = stop.load(Ordering::Acquire);
         let mut idle = true;
         for feed in &mut feeds {
-            // No more than was there: a fast feed must not starve the others.
+            // At most as many as the ring held: a fast feed must not starve the others.
             for _ in 0..feed.ring.slots() {
                 let Ok(entry) = feed.ring.pop() else { break };
                 idle = false;

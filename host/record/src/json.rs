@@ -1,46 +1,44 @@
-//! Entries as lines of JSON: the daemon writes them, whoever watches reads them.
+//! Entries as lines of JSON, which the daemon sends to its watchers.
 
 use std::borrow::Cow;
 
 use crate::{Entry, Topic, Value, value::Json as Writer};
 
-/// Adds one object to `json`, without a line end: the topic, then fields under
-/// their paths, such as `{"topic":"tick","estimate.yaw_rad":0.3}`.
+/// Adds one object to `json`, without a line end: the topic, then the fields by their
+/// paths, such as `{"topic":"tick","estimate.yaw_rad":0.3}`.
 pub fn write_json_object<'a>(
     json: &mut String,
     topic: &str,
     fields: impl IntoIterator<Item = (&'a str, &'a Value)>,
 ) {
-    Writer::object(json, |object| {
-        object.put_text("topic", topic);
+    Writer::entry(json, topic, |object| {
         for (path, value) in fields {
             object.put(path, value);
         }
     });
 }
 
-/// What a line of JSON shows: an entry as far as a table goes.
+/// The part of an entry that a table shows, from a line of JSON.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
     /// The kind of entry.
     pub topic: Topic,
-    /// Its fields, in the order of [`Topic::fields`], as [`Entry::values`] gives
-    /// them.
+    /// Its fields, in the order of [`Topic::fields`], as from [`Entry::values`].
     pub values: Vec<Value>,
 }
 
-/// A line does not show an entry.
+/// A line of JSON is not an entry.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotAnEntry {
-    /// It is not an object in JSON.
+pub enum ParseEntryError {
+    /// The line is not a JSON object.
     #[error("not a JSON object ({reason}): {line}")]
     NotJson {
         /// The line.
         line: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
-    /// It has no topic, or one that is not known.
+    /// The topic is missing or unknown.
     #[error("without a known topic: {line}")]
     NoTopic {
         /// The line.
@@ -58,15 +56,15 @@ impl From<&Entry> for Shown {
 }
 
 impl Shown {
-    /// Reads what [`Entry::write_json`] wrote. A field that is missing is absent:
-    /// the writer may be of another release.
+    /// Reads a line that [`Entry::write_json`] wrote. A missing field is absent, because
+    /// the writer may be another release.
     ///
     /// # Errors
     ///
-    /// When the line is no object or has no known topic.
-    pub fn from_json(line: &str) -> Result<Self, NotAnEntry> {
+    /// When the line is not a JSON object or its topic is unknown.
+    pub fn from_json(line: &str) -> Result<Self, ParseEntryError> {
         let object: serde_json::Map<String, serde_json::Value> = serde_json::from_str(line)
-            .map_err(|error| NotAnEntry::NotJson {
+            .map_err(|error| ParseEntryError::NotJson {
                 line: line.to_owned(),
                 reason: error.to_string(),
             })?;
@@ -74,7 +72,7 @@ impl Shown {
             .get("topic")
             .and_then(serde_json::Value::as_str)
             .and_then(|name| name.parse().ok())
-            .ok_or_else(|| NotAnEntry::NoTopic {
+            .ok_or_else(|| ParseEntryError::NoTopic {
                 line: line.to_owned(),
             })?;
         let values = topic

@@ -1,5 +1,5 @@
-//! The record of a drive: what every tick saw and did, in a file that opens in
-//! the tools labs already use, and that a replay can start from bit for bit.
+//! The record of a drive: inputs and outputs of every tick, in a file that general
+//! tools open and from which a replay gives the same outputs, bit for bit.
 //!
 //! A record is an MCAP file of ROS 2 messages (CDR, with their `ros2msg`
 //! definitions): Foxglove, Lichtblick, PlotJuggler, rerun and the Python readers
@@ -7,22 +7,26 @@
 //! channel; the [`Meta`] is the file's metadata and, for the configuration, its
 //! attachment.
 //!
-//! Beside these, which hold everything, each entry is there as messages of ROS's
-//! standard types as far as there are some for it, under the [`StandardTopic`]s:
-//! general tools then show the car move. An [`Encoder`] makes both.
+//! These messages hold everything. Beside them, the [`StandardTopic`]s hold the part of
+//! an entry that ROS has standard types for, with which general tools show the moving
+//! car. An [`Encoder`] makes both.
 //!
-//! - [`Recorder`] writes, [`RecorderThread`] does so behind bounded rings.
-//! - [`Reader`] reads, unfinished files as well.
-//! - [`recover`] makes a complete file of an unfinished or damaged one.
-//! - [`Entry::write_json`] and [`Entry::values`] show an entry.
+//! - [`Recorder`] writes a record; [`RecorderThread`] runs one behind bounded rings.
+//! - [`Reader`] reads a record, finished or not.
+//! - [`recover`] repairs a truncated or damaged record.
+//! - [`Entry::write_json`] and [`Entry::values`] give the fields of an entry for printing.
 //!
-//! Times in the messages are nanoseconds on the host's monotonic clock. The
-//! file's log and publish times are the same moments on the wall clock, by the
-//! one mapping taken when the record began: setting the clock changes nothing.
+//! Times in the messages are nanoseconds on the host's monotonic clock. The log and
+//! publish times of the file are the same moments on the wall clock. The mapping between
+//! the clocks is taken once, when the record begins, so setting the wall clock later has
+//! no effect.
 
+mod batch;
+mod cdr;
 mod channel;
 mod chunk;
 mod container;
+mod derive;
 mod encoder;
 mod entry;
 mod error;
@@ -40,13 +44,16 @@ mod tick_feed;
 mod topic;
 mod value;
 
+pub use batch::Publication;
 pub use channel::Channel;
 pub use container::part_path;
-pub use encoder::{EncodeError, Encoder, Publication};
-pub use entry::{ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord};
-pub use error::RecordError;
+pub use encoder::Encoder;
+pub use entry::{
+    ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord, seconds_since,
+};
+pub use error::{EncodeError, RecordError};
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
-pub use json::{NotAnEntry, Shown, write_json_object};
+pub use json::{ParseEntryError, Shown, write_json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};
 pub use reader::{Ending, Reader, Recorded};
 pub use recorder::{Finished, Recorder};

@@ -1,4 +1,4 @@
-//! What a record says of itself.
+//! The metadata of a record.
 
 use std::{borrow::Cow, collections::BTreeMap, path::Path};
 
@@ -6,7 +6,7 @@ use mcap::{Attachment, records::Metadata};
 
 use crate::RecordError;
 
-/// The generation of records that this crate writes and reads. Exact match.
+/// The version of records that this crate writes and reads. It must match exactly.
 pub const RECORD_VERSION: u32 = 2;
 
 /// Name of the metadata in the file.
@@ -16,7 +16,7 @@ pub(crate) const CONFIGURATION_NAME: &str = "configuration.toml";
 
 const SOFTWARE_PREFIX: &str = "software.";
 
-/// Under which circumstances a record was made.
+/// The circumstances under which a record was made.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Meta {
     /// The configuration used, as TOML.
@@ -31,18 +31,17 @@ pub struct Meta {
     pub start: ClockMapping,
 }
 
-/// One moment on two clocks.
+/// The same moment on two clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockMapping {
     /// On the host's monotonic clock, in ns.
     pub monotonic_ns: u64,
-    /// On the wall, in ns since 1970.
+    /// On the wall clock, in ns since 1970.
     pub wall_ns: u64,
 }
 
 impl ClockMapping {
-    /// What the wall clock would have shown at `monotonic_ns`, had nobody
-    /// touched it since.
+    /// The time of a wall clock that was not set since, at `monotonic_ns`.
     #[must_use]
     pub const fn wall_ns_at(&self, monotonic_ns: u64) -> u64 {
         if monotonic_ns >= self.monotonic_ns {
@@ -56,7 +55,7 @@ impl ClockMapping {
 }
 
 impl Meta {
-    /// Before anything is known.
+    /// Placeholder until the metadata has been read.
     pub(crate) const fn none() -> Self {
         Self {
             configuration: String::new(),
@@ -149,7 +148,7 @@ impl Meta {
     }
 }
 
-/// Refuses records of another generation, whatever else they may say.
+/// Refuses records of another version.
 pub(crate) fn check_version(path: &Path, metadata: &Metadata) -> Result<(), RecordError> {
     let found = number(path, metadata, "record_version")?;
     if found == u64::from(RECORD_VERSION) {

@@ -1,4 +1,4 @@
-//! Reading a record, finished or not.
+//! Reading of records, finished or not.
 
 use std::{
     collections::HashMap,
@@ -19,30 +19,26 @@ use mcap::{
 
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
-    chunk::{Chunk, ChunkError},
+    chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
     container::{PROFILE, is_data_part, parse_record, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
 };
 
-/// No part of a record is longer than this: a length beyond it is damage, and
-/// must not be allocated.
-const MAX_PART_LENGTH: usize = 16 << 20;
-/// The length of a list, encoded.
+/// Bytes of the length of a list.
 const LENGTH: usize = size_of::<u32>();
-/// How much is read from the file at once.
+/// Bytes read from the file at once.
 const READ_LENGTH: usize = 64 << 10;
-/// How often a record that is being written is looked at.
+/// Period of the polls of a record that is being written.
 const FOLLOW_PERIOD: Duration = Duration::from_millis(100);
 
 /// Reads a record from start to end.
 ///
-/// As an iterator it gives entries, to compute with. To show what is recorded,
-/// [`Reader::advance`] goes to the next message and [`Reader::read_values`] or
-/// [`Reader::write_json`] reads it, without the way through an [`Entry`] and
-/// without an allocation.
+/// The iterator gives entries, for computing. For printing, [`Reader::advance`] goes to
+/// the next message and [`Reader::read_values`] or [`Reader::write_json`] reads it, without
+/// an [`Entry`] between.
 ///
-/// An unfinished record is read as far as it goes; [`Reader::ending`] then tells
-/// so. Channels that are not ours are skipped. After an error nothing follows.
+/// An unfinished record is read up to its end; [`Reader::ending`] then says so. Unknown
+/// channels are skipped. After an error nothing follows.
 pub struct Reader {
     path: PathBuf,
     file: File,
@@ -50,9 +46,9 @@ pub struct Reader {
     chunk: Chunk,
     catalogue: Catalogue,
     meta: Meta,
-    /// Whether only the summary comes.
+    /// Whether the data section has ended and only the summary follows.
     data_ended: bool,
-    /// The message that [`Reader::advance`] came to.
+    /// The message that [`Reader::advance`] went to.
     content: Vec<u8>,
     at: Option<Recorded>,
     /// [`Topic::list_at`] of ticks.
@@ -65,12 +61,12 @@ pub struct Reader {
     failed: bool,
 }
 
-/// What is known of a message before its fields are read.
+/// A message before its fields are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recorded {
     /// Its topic.
     pub topic: Topic,
-    /// When it reached the host, in ns since 1970 on the wall: see
+    /// When it reached the host, in ns since 1970 on the wall clock: see
     /// [`crate::ClockMapping`].
     pub wall_ns: u64,
 }
@@ -78,13 +74,13 @@ pub struct Recorded {
 /// How a record ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// As it should.
+    /// With its index, complete.
     Finished,
-    /// In the middle: the recorder was stopped, or the file was cut.
+    /// In the middle: the recorder was killed, or the file was truncated.
     Unfinished {
-        /// Entries that could be read.
+        /// Entries read.
         entries: u64,
-        /// Length of the file.
+        /// Length of the file, in bytes.
         bytes: u64,
     },
 }
@@ -101,13 +97,13 @@ impl fmt::Display for Ending {
     }
 }
 
-/// What the file has said so far of its own structure.
+/// The descriptions found in the file so far.
 #[derive(Default)]
 struct Catalogue {
     header: Option<(String, String)>,
     metadata: Option<Metadata>,
     configuration: Option<Vec<u8>>,
-    /// Schema names by id, and whether they are as this program knows them.
+    /// Schema names by id, and whether their text is that of this program.
     schemas: HashMap<u16, (String, bool)>,
     /// Our channels: their topics, by id.
     channels: Vec<Option<Topic>>,
@@ -118,23 +114,23 @@ enum Step {
     Nothing,
     /// A message, which is now in [`Reader::content`].
     Message(Recorded),
-    /// A message that was not asked for.
+    /// A message of a topic that is not read.
     Skipped,
     End,
-    /// No more bytes, and yet no end.
+    /// The file ended before the end of the record.
     Cut,
 }
 
 impl Reader {
-    /// Opens a record and reads what it says of itself. One that has not got its name
-    /// yet is found by the name that it will have.
+    /// Opens a record and reads its metadata. An unfinished record is found by its final
+    /// name as well.
     ///
     /// # Errors
     ///
     /// When the file cannot be read, is not a record, or is one of another version.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
         let part = part_path(path);
-        // It gets its name only when it is finished.
+        // A record gets its final name when it is finished.
         let path = if !path.exists() && part.exists() {
             &part
         } else {
@@ -170,7 +166,7 @@ impl Reader {
         Ok(reader)
     }
 
-    /// Yields entries of these topics only; the others are not even decoded.
+    /// Yields entries of these topics only; others are not decoded.
     #[must_use]
     pub fn only(mut self, topics: &[Topic]) -> Self {
         self.topics = Some(topics.to_vec());
@@ -184,22 +180,43 @@ impl Reader {
         self
     }
 
-    /// What the record says of itself.
+    /// The metadata of the record.
     #[must_use]
     pub const fn meta(&self) -> &Meta {
         &self.meta
     }
 
-    /// How it ended; none before the iterator has come to the end, or when it
-    /// stopped with an error.
+    /// How the record ended; none before the end, and after an error.
     #[must_use]
     pub const fn ending(&self) -> Option<Ending> {
         self.ending
     }
 
-    /// Goes to the next message; none at the end, and at the end so far of a
-    /// record that is unfinished: [`Reader::ending`] tells which. When it is
-    /// called again, an unfinished record may have grown.
+    /// Passes the entries to `take`, up to the end or to damage after the first entry.
+    /// Returns the damage, if there is any: the entries before it can be used.
+    ///
+    /// # Errors
+    ///
+    /// When there is no entry before the damage, or the file cannot be read.
+    pub fn take_undamaged(
+        &mut self,
+        mut take: impl FnMut(&Entry),
+    ) -> Result<Option<RecordError>, RecordError> {
+        let mut any = false;
+        for entry in self {
+            match entry {
+                Ok(entry) => take(&entry),
+                Err(error @ RecordError::Damaged { .. }) if any => return Ok(Some(error)),
+                Err(error) => return Err(error),
+            }
+            any = true;
+        }
+        Ok(None)
+    }
+
+    /// Goes to the next message; none at the end of the record, and at the current end of
+    /// an unfinished one: see [`Reader::ending`]. An unfinished record may have grown at
+    /// the next call.
     ///
     /// # Errors
     ///
@@ -238,8 +255,8 @@ impl Reader {
         }
     }
 
-    /// Replaces `values` with the fields of the message that [`Reader::advance`]
-    /// came to, in the order of [`Topic::fields`]; with none before the first.
+    /// Replaces `values` with the fields of the message that [`Reader::advance`] went to,
+    /// in the order of [`Topic::fields`]; with nothing before the first.
     ///
     /// # Errors
     ///
@@ -254,8 +271,8 @@ impl Reader {
             && let Some((head, _)) = self.content.split_at_mut_checked(list_at + LENGTH)
             && let Some(length) = head.last_chunk_mut::<LENGTH>()
         {
-            // A list shows as its length: its elements, half of a tick, need not be
-            // decoded.
+            // The value of a list is its length. Its elements are half of a tick and need
+            // not be decoded.
             let encoded = mem::take(length);
             let read = topic.read_values(head, values);
             if let Some(length) = head.last_chunk_mut() {
@@ -264,14 +281,14 @@ impl Reader {
             if let Some(shown) = values.last_mut() {
                 *shown = Value::Unsigned(u32::from_le_bytes(encoded).into());
             }
-            return read.map_err(|reason| self.senseless(topic, &reason));
+            return read.map_err(|reason| self.invalid(topic, &reason));
         }
         topic
             .read_values(&self.content, values)
-            .map_err(|reason| self.senseless(topic, &reason))
+            .map_err(|reason| self.invalid(topic, &reason))
     }
 
-    /// Adds the message that [`Reader::advance`] came to to `json`, as
+    /// Adds the message that [`Reader::advance`] went to to `json`, as
     /// [`Entry::write_json`] does; nothing before the first.
     ///
     /// # Errors
@@ -283,13 +300,13 @@ impl Reader {
         };
         topic
             .write_json(&self.content, json)
-            .map_err(|reason| self.senseless(topic, &reason))
+            .map_err(|reason| self.invalid(topic, &reason))
     }
 
-    /// The message that it is at is damaged.
-    fn senseless(&mut self, topic: Topic, reason: &str) -> RecordError {
+    /// The error for a damaged message.
+    fn invalid(&mut self, topic: Topic, reason: &str) -> RecordError {
         self.failed = true;
-        // It does not count among those before the damage.
+        // It is not one of the entries before the damage.
         self.entries = self.entries.saturating_sub(1);
         self.damaged(format_args!("{topic}: {reason}"))
     }
@@ -348,7 +365,7 @@ impl Reader {
         }
     }
 
-    /// Goes one record of the container further.
+    /// Reads the next record of the container.
     fn step(&mut self) -> Result<Step, RecordError> {
         let step = match self.chunk.next() {
             Some(Ok((opcode, data))) => {
@@ -361,7 +378,7 @@ impl Reader {
         step.map_err(|refused| self.refuse(refused))
     }
 
-    /// Goes one record of the container further, which may be a chunk.
+    /// Reads the next record of the container outside a chunk.
     fn step_outside(&mut self) -> Result<Step, RecordError> {
         let step = match self.linear.next_event() {
             None => return Ok(Step::End),
@@ -393,7 +410,7 @@ impl Reader {
                 self.data_ended = true;
                 Ok(Step::Nothing)
             }
-            // There are many, and they tell of nothing new.
+            // They are many and have nothing new.
             Some(Ok(LinearReadEvent::Record {
                 opcode: op::MESSAGE_INDEX | op::CHUNK_INDEX,
                 ..
@@ -401,7 +418,10 @@ impl Reader {
             Some(Ok(LinearReadEvent::Record {
                 opcode: op::CHUNK,
                 data,
-            })) => open_chunk(&mut self.chunk, data),
+            })) => match self.chunk.open_part(data) {
+                Ok(()) => Ok(Step::Nothing),
+                Err(error) => Err(error.into()),
+            },
             Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                 let topics = self.topics.as_deref();
                 self.catalogue.take(opcode, data, topics, &mut self.content)
@@ -425,15 +445,7 @@ impl Reader {
     }
 }
 
-/// Takes in a chunk, whose records come next.
-fn open_chunk(chunk: &mut Chunk, data: &[u8]) -> Result<Step, Refused> {
-    if let Record::Chunk { header, data } = mcap::parse_record(op::CHUNK, data)? {
-        chunk.open(&header, &data, MAX_PART_LENGTH)?;
-    }
-    Ok(Step::Nothing)
-}
-
-/// Why a part of the file is not accepted.
+/// Why a part of the file is refused.
 enum Refused {
     Damage(String),
     OtherSchema(String),
@@ -451,12 +463,11 @@ impl From<ChunkError> for Refused {
     }
 }
 
-/// What stands before the content of a message: channel, number, log time and
-/// publish time.
+/// Length of the head of a message: channel, number, log time and publish time.
 const MESSAGE_HEAD_LENGTH: usize = 2 + 4 + 8 + 8;
 
 impl Catalogue {
-    /// Takes in one record of the container; a message goes to `content`.
+    /// Takes one record of the container; a message goes to `content`.
     fn take(
         &mut self,
         opcode: u8,
@@ -476,7 +487,7 @@ impl Catalogue {
                 self.configuration = Some(data.into_owned());
             }
             Record::Schema { header, data } => {
-                // The end of the file repeats them.
+                // The summary repeats them.
                 self.schemas.entry(header.id).or_insert_with(|| {
                     let same = header.encoding == "ros2msg"
                         && Topic::ALL
@@ -487,10 +498,7 @@ impl Catalogue {
                 });
             }
             Record::Channel(channel) => {
-                let topic = Topic::ALL
-                    .into_iter()
-                    .find(|topic| topic.channel() == channel.topic);
-                if let Some(topic) = topic {
+                if let Some(topic) = Topic::of_channel(&channel.topic) {
                     match self.schemas.get(&channel.schema_id) {
                         Some((name, true)) if *name == topic.schema_name() => {}
                         Some((name, _)) => return Err(Refused::OtherSchema(name.clone())),
@@ -512,7 +520,8 @@ impl Catalogue {
         }
         Ok(Step::Nothing)
     }
-    /// Takes in a message, as nearly all records are.
+
+    /// Takes a message, as nearly all records are.
     fn take_message(
         &self,
         data: &[u8],
@@ -553,7 +562,7 @@ impl Iterator for Reader {
             match self.advance() {
                 Ok(Some(Recorded { topic, .. })) => {
                     let entry = Entry::decode(topic, &self.content);
-                    return Some(entry.map_err(|reason| self.senseless(topic, &reason)));
+                    return Some(entry.map_err(|reason| self.invalid(topic, &reason)));
                 }
                 Ok(None) if self.follow && self.ending != Some(Ending::Finished) => {
                     thread::sleep(FOLLOW_PERIOD);

@@ -9,21 +9,21 @@ use mcap::records::MessageHeader;
 
 use crate::{Channel, Encoder, Entry, Meta, RecordError, container::Container, part_path};
 
-/// When the process is killed, what came since the last flush is lost. Half of
-/// the second that is promised: the other half is for a slow disk.
+/// A killed process loses the entries since the last flush. The documented limit is one
+/// second; this leaves half of it for a slow disk.
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 
-/// A chunk of more, before it is compressed, is not added to.
+/// A chunk is ended when its messages have more bytes than this before compression.
 const CHUNK_LENGTH: usize = 768 << 10;
 
 /// Writes one record.
 ///
-/// While it does, the file is called `NAME.mcap.part`; [`Recorder::finish`] gives
-/// it its name. A recorder that is dropped or killed leaves the `.part`, which
-/// [`crate::Reader`] reads as far as it goes, and [`crate::recover`] completes.
+/// While it writes, the file has the name `NAME.mcap.part`; [`Recorder::finish`] renames
+/// it. A recorder that is dropped or killed leaves the `.part` file, which
+/// [`crate::Reader`] reads up to its end and [`crate::recover`] repairs.
 ///
-/// Twice a second it flushes and syncs, which may take as long as the disk likes:
-/// it belongs on a thread of its own, such as a [`crate::RecorderThread`].
+/// It flushes and syncs twice a second, which may block for as long as the disk takes.
+/// Run it on a thread of its own, such as a [`crate::RecorderThread`].
 pub struct Recorder {
     container: Container,
     encoder: Encoder,
@@ -31,7 +31,7 @@ pub struct Recorder {
     flushed: Instant,
     flush_period: Option<Duration>,
     unflushed: bool,
-    /// Of the messages since the last chunk.
+    /// Bytes of the messages since the last chunk.
     chunk_length: usize,
     entries: u64,
 }
@@ -47,14 +47,14 @@ struct WrittenChannel {
 pub struct Finished {
     /// The file.
     pub path: PathBuf,
-    /// Entries in it.
+    /// The number of entries.
     pub entries: u64,
-    /// Its size.
+    /// The size of the file, in bytes.
     pub bytes: u64,
 }
 
 impl Recorder {
-    /// Starts the record that will be at `path`.
+    /// Starts a record that will be at `path` once it is finished.
     ///
     /// # Errors
     ///
@@ -82,8 +82,8 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// Does not flush by the clock, so that the same entries give the same bytes:
-    /// for what can be recorded again, such as a simulation.
+    /// Turns the flushes by the clock off, so that the same entries give the same bytes.
+    /// For entries that can be recorded again, such as those of a simulation.
     #[must_use]
     pub const fn without_timed_flushes(mut self) -> Self {
         self.flush_period = None;
@@ -96,11 +96,11 @@ impl Recorder {
         self.container.path()
     }
 
-    /// Adds an entry, and flushes if the last flush is half a second ago.
+    /// Adds an entry, and flushes if the last flush is half a second old.
     ///
     /// # Errors
     ///
-    /// When the file cannot be written; all later calls fail as well.
+    /// When the file cannot be written; later calls fail as well.
     pub fn write(&mut self, entry: &Entry) -> Result<(), RecordError> {
         let publications = self
             .encoder
@@ -126,7 +126,7 @@ impl Recorder {
         }
         self.entries += 1;
         self.unflushed = true;
-        // Not before: what an entry becomes stays together.
+        // Only after the last message of the entry: its messages stay in one chunk.
         if self.chunk_length > CHUNK_LENGTH {
             self.chunk_length = 0;
             self.container.end_chunk()?;
@@ -134,8 +134,8 @@ impl Recorder {
         self.flush_if_due()
     }
 
-    /// Flushes if there is something to flush and the last flush is half a second
-    /// ago. For whoever has no entry to write just now.
+    /// Flushes if there are unflushed entries and the last flush is half a second old.
+    /// Call it while there is no entry to write.
     ///
     /// # Errors
     ///
@@ -148,7 +148,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Makes everything so far survive the end of the process and of the power.
+    /// Writes all entries so far to the disk: they survive a killed process and a loss of
+    /// power.
     ///
     /// # Errors
     ///
@@ -160,11 +161,11 @@ impl Recorder {
         self.container.flush()
     }
 
-    /// Completes the file and gives it its name.
+    /// Completes the file and renames it to its final name.
     ///
     /// # Errors
     ///
-    /// When that fails; the unfinished file then stays.
+    /// When that fails. The unfinished file is then kept.
     pub fn finish(self) -> Result<Finished, RecordError> {
         let path = self.container.path().to_owned();
         let bytes = self.container.finish()?;

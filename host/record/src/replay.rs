@@ -1,14 +1,16 @@
-//! Replaying a record: the same inputs through the same controller must give the
-//! same outputs, to the bit.
+//! Replay of a record: the same inputs to the same pilot must give the same outputs, bit
+//! for bit.
 
 use std::{collections::BTreeMap, fmt};
 
-use byteorder::LittleEndian;
 use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
-use crate::{Entry, TickRecord, Value, message::TickMessage};
+use crate::{
+    Entry, TickRecord, Topic, Value, cdr,
+    message::{Represents, TickMessage},
+};
 
-/// A pilot that is given the ticks of a record again.
+/// A pilot that steps through the ticks of a record.
 #[derive(Clone, Debug)]
 pub struct Replay {
     pilot: Pilot,
@@ -16,43 +18,43 @@ pub struct Replay {
     next: u64,
 }
 
-/// Why a record can't be replayed beyond a tick.
+/// Why a record cannot be replayed beyond a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
-    /// What the pilot was told in ticks that are not there nobody knows.
+    /// Ticks are missing, and with them the inputs of the pilot.
     #[error(
         "ticks {first} to {} are not in the record; what follows rests on what they saw",
         first + count - 1
     )]
     Missing {
-        /// The first that is not there.
+        /// The first missing tick.
         first: u64,
-        /// How many are not.
+        /// The number of missing ticks.
         count: u64,
     },
-    /// A tick comes twice, or after a later one.
+    /// A tick is repeated, or follows a later one.
     #[error("tick {found} comes where tick {expected} should be")]
     OutOfOrder {
-        /// The tick that comes.
+        /// The index found.
         found: u64,
-        /// The tick that should.
+        /// The index expected.
         expected: u64,
     },
-    /// It is not known what the pilot changed to.
+    /// A configuration of the pilot is missing.
     #[error("configuration {0} came into force, and is not in the record")]
     Configuration(u32),
-    /// The pilot would not change to it.
+    /// The pilot refused a configuration.
     #[error("configuration {number} came into force, and is refused now: {reason}")]
     Refused {
         /// Its number.
         number: u32,
-        /// What the pilot says.
+        /// The error of the pilot.
         reason: Underway,
     },
 }
 
 impl Replay {
-    /// A pilot as it was at the first tick, with number 1.
+    /// A pilot in its state before the first tick. `configuration` has number 1.
     #[must_use]
     pub fn new(configuration: PilotConfig) -> Self {
         Self {
@@ -62,17 +64,17 @@ impl Replay {
         }
     }
 
-    /// A configuration that came into force later.
+    /// Adds a configuration that came into force later.
     pub fn configuration(&mut self, number: u32, configuration: PilotConfig) {
         self.configurations.insert(number, configuration);
     }
 
-    /// Tells the pilot what it was told in this tick. The first is tick 0, and none
-    /// may be left out.
+    /// Steps the pilot with the inputs of this tick. The first tick has index 0, and none
+    /// may be missing.
     ///
     /// # Errors
     ///
-    /// When the pilot can't be told that.
+    /// When a tick or a configuration is missing, or the pilot refuses a configuration.
     pub fn tick(&mut self, recorded: &TickRecord) -> Result<Output, ReplayError> {
         let (found, expected) = (recorded.index, self.next);
         if found > expected {
@@ -85,7 +87,7 @@ impl Replay {
             return Err(ReplayError::OutOfOrder { found, expected });
         }
         for event in &recorded.events {
-            // It came into force before the pilot heard of anything.
+            // It came into force before the pilot took any event of the tick.
             if let Event::Reconfigured(number) = *event {
                 let configuration = self.configurations.get(&number);
                 self.pilot
@@ -98,14 +100,14 @@ impl Replay {
     }
 }
 
-/// A field of a tick that came out otherwise.
+/// A field of a tick that differs in the replay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Its path, as of [`crate::Topic::fields`].
+    /// Its path: see [`crate::Topic::fields`].
     pub field: String,
-    /// As recorded.
+    /// The recorded value.
     pub recorded: Value,
-    /// As it came out.
+    /// The replayed value.
     pub replayed: Value,
 }
 
@@ -113,7 +115,7 @@ impl fmt::Display for Difference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown = |value: &Value| match value {
             Value::Absent => "absent".to_owned(),
-            // Of numbers that look the same the bits may differ.
+            // Numbers with the same text can differ in their bits.
             Value::Float(value) => format!("{value:?} ({:016x})", value.to_bits()),
             other => other.to_string(),
         };
@@ -127,7 +129,7 @@ impl fmt::Display for Difference {
 }
 
 impl TickRecord {
-    /// Whether `output` is what was recorded, to the bit.
+    /// Whether `output` equals the recorded output, bit for bit.
     #[must_use]
     pub fn is_output(&self, output: &Output) -> bool {
         let bytes = |output: &Output| {
@@ -136,13 +138,15 @@ impl TickRecord {
                 output: *output,
                 ..*self
             };
-            cdr_encoding::to_vec::<_, LittleEndian>(&TickMessage::from(&tick)).ok()
+            let mut bytes = Vec::new();
+            let encoded = cdr::encode(&TickMessage::of(&tick), &mut bytes);
+            encoded.is_ok().then_some(bytes)
         };
-        // Equality of numbers does not do: -0 and 0, and what is not a number.
+        // Bytes are compared because `==` takes -0 for 0 and NaN for different from itself.
         matches!((bytes(&self.output), bytes(output)), (Some(a), Some(b)) if a == b)
     }
 
-    /// Which fields would be others if `output` were.
+    /// The fields in which `output` differs from the recorded output.
     #[must_use]
     pub fn differences(&self, output: &Output) -> Vec<Difference> {
         let values = |tick: Self| Entry::Tick(tick).values();
@@ -150,7 +154,7 @@ impl TickRecord {
             output: *output,
             ..self.clone()
         });
-        crate::Topic::Tick
+        Topic::Tick
             .fields()
             .into_iter()
             .zip(values(self.clone()).into_iter().zip(replayed))

@@ -1,55 +1,55 @@
-//! One tick of the control thread, as that thread tells it.
+//! The report of the control thread on one tick.
 
 use singletrack_control::Time;
 use singletrack_pilot::{Event, Output};
 
-/// The most events that a tick takes in; the control thread counts the rest as
-/// dropped. Ten ticks' worth at the cameras' and the board's highest rates.
+/// The largest number of events in a tick; the control thread drops and counts the
+/// rest. Ten ticks at the highest rates of cameras and board give this number.
 pub const MAX_EVENTS: usize = 64;
 
-/// What a tick was given, what it decided, and when.
+/// Inputs, outputs and times of a control tick.
 ///
-/// Without an allocation, so that the control thread can push it through a ring.
+/// It owns no memory on the heap, so that the control thread can push it through a ring.
 /// All times are nanoseconds on the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TickRecord {
     /// Counts the ticks of the daemon, from 0.
     pub index: u64,
-    /// The point of the tick's grid that it belongs to.
+    /// The scheduled time: a point of the control grid.
     pub scheduled_ns: u64,
-    /// When the thread woke up for it.
+    /// When the thread woke up.
     pub start_ns: u64,
-    /// When its command was decided and handed to the line.
+    /// When the command was decided and written to the line.
     pub finish_ns: u64,
-    /// Points of the grid that were skipped just before it, because the tick
-    /// before took too long.
+    /// Points of the grid skipped just before this tick, because the tick before took
+    /// too long.
     pub skipped: u32,
-    /// The moment that [`singletrack_pilot::Pilot::step`] was told.
+    /// The time passed to [`singletrack_pilot::Pilot::step`].
     pub pilot_time: Time,
-    /// The events that it was told, in order.
+    /// The events passed to it, in order.
     pub events: heapless::Vec<Event, MAX_EVENTS>,
-    /// Events since the tick before that did not fit: the pilot never saw them.
+    /// Events since the tick before that did not fit and were not passed to the pilot.
     pub events_dropped: u32,
-    /// What it decided.
+    /// The output of the pilot.
     pub output: Output,
-    /// What became of its command; none if there was nothing to send.
+    /// How the command was written; none if there was no command.
     pub drive: Option<DriveWrite>,
     /// The session with the board.
     pub link: LinkPhase,
 }
 
 impl TickRecord {
-    /// How much later than scheduled the thread woke up.
+    /// Delay from the scheduled time to the wake-up of the thread.
     #[must_use]
     pub const fn lateness_ns(&self) -> i64 {
         self.start_ns.wrapping_sub(self.scheduled_ns) as i64
     }
 
-    /// From the mid-exposure of the newest accepted pose to the command that
-    /// rests on it leaving for the board; none if none left.
+    /// Time from the mid-exposure of the newest accepted pose to the write of the
+    /// command based on it; none if no command was written.
     ///
-    /// In a held tick the pose is an old one: ask [`Output::held`] before taking
-    /// this for a latency.
+    /// In a held tick the pose is an old one: this is a latency only if
+    /// [`Output::held`] is false.
     #[must_use]
     pub const fn capture_to_command_ns(&self) -> Option<i64> {
         match (&self.output.command, &self.drive) {
@@ -66,28 +66,43 @@ impl TickRecord {
 pub struct DriveWrite {
     /// The command's number on the wire.
     pub sequence: u8,
-    /// Whether the whole frame was written; otherwise the line was full or
-    /// closed and no byte of it was.
+    /// Whether the whole frame was written. Otherwise the line was full or closed, and
+    /// no byte of the frame was written.
     pub written: bool,
-    /// When that was known.
+    /// When the result was known.
     pub time_ns: u64,
 }
 
-/// The session with the board, by name.
+/// The phase of the session with the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkPhase {
     /// The port is closed.
     Disconnected,
-    /// The board is being greeted.
+    /// The host waits for the greeting of the board.
     Greeting,
     /// The board speaks another version of the protocol.
     VersionMismatch,
-    /// The board has been sent its configuration.
+    /// The host has sent the configuration and waits for the answer.
     Configuring,
-    /// The board does not take its configuration.
+    /// The board refused its configuration.
     ConfigurationRefused,
     /// The board has its configuration.
     Ready,
+}
+
+impl LinkPhase {
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Disconnected => "disconnected",
+            Self::Greeting => "greeting",
+            Self::VersionMismatch => "version-mismatch",
+            Self::Configuring => "configuring",
+            Self::ConfigurationRefused => "configuration-refused",
+            Self::Ready => "ready",
+        }
+    }
 }
 
 #[cfg(test)]
@@ -218,7 +233,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_command_that_was_not_written_has_no_latency() {
+    fn an_unwritten_command_has_no_latency() {
         let mut tick = full();
         tick.drive = tick.drive.map(|drive| DriveWrite {
             written: false,

@@ -1,9 +1,9 @@
-//! A ring for ticks between the control thread and the rest.
+//! A ring for ticks, from the control thread to the other threads.
 //!
-//! A [`TickRecord`] has room for many events and mostly holds two or three. To
-//! push all of it, room and all, costs the control thread a microsecond and more,
-//! because the ring's memory was last seen by another processor. So the events go
-//! in a ring of their own: as many as there are.
+//! A [`TickRecord`] has room for many events and mostly holds two or three. To push
+//! the whole record costs the control thread more than a microsecond, because the memory
+//! of the ring is in the cache of another processor. So the events have a ring of their
+//! own, which takes only those that exist.
 
 use rtrb::{Consumer, Producer, RingBuffer};
 use singletrack_control::Time;
@@ -11,15 +11,15 @@ use singletrack_pilot::{Event, Output};
 
 use crate::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
 
-/// The end of a ring where ticks go in. Neither waits nor allocates.
+/// The input of a ring of ticks. It neither waits nor allocates.
 #[derive(Debug)]
 pub struct TickInput {
-    /// Never none but while its memory is being touched.
+    /// None only while [`tick_feed`] touches the memory.
     heads: Producer<Option<Head>>,
     events: Producer<Event>,
 }
 
-/// The end of a ring where ticks come out.
+/// The output of a ring of ticks.
 #[derive(Debug)]
 pub struct TickOutput {
     heads: Consumer<Option<Head>>,
@@ -42,10 +42,10 @@ struct Head {
     link: LinkPhase,
 }
 
-/// A ring for `capacity` ticks, however many events they have.
+/// A ring for `capacity` ticks, each with up to [`MAX_EVENTS`] events.
 ///
-/// Its memory is there when this returns, as far as the system keeps it: pushing
-/// has no page to wait for.
+/// All its memory has been touched when this returns: a later push meets no page fault,
+/// unless the system has swapped the memory out.
 #[must_use]
 pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
     let (mut heads, mut heads_out) = RingBuffer::new(capacity);
@@ -64,7 +64,7 @@ pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
 }
 
 impl TickInput {
-    /// Hands a tick over; false if the ring is full.
+    /// Pushes a tick; false if the ring is full.
     pub fn push(&mut self, tick: &TickRecord) -> bool {
         let TickRecord {
             index,
@@ -79,7 +79,7 @@ impl TickInput {
             drive,
             link,
         } = *tick;
-        // There is room for its events wherever there is room for a tick.
+        // Where there is room for a tick, there is room for its events.
         if self.heads.is_full() {
             return false;
         }
@@ -87,7 +87,7 @@ impl TickInput {
             return false;
         };
         room.fill_from_iter(events.iter().copied());
-        // Last: who sees it sees its events as well.
+        // Pushed last: a reader that sees the head sees the events as well.
         let head = Head {
             index,
             scheduled_ns,
@@ -106,14 +106,14 @@ impl TickInput {
 }
 
 impl TickOutput {
-    /// The next tick, if there is one.
+    /// The next tick; none if the ring is empty.
     pub fn pop(&mut self) -> Option<TickRecord> {
-        // The head goes last: until then its place is taken, and so is that of
-        // its events.
+        // The head is removed last: until then its place and that of its events stay
+        // taken.
         let head = (*self.heads.peek().ok()?)?;
         let mut events = heapless::Vec::new();
         if let Ok(chunk) = self.events.read_chunk(head.events) {
-            // No more than were in a tick.
+            // At most as many as a tick has.
             events.extend(chunk);
         }
         let _ = self.heads.pop();
@@ -132,7 +132,7 @@ impl TickOutput {
         })
     }
 
-    /// Whether nobody pushes any more.
+    /// Whether the input is gone.
     #[must_use]
     pub fn is_abandoned(&self) -> bool {
         self.heads.is_abandoned()
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
     use crate::tick::tests::{empty, full};
 
-    /// With this many events, the same one over and over.
+    /// A tick with this number of events, the same ones repeated.
     fn with_events(index: u64, events: usize) -> TickRecord {
         let mut tick = full();
         tick.index = index;
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_empties_the_ring_on_another_thread_gets_every_event_of_every_tick() {
+    fn another_thread_gets_every_event_of_every_tick() {
         const TICKS: u64 = 20_000;
         let (mut input, mut output) = tick_feed(8);
         let emptying = thread::spawn(move || {

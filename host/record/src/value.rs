@@ -1,19 +1,17 @@
-//! The parts of a message, one by one: what tables, CSV and JSON are made of.
+//! The values in a message, one by one, for tables, CSV and JSON.
 
 use std::{borrow::Cow, fmt};
 
-use crate::Topic;
-
-/// A part of a message that has no parts itself.
+/// A value in a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// There is none.
+    /// No value.
     Absent,
-    /// Yes or no.
+    /// A truth value.
     Bool(bool),
     /// A count, a time or a code.
     Unsigned(u64),
-    /// A whole number.
+    /// A signed integer.
     Signed(i64),
     /// A quantity.
     Float(f64),
@@ -22,8 +20,8 @@ pub enum Value {
 }
 
 impl fmt::Display for Value {
-    /// Nothing for what is absent; numbers as the shortest decimal that reads
-    /// back as the same number.
+    /// Writes nothing for an absent value, and a number as the shortest decimal that
+    /// parses to the same number.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Absent => Ok(()),
@@ -37,7 +35,7 @@ impl fmt::Display for Value {
 }
 
 impl Value {
-    /// Adds what [`fmt::Display`] shows, several times as fast.
+    /// Adds the text of [`fmt::Display`], several times as fast.
     pub fn push_to(&self, text: &mut String) {
         match self {
             Self::Absent => {}
@@ -50,12 +48,12 @@ impl Value {
     }
 }
 
-/// The shortest decimal that reads back as the same number, as `{:?}` of the
-/// standard library shows it.
+/// Adds the shortest decimal that parses to the same number, in the form of `{:?}` of the
+/// standard library.
 fn push_float(text: &mut String, value: f64) {
     let mut buffer = zmij::Buffer::new();
     let shown = buffer.format(value);
-    // Where the two differ in how they show an exponent.
+    // The ranges in which the two write the exponent differently.
     if (1e-5..1e-4).contains(&value.abs())
         && let Some((sign, digits)) = shown.split_once("0.0000")
     {
@@ -75,11 +73,12 @@ fn push_float(text: &mut String, value: f64) {
     }
 }
 
-/// Walks through a message in the order of its schema.
+/// Visits the fields of a message in the order of its schema.
 pub(crate) trait Visitor {
-    /// A part without parts.
+    /// A value.
     fn value(&mut self, name: &str, value: Value);
-    /// A message within the message. Its fields mean nothing if it is not present.
+    /// A message within the message. If it is not present, the values of its fields have no
+    /// meaning.
     fn message(&mut self, name: &'static str, present: bool, fields: &dyn Fn(&mut dyn Visitor));
     /// A list of messages.
     fn list(
@@ -90,8 +89,8 @@ pub(crate) trait Visitor {
     );
 }
 
-/// The paths of all parts, joined with dots: the same for every message of a
-/// kind. A list counts as one part.
+/// Collects the paths of all values, with dots between the names. They are the same for
+/// every message of a type. A list counts as one value.
 #[derive(Default)]
 pub(crate) struct Paths {
     prefix: String,
@@ -116,14 +115,14 @@ impl Visitor for Paths {
     }
 }
 
-/// All parts, in the order of their [`Paths`]; of a list, its length.
+/// Collects all values, in the order of their [`Paths`]. The value of a list is its length.
 pub(crate) struct Values<'a> {
     absent: bool,
     values: &'a mut Vec<Value>,
 }
 
 impl<'a> Values<'a> {
-    /// Adds them to `values`.
+    /// Appends to `values`.
     pub(crate) const fn new(values: &'a mut Vec<Value>) -> Self {
         Self {
             absent: false,
@@ -150,14 +149,14 @@ impl Visitor for Values<'_> {
     }
 }
 
-/// A JSON object, without its closing brace. What is absent or no number is null.
+/// Writes a JSON object. An absent value and a number that is not finite are null.
 pub(crate) struct Json<'a> {
     text: &'a mut String,
     first: bool,
 }
 
 impl<'a> Json<'a> {
-    /// Writes the fields of one object, braces and all.
+    /// Writes one object with its braces.
     pub(crate) fn object(text: &'a mut String, fields: impl FnOnce(&mut Json<'_>)) {
         text.push('{');
         let mut json = Json { text, first: true };
@@ -165,15 +164,15 @@ impl<'a> Json<'a> {
         json.text.push('}');
     }
 
-    /// Writes one object that begins with its topic.
-    pub(crate) fn entry(text: &'a mut String, topic: Topic, fields: impl FnOnce(&mut Json<'_>)) {
+    /// Writes one object whose first field is the topic.
+    pub(crate) fn entry(text: &'a mut String, topic: &str, fields: impl FnOnce(&mut Json<'_>)) {
         Self::object(text, |json| {
-            json.put_text("topic", topic.name());
+            json.put_text("topic", topic);
             fields(json);
         });
     }
 
-    /// Adds a part without parts.
+    /// Adds a value.
     pub(crate) fn put(&mut self, name: &str, value: &Value) {
         self.key(name);
         match value {
@@ -184,7 +183,7 @@ impl<'a> Json<'a> {
         }
     }
 
-    /// Adds a part that is text.
+    /// Adds a text.
     pub(crate) fn put_text(&mut self, name: &str, text: &str) {
         self.key(name);
         push_string(self.text, text);

@@ -1,4 +1,4 @@
-//! What is shown of a record without the way through entries is the same.
+//! The values that a reader gives without an entry are those of the entry.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,7 +16,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn messages_show_what_their_entries_show(
+    fn messages_give_the_values_of_their_entries(
         entries in prop::collection::vec(common::entry(), 0..20),
     ) {
         let folder = tempfile::tempdir().unwrap();
@@ -34,7 +34,7 @@ proptest! {
                 common::meta().start.wall_ns_at(entry.time_ns())
             );
             reader.read_values(&mut values).unwrap();
-            // The text tells -0.0 from 0.0, and NaN is itself.
+            // The text distinguishes -0.0 from 0.0 and makes NaN equal to itself.
             prop_assert_eq!(format!("{values:?}"), format!("{:?}", entry.values()));
             let (mut shown, mut expected) = (String::new(), String::new());
             reader.write_json(&mut shown).unwrap();
@@ -48,7 +48,7 @@ proptest! {
 }
 
 #[test]
-fn at_the_end_so_far_the_next_call_looks_again() {
+fn at_the_current_end_the_next_call_reads_again() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     let mut recorder = Recorder::create(&path, &common::meta()).unwrap();

@@ -1,4 +1,4 @@
-//! Files that are unfinished, cut, damaged, or something else.
+//! Files that are unfinished, truncated, damaged, or no records.
 
 #![allow(
     clippy::unwrap_used,
@@ -17,8 +17,7 @@ use singletrack_record::{Ending, Entry, Reader, RecordError, Recorder, part_path
 const FLUSHES: u64 = 5;
 const ENTRIES_A_FLUSH: u64 = 20;
 
-/// The bytes of a record as a killed process leaves it, and their length after
-/// each flush.
+/// The bytes of a record that a killed process leaves, and their length after each flush.
 fn unfinished() -> (Vec<u8>, Vec<u64>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
@@ -90,7 +89,7 @@ fn an_unfinished_record_is_read_up_to_its_last_flush() {
 
 proptest! {
     #[test]
-    fn a_record_cut_anywhere_gives_every_whole_flush_and_says_where_it_stops(
+    fn a_truncated_record_gives_every_whole_flush_and_its_end(
         cut in any::<prop::sample::Index>(),
     ) {
         let (bytes, lengths) = unfinished();
@@ -114,7 +113,7 @@ proptest! {
     }
 
     #[test]
-    fn flipped_bits_never_panic_and_never_invent_an_entry(
+    fn flipped_bits_cause_no_panic_and_no_wrong_entry(
         flips in prop::collection::vec((any::<prop::sample::Index>(), 0..8_u8), 1..4),
     ) {
         let (mut bytes, _) = unfinished();
@@ -123,7 +122,7 @@ proptest! {
             bytes[at] ^= 1 << bit;
         }
         if let Ok(read) = read(&bytes) {
-            // Checksums guard the chunks, so what is read is a true part of it.
+            // The checksums of the chunks make every entry read a true one.
             let whole = logs(FLUSHES * ENTRIES_A_FLUSH);
             prop_assert!(read.entries.iter().all(|entry| whole.contains(entry)));
         }
@@ -138,7 +137,7 @@ proptest! {
 }
 
 #[test]
-fn a_finished_record_that_lost_its_end_is_unfinished() {
+fn a_finished_record_without_its_end_is_unfinished() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     common::record(&path, &logs(3));
@@ -152,9 +151,9 @@ fn a_finished_record_that_lost_its_end_is_unfinished() {
 }
 
 #[test]
-fn damage_within_a_chunk_is_told_with_what_was_read_before() {
+fn damage_in_a_chunk_is_reported_with_the_entries_before_it() {
     let (mut bytes, lengths) = unfinished();
-    // Beyond the chunk's header, within its compressed messages.
+    // After the header of the chunk, in its compressed messages.
     bytes[lengths[2] as usize + 90] ^= 0x10;
     let read = read(&bytes).unwrap();
     assert_eq!(read.entries, logs(3 * ENTRIES_A_FLUSH));
@@ -182,7 +181,7 @@ fn foreign(
 }
 
 #[test]
-fn files_that_are_no_records_are_told_apart() {
+fn each_kind_of_other_file_has_its_own_error() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notes.txt");
     fs::write(&path, "these are only some notes").unwrap();

@@ -1,6 +1,6 @@
-//! A recorder that is killed at any moment leaves all but the last second.
+//! A recorder that is killed at any moment loses at most the last second.
 //!
-//! The test starts itself again as the process to be killed.
+//! The test starts itself as the process to kill.
 
 #![allow(
     clippy::unwrap_used,
@@ -27,10 +27,10 @@ use singletrack_record::{
     Ending, Entry, Reader, RecordError, Recorder, RecorderThread, feed, part_path, recover,
 };
 
-/// The argument that makes the program the one to be killed.
+/// The argument with which the program is the process to kill.
 const RECORD: &str = "record-until-killed";
 const KILLS: u64 = 50;
-/// So many at a time, not to measure how a disk takes fifty records at once.
+/// Recorders at a time: few, so that the disk does not limit them.
 const WAVE: u64 = 25;
 const PERIOD: Duration = Duration::from_millis(10);
 /// The first and the last moment to kill.
@@ -53,7 +53,7 @@ fn main() {
     libtest_mimic::run(&Arguments::from_args(), vec![test]).exit();
 }
 
-/// Records in real time, and tells the time of every tick once it is handed over.
+/// Records in real time, and prints the time of every tick that was pushed.
 fn record(path: &Path) -> ! {
     let (mut input, output) = feed(1_024);
     let recorder = Recorder::create(path, &drive::meta()).unwrap();
@@ -69,7 +69,7 @@ fn record(path: &Path) -> ! {
         ] {
             assert!(input.push(entry), "the writer does not keep up");
         }
-        // The ring holds three seconds: a pipe that nobody reads holds more.
+        // The ring holds three seconds. A pipe without a reader holds more.
         told.write_all(&time_ns.to_le_bytes()).unwrap();
         told.flush().unwrap();
         thread::sleep(PERIOD);
@@ -103,7 +103,7 @@ fn a_recorder_killed_at_any_moment_loses_a_second_at_most() {
     );
 }
 
-/// Starts recorders and kills each at a moment of its own; what each saved and lost.
+/// Starts recorders and kills each at its own moment; returns what each saved and lost.
 fn kill(numbers: Range<u64>) -> Vec<(u64, u64)> {
     let folder = tempfile::tempdir().unwrap();
     let start = Instant::now();
@@ -147,14 +147,13 @@ fn kill(numbers: Range<u64>) -> Vec<(u64, u64)> {
         .collect()
 }
 
-/// How many ticks a killed process left, and for how long before its last one
-/// nothing was left.
+/// The number of ticks that a killed process left, and the time at its end without any.
 fn saved_and_lost(path: &Path, pushed: &[u64]) -> (u64, u64) {
     let last_pushed = pushed.last().copied().unwrap_or(0);
     match recover(&part_path(path), path, |_, _| {}) {
         Ok(_) => {}
         Err(RecordError::Empty { .. }) => return (0, last_pushed),
-        // Killed before it had begun.
+        // Killed before its first tick.
         Err(error) => {
             assert!(pushed.is_empty(), "{error}");
             return (0, 0);

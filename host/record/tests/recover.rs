@@ -1,4 +1,4 @@
-//! A record that was cut or damaged gives a complete one with all that is whole.
+//! A truncated or damaged record gives a complete one with all whole parts.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,8 +24,7 @@ use tempfile::TempDir;
 const FLUSHES: u64 = 4;
 const ENTRIES_A_FLUSH: u64 = 10;
 
-/// The bytes of a record as a killed process leaves it, and their length after
-/// each flush.
+/// The bytes of a record that a killed process leaves, and their length after each flush.
 fn unfinished() -> (Vec<u8>, Vec<usize>) {
     static UNFINISHED: LazyLock<(Vec<u8>, Vec<usize>)> = LazyLock::new(write_unfinished);
     UNFINISHED.clone()
@@ -75,7 +74,7 @@ impl Case {
         self.folder.path().join("drive.mcap")
     }
 
-    /// Recovers these bytes. What comes out reads to a proper end.
+    /// Recovers these bytes, and reads the result to its end.
     fn recover(&self, bytes: &[u8]) -> Result<(Recovery, Vec<Entry>), RecordError> {
         fs::write(self.input(), bytes).unwrap();
         let result = recover(&self.input(), &self.output(), |_, _| {});
@@ -117,7 +116,7 @@ fn a_killed_record_becomes_a_complete_one_with_an_index() {
     assert_eq!(told.last(), Some(&(bytes.len() as u64, bytes.len() as u64)));
 
     assert_eq!(recovery.entries, 40);
-    // Each line of the log is there for other tools as well.
+    // Each line of the log is on the topic for other tools as well.
     assert_eq!(recovery.messages, 80);
     let start = common::meta().start;
     let span = (start.wall_ns_at(0), start.wall_ns_at(39));
@@ -136,12 +135,12 @@ fn a_killed_record_becomes_a_complete_one_with_an_index() {
     let summary = mcap::Summary::read(&written).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, 80);
     assert!(!summary.chunk_indexes.is_empty());
-    // Its own metadata and what it lost.
+    // The metadata of the record and that of the repair.
     assert_eq!(summary.metadata_indexes.len(), 2);
 }
 
 #[test]
-fn a_record_cut_anywhere_gives_at_least_what_its_whole_chunks_hold() {
+fn a_truncated_record_gives_at_least_its_whole_chunks() {
     let (bytes, lengths) = unfinished();
     let case = Case::new();
     // Every place near the end of a chunk, and one in 17 elsewhere.
@@ -167,7 +166,7 @@ fn a_record_cut_anywhere_gives_at_least_what_its_whole_chunks_hold() {
 }
 
 #[test]
-fn a_finished_record_is_taken_over_as_it_is() {
+fn a_finished_record_is_copied_unchanged() {
     let case = Case::new();
     let path = case.folder.path().join("other.mcap");
     common::record(&path, &logs(0..2));
@@ -177,13 +176,13 @@ fn a_finished_record_is_taken_over_as_it_is() {
     assert!(recovery.nothing_lost());
     assert!(recovery.to_string().ends_with("lost nothing"));
     assert_eq!(entries, logs(0..2));
-    // Without its index it has the same entries.
+    // Without its index, the record has the same entries.
     let (_, entries) = case.recover(&bytes[..bytes.len() - 100]).unwrap();
     assert_eq!(entries, logs(0..2));
 }
 
 #[test]
-fn what_was_never_written_at_the_end_costs_nothing_before_it() {
+fn an_unwritten_end_costs_nothing_before_it() {
     let (bytes, lengths) = unfinished();
     let case = Case::new();
     let cut = &bytes[..lengths[1] + 40];
@@ -197,7 +196,7 @@ fn what_was_never_written_at_the_end_costs_nothing_before_it() {
 }
 
 #[test]
-fn a_damaged_chunk_costs_itself_alone() {
+fn a_damaged_chunk_costs_only_itself() {
     let (bytes, lengths) = unfinished();
     let case = Case::new();
     let mut flipped = bytes.clone();
@@ -208,14 +207,14 @@ fn a_damaged_chunk_costs_itself_alone() {
     assert!(recovery.damaged_bytes > 0);
     assert!(recovery.to_string().contains("1 damaged places"));
 
-    // A hole that takes the head and the length with it.
+    // A hole that includes the head and the length.
     let mut hole = bytes.clone();
     hole[lengths[0] - 20..lengths[0] + 50].fill(0);
     let (recovery, entries) = case.recover(&hole).unwrap();
     assert_eq!(entries, logs([0, 2, 3]));
     assert_eq!(recovery.damaged_places, 1);
 
-    // A length that reaches into what comes after: the chunk itself is whole.
+    // A length that reaches into the next part. The chunk itself is whole.
     let mut longer = bytes;
     longer[lengths[0] + 2] += 1;
     let (recovery, entries) = case.recover(&longer).unwrap();
@@ -224,7 +223,7 @@ fn a_damaged_chunk_costs_itself_alone() {
 }
 
 #[test]
-fn what_holds_no_record_is_refused_in_words_and_leaves_no_file() {
+fn a_file_without_a_record_is_refused_with_a_reason_and_leaves_no_file() {
     let case = Case::new();
     let empty = case.recover(b"").unwrap_err().to_string();
     assert!(empty.contains("ends after 0 bytes"), "{empty}");
@@ -263,7 +262,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 
     #[test]
-    fn flipped_bits_never_panic_and_never_invent_an_entry(
+    fn flipped_bits_cause_no_panic_and_no_wrong_entry(
         flips in prop::collection::vec((any::<prop::sample::Index>(), 0..8_u8), 1..6),
     ) {
         let (mut bytes, _) = unfinished();
@@ -275,7 +274,7 @@ proptest! {
         let (input, output) = (folder.path().join("a.part"), folder.path().join("b"));
         fs::write(&input, bytes).unwrap();
         if recover(&input, &output, |_, _| {}).is_ok()
-            // What it says of itself may be what is damaged.
+            // The metadata may be the damaged part.
             && let Ok(reader) = Reader::open(&output)
         {
             let whole = logs(0..FLUSHES);
@@ -286,7 +285,7 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn arbitrary_bytes_cause_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         let folder = tempfile::tempdir().unwrap();
         let (input, output) = (folder.path().join("a.part"), folder.path().join("b"));
         let head = &unfinished().0[..40];
@@ -296,7 +295,7 @@ proptest! {
     }
 }
 
-/// Where the parts of a file begin, up to the end of the data.
+/// The offsets of the parts of a file, up to the end of the data.
 fn parts(bytes: &[u8]) -> Vec<usize> {
     const MAGIC_LENGTH: usize = 8;
     const DATA_END: u8 = 0x0f;
@@ -314,7 +313,7 @@ fn parts(bytes: &[u8]) -> Vec<usize> {
 }
 
 #[test]
-fn a_part_that_became_another_kind_is_never_lost_in_silence() {
+fn the_loss_of_a_part_with_another_opcode_is_always_reported() {
     let case = Case::new();
     let folder = tempfile::tempdir().unwrap();
     let whole = folder.path().join("whole.mcap");
@@ -347,7 +346,7 @@ fn a_part_that_became_another_kind_is_never_lost_in_silence() {
                 );
                 fs::remove_file(case.output()).unwrap();
             }
-            // Whoever reads the damaged one is told, too.
+            // A reader of the damaged file reports it as well.
             fs::write(case.output(), &bytes).unwrap();
             if let Ok(reader) = Reader::open(&case.output()) {
                 let read: Result<Vec<_>, _> = reader.collect();
@@ -362,14 +361,14 @@ fn a_part_that_became_another_kind_is_never_lost_in_silence() {
 }
 
 #[test]
-fn messages_that_are_missing_between_others_are_counted() {
+fn missing_messages_between_others_are_counted() {
     let case = Case::new();
     let (bytes, lengths) = unfinished();
-    // As if somebody had cut a second out.
+    // A second cut out of the record.
     let cut = [&bytes[..lengths[0]], &bytes[lengths[1]..]].concat();
     let (recovery, entries) = case.recover(&cut).unwrap();
     assert_eq!(entries, logs([0, 2, 3]));
-    // Of logs and of what ROS calls them.
+    // Lines of the log, on their own topic and on that of ROS.
     assert_eq!(recovery.missing, 2 * ENTRIES_A_FLUSH);
     assert!(!recovery.nothing_lost());
     assert!(
@@ -379,7 +378,7 @@ fn messages_that_are_missing_between_others_are_counted() {
 }
 
 #[test]
-fn a_record_that_is_being_written_is_left_to_its_recorder() {
+fn a_record_that_is_being_written_is_refused() {
     let case = Case::new();
     let mut recorder = Recorder::create(&case.output(), &common::meta()).unwrap();
     recorder.write(&common::log(0)).unwrap();
@@ -393,7 +392,7 @@ fn a_record_that_is_being_written_is_left_to_its_recorder() {
 }
 
 #[test]
-fn without_the_descriptions_of_its_topics_a_record_is_saved_all_the_same() {
+fn a_record_without_the_descriptions_of_its_topics_is_saved() {
     const CHUNK: u8 = 6;
     let case = Case::new();
     let (mut bytes, _) = unfinished();

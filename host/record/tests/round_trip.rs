@@ -1,4 +1,4 @@
-//! What is recorded is what is read.
+//! A reader gives the entries that were recorded.
 
 #![allow(
     clippy::unwrap_used,
@@ -21,7 +21,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn every_entry_comes_back_as_it_was(
+    fn every_entry_is_read_as_it_was_written(
         entries in prop::collection::vec(common::entry(), 0..40),
     ) {
         let folder = tempfile::tempdir().unwrap();
@@ -31,7 +31,7 @@ proptest! {
         prop_assert_eq!(reader.meta(), &common::meta());
         let read: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
         prop_assert_eq!(reader.ending(), Some(Ending::Finished));
-        // The text tells -0.0 from 0.0.
+        // The text distinguishes -0.0 from 0.0.
         prop_assert_eq!(format!("{read:?}"), format!("{entries:?}"));
     }
 
@@ -66,7 +66,7 @@ proptest! {
 }
 
 #[test]
-fn what_an_entry_becomes_is_in_one_chunk() {
+fn the_messages_of_an_entry_are_in_one_chunk() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     let entries: Vec<_> = (0..30_000).map(common::log).collect();
@@ -81,7 +81,7 @@ fn what_an_entry_becomes_is_in_one_chunk() {
 }
 
 #[test]
-fn the_file_has_its_name_only_once_it_is_finished() {
+fn the_file_gets_its_name_when_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     let mut recorder = Recorder::create(&path, &common::meta()).unwrap();
@@ -112,7 +112,7 @@ fn a_record_is_never_overwritten() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_named() {
+fn a_missing_folder_is_named_in_the_error() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("nowhere").join("drive.mcap");
     let error = Recorder::create(&path, &common::meta()).err().unwrap();
@@ -123,7 +123,7 @@ fn a_folder_that_is_not_there_is_named() {
 }
 
 #[test]
-fn only_the_topics_asked_for_are_read() {
+fn only_the_chosen_topics_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     let drops = Entry::Drops(Drops {
@@ -192,11 +192,11 @@ fn the_file_holds_what_the_encoder_publishes_and_nothing_else() {
 }
 
 #[test]
-fn the_recorder_thread_writes_what_is_pushed_and_counts_what_finds_no_room() {
+fn the_recorder_thread_writes_pushed_entries_and_counts_lost_ones() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     let (mut input, output) = feed(4);
-    // Nobody empties the ring yet.
+    // The ring is not emptied yet.
     let pushed = (0..6).filter(|time| input.push(common::log(*time))).count();
     assert_eq!(pushed, 4);
     let recorder = Recorder::create(&path, &common::meta()).unwrap();

@@ -6,9 +6,8 @@ use std::{fs, path::Path};
 
 use singletrack_record::{Channel, RECORD_VERSION};
 
-/// A test that fails says that the change is wrong, or that `RECORD_VERSION`
-/// has to rise and the files have to be replaced. The layouts of ROS's own
-/// messages are ROS's to change.
+/// If this test fails, the change is wrong, or `RECORD_VERSION` has to rise and the files
+/// have to be replaced. The layouts of the messages of ROS never change here.
 #[test]
 fn the_layouts_are_those_of_this_version() {
     assert_eq!(RECORD_VERSION, 2);

@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use singletrack_record::{NotAnEntry, RecordError};
+use singletrack_record::{ParseEntryError, RecordError};
 use singletrackd::serial_port::PortError;
 
 use super::moment::Moment;
@@ -118,7 +118,7 @@ pub enum DumpError {
         /// The socket.
         path: PathBuf,
         /// What it said.
-        source: NotAnEntry,
+        source: ParseEntryError,
     },
     /// The output can't be written.
     #[error("can't write to standard output: {0}")]

@@ -16,7 +16,7 @@ pub(super) struct Kind {
     /// The paths of its fields, in order.
     pub(super) fields: Vec<String>,
     /// Those that a table shows unless asked for others; empty for all.
-    pub(super) brief: &'static [&'static str],
+    pub(super) brief: Vec<&'static str>,
 }
 
 /// Where a column or a condition finds its value.
@@ -55,10 +55,24 @@ impl Kind {
     }
 }
 
+/// What a table shows of telemetry beside its time.
+pub(super) const TELEMETRY: &[&str] = &[
+    "mode",
+    "stop_cause",
+    "last_sequence",
+    "imu",
+    "forward_acceleration_mm_s2",
+    "left_acceleration_mm_s2",
+    "yaw_rate_mrad_s",
+    "motor_speed_mm_s",
+    "servo_us",
+    "esc_us",
+];
+
 /// What a table shows of a topic unless asked for more.
-fn brief(topic: Topic) -> &'static [&'static str] {
+fn brief(topic: Topic) -> Vec<&'static str> {
     match topic {
-        Topic::Tick => &[
+        Topic::Tick => vec![
             "index",
             "mode",
             "reason",
@@ -73,20 +87,8 @@ fn brief(topic: Topic) -> &'static [&'static str] {
             "lateness_ns",
             "capture_to_command_ns",
         ],
-        Topic::Telemetry => &[
-            "receive_time_ns",
-            "mode",
-            "stop_cause",
-            "last_sequence",
-            "imu",
-            "forward_acceleration_mm_s2",
-            "left_acceleration_mm_s2",
-            "yaw_rate_mrad_s",
-            "motor_speed_mm_s",
-            "servo_us",
-            "esc_us",
-        ],
-        Topic::Pose => &[
+        Topic::Telemetry => [&["receive_time_ns"], TELEMETRY].concat(),
+        Topic::Pose => vec![
             "frame_number",
             "receive_time_ns",
             "state",
@@ -98,8 +100,8 @@ fn brief(topic: Topic) -> &'static [&'static str] {
             "pose.capture_time_ns",
         ],
         // Which is a page of text.
-        Topic::Configuration => &["time_ns", "number"],
-        _ => &[],
+        Topic::Configuration => vec!["time_ns", "number"],
+        _ => Vec::new(),
     }
 }
 

@@ -7,8 +7,7 @@ use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarge
 use singletrack_control::{VehicleParameters, direction};
 use singletrack_core::{Config, ConfigError};
 use singletrack_pilot::Event;
-use singletrack_protocol::ImuState;
-use singletrack_record::{Entry, Reader, RecordError, TelemetryRecord, Topic};
+use singletrack_record::{Entry, Reader, TelemetryRecord, Topic, seconds_since};
 
 use super::IdentifyError;
 use crate::plot;
@@ -53,14 +52,8 @@ pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, Identif
     let end_ns = drive.start_ns + (drive.duration() * 1e9) as u64;
     let mut collector = Collector::new(&config, drive.start_ns).map_err(unusable)?;
     let mut reader = Reader::open(&record.path)?.only(&[Topic::Tick, Topic::Telemetry]);
-    for entry in reader.by_ref() {
-        match entry {
-            Ok(entry) => collector.take(&entry),
-            // That has been told already.
-            Err(RecordError::Damaged { .. }) => break,
-            Err(error) => return Err(error.into()),
-        }
-    }
+    // The notes of the record have the damage already.
+    reader.take_undamaged(|entry| collector.take(entry))?;
     let mut notes = record.notes.clone();
     let count = record.recording.drives.len();
     if count > 1 {
@@ -170,14 +163,14 @@ impl Collector {
                 self.data.servo.push(target);
             }
         }
-        if let (Some(time_ns), ImuState::Fresh) = (record.imu_time_host_ns, telemetry.imu) {
-            let [forward, left, _] = telemetry.linear_acceleration_mm_s2;
-            let [_, _, yaw_rate] = telemetry.angular_velocity_mrad_s;
+        if let Some(time_ns) = record.new_imu_time_ns() {
+            let [forward_m_s2, left_m_s2, _] = record.linear_acceleration_m_s2();
+            let [_, _, yaw_rate_rad_s] = record.angular_velocity_rad_s();
             let sample = Inertial {
                 time_s: self.seconds(time_ns),
-                yaw_rate_rad_s: f64::from(yaw_rate) * 1e-3,
-                forward_m_s2: f64::from(forward) * 1e-3,
-                left_m_s2: f64::from(left) * 1e-3,
+                yaw_rate_rad_s,
+                forward_m_s2,
+                left_m_s2,
             };
             let last = self.data.inertial.last();
             if last.is_none_or(|last| sample.time_s > last.time_s) {
@@ -187,7 +180,7 @@ impl Collector {
     }
 
     fn seconds(&self, time_ns: u64) -> f64 {
-        time_ns.wrapping_sub(self.start_ns) as i64 as f64 * 1e-9
+        seconds_since(self.start_ns, time_ns)
     }
 
     /// What was collected until `end_ns` of the host's monotonic clock.

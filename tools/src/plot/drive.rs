@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use singletrack_control::Time;
 use singletrack_pilot::{Event, Mode, Reason};
-use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord};
+use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
 
-pub use super::sample::{BoardPoint, TickSample};
 use super::{spans::lost_markers, truth::TruthSample};
 use crate::figure::Column;
+
+pub use super::sample::{BoardPoint, TickSample};
 
 /// The drives of a record.
 #[derive(Clone, Debug, Default)]
@@ -186,7 +187,7 @@ impl Drive {
     }
 
     fn time(&self, time: Time) -> f64 {
-        time.0.wrapping_sub(self.start_ns) as i64 as f64 * 1e-9
+        seconds_since(self.start_ns, time.0)
     }
 
     /// When its last tick was, in s.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
+use singletrack_record::{Ending, Meta, Reader, Topic};
 
 use super::{
     PlotError,
@@ -44,22 +44,15 @@ impl Record {
         let progress = progress(path);
         let mut recording = Recording::default();
         let mut notes = Vec::new();
-        let mut entries = 0;
-        for entry in reader.by_ref() {
-            match entry {
-                Ok(entry) => recording.take(&entry),
-                // What was read before the damage is good.
-                Err(error @ RecordError::Damaged { .. }) if entries > 0 => {
-                    notes.push(error.to_string());
-                    break;
-                }
-                Err(error) => return Err(error.into()),
-            }
+        let mut entries: u64 = 0;
+        let damage = reader.take_undamaged(|entry| {
+            recording.take(entry);
             entries += 1;
-            if entries % STEP == 0 {
+            if entries.is_multiple_of(STEP) {
                 progress.set_position(entries);
             }
-        }
+        })?;
+        notes.extend(damage.map(|damage| damage.to_string()));
         progress.finish_and_clear();
         if let Some(ending @ Ending::Unfinished { .. }) = reader.ending() {
             notes.push(ending.to_string());

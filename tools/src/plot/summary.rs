@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 use singletrack_pilot::{Mode, Reason};
-use singletrack_record::{Level, Meta};
+use singletrack_record::{Level, Meta, seconds_since};
 use singletrack_statistics::Distribution;
 use toml::{Table, Value};
 
@@ -127,7 +127,7 @@ pub(super) fn because(reason: Option<Reason>) -> String {
 
 /// The changes of mode in a drive, up to the one that ended it.
 pub(super) fn changes<'a>(record: &'a Record, drive: &Drive) -> Vec<(f64, &'a Change)> {
-    let seconds = |time_ns: u64| time_ns.wrapping_sub(drive.start_ns) as i64 as f64 * 1e-9;
+    let seconds = |time_ns: u64| seconds_since(drive.start_ns, time_ns);
     let mut changes = Vec::new();
     for change in &record.recording.changes {
         let time = seconds(change.time_ns);

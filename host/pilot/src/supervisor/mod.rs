@@ -4,24 +4,27 @@ mod config;
 mod mode;
 mod reason;
 
+use singletrack_control::Time;
+
+use crate::{
+    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState,
+    Request, words::words,
+};
+
 pub use config::SupervisorConfig;
 pub use mode::Mode;
 pub use reason::Reason;
 
-use crate::{
-    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState, Request,
-};
-use singletrack_control::Time;
-
-/// What the supervisor asks of the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardRequest {
-    /// Arm.
-    Arm,
-    /// Disarm.
-    Disarm,
-    /// Stop until reset.
-    EmergencyStop,
+words! {
+    /// What the supervisor asks of the board.
+    pub enum BoardRequest {
+        /// Arm.
+        Arm = "arm",
+        /// Disarm.
+        Disarm = "disarm",
+        /// Stop until reset.
+        EmergencyStop = "emergency-stop",
+    }
 }
 
 /// What the supervisor judges by, at a tick.

@@ -1,24 +1,29 @@
-//! Names as numbers: `uint8` on the wire, constants in the schema, words in JSON.
+//! Enumerations in messages: `uint8` on the wire, constants in the schema, words in
+//! JSON.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
 use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason, Request};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
-use super::field::{Definition, Field};
+use super::{
+    definition::Definition,
+    field::{Field, InvalidMessage, Represents},
+};
 use crate::{
     Level, LinkPhase,
     value::{Value, Visitor},
 };
 
-/// A type with a handful of values, each of which has a number and a word.
+/// An enumeration each of whose values has a number in a record.
 pub(crate) trait Coded: Copy + PartialEq + 'static {
-    /// What the constants begin with.
+    /// The prefix of the constants in the schema.
     const PREFIX: &'static str;
-    /// All values; 0 is kept for "none".
-    const ALL: &'static [Self];
+    /// All values, in the order of the schema; the first stands where a message is
+    /// absent.
+    const CODED: &'static [Self];
 
-    /// The number. Never changes its meaning.
+    /// The number, from 1: 0 stands for none. It never changes its meaning.
     fn code(self) -> u8;
 
     /// The word.
@@ -29,7 +34,7 @@ fn declare<C: Coded>(optional: bool, name: &str, definition: &mut Definition) {
     if optional {
         definition.plain("uint8", &format!("{}_NONE=0", C::PREFIX));
     }
-    for value in C::ALL {
+    for value in C::CODED {
         let word = value.word().to_uppercase().replace('-', "_");
         definition.plain("uint8", &format!("{}_{word}={}", C::PREFIX, value.code()));
     }
@@ -37,7 +42,7 @@ fn declare<C: Coded>(optional: bool, name: &str, definition: &mut Definition) {
 }
 
 fn from_code<C: Coded, E: Error>(code: u8) -> Result<C, E> {
-    C::ALL
+    C::CODED
         .iter()
         .copied()
         .find(|value| value.code() == code)
@@ -97,25 +102,45 @@ impl<C: Coded> Field for OptionalCode<C> {
     }
 }
 
-/// Gives each value of an enumeration its number and its word. The match makes
-/// sure that none is forgotten. The first stands where a message is absent.
+impl<C: Coded> Represents<C> for Code<C> {
+    fn of(value: &C) -> Self {
+        Self(*value)
+    }
+
+    fn value(self) -> Result<C, InvalidMessage> {
+        Ok(self.0)
+    }
+}
+
+impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
+    fn of(value: &Option<C>) -> Self {
+        Self(*value)
+    }
+
+    fn value(self) -> Result<Option<C>, InvalidMessage> {
+        Ok(self.0)
+    }
+}
+
+/// Gives each value of an enumeration its number; the enumeration has the word. The
+/// match makes sure that no value is left out.
 macro_rules! codes {
-    ($($type:ident as $prefix:literal { $($value:ident = $code:literal $word:literal,)* })*) => {
+    ($($type:ident as $prefix:literal { $first:ident = $first_code:literal,
+        $($value:ident = $code:literal,)* })*) => {
         $(
             impl Coded for $type {
                 const PREFIX: &'static str = $prefix;
-                const ALL: &'static [Self] = &[$(Self::$value,)*];
+                const CODED: &'static [Self] = &[Self::$first, $(Self::$value,)*];
 
                 fn code(self) -> u8 {
                     match self {
+                        Self::$first => $first_code,
                         $(Self::$value => $code,)*
                     }
                 }
 
                 fn word(self) -> &'static str {
-                    match self {
-                        $(Self::$value => $word,)*
-                    }
+                    self.name()
                 }
             }
 
@@ -125,115 +150,44 @@ macro_rules! codes {
                 }
 
                 fn absent() -> Self {
-                    codes!(@first $($type::$value,)*)
+                    Self($type::$first)
                 }
 
                 fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
-                    visitor.value(name, Value::Text(self.0.word().into()));
+                    visitor.value(name, Value::Text(self.0.name().into()));
                 }
             }
         )*
     };
-    (@first $first:expr, $($rest:expr,)*) => { Code($first) };
 }
 
-/// Which kind of event it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum EventKind {
-    Pose,
-    PoseMissing,
-    Board,
-    Link,
-    Request,
-    ArmRefused,
-    Health,
-    Line,
-    RealTime,
-    Setpoint,
-    Reconfigured,
+/// Declares an enumeration that only messages have: each value with its number and its
+/// word.
+macro_rules! kinds {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident as $prefix:literal { $($value:ident = $code:literal $word:literal,)* }
+    ) => {
+        $(#[doc = $about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(crate) enum $type {
+            $($value,)*
+        }
+
+        impl $type {
+            const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$value => $word,)*
+                }
+            }
+        }
+
+        codes! { $type as $prefix { $($value = $code,)* } }
+    };
 }
 
-/// What a frame of the motion capture says of the car.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum PoseKind {
-    NoFrames,
-    Unbound,
-    Valid,
-    Untracked,
-    Absent,
-    Rejected,
-    LockedOut,
-    Stale,
-}
-
-/// What the model definitions say of the car's name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum BindingKind {
-    Unresolved,
-    Bound,
-    Missing,
-    Ambiguous,
-}
-
-codes! {
-    Mode as "MODE" {
-        Disconnected = 1 "disconnected",
-        Idle = 2 "idle",
-        Ready = 3 "ready",
-        Arming = 4 "arming",
-        Driving = 5 "driving",
-        Stopping = 6 "stopping",
-        Fault = 7 "fault",
-        Slowing = 8 "slowing",
-    }
-    Reason as "REASON" {
-        LinkDown = 1 "link-down",
-        BoardBooting = 2 "board-booting",
-        BoardFailsafe = 3 "board-failsafe",
-        EmergencyStop = 4 "emergency-stop",
-        BoardRefused = 5 "board-refused",
-        BoardTimeout = 6 "board-timeout",
-        ImuSilent = 7 "imu-silent",
-        NoPose = 8 "no-pose",
-        PoseTooOld = 9 "pose-too-old",
-        PoseImplausible = 10 "pose-implausible",
-        EstimateUnsettled = 11 "estimate-unsettled",
-        Moving = 12 "moving",
-        ReferenceFinished = 13 "reference-finished",
-        Requested = 14 "requested",
-        LawSingular = 15 "law-singular",
-        BoardArmed = 16 "board-armed",
-        VersionDiffers = 17 "version-differs",
-        ConfigurationRefused = 18 "configuration-refused",
-        StopInputOpen = 19 "stop-input-open",
-        LineNoisy = 20 "line-noisy",
-        BatteryUnknown = 21 "battery-unknown",
-        BatteryLow = 22 "battery-low",
-        RealTimeUnknown = 23 "real-time-unknown",
-        RealTimeRefused = 24 "real-time-refused",
-        DeadlineMissed = 25 "deadline-missed",
-        ImuImplausible = 26 "imu-implausible",
-        ImuStuck = 27 "imu-stuck",
-        ImuNotStill = 28 "imu-not-still",
-        BlindTooFar = 29 "blind-too-far",
-        OutsideFence = 30 "outside-fence",
-        MotorSpeedMismatch = 31 "motor-speed-mismatch",
-        Overspeed = 32 "overspeed",
-        SetpointStale = 33 "setpoint-stale",
-    }
-    BoardRequest as "BOARD_REQUEST" {
-        Arm = 1 "arm",
-        Disarm = 2 "disarm",
-        EmergencyStop = 3 "emergency-stop",
-    }
-    LinkPhase as "LINK" {
-        Disconnected = 1 "disconnected",
-        Greeting = 2 "greeting",
-        VersionMismatch = 3 "version-mismatch",
-        Configuring = 4 "configuring",
-        ConfigurationRefused = 5 "configuration-refused",
-        Ready = 6 "ready",
-    }
+kinds! {
+    /// Which kind of event it is.
     EventKind as "KIND" {
         Pose = 1 "pose",
         PoseMissing = 2 "pose-missing",
@@ -247,80 +201,10 @@ codes! {
         Setpoint = 10 "setpoint",
         Reconfigured = 11 "reconfigured",
     }
-    PoseMissing as "POSE_MISSING" {
-        Untracked = 1 "untracked",
-        Absent = 2 "absent",
-        Stale = 3 "stale",
-        Rejected = 4 "rejected",
-        Untrustworthy = 5 "untrustworthy",
-    }
-    BoardState as "STATE" {
-        Booting = 1 "booting",
-        Neutral = 2 "neutral",
-        Armed = 3 "armed",
-        Driving = 4 "driving",
-        Failsafe = 5 "failsafe",
-        EmergencyStopped = 6 "emergency-stopped",
-    }
-    LinkState as "LINK" {
-        Down = 1 "down",
-        Ready = 2 "ready",
-        VersionDiffers = 3 "version-differs",
-        ConfigurationRefused = 4 "configuration-refused",
-        EmergencyStopped = 5 "emergency-stopped",
-    }
-    Request as "REQUEST" {
-        Arm = 1 "arm",
-        Disarm = 2 "disarm",
-        EmergencyStop = 3 "emergency-stop",
-    }
-    BoardMode as "MODE" {
-        Boot = 1 "boot",
-        Neutral = 2 "neutral",
-        Armed = 3 "armed",
-        Driving = 4 "driving",
-        Failsafe = 5 "failsafe",
-        EmergencyStopped = 6 "emergency-stopped",
-    }
-    StopCause as "STOP_CAUSE" {
-        None = 1 "none",
-        Disarmed = 2 "disarmed",
-        CommandTimeout = 3 "command-timeout",
-        PoseTooOld = 4 "pose-too-old",
-        MotorSensor = 5 "motor-sensor",
-        StopInput = 6 "stop-input",
-        EmergencyStop = 7 "emergency-stop",
-        HostRestarted = 8 "host-restarted",
-    }
-    ImuState as "IMU" {
-        Silent = 1 "silent",
-        Fresh = 2 "fresh",
-        Repeated = 3 "repeated",
-    }
-    ResetCause as "RESET_CAUSE" {
-        PowerOn = 1 "power-on",
-        External = 2 "external",
-        BrownOut = 3 "brown-out",
-        Watchdog = 4 "watchdog",
-        Unknown = 5 "unknown",
-    }
-    RefusalReason as "REFUSAL" {
-        None = 1 "none",
-        NotConfigured = 2 "not-configured",
-        ConfigurationDiffers = 3 "configuration-differs",
-        InvalidConfiguration = 4 "invalid-configuration",
-        Busy = 5 "busy",
-        NotYetNeutral = 6 "not-yet-neutral",
-        Moving = 7 "moving",
-        StopInputOpen = 8 "stop-input-open",
-        EmergencyStopLatched = 9 "emergency-stop-latched",
-        Stale = 10 "stale",
-        OutOfSequence = 11 "out-of-sequence",
-        PoseTooOld = 12 "pose-too-old",
-        NotArmed = 13 "not-armed",
-        ReverseDisabled = 14 "reverse-disabled",
-        VersionDiffers = 15 "version-differs",
-    }
+}
+
+kinds! {
+    /// The state of the car in a frame of the motion capture.
     PoseKind as "STATE" {
         NoFrames = 1 "no-frames",
         Unbound = 2 "unbound",
@@ -331,31 +215,170 @@ codes! {
         LockedOut = 7 "locked-out",
         Stale = 8 "stale",
     }
-    RejectReason as "REJECTED" {
-        NotFinite = 1 "not-finite",
-        NotUnitQuaternion = 2 "not-unit-quaternion",
-        DuplicateId = 3 "duplicate-id",
-        MeanError = 4 "mean-error",
-        CaptureTime = 5 "capture-time",
-        Jump = 6 "jump",
-        Flip = 7 "flip",
-    }
+}
+
+kinds! {
+    /// What the model definitions say of the name of the car.
     BindingKind as "BINDING" {
         Unresolved = 1 "unresolved",
         Bound = 2 "bound",
         Missing = 3 "missing",
         Ambiguous = 4 "ambiguous",
     }
+}
+
+codes! {
+    Mode as "MODE" {
+        Disconnected = 1,
+        Idle = 2,
+        Ready = 3,
+        Arming = 4,
+        Driving = 5,
+        Stopping = 6,
+        Fault = 7,
+        Slowing = 8,
+    }
+    Reason as "REASON" {
+        LinkDown = 1,
+        BoardBooting = 2,
+        BoardFailsafe = 3,
+        EmergencyStop = 4,
+        BoardRefused = 5,
+        BoardTimeout = 6,
+        ImuSilent = 7,
+        NoPose = 8,
+        PoseTooOld = 9,
+        PoseImplausible = 10,
+        EstimateUnsettled = 11,
+        Moving = 12,
+        ReferenceFinished = 13,
+        Requested = 14,
+        LawSingular = 15,
+        BoardArmed = 16,
+        VersionDiffers = 17,
+        ConfigurationRefused = 18,
+        StopInputOpen = 19,
+        LineNoisy = 20,
+        BatteryUnknown = 21,
+        BatteryLow = 22,
+        RealTimeUnknown = 23,
+        RealTimeRefused = 24,
+        DeadlineMissed = 25,
+        ImuImplausible = 26,
+        ImuStuck = 27,
+        ImuNotStill = 28,
+        BlindTooFar = 29,
+        OutsideFence = 30,
+        MotorSpeedMismatch = 31,
+        Overspeed = 32,
+        SetpointStale = 33,
+    }
+    BoardRequest as "BOARD_REQUEST" {
+        Arm = 1,
+        Disarm = 2,
+        EmergencyStop = 3,
+    }
+    LinkPhase as "LINK" {
+        Disconnected = 1,
+        Greeting = 2,
+        VersionMismatch = 3,
+        Configuring = 4,
+        ConfigurationRefused = 5,
+        Ready = 6,
+    }
+    PoseMissing as "POSE_MISSING" {
+        Untracked = 1,
+        Absent = 2,
+        Stale = 3,
+        Rejected = 4,
+        Untrustworthy = 5,
+    }
+    BoardState as "STATE" {
+        Booting = 1,
+        Neutral = 2,
+        Armed = 3,
+        Driving = 4,
+        Failsafe = 5,
+        EmergencyStopped = 6,
+    }
+    LinkState as "LINK" {
+        Down = 1,
+        Ready = 2,
+        VersionDiffers = 3,
+        ConfigurationRefused = 4,
+        EmergencyStopped = 5,
+    }
+    Request as "REQUEST" {
+        Arm = 1,
+        Disarm = 2,
+        EmergencyStop = 3,
+    }
+    BoardMode as "MODE" {
+        Boot = 1,
+        Neutral = 2,
+        Armed = 3,
+        Driving = 4,
+        Failsafe = 5,
+        EmergencyStopped = 6,
+    }
+    StopCause as "STOP_CAUSE" {
+        None = 1,
+        Disarmed = 2,
+        CommandTimeout = 3,
+        PoseTooOld = 4,
+        MotorSensor = 5,
+        StopInput = 6,
+        EmergencyStop = 7,
+        HostRestarted = 8,
+    }
+    ImuState as "IMU" {
+        Silent = 1,
+        Fresh = 2,
+        Repeated = 3,
+    }
+    ResetCause as "RESET_CAUSE" {
+        PowerOn = 1,
+        External = 2,
+        BrownOut = 3,
+        Watchdog = 4,
+        Unknown = 5,
+    }
+    RefusalReason as "REFUSAL" {
+        None = 1,
+        NotConfigured = 2,
+        ConfigurationDiffers = 3,
+        InvalidConfiguration = 4,
+        Busy = 5,
+        NotYetNeutral = 6,
+        Moving = 7,
+        StopInputOpen = 8,
+        EmergencyStopLatched = 9,
+        Stale = 10,
+        OutOfSequence = 11,
+        PoseTooOld = 12,
+        NotArmed = 13,
+        ReverseDisabled = 14,
+        VersionDiffers = 15,
+    }
+    RejectReason as "REJECTED" {
+        NotFinite = 1,
+        NotUnitQuaternion = 2,
+        DuplicateId = 3,
+        MeanError = 4,
+        CaptureTime = 5,
+        Jump = 6,
+        Flip = 7,
+    }
     CaptureTimeSource as "SOURCE" {
-        MidExposureEcho = 1 "mid-exposure-echo",
-        MidExposureMinDelay = 2 "mid-exposure-min-delay",
-        FrameTimestamp = 3 "frame-timestamp",
+        MidExposureEcho = 1,
+        MidExposureMinDelay = 2,
+        FrameTimestamp = 3,
     }
     // The numbers of ROS's own log levels.
     Level as "LEVEL" {
-        Debug = 10 "debug",
-        Info = 20 "info",
-        Warning = 30 "warning",
-        Error = 40 "error",
+        Debug = 10,
+        Info = 20,
+        Warning = 30,
+        Error = 40,
     }
 }

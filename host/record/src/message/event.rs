@@ -1,18 +1,16 @@
-//! What the pilot was told, exactly: a replay starts from these.
+//! The events of a tick, exactly: a replay starts from them.
 
-use nalgebra::Point2;
-use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
+use singletrack_control::{InertialSample, PoseSample, Setpoint};
 use singletrack_pilot::{
     BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,
     Request,
 };
 
 use super::{
-    Senseless,
     code::{Code, EventKind, OptionalCode},
-    field::Maybe,
-    message,
-    tick::{PointMessage, VelocityMessage},
+    declare::{Fields, fields, message},
+    field::{Group, InvalidMessage, Maybe, Part, Represents},
+    floor::{PointMessage, VelocityMessage},
 };
 
 message! {
@@ -37,30 +35,29 @@ message! {
 
 message! {
     /// A valid pose of the car, from the motion capture.
-    PoseSampleMessage as "PoseSample" {
+    PoseSampleMessage as "PoseSample" of PoseSample {
         /// Mid-exposure, in ns of the host's monotonic clock.
-        capture_ns: u64,
+        capture_ns: u64 = capture,
         /// When the packet arrived, in ns of the host's monotonic clock.
-        receive_ns: u64,
+        receive_ns: u64 = receive,
         /// Number that the motion capture gave to the frame.
         frame: i32,
         /// Position of the rigid body's origin, world frame, in m.
-        x_m: f64,
-        y_m: f64,
+        position: Group<PointMessage>,
         /// Yaw of the rigid body, left positive, in rad, from -pi to pi.
-        yaw_rad: f64,
+        yaw_rad: f64 = yaw,
     }
 }
 
 message! {
     /// What the board measured, in the car's axes (forward, left, up).
-    BoardSampleMessage as "BoardSample" {
+    BoardSampleMessage as "BoardSample" of BoardSample {
         /// When the board made the record, in ns of the host's monotonic clock.
-        time_ns: u64,
+        time_ns: u64 = time,
         /// Absent if the IMU is silent or its sample was reported before.
         inertial: Maybe<InertialSampleMessage>,
         /// Speed of the rear axle by the motor pulses, in m/s.
-        motor_speed_m_s: f64,
+        motor_speed_m_s: f64 = motor_speed,
         /// The board's safety machine.
         state: Code<BoardState>,
     }
@@ -68,21 +65,21 @@ message! {
 
 message! {
     /// A sample of the inertial measurement unit.
-    InertialSampleMessage as "InertialSample" {
+    InertialSampleMessage as "InertialSample" of InertialSample {
         /// When it was measured, in ns of the host's monotonic clock.
-        time_ns: u64,
+        time_ns: u64 = time,
         /// Angular velocity about the vertical, left positive, in rad/s.
-        yaw_rate_rad_s: f64,
+        yaw_rate_rad_s: f64 = yaw_rate,
         /// Acceleration forward, without gravity, in m/s^2.
-        forward_acceleration_m_s2: f64,
+        forward_acceleration_m_s2: f64 = forward_acceleration,
         /// Acceleration to the left, without gravity, in m/s^2.
-        left_acceleration_m_s2: f64,
+        left_acceleration_m_s2: f64 = left_acceleration,
     }
 }
 
 message! {
     /// What the board says of itself.
-    BoardHealthMessage as "BoardHealth" {
+    BoardHealthMessage as "BoardHealth" of BoardHealth {
         battery_mv: u16,
         /// False if no stop switch is configured.
         stop_input_open: bool,
@@ -92,7 +89,7 @@ message! {
 message! {
     /// Damaged frames as a part of all over about a second, 0 to 1; absent while
     /// too few came to tell.
-    LineHealthMessage as "LineHealth" {
+    LineHealthMessage as "LineHealth" of LineHealth {
         to_host: Maybe<f64>,
         to_board: Maybe<f64>,
     }
@@ -100,7 +97,7 @@ message! {
 
 message! {
     /// What the system granted the controller.
-    RealTimeMessage as "RealTime" {
+    RealTimeMessage as "RealTime" of RealTimeState {
         /// Whether it is scheduled in real time.
         fifo: bool,
         /// Whether its memory stays in place.
@@ -110,281 +107,85 @@ message! {
 
 message! {
     /// A set-point for P from outside.
-    SetpointMessage as "Setpoint" {
+    SetpointMessage as "Setpoint" of Setpoint {
         /// When it arrived, in ns of the host's monotonic clock.
-        time_ns: u64,
+        time_ns: u64 = time,
         /// Absent for a velocity alone.
         position: Maybe<PointMessage>,
         velocity: VelocityMessage,
     }
 }
 
-impl EventMessage {
-    const fn of(kind: EventKind) -> Self {
-        Self {
+impl Represents<Event> for EventMessage {
+    fn of(event: &Event) -> Self {
+        let of = |kind| Self {
             kind: Code(kind),
-            pose: Maybe(None),
-            pose_missing: OptionalCode(None),
-            board: Maybe(None),
-            link: OptionalCode(None),
-            request: OptionalCode(None),
-            health: Maybe(None),
-            line: Maybe(None),
-            real_time: Maybe(None),
-            setpoint: Maybe(None),
-            reconfigured: Maybe(None),
-        }
-    }
-}
-
-impl From<&Event> for EventMessage {
-    fn from(event: &Event) -> Self {
-        match *event {
+            ..Fields::absent()
+        };
+        match event {
             Event::Pose(pose) => Self {
-                pose: Maybe(Some(pose.into())),
-                ..Self::of(EventKind::Pose)
+                pose: Maybe(Some(Represents::of(pose))),
+                ..of(EventKind::Pose)
             },
             Event::PoseMissing(missing) => Self {
-                pose_missing: OptionalCode(Some(missing)),
-                ..Self::of(EventKind::PoseMissing)
+                pose_missing: OptionalCode(Some(*missing)),
+                ..of(EventKind::PoseMissing)
             },
             Event::Board(sample) => Self {
-                board: Maybe(Some(sample.into())),
-                ..Self::of(EventKind::Board)
+                board: Maybe(Some(Represents::of(sample))),
+                ..of(EventKind::Board)
             },
             Event::Link(link) => Self {
-                link: OptionalCode(Some(link)),
-                ..Self::of(EventKind::Link)
+                link: OptionalCode(Some(*link)),
+                ..of(EventKind::Link)
             },
             Event::Request(request) => Self {
-                request: OptionalCode(Some(request)),
-                ..Self::of(EventKind::Request)
+                request: OptionalCode(Some(*request)),
+                ..of(EventKind::Request)
             },
-            Event::ArmRefused => Self::of(EventKind::ArmRefused),
+            Event::ArmRefused => of(EventKind::ArmRefused),
             Event::Health(health) => Self {
-                health: Maybe(Some(health.into())),
-                ..Self::of(EventKind::Health)
+                health: Maybe(Some(Represents::of(health))),
+                ..of(EventKind::Health)
             },
             Event::Line(line) => Self {
-                line: Maybe(Some(line.into())),
-                ..Self::of(EventKind::Line)
+                line: Maybe(Some(Represents::of(line))),
+                ..of(EventKind::Line)
             },
             Event::RealTime(state) => Self {
-                real_time: Maybe(Some(state.into())),
-                ..Self::of(EventKind::RealTime)
+                real_time: Maybe(Some(Represents::of(state))),
+                ..of(EventKind::RealTime)
             },
             Event::Setpoint(setpoint) => Self {
-                setpoint: Maybe(Some(setpoint.into())),
-                ..Self::of(EventKind::Setpoint)
+                setpoint: Maybe(Some(Represents::of(setpoint))),
+                ..of(EventKind::Setpoint)
             },
             Event::Reconfigured(number) => Self {
-                reconfigured: Maybe(Some(number)),
-                ..Self::of(EventKind::Reconfigured)
+                reconfigured: Maybe(Some(*number)),
+                ..of(EventKind::Reconfigured)
             },
         }
     }
-}
 
-impl TryFrom<&EventMessage> for Event {
-    type Error = Senseless;
-
-    fn try_from(message: &EventMessage) -> Result<Self, Senseless> {
-        let missing = |part| Senseless::PartMissing {
-            kind: "an event",
-            part,
-        };
-        Ok(match message.kind.0 {
-            EventKind::Pose => Self::Pose(
-                message
-                    .pose
-                    .0
-                    .clone()
-                    .ok_or_else(|| missing("its pose"))?
-                    .into(),
-            ),
-            EventKind::PoseMissing => Self::PoseMissing(
-                message
-                    .pose_missing
-                    .0
-                    .ok_or_else(|| missing("why the pose is missing"))?,
-            ),
-            EventKind::Board => Self::Board(
-                message
-                    .board
-                    .0
-                    .clone()
-                    .ok_or_else(|| missing("the board's sample"))?
-                    .into(),
-            ),
-            EventKind::Link => Self::Link(message.link.0.ok_or_else(|| missing("the link"))?),
-            EventKind::Request => {
-                Self::Request(message.request.0.ok_or_else(|| missing("the request"))?)
+    fn value(self) -> Result<Event, InvalidMessage> {
+        let part = Part("an event");
+        Ok(match self.kind.0 {
+            EventKind::Pose => Event::Pose(part.take(self.pose, "its pose")?),
+            EventKind::PoseMissing => {
+                Event::PoseMissing(part.take(self.pose_missing, "why the pose is missing")?)
             }
-            EventKind::ArmRefused => Self::ArmRefused,
-            EventKind::Health => {
-                let health = message.health.0.clone();
-                Self::Health(health.ok_or_else(|| missing("the board's health"))?.into())
-            }
-            EventKind::Line => {
-                let line = message.line.0.clone();
-                Self::Line(line.ok_or_else(|| missing("the line's health"))?.into())
-            }
-            EventKind::RealTime => {
-                let state = message.real_time.0.clone();
-                Self::RealTime(state.ok_or_else(|| missing("what was granted"))?.into())
-            }
-            EventKind::Setpoint => {
-                let setpoint = message.setpoint.0.clone();
-                Self::Setpoint(setpoint.ok_or_else(|| missing("the set-point"))?.into())
-            }
+            EventKind::Board => Event::Board(part.take(self.board, "the board's sample")?),
+            EventKind::Link => Event::Link(part.take(self.link, "the link")?),
+            EventKind::Request => Event::Request(part.take(self.request, "the request")?),
+            EventKind::ArmRefused => Event::ArmRefused,
+            EventKind::Health => Event::Health(part.take(self.health, "the board's health")?),
+            EventKind::Line => Event::Line(part.take(self.line, "the line's health")?),
+            EventKind::RealTime => Event::RealTime(part.take(self.real_time, "what was granted")?),
+            EventKind::Setpoint => Event::Setpoint(part.take(self.setpoint, "the set-point")?),
             EventKind::Reconfigured => {
-                let number = message.reconfigured.0;
-                Self::Reconfigured(number.ok_or_else(|| missing("the configuration's number"))?)
+                Event::Reconfigured(part.take(self.reconfigured, "the configuration's number")?)
             }
         })
-    }
-}
-
-impl From<BoardHealth> for BoardHealthMessage {
-    fn from(health: BoardHealth) -> Self {
-        Self {
-            battery_mv: health.battery_mv,
-            stop_input_open: health.stop_input_open,
-        }
-    }
-}
-
-impl From<BoardHealthMessage> for BoardHealth {
-    fn from(message: BoardHealthMessage) -> Self {
-        Self {
-            battery_mv: message.battery_mv,
-            stop_input_open: message.stop_input_open,
-        }
-    }
-}
-
-impl From<LineHealth> for LineHealthMessage {
-    fn from(line: LineHealth) -> Self {
-        Self {
-            to_host: Maybe(line.to_host),
-            to_board: Maybe(line.to_board),
-        }
-    }
-}
-
-impl From<LineHealthMessage> for LineHealth {
-    fn from(message: LineHealthMessage) -> Self {
-        Self {
-            to_host: message.to_host.0,
-            to_board: message.to_board.0,
-        }
-    }
-}
-
-impl From<RealTimeState> for RealTimeMessage {
-    fn from(state: RealTimeState) -> Self {
-        Self {
-            fifo: state.fifo,
-            memory_locked: state.memory_locked,
-        }
-    }
-}
-
-impl From<RealTimeMessage> for RealTimeState {
-    fn from(message: RealTimeMessage) -> Self {
-        Self {
-            fifo: message.fifo,
-            memory_locked: message.memory_locked,
-        }
-    }
-}
-
-impl From<Setpoint> for SetpointMessage {
-    fn from(setpoint: Setpoint) -> Self {
-        Self {
-            time_ns: setpoint.time.0,
-            position: Maybe::from(setpoint.position),
-            velocity: setpoint.velocity.into(),
-        }
-    }
-}
-
-impl From<SetpointMessage> for Setpoint {
-    fn from(message: SetpointMessage) -> Self {
-        Self {
-            time: Time(message.time_ns),
-            position: message.position.0.map(Into::into),
-            velocity: message.velocity.into(),
-        }
-    }
-}
-
-impl From<PoseSample> for PoseSampleMessage {
-    fn from(pose: PoseSample) -> Self {
-        Self {
-            capture_ns: pose.capture.0,
-            receive_ns: pose.receive.0,
-            frame: pose.frame,
-            x_m: pose.position.x,
-            y_m: pose.position.y,
-            yaw_rad: pose.yaw,
-        }
-    }
-}
-
-impl From<PoseSampleMessage> for PoseSample {
-    fn from(message: PoseSampleMessage) -> Self {
-        Self {
-            capture: Time(message.capture_ns),
-            receive: Time(message.receive_ns),
-            frame: message.frame,
-            position: Point2::new(message.x_m, message.y_m),
-            yaw: message.yaw_rad,
-        }
-    }
-}
-
-impl From<BoardSample> for BoardSampleMessage {
-    fn from(sample: BoardSample) -> Self {
-        Self {
-            time_ns: sample.time.0,
-            inertial: Maybe::from(sample.inertial),
-            motor_speed_m_s: sample.motor_speed,
-            state: Code(sample.state),
-        }
-    }
-}
-
-impl From<BoardSampleMessage> for BoardSample {
-    fn from(message: BoardSampleMessage) -> Self {
-        Self {
-            time: Time(message.time_ns),
-            inertial: message.inertial.0.map(Into::into),
-            motor_speed: message.motor_speed_m_s,
-            state: message.state.0,
-        }
-    }
-}
-
-impl From<InertialSample> for InertialSampleMessage {
-    fn from(sample: InertialSample) -> Self {
-        Self {
-            time_ns: sample.time.0,
-            yaw_rate_rad_s: sample.yaw_rate,
-            forward_acceleration_m_s2: sample.forward_acceleration,
-            left_acceleration_m_s2: sample.left_acceleration,
-        }
-    }
-}
-
-impl From<InertialSampleMessage> for InertialSample {
-    fn from(message: InertialSampleMessage) -> Self {
-        Self {
-            time: Time(message.time_ns),
-            yaw_rate: message.yaw_rate_rad_s,
-            forward_acceleration: message.forward_acceleration_m_s2,
-            left_acceleration: message.left_acceleration_m_s2,
-        }
     }
 }
 
@@ -392,6 +193,7 @@ impl From<InertialSampleMessage> for InertialSample {
 mod tests {
     use byteorder::LittleEndian;
     use proptest::prelude::*;
+    use singletrack_control::{Position, Time};
 
     use super::*;
 
@@ -417,7 +219,7 @@ mod tests {
                 capture,
                 receive,
                 frame,
-                position: Point2::new(x, y),
+                position: Position::new(x, y),
                 yaw,
             })
     }
@@ -501,14 +303,14 @@ mod tests {
         fn an_event_comes_back_from_its_bytes_bit_for_bit(
             events in prop::collection::vec(any_event(), 0..crate::MAX_EVENTS),
         ) {
-            let messages: Vec<EventMessage> = events.iter().map(Into::into).collect();
+            let messages: Vec<EventMessage> = events.iter().map(EventMessage::of).collect();
             let bytes = cdr_encoding::to_vec::<_, LittleEndian>(&messages).unwrap();
             let (read, length) =
                 cdr_encoding::from_bytes::<Vec<EventMessage>, LittleEndian>(&bytes).unwrap();
             prop_assert_eq!(length, bytes.len());
             prop_assert_eq!(read.len(), events.len());
-            for (read, event) in read.iter().zip(&events) {
-                let read = Event::try_from(read).unwrap();
+            for (read, event) in read.into_iter().zip(&events) {
+                let read = read.value().unwrap();
                 // The text differs in everything but the payload of NaNs.
                 prop_assert_eq!(format!("{read:?}"), format!("{event:?}"));
                 prop_assert_eq!(bits(&read), bits(event));
@@ -518,19 +320,23 @@ mod tests {
         #[test]
         fn arbitrary_bytes_are_an_event_or_refused(bytes: Vec<u8>) {
             let read = cdr_encoding::from_bytes::<EventMessage, LittleEndian>(&bytes);
-            if let Ok((message, _)) = read
-                && let Ok(event) = Event::try_from(&message)
-            {
-                prop_assert_eq!(EventMessage::from(&event).kind, message.kind);
+            if let Ok((message, _)) = read {
+                let kind = message.kind;
+                if let Ok(event) = message.value() {
+                    prop_assert_eq!(EventMessage::of(&event).kind, kind);
+                }
             }
         }
     }
 
     #[test]
     fn an_event_without_its_part_is_refused() {
-        let message = EventMessage::of(EventKind::Pose);
+        let message = EventMessage {
+            kind: Code(EventKind::Pose),
+            ..Fields::absent()
+        };
         assert_eq!(
-            Event::try_from(&message).unwrap_err().to_string(),
+            message.value().unwrap_err().to_string(),
             "an event without its pose"
         );
     }

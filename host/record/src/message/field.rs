@@ -1,8 +1,13 @@
-//! What a field of a message can be.
+//! The types that a field of a message can have.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::DeserializeOwned};
+use singletrack_control::Time;
+use singletrack_protocol::Sequence;
 
-use super::{Message, PACKAGE};
+use super::{
+    declare::{Fields, Message, declare},
+    definition::Definition,
+};
 use crate::value::{Value, Visitor};
 
 /// A field's type: how the schema declares it and how its value is shown.
@@ -22,67 +27,48 @@ pub(crate) trait Field: Clone + Serialize + DeserializeOwned {
     }
 }
 
-/// The schema of a message under construction.
-#[derive(Default)]
-pub(crate) struct Definition {
-    text: String,
-    /// The messages within it, by the names they are referred to.
-    nested: Vec<(String, String)>,
+/// A field's type as the form in which a message holds a `T` of the record.
+pub(crate) trait Represents<T>: Sized {
+    /// The form of `value`.
+    fn of(value: &T) -> Self;
+
+    /// The value that has this form.
+    ///
+    /// # Errors
+    ///
+    /// When no value has it.
+    fn value(self) -> Result<T, InvalidMessage>;
 }
 
-impl Definition {
-    /// Adds a comment, given as the text of a documentation line.
-    pub(crate) fn comment(&mut self, text: &str) {
-        self.text.push('#');
-        self.text.push_str(text);
-        self.text.push('\n');
-    }
+/// A message that no entry of a record has as its form.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum InvalidMessage {
+    #[error("{count} events in a tick, which has at most {max}")]
+    TooManyEvents { count: usize, max: usize },
+    #[error("{kind} without {part}")]
+    PartMissing {
+        kind: &'static str,
+        part: &'static str,
+    },
+    #[error("a count of {0}, which is more than this machine can represent")]
+    CountTooLarge(u64),
+}
 
-    /// Adds an empty line.
-    pub(crate) fn blank(&mut self) {
-        self.text.push('\n');
-    }
+/// Takes the parts that a message of a certain kind must have, here named for errors.
+#[derive(Clone, Copy)]
+pub(crate) struct Part(pub(crate) &'static str);
 
-    /// Adds a field of a type that ROS knows.
-    pub(crate) fn plain(&mut self, kind: &str, name: &str) {
-        self.text.push_str(&format!("{kind} {name}\n"));
-    }
-
-    /// Adds a field of type `M`, or an array of it.
-    pub(crate) fn nested<M: Message>(&mut self, name: &str, array: &str) {
-        self.message(&format!("{PACKAGE}/{}", M::NAME), M::define, name, array);
-    }
-
-    /// Adds a field that is a message of its own, or an array of it.
-    pub(crate) fn message(
-        &mut self,
-        kind: &str,
-        define: impl FnOnce(&mut Self),
-        name: &str,
-        array: &str,
-    ) {
-        self.plain(&format!("{kind}{array}"), name);
-        if self.nested.iter().any(|(known, _)| *known == kind) {
-            return;
-        }
-        let mut inner = Self::default();
-        define(&mut inner);
-        self.nested.push((kind.to_owned(), inner.text));
-        for (kind, text) in inner.nested {
-            if !self.nested.iter().any(|(known, _)| *known == kind) {
-                self.nested.push((kind, text));
-            }
-        }
-    }
-
-    /// The whole schema.
-    pub(crate) fn finish(self) -> String {
-        let mut text = self.text;
-        for (kind, inner) in self.nested {
-            text.push_str(&"=".repeat(80));
-            text.push_str(&format!("\nMSG: {kind}\n{inner}"));
-        }
-        text
+impl Part {
+    /// The value of a part.
+    pub(crate) fn take<T>(
+        self,
+        field: impl Represents<Option<T>>,
+        part: &'static str,
+    ) -> Result<T, InvalidMessage> {
+        let kind = self.0;
+        field
+            .value()?
+            .ok_or(InvalidMessage::PartMissing { kind, part })
     }
 }
 
@@ -103,6 +89,16 @@ macro_rules! plain {
                     visitor.value(name, $shown);
                 }
             }
+
+            impl Represents<$type> for $type {
+                fn of(value: &$type) -> Self {
+                    value.clone()
+                }
+
+                fn value(self) -> Result<$type, InvalidMessage> {
+                    Ok(self)
+                }
+            }
         )*
     };
 }
@@ -120,9 +116,29 @@ plain! {
     String as "string", Self::new(), |value| Value::Text(value.clone().into());
 }
 
+impl Represents<Time> for u64 {
+    fn of(time: &Time) -> Self {
+        time.0
+    }
+
+    fn value(self) -> Result<Time, InvalidMessage> {
+        Ok(Time(self))
+    }
+}
+
+impl Represents<Sequence> for u8 {
+    fn of(sequence: &Sequence) -> Self {
+        sequence.0
+    }
+
+    fn value(self) -> Result<Sequence, InvalidMessage> {
+        Ok(Sequence(self))
+    }
+}
+
 impl<M: Message + Field> Field for Vec<M> {
     fn declare(name: &'static str, definition: &mut Definition) {
-        definition.nested::<M>(name, "[]");
+        declare::<M>(name, "[]", definition);
     }
 
     fn absent() -> Self {
@@ -132,23 +148,32 @@ impl<M: Message + Field> Field for Vec<M> {
     fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
         visitor.list(name, self.len(), &|index, inner| {
             if let Some(element) = self.get(index) {
-                Message::visit(element, inner);
+                Fields::visit(element, inner);
             }
         });
     }
 }
 
-/// A field that may be absent: on the wire a flag, then the value or, where
-/// there is none, what stands for it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Maybe<T>(pub(crate) Option<T>);
+impl<M: Represents<T>, T, const MAX: usize> Represents<heapless::Vec<T, MAX>> for Vec<M> {
+    fn of(values: &heapless::Vec<T, MAX>) -> Self {
+        values.iter().map(M::of).collect()
+    }
 
-impl<T> Maybe<T> {
-    /// From something that may be absent.
-    pub(crate) fn from<U: Into<T>>(value: Option<U>) -> Self {
-        Self(value.map(Into::into))
+    fn value(self) -> Result<heapless::Vec<T, MAX>, InvalidMessage> {
+        if self.len() > MAX {
+            return Err(InvalidMessage::TooManyEvents {
+                count: self.len(),
+                max: MAX,
+            });
+        }
+        self.into_iter().map(M::value).collect()
     }
 }
+
+/// A field that may be absent: on the wire a flag, then the value or, where there is
+/// none, [`Field::absent`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Maybe<T>(pub(crate) Option<T>);
 
 impl<T: Field> Serialize for Maybe<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -181,5 +206,44 @@ impl<T: Field> Field for Maybe<T> {
             Some(value) => value.visit(name, visitor),
             None => T::visit_absent(name, visitor),
         }
+    }
+}
+
+impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
+    fn of(value: &Option<T>) -> Self {
+        Self(value.as_ref().map(F::of))
+    }
+
+    fn value(self) -> Result<Option<T>, InvalidMessage> {
+        self.0.map(F::value).transpose()
+    }
+}
+
+/// A group of fields that stand among those of the message, without a name of their
+/// own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Group<G>(pub(crate) G);
+
+impl<G: Fields> Field for Group<G> {
+    fn declare(_: &'static str, definition: &mut Definition) {
+        definition.group(G::define);
+    }
+
+    fn absent() -> Self {
+        Self(G::absent())
+    }
+
+    fn visit(&self, _: &'static str, visitor: &mut dyn Visitor) {
+        self.0.visit(visitor);
+    }
+}
+
+impl<G: Represents<T>, T> Represents<T> for Group<G> {
+    fn of(value: &T) -> Self {
+        Self(G::of(value))
+    }
+
+    fn value(self) -> Result<T, InvalidMessage> {
+        self.0.value()
     }
 }

@@ -1,12 +1,11 @@
-//! What the motion capture said of the car, frame by frame.
+//! The car in the frames of the motion capture.
 
 use singletrack_mocap::{Binding, CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
 
 use super::{
-    Senseless,
     code::{BindingKind, Code, OptionalCode, PoseKind},
-    field::Maybe,
-    message,
+    declare::{Fields, fields, message},
+    field::{InvalidMessage, Maybe, Part, Represents},
 };
 
 message! {
@@ -35,7 +34,7 @@ message! {
 
 message! {
     /// A believable pose of the rigid body. World frame: z up.
-    PoseValueMessage as "PoseValue" {
+    PoseValueMessage as "PoseValue" of Pose {
         /// Position of the body's pivot, in m.
         x_m: f64,
         y_m: f64,
@@ -61,158 +60,87 @@ message! {
     }
 }
 
-impl From<&Observation> for PoseMessage {
-    fn from(observation: &Observation) -> Self {
-        let mut message = Self {
+impl Represents<Observation> for PoseMessage {
+    fn of(observation: &Observation) -> Self {
+        let of = |kind| Self {
             frame_number: observation.frame_number,
             receive_time_ns: observation.receive_time_ns,
-            state: Code(PoseKind::NoFrames),
-            pose: Maybe(None),
-            rejected: OptionalCode(None),
-            binding: OptionalCode(None),
-            binding_id: Maybe(None),
-            binding_count: Maybe(None),
-            silent_ns: Maybe(None),
+            state: Code(kind),
+            ..Fields::absent()
         };
-        message.state = Code(match observation.state {
-            PoseState::NoFrames => PoseKind::NoFrames,
+        match observation.state {
+            PoseState::NoFrames => of(PoseKind::NoFrames),
             PoseState::Unbound(binding) => {
-                message.binding = OptionalCode(Some(match binding {
-                    Binding::Unresolved => BindingKind::Unresolved,
-                    Binding::Bound { id } => {
-                        message.binding_id = Maybe(Some(id));
-                        BindingKind::Bound
-                    }
-                    Binding::Missing => BindingKind::Missing,
+                let (kind, id, count) = match binding {
+                    Binding::Unresolved => (BindingKind::Unresolved, None, None),
+                    Binding::Bound { id } => (BindingKind::Bound, Some(id), None),
+                    Binding::Missing => (BindingKind::Missing, None, None),
                     Binding::Ambiguous { count } => {
-                        message.binding_count = Maybe(Some(count as u64));
-                        BindingKind::Ambiguous
+                        (BindingKind::Ambiguous, None, Some(count as u64))
                     }
-                }));
-                PoseKind::Unbound
+                };
+                Self {
+                    binding: OptionalCode(Some(kind)),
+                    binding_id: Maybe(id),
+                    binding_count: Maybe(count),
+                    ..of(PoseKind::Unbound)
+                }
             }
-            PoseState::Valid(pose) => {
-                message.pose = Maybe(Some(pose.into()));
-                PoseKind::Valid
-            }
-            PoseState::Untracked => PoseKind::Untracked,
-            PoseState::Absent => PoseKind::Absent,
-            PoseState::Rejected(reason) => {
-                message.rejected = OptionalCode(Some(reason));
-                PoseKind::Rejected
-            }
-            PoseState::LockedOut(reason) => {
-                message.rejected = OptionalCode(Some(reason));
-                PoseKind::LockedOut
-            }
-            PoseState::Stale { silent_ns } => {
-                message.silent_ns = Maybe(Some(silent_ns));
-                PoseKind::Stale
-            }
-        });
-        message
+            PoseState::Valid(pose) => Self {
+                pose: Maybe(Some(Represents::of(&pose))),
+                ..of(PoseKind::Valid)
+            },
+            PoseState::Untracked => of(PoseKind::Untracked),
+            PoseState::Absent => of(PoseKind::Absent),
+            PoseState::Rejected(reason) => Self {
+                rejected: OptionalCode(Some(reason)),
+                ..of(PoseKind::Rejected)
+            },
+            PoseState::LockedOut(reason) => Self {
+                rejected: OptionalCode(Some(reason)),
+                ..of(PoseKind::LockedOut)
+            },
+            PoseState::Stale { silent_ns } => Self {
+                silent_ns: Maybe(Some(silent_ns)),
+                ..of(PoseKind::Stale)
+            },
+        }
     }
-}
 
-impl TryFrom<PoseMessage> for Observation {
-    type Error = Senseless;
-
-    fn try_from(message: PoseMessage) -> Result<Self, Senseless> {
-        let missing = |part| Senseless::PartMissing {
-            kind: "a frame",
-            part,
-        };
-        let rejected = || {
-            message
-                .rejected
-                .0
-                .ok_or_else(|| missing("why it is rejected"))
-        };
-        let binding = || {
-            Ok(
-                match message.binding.0.ok_or_else(|| missing("its binding"))? {
+    fn value(self) -> Result<Observation, InvalidMessage> {
+        let part = Part("a frame");
+        let rejected = || part.take(self.rejected, "why it is rejected");
+        let state = match self.state.0 {
+            PoseKind::NoFrames => PoseState::NoFrames,
+            PoseKind::Unbound => {
+                PoseState::Unbound(match part.take(self.binding, "its binding")? {
                     BindingKind::Unresolved => Binding::Unresolved,
                     BindingKind::Bound => Binding::Bound {
-                        id: message.binding_id.0.ok_or_else(|| missing("its id"))?,
+                        id: part.take(self.binding_id, "its id")?,
                     },
                     BindingKind::Missing => Binding::Missing,
                     BindingKind::Ambiguous => {
-                        let count = message
-                            .binding_count
-                            .0
-                            .ok_or_else(|| missing("its count"))?;
+                        let count: u64 = part.take(self.binding_count, "its count")?;
                         Binding::Ambiguous {
                             count: usize::try_from(count)
-                                .map_err(|_| Senseless::CountTooLarge(count))?,
+                                .map_err(|_| InvalidMessage::CountTooLarge(count))?,
                         }
                     }
-                },
-            )
-        };
-        let state = match message.state.0 {
-            PoseKind::NoFrames => PoseState::NoFrames,
-            PoseKind::Unbound => PoseState::Unbound(binding()?),
-            PoseKind::Valid => PoseState::Valid(
-                message
-                    .pose
-                    .0
-                    .clone()
-                    .ok_or_else(|| missing("its pose"))?
-                    .into(),
-            ),
+                })
+            }
+            PoseKind::Valid => PoseState::Valid(part.take(self.pose, "its pose")?),
             PoseKind::Untracked => PoseState::Untracked,
             PoseKind::Absent => PoseState::Absent,
             PoseKind::Rejected => PoseState::Rejected(rejected()?),
             PoseKind::LockedOut => PoseState::LockedOut(rejected()?),
             PoseKind::Stale => PoseState::Stale {
-                silent_ns: message
-                    .silent_ns
-                    .0
-                    .ok_or_else(|| missing("how long it was silent"))?,
+                silent_ns: part.take(self.silent_ns, "how long it was silent")?,
             },
         };
-        Ok(Self {
-            frame_number: message.frame_number,
-            receive_time_ns: message.receive_time_ns,
+        Ok(Observation {
+            frame_number: self.frame_number,
+            receive_time_ns: self.receive_time_ns,
             state,
         })
-    }
-}
-
-impl From<Pose> for PoseValueMessage {
-    fn from(pose: Pose) -> Self {
-        Self {
-            x_m: pose.x_m,
-            y_m: pose.y_m,
-            z_m: pose.z_m,
-            yaw_rad: pose.yaw_rad,
-            tilt_rad: pose.tilt_rad,
-            capture_time_ns: pose.capture_time_ns,
-            capture_uncertainty_ns: pose.capture_uncertainty_ns,
-            capture_source: Code(pose.capture_source),
-            receive_time_ns: pose.receive_time_ns,
-            frame_number: pose.frame_number,
-            mean_error_m: pose.mean_error_m,
-            reacquired: pose.reacquired,
-        }
-    }
-}
-
-impl From<PoseValueMessage> for Pose {
-    fn from(message: PoseValueMessage) -> Self {
-        Self {
-            x_m: message.x_m,
-            y_m: message.y_m,
-            z_m: message.z_m,
-            yaw_rad: message.yaw_rad,
-            tilt_rad: message.tilt_rad,
-            capture_time_ns: message.capture_time_ns,
-            capture_uncertainty_ns: message.capture_uncertainty_ns,
-            capture_source: message.capture_source.0,
-            receive_time_ns: message.receive_time_ns,
-            frame_number: message.frame_number,
-            mean_error_m: message.mean_error_m,
-            reacquired: message.reacquired,
-        }
     }
 }

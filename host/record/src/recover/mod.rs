@@ -1,5 +1,4 @@
-//! Making a complete file of a record that a killed recorder left behind, or
-//! that was damaged since.
+//! Repair of a record that a killed recorder left, or that was damaged later.
 
 mod scan;
 
@@ -7,7 +6,7 @@ use std::{
     collections::HashMap,
     fmt,
     fs::{File, TryLockError},
-    io::Read,
+    mem,
     path::Path,
     time::Duration,
 };
@@ -15,50 +14,50 @@ use std::{
 use mcap::{
     Attachment, McapError,
     records::{MessageHeader, Metadata, Record, op},
-    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
-use scan::{Found, MAX_LENGTH, Scan};
+use scan::{Found, Scan};
 
 use crate::{
     Channel, RecordError, Topic,
+    chunk::{Chunk, ChunkError},
     container::{
         Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, is_data_part, parse_record, with_suffix,
     },
     meta::{CONFIGURATION_NAME, METADATA_NAME},
 };
 
-/// What was saved of a record, and what was not.
+/// What was saved of a record, and what was lost.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recovery {
     /// Messages saved, on all channels.
     pub messages: u64,
-    /// Entries among them: messages that a [`crate::Reader`] reads.
+    /// The number of entries among them, which a [`crate::Reader`] reads.
     pub entries: u64,
     /// Earliest and latest log time of the messages saved, in ns since 1970.
     pub span_ns: Option<(u64, u64)>,
-    /// Length of the new file.
+    /// Length of the new file, in bytes.
     pub bytes: u64,
-    /// Whether the record had its proper end.
+    /// Whether the record was complete to its end.
     pub complete: bool,
-    /// Places within the record that are damaged.
+    /// Damaged places within the record.
     pub damaged_places: u64,
-    /// Bytes that could not be used there.
+    /// Bytes lost there.
     pub damaged_bytes: u64,
-    /// Bytes at the end that are not a whole part of the record.
+    /// Bytes at the end that are no whole part of the record.
     pub cut_bytes: u64,
-    /// Messages on channels whose description is lost.
+    /// Messages lost because the description of their channel is lost.
     pub nameless: u64,
-    /// Whether it says under which circumstances it was made: without that, other
-    /// tools open it and a [`crate::Reader`] does not.
+    /// Whether the metadata was saved. Without it, other tools open the record and a
+    /// [`crate::Reader`] does not.
     pub has_metadata: bool,
-    /// Whether it has the configuration that it was made with: the same is true.
+    /// Whether the configuration was saved. Without it, the same holds.
     pub has_configuration: bool,
-    /// Messages that are not there, by the numbers of those around them.
+    /// Missing messages, by the sequence numbers of those around them.
     pub missing: u64,
 }
 
 impl Recovery {
-    /// From the first to the last message saved.
+    /// Time from the first to the last message saved.
     #[must_use]
     pub fn duration(&self) -> Duration {
         self.span_ns.map_or(Duration::ZERO, |(first, last)| {
@@ -66,9 +65,9 @@ impl Recovery {
         })
     }
 
-    /// What the new file says of how it came about.
+    /// The metadata of the new file on the repair.
     fn to_metadata(&self) -> Metadata {
-        let told = [
+        let figures = [
             ("complete", u64::from(self.complete)),
             ("damaged_places", self.damaged_places),
             ("damaged_bytes", self.damaged_bytes),
@@ -78,13 +77,13 @@ impl Recovery {
         ];
         Metadata {
             name: "singletrack_recovery".to_owned(),
-            metadata: told
+            metadata: figures
                 .map(|(key, value)| (key.to_owned(), value.to_string()))
                 .into(),
         }
     }
 
-    /// Whether nothing was missing.
+    /// Whether the record was complete and undamaged.
     #[must_use]
     pub const fn nothing_lost(&self) -> bool {
         self.complete
@@ -97,7 +96,7 @@ impl Recovery {
 }
 
 impl fmt::Display for Recovery {
-    /// What was saved on one line, and what was lost on the next ones.
+    /// Writes what was saved on one line, and what was lost on the next ones.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             formatter,
@@ -146,23 +145,23 @@ impl fmt::Display for Recovery {
     }
 }
 
-/// Writes what can be read of the record at `input` to a new one at `output`,
-/// with the index that tools expect. The old one stays as it is. Every message
-/// comes over as it is, also of another version of records; nothing of a damaged
-/// chunk is believed. The new file says in its metadata what it lacks. `progress` is told
-/// how many bytes of how many are done.
+/// Writes what can be read of the record at `input` to a new one at `output`, with the
+/// index that tools expect. The old file is not changed. Messages are copied unchanged,
+/// also those of other versions of records. Nothing of a damaged chunk is copied. The
+/// metadata of the new file says what it lacks. `progress` is called with the bytes done
+/// and the bytes in all.
 ///
 /// # Errors
 ///
 /// When one of the files cannot be read or written, `input` is still being written,
-/// `output` exists, or nothing was recorded. No new file is left then.
+/// `output` exists, or nothing was recorded. Then no new file is left.
 pub fn recover(
     input: &Path,
     output: &Path,
     mut progress: impl FnMut(u64, u64),
 ) -> Result<Recovery, RecordError> {
     let file = File::open(input).map_err(failure("open", input))?;
-    // A recorder holds on to its file for as long as it writes.
+    // A recorder holds the lock as long as it writes.
     if matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)) {
         return Err(RecordError::Busy(input.to_owned()));
     }
@@ -172,6 +171,7 @@ pub fn recover(
         container: Container::create(output, with_suffix(output, ".recovering"))?,
         schemas: HashMap::new(),
         channels: HashMap::new(),
+        chunk: Chunk::default(),
         describes: library == LIBRARY,
         recovery: Recovery::default(),
     };
@@ -192,13 +192,14 @@ pub fn recover(
             bytes: scan.length(),
         });
     }
-    let told = recovery.to_metadata();
-    container.write(|writer| writer.write_metadata(&told))?;
+    let metadata = recovery.to_metadata();
+    container.write(|writer| writer.write_metadata(&metadata))?;
     recovery.bytes = container.finish()?;
     Ok(recovery)
 }
 
-/// Refuses what is no record, by the words that a reader would use. Tells who wrote it.
+/// Refuses a file that is not a record, with the errors of a reader; returns the library
+/// that wrote the file.
 fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
     let empty = |length| RecordError::Empty {
         path: input.to_owned(),
@@ -230,13 +231,14 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
     }
 }
 
-/// A new file, and what has gone into it.
+/// The new file, and what has been copied to it.
 struct Salvage {
     container: Container,
-    /// New numbers by old ones: a file may describe things twice.
+    /// New ids by old ones: a file may describe a schema or a channel twice.
     schemas: HashMap<u16, u16>,
     channels: HashMap<u16, NewChannel>,
-    /// Whether this version wrote it, and knows what the channels were.
+    chunk: Chunk,
+    /// Whether this version wrote the file and so knows its channels.
     describes: bool,
     recovery: Recovery,
 }
@@ -244,13 +246,13 @@ struct Salvage {
 #[derive(Clone, Copy)]
 struct NewChannel {
     id: u16,
-    /// Whether a reader of records reads it.
+    /// Whether its messages are entries.
     entries: bool,
-    /// Number of its next message; none before the first. They count from 0.
+    /// Sequence number of the next message; none before the first, which has 0.
     next: Option<u32>,
 }
 
-/// Why a part of the old file is not taken over.
+/// Why a part of the old file is not copied.
 enum Refused {
     Damaged,
     Failed(RecordError),
@@ -258,6 +260,12 @@ enum Refused {
 
 impl From<McapError> for Refused {
     fn from(_: McapError) -> Self {
+        Self::Damaged
+    }
+}
+
+impl From<ChunkError> for Refused {
+    fn from(_: ChunkError) -> Self {
         Self::Damaged
     }
 }
@@ -276,8 +284,8 @@ impl Salvage {
         progress: &mut impl FnMut(u64, u64),
     ) -> Result<(), RecordError> {
         let length = scan.length();
-        // Damage may be followed by something whole; at the end it is a cut.
-        let mut trouble = 0;
+        // Bytes lost since the last whole part. At the end of the file they are a cut.
+        let mut lost = 0;
         loop {
             let from = scan.at();
             progress(from, length);
@@ -296,57 +304,47 @@ impl Salvage {
             };
             if refused {
                 scan.resume(from).map_err(failure("read", input))?;
-                trouble += scan.at() - from;
-            } else if trouble > 0 {
+                lost += scan.at() - from;
+            } else if lost > 0 {
                 self.recovery.damaged_places += 1;
-                self.recovery.damaged_bytes += trouble;
-                trouble = 0;
+                self.recovery.damaged_bytes += lost;
+                lost = 0;
             }
             if self.recovery.complete {
                 break;
             }
         }
-        self.recovery.cut_bytes = trouble;
+        self.recovery.cut_bytes = lost;
         progress(length, length);
         Ok(())
     }
 
-    /// Takes over one part of the file.
+    /// Copies one part of the file.
     fn part(&mut self, opcode: u8, content: &[u8]) -> Result<End, Refused> {
         if !is_data_part(opcode, content) {
             return Err(Refused::Damaged);
         }
         match opcode {
-            op::CHUNK => self.chunk(content)?,
+            op::CHUNK => {
+                let mut chunk = mem::take(&mut self.chunk);
+                let copied = self.chunk(&mut chunk, content);
+                self.chunk = chunk;
+                copied?;
+            }
             op::DATA_END => return Ok(End::Yes),
             _ => self.record(&parse_record(opcode, content)?)?,
         }
         Ok(End::No)
     }
 
-    /// Takes over what is in a chunk, once its checksum has been found right.
-    fn chunk(&mut self, content: &[u8]) -> Result<(), Refused> {
-        let length = (content.len() as u64).to_le_bytes();
-        let mut bytes = (&[op::CHUNK][..]).chain(&length[..]).chain(content);
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(MAX_LENGTH);
-        let mut reader = LinearReader::new_with_options(options);
-        while let Some(event) = reader.next_event() {
-            match event? {
-                LinearReadEvent::ReadRequest(wanted) => {
-                    let buffer = reader.insert(wanted.clamp(1, content.len().max(1)));
-                    let length = bytes.read(buffer).map_err(McapError::from)?;
-                    reader.notify_read(length);
-                }
-                LinearReadEvent::Record { opcode, data } => {
-                    self.record(&parse_record(opcode, data)?)?;
-                }
-            }
+    /// Copies the records of a chunk, once its checksum has been verified.
+    fn chunk(&mut self, chunk: &mut Chunk, content: &[u8]) -> Result<(), Refused> {
+        chunk.open_part(content)?;
+        while let Some(record) = chunk.next() {
+            let (opcode, data) = record?;
+            self.record(&parse_record(opcode, data)?)?;
         }
-        // What was together stays together.
+        // The messages of a chunk stay in one chunk.
         self.container.end_chunk()?;
         Ok(())
     }
@@ -388,29 +386,30 @@ impl Salvage {
                         &channel.metadata,
                     )
                 })?;
-                let entries = is_entry(&channel.topic);
+                let entries = Topic::of_channel(&channel.topic).is_some();
                 let new = NewChannel {
                     id,
                     entries,
                     next: None,
                 };
-                // Described again, it goes on.
+                // A channel that is described again keeps its count.
                 self.channels.entry(channel.id).or_insert(new).id = id;
             }
             Record::Message { header, data } => self.message(header, data)?,
-            // The new file gets its own.
+            // The new file gets its own indexes and summary.
             _ => {}
         }
         Ok(())
     }
 
-    /// What the channels were is lost: it is what it always is.
+    /// Describes the channels when their description is lost: they are the same in every
+    /// file of this version.
     fn describe(&mut self) -> Result<(), RecordError> {
         let ids = self.container.describe()?;
         for (channel, id) in Channel::all().zip(ids) {
             let new = NewChannel {
                 id,
-                entries: is_entry(channel.topic()),
+                entries: matches!(channel, Channel::Entry(_)),
                 next: None,
             };
             self.channels.insert(id, new);
@@ -427,7 +426,7 @@ impl Salvage {
             return Ok(());
         };
         let ahead = header.sequence.wrapping_sub(channel.next.unwrap_or(0));
-        // What goes back was numbered by somebody else.
+        // A number that goes back is of another recorder.
         if i32::try_from(ahead).is_ok() {
             self.recovery.missing += u64::from(ahead);
         }
@@ -450,12 +449,7 @@ impl Salvage {
     }
 }
 
-/// Whether a reader of records reads what is on the topic.
-fn is_entry(topic: &str) -> bool {
-    Topic::ALL.into_iter().any(|known| known.channel() == topic)
-}
-
-/// Whether a part was the last one with data.
+/// Whether a part ended the data section.
 enum End {
     No,
     Yes,

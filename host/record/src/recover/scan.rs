@@ -1,4 +1,4 @@
-//! Walking through an MCAP file that may be cut or damaged anywhere.
+//! A walk through an MCAP file that may be truncated or damaged anywhere.
 
 use std::{
     fs::File,
@@ -8,17 +8,16 @@ use std::{
 
 use mcap::records::op;
 
+use crate::chunk::MAX_PART_LENGTH;
+
 /// Opcode and length of a record.
 const HEAD_LENGTH: u64 = 1 + 8;
-/// What MCAP gives a meaning to. Zero is none: what a file has where nothing was
-/// written.
+/// The opcodes of MCAP. Zero is not one of them: a file has zeros where nothing was written.
 const OPCODES: RangeInclusive<u8> = op::HEADER..=op::DATA_END;
-/// No record of ours is longer: a length beyond is damage, and must not be allocated.
-pub(super) const MAX_LENGTH: usize = 16 << 20;
-/// In a chunk compressed with zstd, from its beginning: head, two times, size
-/// and checksum, and then the name of the compression.
+/// Offset of the name of the compression in a chunk: it follows the head, two times, the
+/// size and the checksum.
 const NAME_OFFSET: u64 = HEAD_LENGTH + 8 + 8 + 8 + 4;
-/// That name, with its length.
+/// That name after its length, for zstd.
 const NAME: [u8; 8] = *b"\x04\0\0\0zstd";
 
 /// The records of a file, one after the other.
@@ -31,20 +30,20 @@ pub(super) struct Scan {
     content: Vec<u8>,
 }
 
-/// What is where a record could begin.
+/// What is found where a record could begin.
 pub(super) enum Found<'a> {
     Record {
         opcode: u8,
         content: &'a [u8],
     },
-    /// Something that is not a whole record.
+    /// No whole record.
     Nothing,
     /// The end of the file.
     End,
 }
 
 impl Scan {
-    /// The file is at its beginning; its magic is passed over if it is there.
+    /// Starts at the beginning of the file.
     pub(super) fn new(file: File) -> io::Result<Self> {
         let length = file.metadata()?.len();
         Ok(Self {
@@ -55,17 +54,17 @@ impl Scan {
         })
     }
 
-    /// How far it is.
+    /// The position in the file.
     pub(super) const fn at(&self) -> u64 {
         self.at
     }
 
-    /// How long the file is.
+    /// The length of the file.
     pub(super) const fn length(&self) -> u64 {
         self.length
     }
 
-    /// Passes over the magic; false if the file begins otherwise.
+    /// Skips the magic; false if the file does not begin with it.
     pub(super) fn magic(&mut self) -> io::Result<bool> {
         let mut magic = [0; mcap::MAGIC.len()];
         if self.length < magic.len() as u64 {
@@ -76,8 +75,7 @@ impl Scan {
         Ok(magic == *mcap::MAGIC)
     }
 
-    /// The next record. After [`Found::Nothing`], nothing follows without a
-    /// [`Scan::resume`].
+    /// The next record. After [`Found::Nothing`], call [`Scan::resume`] first.
     pub(super) fn next(&mut self) -> io::Result<Found<'_>> {
         if self.at >= self.length {
             return Ok(Found::End);
@@ -94,7 +92,7 @@ impl Scan {
         })
     }
 
-    /// Reads opcode and length of the record that begins here; none if none does.
+    /// Reads opcode and length of the record that begins here; none if no whole one does.
     fn head(&mut self) -> io::Result<Option<(u8, u64)>> {
         let rest = self.length.saturating_sub(self.at);
         if rest < HEAD_LENGTH {
@@ -106,15 +104,15 @@ impl Scan {
         self.file.read_exact(&mut length)?;
         let ([opcode], length) = (opcode, u64::from_le_bytes(length));
         let whole = OPCODES.contains(&opcode)
-            && length <= MAX_LENGTH as u64
+            && length <= MAX_PART_LENGTH as u64
             && length <= rest.saturating_sub(HEAD_LENGTH);
         Ok(whole.then_some((opcode, length)))
     }
 
-    /// Goes on after something damaged that began at `from`: with the next
-    /// record, or else with the next chunk, or else at the end of the file.
+    /// Continues after damage that began at `from`: at the next record, or else at the
+    /// next chunk, or else at the end of the file.
     pub(super) fn resume(&mut self, from: u64) -> io::Result<()> {
-        // Of what was read whole, only the content is damaged.
+        // A record that was read whole is damaged in its content only.
         if self.at > from {
             let next = self.head()?.is_some() || self.at >= self.length;
             self.file.seek(SeekFrom::Start(self.at))?;
@@ -122,7 +120,7 @@ impl Scan {
                 return Ok(());
             }
         }
-        // The chunk's own head is searched for by the name in it.
+        // The head of a chunk is found by the name of the compression in it.
         self.file
             .seek(SeekFrom::Start((from + 1 + NAME_OFFSET).min(self.length)))?;
         let mut window = [0; NAME.len()];

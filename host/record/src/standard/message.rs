@@ -1,15 +1,13 @@
-//! Messages of ROS 2's own packages, declared with the names, the order and the
-//! types of their fields there: what a general tool knows how to show.
-//!
-//! They are written and never read back here.
+//! Messages of the standard packages of ROS 2, with the names, the order and the types
+//! that their fields have there. This crate writes them and never reads them.
 
 use serde::Serialize;
 
 use crate::message::Definition;
 
-/// A message of a package of ROS's.
+/// A message of a standard package.
 pub(crate) trait StandardMessage: Serialize {
-    /// Its name as messages refer to it, such as `geometry_msgs/Pose`.
+    /// Its name in other messages, such as `geometry_msgs/Pose`.
     const NAME: &'static str;
 
     /// Declares its constants and fields.
@@ -52,14 +50,14 @@ plain! {
     u32 as "uint32",
     f32 as "float32",
     f64 as "float64",
-    // Row by row, as ROS has them.
+    // In the row order of ROS.
     [[f64; 3]; 3] as "float64[9]",
     [[f64; 6]; 6] as "float64[36]",
     &'static str as "string",
     String as "string",
 }
 
-/// A byte that is a number, as ROS calls it where it is a level.
+/// A number of type `byte`, which ROS uses for levels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub(crate) struct Byte(pub(crate) u8);
 
@@ -75,7 +73,7 @@ impl<M: StandardMessage> Field for Vec<M> {
     }
 }
 
-/// Declares messages. A constant stands before the fields, as in ROS's files.
+/// Declares messages. Constants are before the fields, as in the files of ROS.
 macro_rules! standard {
     ($(
         $(#[doc = $about:literal])*

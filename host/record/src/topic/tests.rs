@@ -1,4 +1,4 @@
-//! What is on the wire, checked by hand, and that schema and wire agree.
+//! The encoded bytes, checked by hand and against the schema.
 
 #![allow(
     clippy::unwrap_used,
@@ -45,7 +45,7 @@ pub(crate) fn telemetry() -> Entry {
 }
 
 #[test]
-fn a_log_line_is_encoded_as_the_standard_says() {
+fn a_log_line_is_encoded_as_in_the_standard() {
     let entry = Entry::Log(Log {
         time_ns: 1,
         level: Level::Warning,
@@ -84,7 +84,7 @@ fn telemetry_is_aligned_from_the_end_of_the_header() {
     assert_eq!(bytes, expected);
 }
 
-/// A reader of CDR that knows nothing but the text of the schema.
+/// A reader of CDR that knows only the text of the schema.
 pub(crate) struct BySchema<'a> {
     definitions: BTreeMap<String, Vec<(String, String)>>,
     bytes: &'a [u8],
@@ -93,7 +93,7 @@ pub(crate) struct BySchema<'a> {
 }
 
 impl<'a> BySchema<'a> {
-    /// All numbers in a message, by their paths; of a list and a text, the length.
+    /// All numbers in a message, by their paths; for a list and a text, the length.
     pub(crate) fn read(text: &str, bytes: &'a [u8]) -> Vec<(String, f64)> {
         let mut definitions = BTreeMap::new();
         for (index, part) in text.split(&"=".repeat(80)).enumerate() {
@@ -119,7 +119,7 @@ impl<'a> BySchema<'a> {
         }
         let mut reader = Self {
             definitions,
-            bytes: bytes.strip_prefix(&ENCAPSULATION).unwrap(),
+            bytes: bytes.strip_prefix(&cdr::ENCAPSULATION).unwrap(),
             at: 0,
             seen: Vec::new(),
         };
@@ -205,7 +205,7 @@ fn the_schema_alone_suffices_to_read_the_bytes() {
         entries: 2,
     });
     for entry in [telemetry(), status, drops] {
-        // Fields are printed under the names and in the order of the schema.
+        // Fields are printed with the names and in the order of the schema.
         let fields = entry.topic().fields();
         let read: Vec<_> = BySchema::read(&entry.topic().schema_text(), &encoded(&entry))
             .into_iter()
@@ -232,7 +232,7 @@ fn the_schema_alone_suffices_to_read_the_bytes() {
 }
 
 #[test]
-fn the_schema_of_a_tick_describes_its_bytes_with_and_without_what_may_be_absent() {
+fn the_schema_of_a_tick_describes_its_bytes_with_and_without_optional_fields() {
     for tick in [crate::tick::tests::full(), crate::tick::tests::empty()] {
         let entry = Entry::Tick(tick);
         let read = BySchema::read(&Topic::Tick.schema_text(), &encoded(&entry));
@@ -265,7 +265,7 @@ fn the_schema_of_a_tick_describes_its_bytes_with_and_without_what_may_be_absent(
 }
 
 #[test]
-fn schemas_use_only_what_ros_allows() {
+fn schemas_have_only_names_and_types_that_ros_allows() {
     for channel in crate::Channel::all() {
         for line in channel.schema_text().lines() {
             if line.is_empty() || line.starts_with(['#', '=']) || line.starts_with("MSG: ") {
@@ -320,7 +320,7 @@ fn a_message_that_is_too_long_or_too_short_is_refused() {
 }
 
 #[test]
-fn json_escapes_what_it_must_and_shows_what_is_absent_as_null() {
+fn json_escapes_texts_and_shows_absent_values_as_null() {
     let mut json = String::new();
     Entry::Log(Log {
         time_ns: u64::MAX,

@@ -1,5 +1,5 @@
-//! A made-up drive on the paper's circle: entries of every kind that are as long
-//! and as hard to compress as true ones.
+//! An invented drive on the circle of the paper: entries of every kind, as long and as hard
+//! to compress as real ones.
 
 #![allow(dead_code, reason = "not every user needs everything")]
 
@@ -30,7 +30,7 @@ pub(crate) fn meta() -> Meta {
     }
 }
 
-/// Digits that no compression foretells, as measurements have: -0.5 to 0.5.
+/// Noise from -0.5 to 0.5, as hard to compress as that of a measurement.
 pub(crate) fn noise(index: u64, which: u64) -> f64 {
     let mut bits = (index * 64 + which).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     bits ^= bits >> 32;
@@ -39,7 +39,7 @@ pub(crate) fn noise(index: u64, which: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// The car on the paper's circle.
+/// The car on the circle of the paper.
 struct Car {
     time_ns: u64,
     angle: f64,

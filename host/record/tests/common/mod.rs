@@ -51,7 +51,7 @@ pub(crate) fn log(time_ns: u64) -> Entry {
 }
 
 fn float() -> impl Strategy<Value = f64> {
-    // Equality is how the tests compare; event.rs looks at the bits of NaNs.
+    // The tests compare with `==`; event.rs compares the bits of NaN.
     any::<f64>().prop_filter("a number", |float| !float.is_nan())
 }
 

@@ -1,17 +1,16 @@
 //! Frames out of the bytes of the line, whole and broken ones.
 
-use core::fmt::{Debug, Write};
+use core::fmt::Write;
 
 use clap::ValueEnum;
 use singletrack_protocol::{
     Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop,
-    FrameError, Hello, Packet, Refusal, RefusalReason, Request, Sequence, Status, Telemetry,
-    ToBoard, ToHost, VERSION,
+    FrameError, Hello, MAX_PAYLOAD_LENGTH, Message, Packet, Refusal, Status, Telemetry, ToBoard,
+    ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
-use singletrack_sim::default_board_configuration;
 
-use crate::dump::kind::Kind;
+use crate::dump::kind::{Kind, TELEMETRY};
 
 /// Which way the bytes went.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -104,7 +103,9 @@ impl Frames {
                     &mut self.other_version,
                     &self.bytes,
                 )),
-                Some(Err(error)) => Some(broken(word(error), error.to_string(), &self.bytes)),
+                Some(Err(error)) => {
+                    Some(broken(frame_error(error), error.to_string(), &self.bytes))
+                }
             };
             return self.found(content);
         }
@@ -170,7 +171,7 @@ fn understand(
     })
 }
 
-const fn word(error: FrameError) -> &'static str {
+const fn frame_error(error: FrameError) -> &'static str {
     match error {
         FrameError::Truncated => "truncated",
         FrameError::TooLong => "too-long",
@@ -190,59 +191,29 @@ fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
 impl Content {
     /// Whatever can come in a direction, an example of each.
     fn examples(direction: Direction) -> Vec<Self> {
-        let sequence = Sequence(0);
-        let hello = Hello {
-            protocol_version: VERSION,
-            software_version: [0; 3],
-            nonce: 0,
+        // Zeros are a payload of every message.
+        let zeros = [0; MAX_PAYLOAD_LENGTH];
+        let packets = match direction {
+            Direction::ToHost => vec![
+                zero::<Hello>(&zeros),
+                zero::<Telemetry>(&zeros),
+                zero::<Status>(&zeros),
+                zero::<Acknowledgement>(&zeros),
+                zero::<Refusal>(&zeros),
+            ],
+            Direction::ToBoard => vec![
+                zero::<Hello>(&zeros),
+                zero::<Configure>(&zeros),
+                zero::<Arm>(&zeros),
+                zero::<Disarm>(&zeros),
+                zero::<Drive>(&zeros),
+                zero::<EmergencyStop>(&zeros),
+            ],
         };
-        let broken = broken("", String::new(), &[]);
-        match direction {
-            Direction::ToHost => [
-                hello.into(),
-                example_telemetry().into(),
-                example_status().into(),
-                ToHost::Acknowledgement(Acknowledgement {
-                    request: Request::Arm,
-                    sequence,
-                    configuration_hash: 0,
-                }),
-                ToHost::Refusal(Refusal {
-                    request: Request::Arm,
-                    sequence,
-                    reason: RefusalReason::None,
-                }),
-            ]
-            .map(Self::ToHost)
+        let understood = packets
             .into_iter()
-            .chain([broken])
-            .collect(),
-            Direction::ToBoard => [
-                hello.into(),
-                ToBoard::Configure(Configure {
-                    request: sequence,
-                    configuration: default_board_configuration(),
-                }),
-                ToBoard::Arm(Arm {
-                    request: sequence,
-                    configuration_hash: 0,
-                    telemetry_time_us: 0,
-                }),
-                ToBoard::Disarm(Disarm { request: sequence }),
-                ToBoard::Drive(Drive {
-                    sequence,
-                    speed_mm_s: 0,
-                    steering_100urad: 0,
-                    telemetry_time_us: 0,
-                    pose_age_ms: 0,
-                }),
-                ToBoard::EmergencyStop(EmergencyStop { request: sequence }),
-            ]
-            .map(Self::ToBoard)
-            .into_iter()
-            .chain([broken])
-            .collect(),
-        }
+            .map(|packet| understand(direction, packet, &mut None, &[]));
+        understood.chain([broken("", String::new(), &[])]).collect()
     }
 
     /// The name of its kind.
@@ -276,6 +247,7 @@ impl Content {
     /// Its fields, by name.
     fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
         let number = |value: u32| Value::Unsigned(value.into());
+        let word = |word: &'static str| Value::Text(word.into());
         match self {
             Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
                 let [major, minor, patch] = hello.software_version;
@@ -291,14 +263,14 @@ impl Content {
             }
             Self::ToHost(ToHost::Status(status)) => recorded(&status_entry(status), field),
             Self::ToHost(ToHost::Acknowledgement(answer)) => {
-                field("request", named(answer.request));
+                field("request", word(answer.request.name()));
                 field("sequence", number(answer.sequence.0.into()));
                 field("configuration_hash", number(answer.configuration_hash));
             }
             Self::ToHost(ToHost::Refusal(answer)) => {
-                field("request", named(answer.request));
+                field("request", word(answer.request.name()));
                 field("sequence", number(answer.sequence.0.into()));
-                field("reason", named(answer.reason));
+                field("reason", word(answer.reason.name()));
             }
             Self::ToBoard(ToBoard::Configure(configure)) => {
                 let configuration = &configure.configuration;
@@ -337,7 +309,7 @@ impl Content {
                 ] {
                     field(name, Value::Signed(value));
                 }
-                field("failsafe", named(configuration.failsafe));
+                field("failsafe", word(configuration.failsafe.name()));
                 field(
                     "max_pose_age_ms",
                     number(configuration.max_pose_age_ms.into()),
@@ -398,22 +370,10 @@ pub(in crate::dump) fn kinds(direction: Direction) -> Vec<Kind> {
                 name: example.name(),
                 fields,
                 brief: match example {
-                    Content::ToHost(ToHost::Telemetry(_)) => &[
-                        "offset",
-                        "length",
-                        "board_time_us",
-                        "mode",
-                        "stop_cause",
-                        "last_sequence",
-                        "imu",
-                        "forward_acceleration_mm_s2",
-                        "left_acceleration_mm_s2",
-                        "yaw_rate_mrad_s",
-                        "motor_speed_mm_s",
-                        "servo_us",
-                        "esc_us",
-                    ],
-                    _ => &[],
+                    Content::ToHost(ToHost::Telemetry(_)) => {
+                        [&["offset", "length", "board_time_us"], TELEMETRY].concat()
+                    }
+                    _ => Vec::new(),
                 },
             }
         })
@@ -449,52 +409,12 @@ const fn status_entry(status: &Status) -> Entry {
     })
 }
 
-fn example_telemetry() -> Telemetry {
-    use singletrack_protocol::{BoardMode, ImuState, StopCause};
-    Telemetry {
-        board_time_us: 0,
-        mode: BoardMode::Boot,
-        stop_cause: StopCause::None,
-        last_sequence: Sequence(0),
-        imu: ImuState::Silent,
-        imu_age_100us: 0,
-        linear_acceleration_mm_s2: [0; 3],
-        angular_velocity_mrad_s: [0; 3],
-        attitude_q14: [0; 4],
-        motor_speed_mm_s: 0,
-        servo_us: 0,
-        esc_us: 0,
+/// A packet with a message of zeros.
+fn zero<M: Message>(zeros: &[u8]) -> Packet<'_> {
+    Packet {
+        kind: M::TYPE as u8,
+        payload: zeros.get(..M::PAYLOAD_LENGTH).unwrap_or(zeros),
     }
-}
-
-fn example_status() -> Status {
-    use singletrack_protocol::ResetCause;
-    Status {
-        board_time_us: 0,
-        configuration_hash: 0,
-        reset_cause: ResetCause::Unknown,
-        stop_input_open: false,
-        battery_mv: 0,
-        frames_received: 0,
-        frames_damaged: 0,
-        drives_refused: 0,
-        last_refusal: RefusalReason::None,
-        frames_dropped: 0,
-        bytes_overrun: 0,
-        imu_errors: 0,
-    }
-}
-
-/// The name of a value of an enumeration, as records write it: `not-yet-neutral`.
-fn named(value: impl Debug) -> Value {
-    let mut word = String::new();
-    for character in format!("{value:?}").chars() {
-        if character.is_ascii_uppercase() && !word.is_empty() {
-            word.push('-');
-        }
-        word.push(character.to_ascii_lowercase());
-    }
-    Value::Text(word.into())
 }
 
 /// `0a ff 13`; with an ellipsis if there may be more.

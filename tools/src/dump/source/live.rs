@@ -8,7 +8,7 @@ use std::{
 };
 
 use serde_json::json;
-use singletrack_record::{NotAnEntry, Shown, Topic, Value};
+use singletrack_record::{ParseEntryError, Shown, Topic, Value};
 use singletrackd::{SOCKET_VERSION, monotonic_ns};
 
 use super::{Close, Next, PATIENCE, Row, Source};
@@ -66,8 +66,11 @@ impl Live {
             .map_err(unreachable)?;
         let times = kinds
             .iter()
-            .enumerate()
-            .map(|(index, kind)| chosen.contains(&index).then(|| time_field(kind))?)
+            .zip(Topic::ALL)
+            .map(|(kind, topic)| {
+                let chosen = chosen.contains(&topic.index());
+                chosen.then(|| kind.index(topic.time_field()))?
+            })
             .collect();
         let mut live = Self {
             path: path.to_owned(),
@@ -104,7 +107,7 @@ impl Live {
             self.wait()?;
         }
         let answer = serde_json::from_str::<serde_json::Value>(&self.line).map_err(|error| {
-            self.makes_no_sense(NotAnEntry::NotJson {
+            self.makes_no_sense(ParseEntryError::NotJson {
                 line: self.line.clone(),
                 reason: error.to_string(),
             })
@@ -117,7 +120,7 @@ impl Live {
                 path: self.path.clone(),
                 error: error.to_owned(),
             },
-            None => self.makes_no_sense(NotAnEntry::NoTopic {
+            None => self.makes_no_sense(ParseEntryError::NoTopic {
                 line: self.line.clone(),
             }),
         })
@@ -140,9 +143,7 @@ impl Live {
 
     /// The row that a line of an entry is; none if it was not asked for.
     fn row(&self, shown: &Shown) -> Option<Row> {
-        let kind = Topic::ALL
-            .into_iter()
-            .position(|topic| topic == shown.topic)?;
+        let kind = shown.topic.index();
         let field = (*self.times.get(kind)?)?;
         let time_ns = match shown.values.get(field) {
             Some(Value::Unsigned(ns)) => Some(ns.wrapping_sub(self.start_ns).cast_signed()),
@@ -158,7 +159,7 @@ impl Live {
         }
     }
 
-    fn makes_no_sense(&self, source: NotAnEntry) -> DumpError {
+    fn makes_no_sense(&self, source: ParseEntryError) -> DumpError {
         DumpError::Answer {
             path: self.path.clone(),
             source,
@@ -188,7 +189,7 @@ impl Source for Live {
                     }
                 }
                 // A newer daemon may have more topics than this program.
-                Err(NotAnEntry::NoTopic { line }) if line.contains("\"topic\"") => {}
+                Err(ParseEntryError::NoTopic { line }) if line.contains("\"topic\"") => {}
                 Err(source) => match missed(&self.line) {
                     Some(count) => {
                         self.missed += count;
@@ -242,13 +243,6 @@ impl Source for Live {
             ..Close::default()
         }
     }
-}
-
-/// The field with the time at which an entry reached the host.
-fn time_field(kind: &Kind) -> Option<usize> {
-    ["start_ns", "receive_time_ns", "time_ns"]
-        .into_iter()
-        .find_map(|name| kind.index(name))
 }
 
 /// How many entries the daemon says it could not send.

@@ -49,10 +49,7 @@ impl Source for Record {
     fn next(&mut self) -> Result<Next, DumpError> {
         Ok(match self.reader.advance()? {
             Some(Recorded { topic, wall_ns }) => Next::Row(Row {
-                kind: Topic::ALL
-                    .into_iter()
-                    .position(|known| known == topic)
-                    .unwrap_or_default(),
+                kind: topic.index(),
                 time_ns: Some(wall_ns.wrapping_sub(self.start_wall_ns).cast_signed()),
             }),
             None if self.follow && self.is_unfinished() => Next::Pending,

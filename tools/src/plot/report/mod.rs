@@ -5,7 +5,7 @@
 
 mod data;
 
-use singletrack_record::{Level, Log};
+use singletrack_record::{Level, Log, seconds_since};
 
 use super::{
     drive::Drive,
@@ -140,13 +140,8 @@ fn log(log: &[Log], drive: &Drive) -> String {
 
 fn table(lines: &[&Log], drive: &Drive) -> String {
     let rows = lines.iter().take(MOST_LOG_LINES).map(|log| {
-        let time = log.time_ns.wrapping_sub(drive.start_ns) as i64 as f64 * 1e-9;
-        let level = match log.level {
-            Level::Debug => "debug",
-            Level::Info => "info",
-            Level::Warning => "warning",
-            Level::Error => "error",
-        };
+        let time = seconds_since(drive.start_ns, log.time_ns);
+        let level = log.level.name();
         format!(
             "<tr><td>{time:.3}</td><td>{level}</td><td>{}</td></tr>\n",
             escaped(&log.text)

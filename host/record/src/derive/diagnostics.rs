@@ -1,27 +1,27 @@
-//! How pilot, board and record are doing, in the words of the diagnostics tools.
+//! The states of pilot, board and record for diagnostics tools.
 
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::{
-    StandardTopic,
-    derive::header,
-    message::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
+use super::header::header;
+use crate::{
+    Channel, EncodeError, Entry, LinkPhase, StandardTopic,
+    batch::Batch,
+    standard::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
 };
-use crate::{Channel, EncodeError, Entry, LinkPhase, encoder::Batch, message::Coded};
 
 const OK: Byte = Byte(0);
 const WARN: Byte = Byte(1);
 const ERROR: Byte = Byte(2);
 const STALE: Byte = Byte(3);
 
-/// The latest of what is told.
+/// The latest states.
 #[derive(Debug, Default)]
 pub(crate) struct Diagnostics {
     pilot: Option<Pilot>,
     board: Option<(BoardMode, StopCause)>,
     status: Option<Status>,
-    /// Whether a counter of trouble rose with the last status.
+    /// Whether an error counter rose with the last status.
     trouble: bool,
     dropped: u64,
 }
@@ -34,7 +34,8 @@ struct Pilot {
 }
 
 impl Diagnostics {
-    /// Takes in an entry, and adds a message if it brings something to tell.
+    /// Takes an entry, and adds a message if a state has changed or the board has sent its
+    /// status.
     pub(crate) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
         match entry {
             Entry::Tick(tick) => {
@@ -91,7 +92,7 @@ impl Diagnostics {
             vec![
                 pair("mode", mode.name()),
                 pair("reason", reason),
-                pair("link", link.word()),
+                pair("link", link.name()),
             ],
         ))
     }
@@ -111,17 +112,17 @@ impl Diagnostics {
         };
         let message = match mode {
             _ if lost => "no word from the board",
-            Some(mode) => mode.word(),
+            Some(mode) => mode.name(),
             None => "no telemetry yet",
         };
         let mut values = Vec::new();
         if let Some((mode, cause)) = self.board {
-            values.extend([pair("mode", mode.word()), pair("stop_cause", cause.word())]);
+            values.extend([pair("mode", mode.name()), pair("stop_cause", cause.name())]);
         }
         values.extend([
             pair("battery_V", &(f64::from(report.battery_mv) / 1_000.0)),
             pair("stop_input_open", &report.stop_input_open),
-            pair("reset_cause", report.reset_cause.word()),
+            pair("reset_cause", report.reset_cause.name()),
             pair(
                 "configuration_hash",
                 &format_args!("{:08x}", report.configuration_hash),
@@ -130,7 +131,7 @@ impl Diagnostics {
             pair("frames_damaged", &report.frames_damaged),
             pair("frames_dropped", &report.frames_dropped),
             pair("drives_refused", &report.drives_refused),
-            pair("last_refusal", report.last_refusal.word()),
+            pair("last_refusal", report.last_refusal.name()),
             pair("bytes_overrun", &report.bytes_overrun),
             pair("imu_errors", &report.imu_errors),
         ]);
@@ -156,7 +157,7 @@ impl Diagnostics {
     }
 }
 
-/// Counters that should stand still.
+/// The counters of errors.
 const fn troubles(status: &Status) -> [u16; 5] {
     [
         status.frames_damaged,

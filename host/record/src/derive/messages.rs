@@ -1,32 +1,32 @@
-//! What follows from an entry: position and movement as general tools show them.
+//! The messages that follow from one entry: position and movement for general tools.
 
 use singletrack_control::{Estimate, Position};
 use singletrack_mocap::{Pose as BodyPose, PoseState};
-use singletrack_protocol::ImuState;
 
-use super::{
-    BASE_FRAME, StandardTopic, WORLD_FRAME,
-    message::{
-        AckermannDrive, AckermannDriveStamped, Header, Imu, Log, Odometry, Point, PointStamped,
-        Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time, Transform,
-        TransformStamped, Twist, TwistWithCovariance, Vector3,
+use super::header::{header, stamp};
+use crate::{
+    BASE_FRAME, Channel, EncodeError, Entry, StandardTopic, TelemetryRecord, TickRecord,
+    WORLD_FRAME,
+    batch::Batch,
+    message::Coded,
+    standard::{
+        AckermannDrive, AckermannDriveStamped, Imu, Log, Odometry, Point, PointStamped, Pose,
+        PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Transform, TransformStamped, Twist,
+        TwistWithCovariance, Vector3,
     },
 };
-use crate::{
-    Channel, EncodeError, Entry, TelemetryRecord, TickRecord, encoder::Batch, message::Coded,
-};
 
-/// What ROS takes for an unknown covariance.
+/// The value for an unknown covariance in ROS.
 const UNKNOWN_3: [[f64; 3]; 3] = [[0.0; 3]; 3];
 const UNKNOWN_6: [[f64; 6]; 6] = [[0.0; 6]; 6];
 
-/// One of the board's units of a component of a quaternion.
+/// Unit of a component of a quaternion in telemetry.
 const Q14: f64 = 1.0 / 16_384.0;
 
-/// The name that lines of the log are under.
+/// The name of the source in lines of the log.
 const NODE: &str = "singletrack";
 
-/// Adds what follows from `entry` alone.
+/// Adds the messages that follow from `entry` alone.
 pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
     match entry {
         Entry::Tick(tick) => from_tick(tick, batch),
@@ -134,18 +134,20 @@ fn from_estimate(estimate: &Estimate, batch: &mut Batch) -> Result<(), EncodeErr
 }
 
 fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), EncodeError> {
-    let telemetry = &record.telemetry;
-    let (ImuState::Fresh, Some(time_ns)) = (telemetry.imu, record.imu_time_host_ns) else {
+    let Some(time_ns) = record.new_imu_time_ns() else {
         return Ok(());
     };
-    let [w, x, y, z] = telemetry.attitude_q14.map(|part| f64::from(part) * Q14);
+    let [w, x, y, z] = record
+        .telemetry
+        .attitude_q14
+        .map(|part| f64::from(part) * Q14);
     let message = Imu {
         header: header(time_ns, BASE_FRAME, batch),
         orientation: Quaternion { x, y, z, w },
         orientation_covariance: UNKNOWN_3,
-        angular_velocity: from_thousandths(telemetry.angular_velocity_mrad_s),
+        angular_velocity: vector(record.angular_velocity_rad_s()),
         angular_velocity_covariance: UNKNOWN_3,
-        linear_acceleration: from_thousandths(telemetry.linear_acceleration_mm_s2),
+        linear_acceleration: vector(record.linear_acceleration_m_s2()),
         linear_acceleration_covariance: UNKNOWN_3,
     };
     add(StandardTopic::Imu, time_ns, &message, batch)
@@ -176,24 +178,6 @@ fn add(
     batch.add(Channel::Standard(topic), time_ns, message)
 }
 
-/// A header for a moment of the monotonic clock.
-pub(super) fn header(time_ns: u64, frame_id: &'static str, batch: &Batch) -> Header {
-    Header {
-        stamp: stamp(time_ns, batch),
-        frame_id,
-    }
-}
-
-fn stamp(time_ns: u64, batch: &Batch) -> Time {
-    const SECOND: u64 = 1_000_000_000;
-    let wall_ns = batch.wall_ns_at(time_ns);
-    Time {
-        // ROS's seconds end in 2038.
-        sec: i32::try_from(wall_ns / SECOND).unwrap_or(i32::MAX),
-        nanosec: (wall_ns % SECOND) as u32,
-    }
-}
-
 fn on_the_floor(position: Position) -> Point {
     Point {
         x: position.x,
@@ -211,7 +195,6 @@ fn about_z(yaw: f64) -> Quaternion {
     }
 }
 
-fn from_thousandths(parts: [i16; 3]) -> Vector3 {
-    let [x, y, z] = parts.map(|part| f64::from(part) / 1_000.0);
+const fn vector([x, y, z]: [f64; 3]) -> Vector3 {
     Vector3 { x, y, z }
 }

@@ -1,4 +1,4 @@
-//! What general tools get to see.
+//! The messages for general tools.
 
 #![allow(
     clippy::unwrap_used,
@@ -11,14 +11,13 @@ use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, Status};
 
-use super::*;
 use crate::{
-    Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry, StatusRecord,
-    TelemetryRecord, TickRecord, tick,
+    BASE_FRAME, Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry,
+    StandardTopic, StatusRecord, TelemetryRecord, TickRecord, WORLD_FRAME, tick,
     topic::tests::{BySchema, telemetry},
 };
 
-/// 40 s of the monotonic clock are 100.25 s on the wall.
+/// 40 s of the monotonic clock are 100.25 s of the wall clock.
 const START: ClockMapping = ClockMapping {
     monotonic_ns: 39_000_000_000,
     wall_ns: 99_250_000_000,
@@ -110,7 +109,7 @@ fn an_entry_comes_first_and_bit_for_bit() {
 }
 
 #[test]
-fn a_driving_tick_shows_where_the_car_is_and_should_be() {
+fn a_driving_tick_gives_position_and_reference() {
     let mut encoder = encoder();
     assert_eq!(
         topics(&mut encoder, &full()),
@@ -166,7 +165,7 @@ fn a_driving_tick_shows_where_the_car_is_and_should_be() {
 }
 
 #[test]
-fn a_point_is_encoded_as_the_standard_says() {
+fn a_point_is_encoded_as_in_the_standard() {
     let point = Message::of(&mut encoder(), &full(), StandardTopic::PointP);
     let expected = [
         &[0, 1, 0, 0][..], // plain CDR, little-endian
@@ -184,7 +183,7 @@ fn a_point_is_encoded_as_the_standard_says() {
 }
 
 #[test]
-fn a_tick_without_estimate_and_command_invents_nothing() {
+fn a_tick_without_estimate_and_command_gives_no_message() {
     let entry = Entry::Tick(tick::tests::empty());
     let mut encoder = encoder();
     assert_eq!(topics(&mut encoder, &entry), [StandardTopic::Diagnostics]);
@@ -234,7 +233,7 @@ fn observation(state: PoseState) -> Entry {
 }
 
 #[test]
-fn a_valid_pose_is_shown_at_the_moment_it_was_captured() {
+fn a_valid_pose_is_shown_at_its_mid_exposure() {
     let valid = observation(PoseState::Valid(Pose {
         x_m: 1.5,
         y_m: -0.5,
@@ -274,7 +273,7 @@ fn a_line_of_the_log_keeps_its_level() {
 }
 
 #[test]
-fn a_time_that_ros_cannot_count_is_the_last_that_it_can() {
+fn a_time_beyond_the_range_of_ros_is_its_last_time() {
     let entry = Entry::Log(LogEntry {
         time_ns: u64::MAX,
         level: Level::Info,
@@ -321,7 +320,7 @@ fn levels(encoder: &mut Encoder, entry: &Entry) -> Vec<f64> {
 #[test]
 fn each_status_of_the_board_and_each_change_of_mode_is_a_diagnosis() {
     let mut encoder = encoder();
-    // Nothing is known of the pilot.
+    // Before the first tick.
     assert_eq!(levels(&mut encoder, &status(9)), [0.0, 0.0]);
     let driving = Entry::Tick(mode(Mode::Driving, None));
     let told = Message::of(&mut encoder, &driving, StandardTopic::Diagnostics);
@@ -334,7 +333,7 @@ fn each_status_of_the_board_and_each_change_of_mode_is_a_diagnosis() {
 }
 
 #[test]
-fn a_diagnosis_is_as_bad_as_what_it_tells() {
+fn the_level_of_a_diagnosis_follows_the_state() {
     let mut encoder = encoder();
     let level = |encoder: &mut Encoder, entry| levels(encoder, &entry);
     let tick = |of, reason| Entry::Tick(mode(of, reason));
@@ -355,7 +354,7 @@ fn a_diagnosis_is_as_bad_as_what_it_tells() {
     record.telemetry.mode = BoardMode::Driving;
     topics(&mut encoder, &Entry::Telemetry(record));
     assert_eq!(level(&mut encoder, status(9)), [2.0, 0.0, 0.0]);
-    // A counter of damage rose.
+    // An error counter rose.
     assert_eq!(level(&mut encoder, status(10)), [2.0, 1.0, 0.0]);
     assert_eq!(level(&mut encoder, status(10)), [2.0, 0.0, 0.0]);
     let mut lost = mode(Mode::Disconnected, Some(Reason::LinkDown));

@@ -1,0 +1,214 @@
+//! How a message is declared.
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use super::definition::Definition;
+use crate::value::Visitor;
+
+/// The package that all messages belong to.
+const PACKAGE: &str = "singletrack_msgs";
+
+/// The fields of a message, or a group of them.
+pub(crate) trait Fields: Clone + Serialize + DeserializeOwned {
+    /// Adds the fields to a schema.
+    fn define(definition: &mut Definition);
+
+    /// What is encoded where the message is absent.
+    fn absent() -> Self;
+
+    /// Visits the fields in the order of the schema.
+    fn visit(&self, visitor: &mut dyn Visitor);
+}
+
+/// A message type.
+pub(crate) trait Message: Fields {
+    /// Its name within the package.
+    const NAME: &'static str;
+
+    /// Its comment in the schema, line by line.
+    const ABOUT: &'static [&'static str];
+}
+
+/// Adds the definition of a message: its comment, then its fields.
+fn define<M: Message>(definition: &mut Definition) {
+    for line in M::ABOUT {
+        definition.comment(line);
+    }
+    M::define(definition);
+}
+
+/// Adds a field that is a message, or an array of it.
+pub(super) fn declare<M: Message>(name: &str, array: &str, definition: &mut Definition) {
+    definition.message(&format!("{PACKAGE}/{}", M::NAME), define::<M>, name, array);
+}
+
+/// The name of a message's schema.
+pub(crate) fn schema_name<M: Message>() -> String {
+    format!("{PACKAGE}/msg/{}", M::NAME)
+}
+
+/// The text of a message's schema: its own definition, then those of all messages
+/// within it.
+pub(crate) fn schema_text<M: Message>() -> String {
+    let mut definition = Definition::default();
+    define::<M>(&mut definition);
+    definition.finish()
+}
+
+/// Declares the fields of a message, or a group of them: name and type in the schema.
+///
+/// After `of` stands the type of the record that the fields represent; a conversion
+/// in each direction follows. `= part` names the part of that type that a field
+/// represents where its name is another. `=> function` is a value that follows from
+/// the whole: it is written for readers of the file and not read back.
+macro_rules! fields {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident of $source:ident { $($fields:tt)* }
+    ) => {
+        fields! { $(#[doc = $about])* $type { $($fields)* } }
+        fields! { @represents $type $source { $($fields)* } }
+    };
+    (
+        $(#[doc = $about:literal])*
+        $type:ident {
+            $(
+                $(#[doc = $comment:literal])*
+                $field:ident : $kind:ty $(= $part:ident)? $(=> $function:path)?,
+            )*
+        }
+    ) => {
+        $(#[doc = $about])*
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        pub(crate) struct $type {
+            $( $(#[doc = $comment])* pub(crate) $field: $kind, )*
+        }
+
+        impl $crate::message::declare::Fields for $type {
+            fn define(definition: &mut $crate::message::Definition) {
+                use $crate::message::field::Field;
+                $(
+                    definition.begin_field(&[$($comment),*]);
+                    <$kind as Field>::declare(stringify!($field), definition);
+                )*
+            }
+
+            fn absent() -> Self {
+                use $crate::message::field::Field;
+                Self { $( $field: <$kind as Field>::absent(), )* }
+            }
+
+            fn visit(&self, visitor: &mut dyn $crate::value::Visitor) {
+                use $crate::message::field::Field;
+                $( Field::visit(&self.$field, stringify!($field), visitor); )*
+            }
+        }
+    };
+    (
+        @represents $type:ident $source:ident {
+            $(
+                $(#[doc = $comment:literal])*
+                $field:ident : $kind:ty $(= $part:ident)? $(=> $function:path)?,
+            )*
+        }
+    ) => {
+        impl $crate::message::field::Represents<$source> for $type {
+            fn of(source: &$source) -> Self {
+                Self {
+                    $( $field: fields!(@of source $field $(= $part)? $(=> $function)?), )*
+                }
+            }
+
+            fn value(self) -> Result<$source, $crate::message::field::InvalidMessage> {
+                fields!(@value self $source {} $( $field $(= $part)? $(=> $function)?, )*)
+            }
+        }
+    };
+    (@of $source:ident $field:ident) => {
+        $crate::message::field::Represents::of(&$source.$field)
+    };
+    (@of $source:ident $field:ident = $part:ident) => {
+        $crate::message::field::Represents::of(&$source.$part)
+    };
+    (@of $source:ident $field:ident => $function:path) => {
+        $crate::message::field::Represents::of(&$function($source))
+    };
+    (@value $self:ident $source:ident { $($done:tt)* }) => {
+        Ok($source { $($done)* })
+    };
+    (@value $self:ident $source:ident { $($done:tt)* } $field:ident, $($rest:tt)*) => {
+        fields!(@value $self $source {
+            $($done)* $field: $crate::message::field::Represents::value($self.$field)?,
+        } $($rest)*)
+    };
+    (@value $self:ident $source:ident { $($done:tt)* }
+        $field:ident = $part:ident, $($rest:tt)*
+    ) => {
+        fields!(@value $self $source {
+            $($done)* $part: $crate::message::field::Represents::value($self.$field)?,
+        } $($rest)*)
+    };
+    (@value $self:ident $source:ident { $($done:tt)* }
+        $field:ident => $function:path, $($rest:tt)*
+    ) => {
+        fields!(@value $self $source { $($done)* } $($rest)*)
+    };
+}
+
+/// Declares a group of fields that represents an array, element by element.
+macro_rules! array {
+    ($type:ident of [$item:ty; $length:literal] { $($field:ident,)* }) => {
+        fields! { $type { $($field: $item,)* } }
+
+        impl $crate::message::field::Represents<[$item; $length]> for $type {
+            fn of(value: &[$item; $length]) -> Self {
+                let [$($field),*] = *value;
+                Self { $($field),* }
+            }
+
+            fn value(self) -> Result<[$item; $length], $crate::message::field::InvalidMessage> {
+                Ok([$(self.$field),*])
+            }
+        }
+    };
+}
+
+/// Declares a message: a name for [`fields`] that other messages and the file refer to.
+macro_rules! message {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident as $name:literal $(of $source:ident)? { $($fields:tt)* }
+    ) => {
+        fields! { $(#[doc = $about])* $type $(of $source)? { $($fields)* } }
+
+        impl $crate::message::declare::Message for $type {
+            const NAME: &'static str = $name;
+            const ABOUT: &'static [&'static str] = &[$($about),*];
+        }
+
+        impl $crate::message::field::Field for $type {
+            fn declare(name: &'static str, definition: &mut $crate::message::Definition) {
+                $crate::message::declare::declare::<Self>(name, "", definition);
+            }
+
+            fn absent() -> Self {
+                $crate::message::declare::Fields::absent()
+            }
+
+            fn visit(&self, name: &'static str, visitor: &mut dyn $crate::value::Visitor) {
+                visitor.message(name, true, &|inner| {
+                    $crate::message::declare::Fields::visit(self, inner);
+                });
+            }
+
+            fn visit_absent(name: &'static str, visitor: &mut dyn $crate::value::Visitor) {
+                visitor.message(name, false, &|inner| {
+                    let absent = <Self as $crate::message::declare::Fields>::absent();
+                    $crate::message::declare::Fields::visit(&absent, inner);
+                });
+            }
+        }
+    };
+}
+
+pub(super) use {array, fields, message};
