@@ -1,4 +1,4 @@
-//! A number that names everything that happened in a drive.
+//! A hash of the events of a drive.
 
 use crate::observation::Observation;
 
@@ -24,7 +24,7 @@ impl Digest {
         }
     }
 
-    /// Takes in what was new in a step.
+    /// Hashes the events of a step.
     pub(crate) fn add(&mut self, observation: &Observation<'_>) {
         for pulse in observation.pulses {
             self.word(pulse.time_us);

@@ -213,7 +213,7 @@ impl<'a> Drive<'a> {
             self.faults.remove(index);
             changed = true;
             stage::end(&mut self.world, &fault);
-            self.network.changes(fault.kind);
+            self.network.note_change(fault.kind);
             if fault.kind == FaultKind::CameraServerRestart {
                 self.network.restart_server(&self.world);
             }
@@ -223,7 +223,7 @@ impl<'a> Drive<'a> {
             if us(fault.at_ms) == now_us {
                 changed = true;
                 stage::begin(&mut self.world, fault);
-                self.network.changes(fault.kind);
+                self.network.note_change(fault.kind);
                 if fault.kind == FaultKind::BoardHang && self.world.board().is_running() {
                     self.bites_us.get_or_insert(now_us + WATCHDOG_US);
                 }
