@@ -1,11 +1,10 @@
-//! Payloads into bytes and back, for the board.
+//! Encoding and decoding of payloads, for the board.
 //!
-//! The bytes are those that postcard gives for the same types, which the host's
-//! end uses (the tests compare the two), and nothing else is ever sent. But
-//! postcard's code is generic, inlined, and checks every byte for room in the
-//! middle of every field: on the board it would be a quarter of the flash. Here a
-//! field is a call; what is missing or means nothing is noted, and asked about at
-//! the end.
+//! The bytes are the same as postcard's for these types; the host uses postcard,
+//! and tests compare the two. On the board, postcard's code would take a quarter of
+//! the flash: it is generic, inlined, and checks the remaining room at every byte.
+//! Here a field is a function call; missing bytes and invalid numbers set a flag
+//! that is read at the end.
 
 use crate::{
     Acknowledgement, Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop,
@@ -13,15 +12,15 @@ use crate::{
     Sequence, ServoCalibration, SpeedLoop, Status, StopCause, Telemetry,
 };
 
-/// What a payload is made of.
+/// A part of a payload.
 pub trait Field: Sized {
-    /// Appends it.
+    /// Appends the value.
     fn write(&self, writer: &mut Writer<'_>);
-    /// Takes it from the front.
+    /// Reads a value from the front.
     fn read(reader: &mut Reader<'_>) -> Self;
 }
 
-/// Fills a buffer from the front. What does not fit is left out.
+/// Writes to a buffer from the front. Bytes that do not fit are dropped.
 #[derive(Debug)]
 pub struct Writer<'a>(core::slice::IterMut<'a, u8>);
 
@@ -30,7 +29,7 @@ impl<'a> Writer<'a> {
         Self(buffer.iter_mut())
     }
 
-    /// Bytes of the buffer that are still free.
+    /// Number of free bytes.
     pub(crate) fn room(&self) -> usize {
         self.0.len()
     }
@@ -61,11 +60,11 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Takes a payload apart.
+/// Reads a payload from the front.
 #[derive(Debug)]
 pub struct Reader<'a> {
     bytes: core::slice::Iter<'a, u8>,
-    /// Something was missing or meant nothing.
+    /// A byte was missing or a number invalid.
     failed: bool,
 }
 
@@ -77,7 +76,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Whether everything had a meaning, and nothing is left.
+    /// Whether all values were valid and no byte is left.
     pub(crate) fn finish(self) -> bool {
         !self.failed && self.bytes.len() == 0
     }
@@ -107,7 +106,7 @@ impl<'a> Reader<'a> {
         u32::from(low) | (u32::from(self.take_16()) << 16)
     }
 
-    /// A number below `count`; zero instead of another one.
+    /// A number below `count`; any other one is an error and gives zero.
     #[inline(never)]
     fn take_below(&mut self, count: u8) -> u8 {
         let number = self.next();
@@ -191,7 +190,7 @@ impl Field for Sequence {
     }
 }
 
-/// Structures: their fields, all of them, in the order in which they are sent.
+/// Structures, with all fields in the order of transmission.
 macro_rules! structures {
     ($($name:ident { $($field:ident,)* })*) => {$(
         impl Field for $name {
@@ -207,12 +206,12 @@ macro_rules! structures {
     )*};
 }
 
-/// Enumerations: their variants, all of them, numbered from zero.
+/// Enumerations, with all variants, numbered from zero.
 macro_rules! enumerations {
     ($($name:ident { $first:ident, $($variant:ident,)* })*) => {$(
         impl Field for $name {
             fn write(&self, writer: &mut Writer<'_>) {
-                // Does not compile when one is missing.
+                // Fails to compile if a variant is missing.
                 match self {
                     Self::$first $(| Self::$variant)* => writer.put_8(*self as u8),
                 }
@@ -317,15 +316,17 @@ enumerations! {
 
 #[cfg(test)]
 mod tests {
+    use std::fmt::Debug;
+
+    use proptest::{array::uniform32, prelude::*};
+
     use super::{Reader, Writer};
     use crate::{
         Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Message, Refusal,
         Status, Telemetry,
     };
-    use proptest::{array::uniform32, prelude::*};
-    use std::fmt::Debug;
 
-    /// Reads any bytes as postcard does, and writes what they mean as postcard does.
+    /// Reading and writing give the same results as postcard, for any bytes.
     fn agrees_with_postcard<M: Message + PartialEq + Debug>(
         bytes: &[u8],
     ) -> Result<(), TestCaseError> {
@@ -354,7 +355,7 @@ mod tests {
     proptest! {
         #[test]
         fn every_payload_is_read_and_written_as_postcard_does(
-            // Mostly small, or hardly any number would have a meaning.
+            // Mostly small, or hardly any number would be valid.
             bytes in [(); 2].map(|()| uniform32(prop_oneof![7 => 0_u8..6, 1 => any::<u8>()])),
         ) {
             let bytes = bytes.concat();

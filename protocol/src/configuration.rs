@@ -1,14 +1,17 @@
-//! The calibration and the limits that the host gives to the board.
+//! Calibration and limits, sent by the host.
 //!
-//! One file on the host owns them; the board keeps nothing over a reset and
-//! refuses to arm without.
+//! The host keeps them in one file. The board loses them at a reset and refuses to
+//! arm without them.
 
 use serde::{Deserialize, Serialize};
 
-use crate::codec::{Field, Writer};
-use crate::{Configure, Message, crc::crc32};
+use crate::{
+    Configure, Message,
+    codec::{Field, Writer},
+    crc::crc32,
+};
 
-/// Everything that the board must know about the car that it is built into.
+/// Calibration and limits of the car.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configuration {
     /// The steering servo.
@@ -17,24 +20,24 @@ pub struct Configuration {
     pub esc: EscCalibration,
     /// The speed loop closed on the motor pulses.
     pub speed: SpeedLoop,
-    /// What the ESC is given when the board stops the car by itself.
+    /// ESC output when the board stops the car by itself.
     pub failsafe: FailsafeAction,
     /// Oldest pose that a [`crate::Drive`] may be based on, in milliseconds;
     /// 1 to [`crate::MAX_POSE_AGE_CEILING_MS`].
     #[serde(with = "postcard::fixint::le")]
     pub max_pose_age_ms: u16,
-    /// Whether a normally-closed stop switch is wired: when it opens, the car
-    /// stops as for [`crate::EmergencyStop`].
+    /// Whether a normally-closed stop switch is wired. Opening it acts like
+    /// [`crate::EmergencyStop`].
     pub stop_input: bool,
 }
 
 impl Configuration {
-    /// Its length as it is sent: a [`Configure`] without the request number.
+    /// Length in bytes: a [`Configure`] without the request number.
     const LENGTH: usize = Configure::PAYLOAD_LENGTH - 1;
 
-    /// Names this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
-    /// and [`crate::Status`]: CRC-32 of its bytes as they are sent. Never zero,
-    /// which means that there is none.
+    /// Identifies this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
+    /// and [`crate::Status`]: the CRC-32 of its encoded bytes. Never zero, which
+    /// stands for no configuration.
     #[must_use]
     #[inline(never)]
     pub fn hash(&self) -> u32 {
@@ -47,17 +50,17 @@ impl Configuration {
 /// Maps steering angles to servo pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ServoCalibration {
-    /// Pulse that steers straight on (the trim), in µs.
+    /// Pulse for zero steering angle (the trim), in µs.
     #[serde(with = "postcard::fixint::le")]
     pub centre_us: u16,
-    /// Pulse change for one radian to the left, in µs/rad; negative when the
-    /// servo is mounted the other way round.
+    /// Pulse change per radian to the left, in µs/rad; negative if the servo is
+    /// mounted the other way round.
     #[serde(with = "postcard::fixint::le")]
     pub gain_us_per_rad: i16,
-    /// Shortest pulse ever sent, in µs.
+    /// Shortest pulse, in µs.
     #[serde(with = "postcard::fixint::le")]
     pub min_us: u16,
-    /// Longest pulse ever sent, in µs.
+    /// Longest pulse, in µs.
     #[serde(with = "postcard::fixint::le")]
     pub max_us: u16,
     /// Largest change of the pulse in 20 ms, in µs.
@@ -65,23 +68,23 @@ pub struct ServoCalibration {
     pub slew_us_per_20ms: u16,
 }
 
-/// The pulses that the electronic speed controller understands.
+/// Pulses of the electronic speed controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EscCalibration {
-    /// Pulse at which the motor is free, in µs.
+    /// Pulse without drive or brake, in µs.
     #[serde(with = "postcard::fixint::le")]
     pub neutral_us: u16,
     /// Half width of the band around neutral in which the motor does not turn, in µs.
     #[serde(with = "postcard::fixint::le")]
     pub deadband_us: u16,
-    /// Shortest pulse ever sent, in µs: full brake or reverse.
+    /// Shortest pulse, in µs: full brake or reverse.
     #[serde(with = "postcard::fixint::le")]
     pub min_us: u16,
-    /// Longest pulse ever sent, in µs: full forward.
+    /// Longest pulse, in µs: full forward.
     #[serde(with = "postcard::fixint::le")]
     pub max_us: u16,
-    /// Largest change of the pulse away from neutral in 20 ms, in µs; towards
-    /// neutral the pulse changes at once.
+    /// Largest change of the pulse away from neutral in 20 ms, in µs; changes
+    /// towards neutral are immediate.
     #[serde(with = "postcard::fixint::le")]
     pub slew_us_per_20ms: u16,
     /// Pulse that brakes, in µs; used by [`FailsafeAction::Brake`].
@@ -89,14 +92,14 @@ pub struct EscCalibration {
     pub brake_us: u16,
 }
 
-/// The speed loop that the board closes on the motor pulses.
+/// The board's speed controller, with feedback from the motor pulses.
 ///
 /// The pulse beyond the deadband is
 /// `feed_forward · v + proportional · e + ∫ integral · e dt`, with the error
 /// `e = v - measured`, and the integral limited to `± integral_limit_us`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SpeedLoop {
-    /// Distance that the car rolls in one motor pulse, in µm.
+    /// Distance per motor pulse, in µm.
     #[serde(with = "postcard::fixint::le")]
     pub pulse_distance_um: u16,
     /// Feed-forward gain, in µs per m/s.
@@ -111,21 +114,22 @@ pub struct SpeedLoop {
     /// Limit of the integral term, in µs.
     #[serde(with = "postcard::fixint::le")]
     pub integral_limit_us: u16,
-    /// Fastest forward speed that is obeyed, in mm/s; faster commands are clamped.
+    /// Largest forward speed, in mm/s; faster commands are clamped.
     #[serde(with = "postcard::fixint::le")]
     pub max_forward_mm_s: u16,
-    /// Fastest reverse speed that is obeyed, in mm/s. Zero: reverse is refused.
+    /// Largest reverse speed, in mm/s; faster commands are clamped. Zero disables
+    /// reverse.
     #[serde(with = "postcard::fixint::le")]
     pub max_reverse_mm_s: u16,
 }
 
-/// What the ESC is given when the board stops the car by itself.
+/// ESC output when the board stops the car by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FailsafeAction {
-    /// Neutral: the car rolls out.
+    /// Neutral; the car rolls out.
     Coast,
-    /// The braking pulse until the wheels stand still, at most half a second,
-    /// then neutral. Neutral at once after driving in reverse, where the pulse
-    /// would not brake.
+    /// The brake pulse until the wheels stand still, for at most 0.5 s, then
+    /// neutral. Neutral at once after driving in reverse, where the pulse would not
+    /// brake.
     Brake,
 }

@@ -1,22 +1,21 @@
-//! The greeting, whose layout is frozen for ever.
+//! The greeting, whose layout never changes.
 
 use serde::{Deserialize, Serialize};
 
-/// The nonce of a [`Hello`] that answers nothing: the board has just started.
+/// The nonce of the [`Hello`] that the board sends at its start, unsolicited.
 pub const UNSOLICITED: u32 = 0;
 
-/// Who is speaking, in a layout that never changes.
+/// Versions of the sender, in a layout that never changes.
 ///
-/// The host sends it with a non-zero nonce; the board answers with its own
-/// versions and the same nonce. The board also sends one with the nonce
-/// [`UNSOLICITED`] when it starts, which tells the host that all state on the
-/// board is lost.
+/// The host sends it with a non-zero nonce; the board answers with its own versions
+/// and the same nonce. The board also sends one with the nonce [`UNSOLICITED`] when
+/// it starts: all state on the board has been lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
-    /// The speaker's [`crate::VERSION`].
+    /// The sender's [`crate::VERSION`].
     #[serde(with = "postcard::fixint::le")]
     pub protocol_version: u16,
-    /// The speaker's software version: major, minor, patch.
+    /// The sender's software version: major, minor, patch.
     pub software_version: [u8; 3],
     /// Chosen by the host, repeated by the board; [`UNSOLICITED`] at start-up.
     #[serde(with = "postcard::fixint::le")]

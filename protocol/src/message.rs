@@ -1,32 +1,31 @@
-//! The two sets of messages, and their way into frames and out of packets.
+//! The messages of both directions, with encoding and decoding.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::codec::{Field, Reader};
-use crate::frame::{Frame, MAX_PAYLOAD_LENGTH, Packet};
 use crate::{
     Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
     Status, Telemetry,
+    codec::{Field, Reader},
+    frame::{Frame, MAX_PAYLOAD_LENGTH, Packet},
 };
 
-/// Gives the board its calibration and limits.
+/// Sends calibration and limits to the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configure {
-    /// Names this request in the answer.
+    /// Number of this request, repeated in the answer.
     pub request: Sequence,
-    /// What the board is to use from now on, whole: nothing is kept of an
-    /// earlier one.
+    /// The complete configuration; it replaces an earlier one.
     pub configuration: Configuration,
 }
 
-/// The byte that begins every packet.
+/// The first byte of every packet.
 ///
-/// The two directions share none but [`MessageType::Hello`], so that a line
-/// that echoes is not taken for a partner.
+/// The two directions share only [`MessageType::Hello`], so that an echo is not
+/// mistaken for the other end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum MessageType {
-    /// [`Hello`], both ways; frozen for ever.
+    /// [`Hello`], in both directions; never changes.
     Hello = 0x01,
     /// [`Configure`], to the board.
     Configure = 0x10,
@@ -48,14 +47,14 @@ pub enum MessageType {
     Refusal = 0x23,
 }
 
-/// A message with its type byte and the one length its payload can have.
+/// A message with its type byte and the fixed length of its payload.
 pub trait Message: Field + Serialize + DeserializeOwned {
-    /// The byte that begins its packets.
+    /// First byte of its packets.
     const TYPE: MessageType;
-    /// The length of its payload, in bytes.
+    /// Length of its payload, in bytes.
     const PAYLOAD_LENGTH: usize;
 
-    /// The frame that carries this message, as the board makes it.
+    /// Encodes this message as a frame, by the board's codec.
     #[must_use]
     fn encode(&self) -> Frame {
         let mut frame = Frame::new();
@@ -63,8 +62,8 @@ pub trait Message: Field + Serialize + DeserializeOwned {
         frame
     }
 
-    /// Makes `frame` the one that carries this message: the same as
-    /// [`Message::encode`], without the copy that a return value can cost.
+    /// Encodes this message into `frame`; unlike [`Message::encode`], without
+    /// copying a return value.
     fn encode_into(&self, frame: &mut Frame) {
         frame.build(Self::TYPE as u8, self);
     }
@@ -93,43 +92,39 @@ messages! {
     Refusal: 3,
 }
 
-/// Why a good packet is not a message that this version understands.
+/// Errors while decoding a valid packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
     /// No message in this direction has this type byte.
-    #[error(
-        "no message in this direction has the type byte {0:#04x}: the other side speaks another version"
-    )]
+    #[error("unknown type byte {0:#04x} in this direction: the other side uses another version")]
     UnknownType(u8),
-    /// The payload has not the one length that the message can have.
+    /// The length of the payload does not match the message.
     #[error(
-        "the payload of {message:?} is {actual} bytes instead of {expected}: the other side speaks another version"
+        "the payload of {message:?} has {actual} bytes instead of {expected}: the other side uses another version"
     )]
     Length {
-        /// The message named by the type byte.
+        /// The message of the type byte.
         message: MessageType,
-        /// The length that its payload must have, in bytes.
+        /// Length of its payload, in bytes.
         expected: usize,
-        /// The length that it had, in bytes.
+        /// Received length, in bytes.
         actual: usize,
     },
-    /// A truth value or an enumeration holds a number that means nothing.
-    #[error(
-        "a field of {message:?} holds a number without a meaning: the other side speaks another version"
-    )]
+    /// A Boolean or an enumeration has an invalid number.
+    #[error("invalid number in a field of {message:?}: the other side uses another version")]
     Value {
-        /// The message named by the type byte.
+        /// The message of the type byte.
         message: MessageType,
     },
 }
 
-// The host's end passes payloads through postcard. The board's end has no room for
-// that and passes the same bytes field by field, see `codec`: so whatever one end
-// writes, the other implementation reads.
+// The host encodes and decodes with postcard. The board has no room for postcard
+// and uses `codec`, which gives the same bytes. Each implementation therefore reads
+// what the other writes.
 
 fn encode_by_postcard<M: Message>(message: &M) -> Frame {
     Frame::filled(M::TYPE as u8, |buffer| {
-        // The buffer has room for every message.
+        // Every message fits in the buffer.
         postcard::to_slice(message, buffer).map_or(0, |payload| payload.len())
     })
 }
@@ -182,7 +177,7 @@ macro_rules! direction {
         }
 
         impl $name {
-            /// The frame that carries this message.
+            /// Encodes this message as a frame.
             #[must_use]
             pub fn encode(&self) -> Frame {
                 match self {
@@ -190,12 +185,12 @@ macro_rules! direction {
                 }
             }
 
-            /// The message that a packet carries.
+            /// Decodes a packet.
             ///
             /// # Errors
             ///
-            /// When the type is not one of this direction, or when length or
-            /// contents are not those of the type.
+            /// If the type does not belong to this direction, or length or contents
+            /// do not match the type.
             pub fn decode(packet: Packet<'_>) -> Result<Self, DecodeError> {
                 $(if packet.kind == MessageType::$message as u8 {
                     return $decode(packet.payload).map(Self::$message);
@@ -213,35 +208,35 @@ macro_rules! direction {
 }
 
 direction! {
-    /// What the host sends.
+    /// Messages from the host.
     ToBoard: encode_by_postcard, decode_by_fields {
-        /// Greets, and asks for the board's greeting.
+        /// Greets; the board answers with its own greeting.
         Hello,
-        /// Asks the board to take over a configuration.
+        /// Configures the board.
         Configure,
-        /// Asks the board to accept commands.
+        /// Enables commands.
         Arm,
-        /// Asks the board to stop accepting commands.
+        /// Disables commands.
         Disarm,
         /// Commands speed and steering.
         Drive,
-        /// Stops until reset.
+        /// Stops the car until a reset.
         EmergencyStop,
     }
 }
 
 direction! {
-    /// What the board sends.
+    /// Messages from the board.
     ToHost: encode_by_fields, decode_by_postcard {
-        /// Answers a greeting, or announces a start.
+        /// Answers a greeting, or announces a start of the board.
         Hello,
-        /// The record for control.
+        /// Measurements for control.
         Telemetry,
-        /// The record for people.
+        /// Diagnostics.
         Status,
-        /// Yes, to a request.
+        /// Confirms a request.
         Acknowledgement,
-        /// No, to a request.
+        /// Rejects a request.
         Refusal,
     }
 }

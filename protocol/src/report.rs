@@ -1,70 +1,70 @@
-//! What the board tells the host.
+//! Answers and records of the board.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Sequence, fixint_array};
 
-/// The state of the board's safety machine.
+/// State of the board's safety state machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BoardMode {
-    /// ESC at neutral for its own arming, for two seconds: after a start, and
-    /// after a change of the neutral pulse.
+    /// ESC held at neutral for two seconds so that it arms, after a start and after
+    /// a change of the neutral pulse.
     Boot,
     /// ESC neutral; ready to be configured and armed.
     Neutral,
-    /// Armed; no [`crate::Drive`] accepted yet, ESC neutral.
+    /// Armed, no [`crate::Drive`] accepted yet; ESC neutral.
     Armed,
-    /// Obeying [`crate::Drive`] commands.
+    /// Following [`crate::Drive`] commands.
     Driving,
-    /// Stopped by the board itself; only an explicit [`crate::Arm`] leaves it.
+    /// Stopped by the board itself until an explicit [`crate::Arm`].
     Failsafe,
-    /// Stopped by an emergency stop; only a reset leaves it.
+    /// Stopped by an emergency stop until a reset.
     EmergencyStopped,
 }
 
-/// Why the board last went to neutral.
+/// Cause of the last stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StopCause {
-    /// It has not, since it started.
+    /// No stop since the start.
     None,
-    /// The host asked by [`crate::Disarm`].
+    /// The host sent [`crate::Disarm`].
     Disarmed,
-    /// No command in force: the last one outlived its time to live.
+    /// The last command exceeded its time to live.
     CommandTimeout,
-    /// The pose behind the commands outlived the configured limit.
+    /// The pose behind the commands exceeded the configured age.
     PoseTooOld,
-    /// Driven above the deadband and no motor pulse came.
+    /// No motor pulse while driven beyond the deadband.
     MotorSensor,
     /// The stop switch opened.
     StopInput,
-    /// The host asked by [`crate::EmergencyStop`].
+    /// The host sent [`crate::EmergencyStop`].
     EmergencyStop,
-    /// The host started anew (a [`crate::Hello`] while armed).
+    /// The host restarted (a [`crate::Hello`] while armed).
     HostRestarted,
 }
 
-/// Why the board does not do what it was asked.
+/// Reason for refusing a request or a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RefusalReason {
-    /// Nothing has been refused.
+    /// No refusal so far.
     None,
     /// The board has no configuration.
     NotConfigured,
-    /// The configuration on the board is not the one that the host named.
+    /// The configuration on the board differs from the one in the request.
     ConfigurationDiffers,
-    /// A value of the configuration is outside what the board can do.
+    /// A value of the configuration is outside its limits.
     InvalidConfiguration,
-    /// Not while armed or driving.
+    /// Not possible while armed or driving.
     Busy,
-    /// The ESC has not been held at neutral for long enough.
+    /// The ESC has not been at neutral for long enough.
     NotYetNeutral,
     /// The wheels are turning.
     Moving,
     /// The stop switch is open.
     StopInputOpen,
-    /// An emergency stop is latched until reset.
+    /// An emergency stop is latched until a reset.
     EmergencyStopLatched,
-    /// The command is older than its time to live, or from the future.
+    /// The command exceeds its time to live, or lies in the future.
     Stale,
     /// The sequence number is not newer than the last one accepted.
     OutOfSequence,
@@ -78,7 +78,7 @@ pub enum RefusalReason {
     VersionDiffers,
 }
 
-/// Which kind of request an answer is about.
+/// Kind of request in an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Request {
     /// [`crate::Configure`].
@@ -91,51 +91,51 @@ pub enum Request {
     EmergencyStop,
 }
 
-/// The board has done what it was asked.
+/// The board has executed a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledgement {
     /// The kind of request.
     pub request: Request,
-    /// The number that the request carried.
+    /// Number of the request.
     pub sequence: Sequence,
     /// Hash of the configuration in force; zero for none.
     #[serde(with = "postcard::fixint::le")]
     pub configuration_hash: u32,
 }
 
-/// The board does not do what it was asked.
+/// The board refuses a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
     /// The kind of request.
     pub request: Request,
-    /// The number that the request carried.
+    /// Number of the request.
     pub sequence: Sequence,
-    /// Why not.
+    /// Reason of the refusal.
     pub reason: RefusalReason,
 }
 
-/// The inertial measurement unit, as the board sees it.
+/// State of the IMU's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ImuState {
-    /// No sample yet, or none for 50 ms; the values are the last ones.
+    /// No sample yet, or none for 50 ms; the values are those of the last one.
     Silent,
-    /// This record carries a sample that no record before it carried.
+    /// A new sample.
     Fresh,
     /// The same sample as in the record before.
     Repeated,
 }
 
-/// What control needs, at 100 Hz.
+/// Measurements for control, at 100 Hz.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Telemetry {
-    /// Board time at which this record was made, in µs, wrapping.
+    /// Board time of this record, in µs, wrapping.
     #[serde(with = "postcard::fixint::le")]
     pub board_time_us: u32,
-    /// The safety machine.
+    /// State of the safety state machine.
     pub mode: BoardMode,
-    /// Why it last went to neutral.
+    /// Cause of the last stop.
     pub stop_cause: StopCause,
-    /// The last [`crate::Drive`] that was accepted.
+    /// The last accepted [`crate::Drive`].
     pub last_sequence: Sequence,
     /// Whether the IMU values are new.
     pub imu: ImuState,
@@ -161,52 +161,52 @@ pub struct Telemetry {
     pub esc_us: u16,
 }
 
-/// Why the board last started.
+/// Cause of the last reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ResetCause {
-    /// The supply came up.
+    /// Power-on.
     PowerOn,
-    /// The reset pin: the button, or the host opened the port.
+    /// The reset pin: the button, or the host opening the port.
     External,
-    /// The supply dipped.
+    /// Supply voltage too low.
     BrownOut,
-    /// The watchdog bit.
+    /// Watchdog timeout.
     Watchdog,
-    /// Nothing that the board can tell.
+    /// Not known to the board.
     Unknown,
 }
 
-/// What a person wants to know, at 5 Hz. Counters wrap.
+/// Diagnostics at 5 Hz. Counters wrap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// Board time at which this record was made, in µs, wrapping.
+    /// Board time of this record, in µs, wrapping.
     #[serde(with = "postcard::fixint::le")]
     pub board_time_us: u32,
     /// Hash of the configuration in force; zero for none.
     #[serde(with = "postcard::fixint::le")]
     pub configuration_hash: u32,
-    /// Why the board last started.
+    /// Cause of the last reset.
     pub reset_cause: ResetCause,
     /// Whether the stop switch is open, if one is configured.
     pub stop_input_open: bool,
     /// Battery voltage, in mV.
     #[serde(with = "postcard::fixint::le")]
     pub battery_mv: u16,
-    /// Good frames received.
+    /// Valid frames received.
     #[serde(with = "postcard::fixint::le")]
     pub frames_received: u16,
-    /// Frames refused for CRC, COBS or length.
+    /// Frames with an error in CRC, COBS, type, length or contents.
     #[serde(with = "postcard::fixint::le")]
     pub frames_damaged: u16,
     /// [`crate::Drive`] commands refused.
     #[serde(with = "postcard::fixint::le")]
     pub drives_refused: u16,
-    /// The reason of the last such refusal; [`RefusalReason::None`] so far.
+    /// Reason of the last such refusal; [`RefusalReason::None`] if none.
     pub last_refusal: RefusalReason,
     /// Frames dropped because the line was full.
     #[serde(with = "postcard::fixint::le")]
     pub frames_dropped: u16,
-    /// Bytes lost by the receiver.
+    /// Bytes lost by the board's receiver.
     #[serde(with = "postcard::fixint::le")]
     pub bytes_overrun: u16,
     /// Errors on the bus to the IMU.
