@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use singletrack_control::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
+use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
 use singletrackd::config::Config;
 
 use crate::{
@@ -112,7 +112,7 @@ struct Drive<'a> {
 struct Buffers {
     bytes: Vec<u8>,
     chunk: Vec<u8>,
-    heard: Vec<Heard>,
+    heard: Vec<ReceivedMessage>,
     pulses: Vec<PulseRecord>,
     written: Vec<ToBoard>,
 }
@@ -399,7 +399,7 @@ impl<'a> Drive<'a> {
         } = &mut self.buffers;
         let board = self.world.board_mut();
         heard.clear();
-        heard.extend(core::iter::from_fn(|| board.next_heard()));
+        heard.extend(core::iter::from_fn(|| board.next_received()));
         let is_running = board.is_running();
         if board.resets() != self.resets || is_running != self.was_running {
             self.resets = board.resets();

@@ -4,7 +4,7 @@
 use singletrack_control::{Fence, Request};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{Heard, PulseRecord, Truth};
+use singletrack_sim::{PulseRecord, ReceivedMessage, Truth};
 use singletrackd::config::{Config, ConfigError};
 
 use crate::{
@@ -106,7 +106,7 @@ pub(crate) struct Observation<'a> {
     /// Pulses since the last step.
     pub(crate) pulses: &'a [PulseRecord],
     /// Messages that reached the board in this step.
-    pub(crate) heard: &'a [Heard],
+    pub(crate) heard: &'a [ReceivedMessage],
     /// Start time of the board's code; none while the board is not running.
     pub(crate) board_since_us: Option<u64>,
     /// Mode in the board's last telemetry.

@@ -1,17 +1,18 @@
-//! Reads what is needed from an ELF file for the AVR: the bytes of the flash and
-//! where the static data end.
+//! Reads an AVR ELF file: the contents of the flash and the end of the static data.
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 const FLASH_BYTES: usize = 32 * 1024;
 const EM_AVR: u16 = 83;
-/// Of the flags: the family of processors, and the ATmega328P's.
+/// The processor family in the flags, and the ATmega328P's.
 const FAMILY: u32 = 0x7F;
 const AVR5: u32 = 5;
 const PT_LOAD: u32 = 1;
 const SHT_SYMTAB: u32 = 2;
-/// Where the linker puts the data space.
+/// The linker's offset of the data space.
 const DATA_SPACE: u32 = 0x0080_0000;
 const SRAM_START: u16 = 0x100;
 
@@ -23,10 +24,10 @@ pub(crate) struct Image {
     pub(crate) static_end: u16,
 }
 
-/// Why a file is no program for the board.
+/// Errors in the file of a program.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ImageError {
-    #[error("can't read {0}: {1}")]
+    #[error("cannot read {0}: {1}")]
     Read(PathBuf, #[source] io::Error),
     #[error("{0} is not an ELF file of 32 bits, little-endian")]
     NotElf(PathBuf),
@@ -34,11 +35,11 @@ pub(crate) enum ImageError {
     NotAvr(PathBuf, u16),
     #[error("{0} is for the processors avr{1}, not for avr{AVR5} (-mmcu=atmega328p)")]
     OtherFamily(PathBuf, u32),
-    #[error("{0} is cut off or damaged")]
+    #[error("{0} is truncated or corrupted")]
     Damaged(PathBuf),
-    #[error("{0} needs {1} bytes of flash, there are {FLASH_BYTES}")]
+    #[error("{0} needs {1} bytes of flash, but there are {FLASH_BYTES}")]
     TooLarge(PathBuf, usize),
-    #[error("{0} holds nothing for the flash")]
+    #[error("{0} has no contents for the flash")]
     Empty(PathBuf),
 }
 
@@ -110,7 +111,7 @@ impl Image {
     }
 }
 
-/// What is loaded into the flash, and where. EEPROM and fuses have addresses
+/// Contents of the flash with their addresses. EEPROM and fuses have addresses
 /// beyond the data space.
 fn segments<'a>(file: &Bytes<'a>) -> Option<Vec<(usize, &'a [u8])>> {
     let table = file.offset(28)?;
@@ -131,7 +132,7 @@ fn segments<'a>(file: &Bytes<'a>) -> Option<Vec<(usize, &'a [u8])>> {
     Some(segments)
 }
 
-/// The highest of the symbols that linker scripts put above the static data.
+/// The highest of the symbols that linker scripts define above the static data.
 fn static_end(file: &Bytes<'_>) -> Option<u16> {
     let table = file.offset(32)?;
     let size = usize::from(file.u16(46)?);
@@ -200,17 +201,17 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_image_for_the_board_is_told_apart() {
+    fn files_that_are_not_images_have_distinct_errors() {
         let other = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
         assert!(other(b"#!/bin/sh").contains("not an ELF file"));
         assert!(other(&file(62, 5, 0)).contains("for machine 62"));
         assert!(other(&file(EM_AVR, 6, 0)).contains("for the processors avr6"));
         assert!(other(&file(EM_AVR, 5, 32_765)).contains("needs 32769 bytes"));
-        assert!(other(&file(EM_AVR, 5, 0x81_0000)).contains("nothing for the flash"));
+        assert!(other(&file(EM_AVR, 5, 0x81_0000)).contains("no contents for the flash"));
     }
 
     #[test]
-    fn a_file_cut_off_anywhere_is_refused() {
+    fn a_file_truncated_anywhere_is_refused() {
         let whole = file(EM_AVR, 5, 0);
         for length in 0..whole.len() {
             assert!(parse(&whole[..length]).is_err(), "{length}");
