@@ -213,7 +213,7 @@ pub struct Cameras {
     faults: CameraFaults,
     loss_epoch_us: Option<u64>,
     exposures: u64,
-    last_seen: RigidBody,
+    last_pose: RigidBody,
     under_way: VecDeque<CameraFrame>,
     counters: CameraCounters,
 }
@@ -227,8 +227,8 @@ impl Cameras {
             faults: CameraFaults::default(),
             loss_epoch_us: Some(0),
             exposures: 0,
-            // A body that has never been seen.
-            last_seen: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
+            // A body that has never been tracked.
+            last_pose: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
                 .with_tracking_valid(false),
             under_way: VecDeque::new(),
             counters: CameraCounters::default(),
@@ -284,7 +284,7 @@ impl Cameras {
     /// Changes the streaming id of the car's body, as an operator can.
     pub(crate) const fn set_car_id(&mut self, id: i32) {
         self.parameters.car.id = id;
-        self.last_seen.id = id;
+        self.last_pose.id = id;
     }
 
     /// Simulation time of the next exposure, in µs.
@@ -304,14 +304,14 @@ impl Cameras {
         let now_us = truth.time_us;
         self.exposures += 1;
         self.counters.exposed += 1;
-        let seen = self.see(truth);
+        let measured = self.measure(truth);
         let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
         let mut car = match loss {
-            None => seen,
-            Some(_) => self.last_seen.with_tracking_valid(false),
+            None => measured,
+            Some(_) => self.last_pose.with_tracking_valid(false),
         };
         if loss.is_none() {
-            self.last_seen = seen;
+            self.last_pose = measured;
         } else {
             self.counters.lost += 1;
         }
@@ -380,7 +380,7 @@ impl Cameras {
 
     /// The measured pose of the car's body, in the streamed axes. It draws the same
     /// noise even if the pose is then lost.
-    fn see(&mut self, truth: &Truth) -> RigidBody {
+    fn measure(&mut self, truth: &Truth) -> RigidBody {
         let p = &self.parameters;
         let noise = self.noise.normal3(p.position_noise_m);
         let [roll, pitch, yaw_noise] = self.noise.normal3(p.orientation_noise_rad);

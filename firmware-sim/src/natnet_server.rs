@@ -117,7 +117,7 @@ pub struct NatNetCounters {
 struct Client {
     address: SocketAddr,
     bitstream: BitstreamVersion,
-    last_heard_us: u64,
+    last_received_us: u64,
 }
 
 /// Limit on the number of unicast clients.
@@ -202,7 +202,7 @@ impl NatNetServer {
             ClientMessage::Discovery => self.server_info(from),
             ClientMessage::KeepAlive => {
                 if let Some(client) = self.client_mut(from) {
-                    client.last_heard_us = now_us;
+                    client.last_received_us = now_us;
                 }
                 None
             }
@@ -228,7 +228,7 @@ impl NatNetServer {
         let timeout_us = self.parameters.keep_alive_timeout_us;
         let before = self.clients.len();
         self.clients
-            .retain(|client| now_us.saturating_sub(client.last_heard_us) <= timeout_us);
+            .retain(|client| now_us.saturating_sub(client.last_received_us) <= timeout_us);
         self.counters.expired += (before - self.clients.len()) as u64;
         if frame.silent {
             return Vec::new();
@@ -266,7 +266,7 @@ impl NatNetServer {
         let client = Client {
             address,
             bitstream,
-            last_heard_us: now_us,
+            last_received_us: now_us,
         };
         if let Some(known) = self.client_mut(address) {
             *known = client;

@@ -24,14 +24,14 @@ fn config(seed: u64) -> SimulationConfig {
 /// All outputs to the host, and ground truth, as text with all digits.
 fn run(seed: u64) -> String {
     let mut bench = ScriptedDrive::armed(config(seed)).unwrap();
-    let mut seen = String::new();
+    let mut outputs = String::new();
     bench.drive(300, 400, 2_000, |bench| {
-        seen += &format!("{:?}{:?}\n", bench.world.truth(), bench.host.telemetry);
+        outputs += &format!("{:?}{:?}\n", bench.world.truth(), bench.host.telemetry);
         while let Some(frame) = bench.world.poll_camera_frame() {
-            seen += &format!("{frame:?}\n");
+            outputs += &format!("{frame:?}\n");
         }
     });
-    seen
+    outputs
 }
 
 #[test]

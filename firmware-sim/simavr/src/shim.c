@@ -111,7 +111,7 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
 	(void)cycles;
 }
 
-static void tell(const struct uno *uno, struct uno_status *status)
+static void report_status(const struct uno *uno, struct uno_status *status)
 {
 	const avr_t *avr = uno->avr;
 	status->cycle = avr->cycle;
@@ -220,7 +220,7 @@ void uno_reset(struct uno *uno, struct uno_status *status)
 	avr->run_cycle_count = 0;
 	status->entered = 0;
 	status->response = 0;
-	tell(uno, status);
+	report_status(uno, status);
 }
 
 /*
@@ -244,7 +244,7 @@ void uno_run(struct uno *uno, uint64_t until, struct uno_status *status)
 	} while (avr->cycle < until && avr->state == cpu_Running && avr->pc < avr->codeend
 		 && avr->interrupts.running_ptr == depth && avr->sreg[S_I] == enabled
 		 && !*uno->callbacks.changed);
-	tell(uno, status);
+	report_status(uno, status);
 }
 
 /* Advances time without instructions, up to the given cycle or simavr's next timer. */
@@ -263,7 +263,7 @@ void uno_skip(struct uno *uno, uint64_t until, struct uno_status *status)
 			avr->cycle = next;
 	}
 	settle(uno, status, was_asleep);
-	tell(uno, status);
+	report_status(uno, status);
 }
 
 /* Skips time in which the processor is halted. */
@@ -284,12 +284,12 @@ void uno_disable_interrupts(struct uno *uno)
 }
 
 /* Sets or clears the interrupt request of a device modelled in Rust. */
-void uno_request(struct uno *uno, uint8_t number, int wanted)
+void uno_request(struct uno *uno, uint8_t number, int requested)
 {
 	avr_int_vector_t *vector = number < 32 ? uno->vectors[number] : NULL;
-	if (!vector || vector->pending == !!wanted)
+	if (!vector || vector->pending == !!requested)
 		return;
-	if (wanted)
+	if (requested)
 		avr_raise_interrupt(uno->avr, vector);
 	else
 		avr_clear_interrupt(uno->avr, vector);

@@ -128,11 +128,11 @@ fn the_watchdog_resets_after_64_ms_and_holds_the_processor() {
     let mut uno = Uno::started("watchdog.c");
     let start = uno.cycle();
     let mut report = uno.pass(100 * MS);
-    let bite = report.watchdog_reset.unwrap();
-    let late = (bite - start).checked_sub(64 * MS).unwrap();
+    let watchdog_reset = report.watchdog_reset.unwrap();
+    let late = (watchdog_reset - start).checked_sub(64 * MS).unwrap();
     assert!(late < 3 * BYTE, "{late} cycles");
     let pulse = report.pulses.pop().unwrap();
-    assert_eq!(pulse.start + pulse.width, bite);
+    assert_eq!(pulse.start + pulse.width, watchdog_reset);
     assert_eq!(bytes(&report.transmitted), [ResetFlags::POWER_ON.0, 0]);
 
     let report = uno.pass(500 * MS);

@@ -405,7 +405,7 @@ impl SimulatedBoard {
             pulses: &mut self.pulses,
             monitor: &mut self.monitor,
         };
-        let bitten = match &mut self.machine {
+        let watchdog_reset = match &mut self.machine {
             Machine::Native(native) => {
                 native.run(environment);
                 false
@@ -414,7 +414,7 @@ impl SimulatedBoard {
         };
         if self.failure().is_some() {
             self.leave(now_us, PowerState::Off, car);
-        } else if bitten {
+        } else if watchdog_reset {
             self.reset(now_us, ResetCause::Watchdog, car);
         }
     }

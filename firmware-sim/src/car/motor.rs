@@ -151,12 +151,12 @@ impl MotorParameters {
         let rolling = self.coasting_m_s2 * direction + self.viscous_per_s * speed;
         match drive {
             Drive::Towards(settled) => {
-                let wanted = (settled * voltage_share - speed) / self.lag_s;
+                let driven = (settled * voltage_share - speed) / self.lag_s;
                 // A motor that turns faster than its target does not brake: the car rolls.
-                if settled * direction >= 0.0 && wanted * direction < -rolling.abs() {
+                if settled * direction >= 0.0 && driven * direction < -rolling.abs() {
                     -rolling
                 } else {
-                    wanted.clamp(-self.max_acceleration_m_s2, self.max_acceleration_m_s2)
+                    driven.clamp(-self.max_acceleration_m_s2, self.max_acceleration_m_s2)
                 }
             }
             Drive::Free => -rolling,

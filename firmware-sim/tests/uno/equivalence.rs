@@ -338,14 +338,14 @@ fn run() -> (NativeBoard, ImageBoard) {
     let mut image = ImageBoard::start();
     for ms in 0..SECONDS * 1_000 {
         // The host knows what left the board 5 ms ago.
-        let heard = native
+        let telemetry_time_us = native
             .frames
             .telemetry
             .iter()
             .rev()
             .find(|telemetry| u64::from(telemetry.board_time_us) + 5_000 <= ms * 1_000)
             .map_or(0, |telemetry| telemetry.board_time_us);
-        let now = script.next(ms, heard);
+        let now = script.next(ms, telemetry_time_us);
         native.run(ms, &now);
         image.run(ms, &now);
     }
@@ -492,12 +492,12 @@ fn pulses_agree(native: &[Outputs], image: &[singletrack_simavr::Pulse]) {
         // earlier.
         let index = |ms: usize| ms.saturating_sub(FIRST_POLL_MS as usize).min(native.len());
         let span = &native[index(begin_ms.saturating_sub(14))..index(begin_ms + 2).max(1)];
-        let wanted = |output: &Outputs| match pulse.pin {
+        let expected_width = |output: &Outputs| match pulse.pin {
             Pin::Servo => output.servo_us.map(u64::from),
             Pin::Esc => Some(u64::from(output.esc_us)),
         };
-        let lowest = span.iter().filter_map(wanted).min().unwrap();
-        let highest = span.iter().filter_map(wanted).max().unwrap();
+        let lowest = span.iter().filter_map(expected_width).min().unwrap();
+        let highest = span.iter().filter_map(expected_width).max().unwrap();
         let neutral = u64::from(native[begin_ms].esc_neutral_us);
         // While slewing, the image may be ahead by the slew rate times the time
         // since its last poll. Neutral must match; the rest of the ESC's tolerance

@@ -158,8 +158,8 @@ fn the_neutral_pulse_ends_within_120_ms_of_the_last_command_at_every_phase() {
         drive.run_ms(300);
         let neutral = neutral_after_ms(&drive, sent_us);
         // A pulse is known at its end.
-        let seen = neutral + f64::from(NEUTRAL_US) * 1e-3;
-        assert!((60.0..=120.0).contains(&seen), "{phase_ms}: {seen}");
+        let end_ms = neutral + f64::from(NEUTRAL_US) * 1e-3;
+        assert!((60.0..=120.0).contains(&end_ms), "{phase_ms}: {end_ms}");
         assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
         drive.run_ms(3_000);
         drive.arm();

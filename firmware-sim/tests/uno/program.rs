@@ -70,10 +70,13 @@ fn the_program_reports_a_dead_image_process_and_ends() {
     let status = wait_for("end", || simulator.0.try_wait().unwrap());
     assert!(since.elapsed() < Duration::from_secs(2), "{since:?}");
     assert_eq!(status.code(), Some(1));
-    let mut said = String::new();
+    let mut message = String::new();
     let mut errors = simulator.0.stderr.take().unwrap();
-    errors.read_to_string(&mut said).unwrap();
-    assert!(said.contains("the board failed"), "{said}");
-    assert!(said.contains("the process that runs the image"), "{said}");
+    errors.read_to_string(&mut message).unwrap();
+    assert!(message.contains("the board failed"), "{message}");
+    assert!(
+        message.contains("the process that runs the image"),
+        "{message}"
+    );
     assert!(!link.exists());
 }

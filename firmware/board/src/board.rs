@@ -346,13 +346,13 @@ impl Board {
         let moving = self.odometer.is_moving();
         match self.safety.command() {
             Some(command) => {
-                let wanted = command.speed_mm_s;
+                let target_mm_s = command.speed_mm_s;
                 if control_due {
                     self.esc
-                        .control(configuration, wanted, self.odometer.speed_mm_s());
+                        .control(configuration, target_mm_s, self.odometer.speed_mm_s());
                 }
                 self.esc
-                    .advance_driving(&configuration.esc, elapsed_us, wanted, moving);
+                    .advance_driving(&configuration.esc, elapsed_us, target_mm_s, moving);
             }
             None => self.esc.advance_stopped(elapsed_us, moving),
         }

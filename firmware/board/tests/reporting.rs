@@ -19,10 +19,10 @@ fn hellos(rig: &Rig) -> Vec<Hello> {
         .collect()
 }
 
-fn times(rig: &Rig, wanted: fn(&ToHost) -> bool) -> Vec<u32> {
+fn times(rig: &Rig, filter: fn(&ToHost) -> bool) -> Vec<u32> {
     rig.messages
         .iter()
-        .filter(|(_, message)| wanted(message))
+        .filter(|(_, message)| filter(message))
         .map(|(time, _)| *time)
         .collect()
 }

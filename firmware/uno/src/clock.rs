@@ -1,7 +1,7 @@
 //! The board's clock: microseconds since the start, wrapping.
 //!
-//! Timer 0 counts steps of 4 µs, 250 of them in a tick of 1 ms. The interrupt at
-//! the end of a tick is in [`crate::supervisor`].
+//! Timer 0 counts steps of 4 µs, 250 of them in a tick of 1 ms. The supervisor's
+//! interrupt handles the end of a tick.
 
 use crate::{
     interrupts::{Masked, Shared, SharedByte, masked},

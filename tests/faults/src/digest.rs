@@ -30,8 +30,8 @@ impl Digest {
             self.word(pulse.time_us);
             self.word(u64::from(pulse.servo_us) << 16 | u64::from(pulse.esc_us));
         }
-        for heard in observation.heard {
-            self.word(heard.time_us);
+        for received in observation.board_received {
+            self.word(received.time_us);
         }
         if let Some(tick) = observation.tick {
             self.word(observation.now_us);

@@ -424,7 +424,7 @@ impl<'a> Drive<'a> {
             spec: &self.spec,
             truth: self.world.truth(),
             pulses,
-            heard,
+            board_received: heard,
             board_since_us: self.board_since_us,
             board_mode: self.world.board().telemetry().map(|record| record.mode),
             tick: tick.as_ref(),

@@ -106,7 +106,7 @@ pub(crate) struct Observation<'a> {
     /// Pulses since the last step.
     pub(crate) pulses: &'a [PulseRecord],
     /// Messages that reached the board in this step.
-    pub(crate) heard: &'a [ReceivedMessage],
+    pub(crate) board_received: &'a [ReceivedMessage],
     /// Start time of the board's code; none while the board is not running.
     pub(crate) board_since_us: Option<u64>,
     /// Mode in the board's last telemetry.
@@ -190,7 +190,7 @@ pub(crate) mod scene {
                 spec: &self.spec,
                 truth: self.truth,
                 pulses: &self.pulses,
-                heard: &[],
+                board_received: &[],
                 board_since_us: Some(65_000),
                 board_mode: None,
                 tick: None,

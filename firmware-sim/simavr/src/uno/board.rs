@@ -198,7 +198,7 @@ impl Board {
             if devices.changed || devices.next() <= now {
                 devices.advance(now);
                 devices.changed = false;
-                if let Some(at) = devices.bite {
+                if let Some(at) = devices.watchdog_reset {
                     self.watchdog_reset(at);
                     continue;
                 }
@@ -209,7 +209,7 @@ impl Board {
             }
             let until = until.min(self.machine.devices().next());
             self.proceed(until);
-            self.look_for_crash();
+            self.check_for_crash();
         }
     }
 
@@ -255,7 +255,7 @@ impl Board {
         self.watchdog_reset = Some(at);
     }
 
-    fn look_for_crash(&mut self) {
+    fn check_for_crash(&mut self) {
         let status = self.machine.status;
         let code_end = self.code_end;
         let words = self.machine.devices().fatal.take();

@@ -79,7 +79,7 @@ pub(crate) struct Devices {
     warnings: Vec<String>,
     /// Interrupt requests and the next event may have changed.
     pub(crate) changed: bool,
-    pub(crate) bite: Option<u64>,
+    pub(crate) watchdog_reset: Option<u64>,
     next: u64,
 }
 
@@ -99,7 +99,7 @@ impl Devices {
             fatal: None,
             warnings: Vec::new(),
             changed: true,
-            bite: None,
+            watchdog_reset: None,
             next: u64::MAX,
         }
     }
@@ -114,7 +114,7 @@ impl Devices {
         self.watchdog = Watchdog::default();
         self.mark = None;
         self.fatal = None;
-        self.bite = None;
+        self.watchdog_reset = None;
         self.changed = true;
     }
 
@@ -139,7 +139,7 @@ impl Devices {
         self.twi.advance(now);
         self.advance_timer1(now);
         if let Some(at) = self.watchdog.advance(now) {
-            self.bite = Some(at);
+            self.watchdog_reset = Some(at);
         }
         self.find_next();
     }

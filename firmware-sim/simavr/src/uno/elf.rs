@@ -148,7 +148,7 @@ fn static_end(file: &Bytes<'_>) -> Option<u16> {
         let names = file.offset(section(file.offset(header + 24)?)? + 16)?;
         for symbol in (symbols..symbols.checked_add(length)?).step_by(16) {
             let name = names.checked_add(file.offset(symbol)?)?;
-            let is = |wanted: &[u8]| file.slice(name, wanted.len()) == Some(wanted);
+            let is = |expected: &[u8]| file.slice(name, expected.len()) == Some(expected);
             let value = file.u32(symbol + 4)?;
             if value >= DATA_SPACE
                 && [

@@ -56,7 +56,7 @@ unsafe extern "C" {
     fn uno_set_cycle(uno: *mut c_void, cycle: u64);
     fn uno_wake(uno: *mut c_void);
     fn uno_disable_interrupts(uno: *mut c_void);
-    fn uno_request(uno: *mut c_void, vector: u8, wanted: c_int);
+    fn uno_request(uno: *mut c_void, vector: u8, requested: c_int);
     fn uno_set_int0(uno: *mut c_void, level: c_int);
     fn uno_set_adc0(uno: *mut c_void, millivolts: u32);
     fn uno_data(uno: *mut c_void, size: *mut u32) -> *mut u8;
@@ -198,9 +198,9 @@ impl Machine {
 
     /// Passes the devices' interrupt requests to the processor.
     pub(crate) fn pass_requests(&mut self) {
-        for (vector, wanted) in self.devices().requests() {
+        for (vector, requested) in self.devices().requests() {
             // SAFETY: as above.
-            unsafe { uno_request(self.uno, vector, wanted.into()) };
+            unsafe { uno_request(self.uno, vector, requested.into()) };
         }
     }
 

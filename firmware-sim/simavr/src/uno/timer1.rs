@@ -190,12 +190,12 @@ impl Timer1 {
 
     /// Requests of interrupts 10 (capture), 11, 12 (matches) and 13 (overflow).
     pub(crate) fn requests(&self) -> [bool; 4] {
-        let asked = self.flags & self.mask;
+        let requested = self.flags & self.mask;
         [
-            asked & ICF != 0,
-            asked & 2 != 0,
-            asked & 4 != 0,
-            asked & TOV != 0,
+            requested & ICF != 0,
+            requested & 2 != 0,
+            requested & 4 != 0,
+            requested & TOV != 0,
         ]
     }
 

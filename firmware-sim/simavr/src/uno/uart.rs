@@ -85,8 +85,12 @@ impl Uart {
 
     /// Requests of interrupts 18 (received), 19 (buffer empty) and 20 (sent).
     pub(crate) fn requests(&self) -> [bool; 3] {
-        let asked = self.flags() & self.control[1];
-        [asked & RXC != 0, asked & UDRE != 0, asked & TXC != 0]
+        let requested = self.flags() & self.control[1];
+        [
+            requested & RXC != 0,
+            requested & UDRE != 0,
+            requested & TXC != 0,
+        ]
     }
 
     /// Notes the service of the interrupt "sent", which clears its flag.

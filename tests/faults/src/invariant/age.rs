@@ -32,11 +32,11 @@ impl Invariant for CommandAge {
             self.board_since_us = observation.board_since_us;
             self.newest_us = None;
         }
-        for heard in observation.heard {
-            let ToBoard::Drive(drive) = heard.message else {
+        for received in observation.board_received {
+            let ToBoard::Drive(drive) = received.message else {
                 continue;
             };
-            let age = |us: u32| heard.board_time_us.wrapping_sub(us);
+            let age = |us: u32| received.board_time_us.wrapping_sub(us);
             let is_newer = self
                 .newest_us
                 .is_none_or(|newest| age(drive.telemetry_time_us) < age(newest));

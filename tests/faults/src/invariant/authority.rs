@@ -75,8 +75,8 @@ impl Invariant for Unarmed {
             self.session = None;
             self.withdraw(observation.now_us, "a reset of the board");
         }
-        for heard in observation.heard {
-            self.receive(heard.time_us, heard.board_time_us, &heard.message);
+        for received in observation.board_received {
+            self.receive(received.time_us, received.board_time_us, &received.message);
         }
         if observation.spec.board.stop_input && observation.is_active(FaultKind::StopInputOpen) {
             self.withdraw(observation.now_us, "the stop switch opened");
