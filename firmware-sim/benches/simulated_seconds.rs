@@ -1,6 +1,6 @@
-//! How many simulated seconds pass in a second, with a host that only listens.
+//! Simulated seconds per second, with a host that only receives.
 //!
-//! Criterion's throughput, in "elements", is simulated seconds per second.
+//! Criterion reports it as throughput in "elements".
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-//! Compiles the shim in C and links simavr, if the feature asks for it.
+//! Compiles the C shim and links simavr, with the feature `simavr`.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -17,7 +17,7 @@ mod simavr {
 
     pub(super) fn link() -> Result<(), String> {
         let missing =
-            |file: &str| format!("there is no {file}: apt-get install libsimavr-dev libelf-dev");
+            |file: &str| format!("{file} is missing: apt-get install libsimavr-dev libelf-dev");
         println!("cargo::rerun-if-changed=src/shim.c");
         let header = format!("{HEADERS}/sim_avr.h");
         println!("cargo::rerun-if-changed={header}");
@@ -37,7 +37,7 @@ mod simavr {
         build
             .try_compile("shim")
             .map_err(|error| error.to_string())?;
-        // The compiler knows where Debian keeps the libraries of this machine.
+        // The compiler knows the library folder of this machine on Debian.
         let found = compiler
             .to_command()
             .arg(format!("-print-file-name={ARCHIVE}"))

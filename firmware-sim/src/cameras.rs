@@ -1,4 +1,4 @@
-//! The cameras: what they see of the car, when, and when they do not.
+//! The cameras: poses of the car with noise, latency and losses.
 
 use std::collections::VecDeque;
 
@@ -14,24 +14,24 @@ use crate::{
     random::{Random, Stream},
 };
 
-/// Ticks of the server's clock in a second, as Motive's on Windows.
+/// Ticks of the server's clock per second, as Motive's on Windows.
 pub const TICKS_PER_SECOND: u64 = 10_000_000;
 
-/// The cameras and what they look at.
+/// The cameras and the tracked bodies.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CameraParameters {
     /// Time between exposures on the server's clock, in µs.
     pub period_us: u64,
-    /// The first exposure on the server's clock since its start, in µs.
+    /// Time of the first exposure on the server's clock since its start, in µs.
     pub phase_us: u64,
-    /// What the server's clock shows at simulation time zero, in µs.
+    /// Reading of the server's clock at simulation time zero, in µs.
     pub clock_offset_us: u64,
-    /// What the server's clock gains, in µs per second.
+    /// Rate error of the server's clock, in ppm; positive is fast.
     pub clock_skew_ppm: i32,
     /// Mean time from mid-exposure to the packet on the network, in µs.
     pub latency_us: u64,
-    /// Standard deviation of that time, in µs; cut off at three deviations.
+    /// Standard deviation of that time, in µs; truncated at three deviations.
     pub latency_jitter_us: u64,
     /// Standard deviation of each coordinate, in m.
     pub position_noise_m: f64,
@@ -43,11 +43,11 @@ pub struct CameraParameters {
     pub car: CarBody,
     /// Further rigid bodies, which do not move.
     pub decoys: Vec<DecoyBody>,
-    /// Losses that repeat.
+    /// Periodic losses.
     pub loss: Option<LossPattern>,
-    /// Further losses.
+    /// Single losses.
     pub loss_windows: Vec<LossWindow>,
-    /// What a loss looks like on the wire.
+    /// Representation of a loss on the wire.
     pub loss_kind: LossKind,
 }
 
@@ -106,7 +106,7 @@ impl UpAxis {
     }
 }
 
-/// The car's rigid body: its name, and how it sits on the car.
+/// The car's rigid body: its name, and its pose on the car.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarBody {
@@ -114,10 +114,10 @@ pub struct CarBody {
     pub name: String,
     /// Streaming id.
     pub id: i32,
-    /// From the body's pivot to the centre of mass, forward and left along the
+    /// Vector from the body's pivot to the centre of mass, forward and left along the
     /// body's axes, in m.
     pub to_centre_of_mass_m: [f64; 2],
-    /// Yaw of the body's axes against the car's, in rad.
+    /// Yaw of the body's axes relative to the car's, in rad.
     pub yaw_rad: f64,
     /// Height of the pivot above the floor, in m.
     pub height_m: f64,
@@ -135,7 +135,7 @@ impl Default for CarBody {
     }
 }
 
-/// A rigid body that stands somewhere.
+/// A rigid body at a fixed position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DecoyBody {
@@ -143,11 +143,11 @@ pub struct DecoyBody {
     pub name: String,
     /// Streaming id.
     pub id: i32,
-    /// Where it is in the world, in m.
+    /// Position in the world, in m.
     pub position_m: [f64; 3],
 }
 
-/// What a loss of the markers looks like on the wire.
+/// Representation of a loss of the markers on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LossKind {
@@ -160,44 +160,44 @@ pub enum LossKind {
     Silent,
 }
 
-/// What is wrong with the cameras, besides the scheduled losses.
+/// Faults of the cameras, besides the scheduled losses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraFaults {
-    /// A loss that lasts until it is taken away.
+    /// A loss that lasts until it is cleared.
     pub loss: Option<LossKind>,
     /// Added to the car's position in the world, in m, with tracking valid.
     pub jump_m: [f64; 3],
-    /// The car's pose is not a number, with tracking valid.
+    /// The car's pose is NaN, with tracking valid.
     pub not_a_number: bool,
-    /// The car and the first decoy have changed names.
+    /// The car and the first decoy have exchanged names.
     pub swapped: bool,
 }
 
-/// One frame, as it goes on the network.
+/// A camera frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFrame {
-    /// The frame's number.
+    /// Frame number.
     pub number: i32,
     /// Simulation time of mid-exposure, in µs.
     pub exposed_us: u64,
     /// Simulation time of sending, in µs.
     pub sent_us: u64,
-    /// The same on the server's clock.
+    /// The times on the server's clock.
     pub ticks: CameraTicks,
-    /// All rigid bodies in the streamed axes, the car's (if there) last.
+    /// All rigid bodies in the streamed axes; the car's, if present, is last.
     pub bodies: Vec<RigidBody>,
-    /// Whether the car's pose is a new one.
+    /// Whether the car's pose is new.
     pub car_tracked: bool,
-    /// Whether it goes on the network at all.
+    /// Whether the frame is not sent.
     pub silent: bool,
 }
 
-/// How many frames there were.
+/// Numbers of frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CameraCounters {
     /// Exposures.
     pub exposed: u64,
-    /// Frames that went on the network.
+    /// Frames sent.
     pub sent: u64,
     /// Exposures without the car: occluded, absent or not sent.
     pub lost: u64,
@@ -213,7 +213,7 @@ pub struct Cameras {
     faults: CameraFaults,
     loss_epoch_us: Option<u64>,
     exposures: u64,
-    last_seen: RigidBody,
+    last_pose: RigidBody,
     under_way: VecDeque<CameraFrame>,
     counters: CameraCounters,
 }
@@ -227,8 +227,8 @@ impl Cameras {
             faults: CameraFaults::default(),
             loss_epoch_us: Some(0),
             exposures: 0,
-            // A body that was never seen.
-            last_seen: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
+            // A body that has never been tracked.
+            last_pose: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
                 .with_tracking_valid(false),
             under_way: VecDeque::new(),
             counters: CameraCounters::default(),
@@ -236,7 +236,7 @@ impl Cameras {
         }
     }
 
-    /// What the cameras were built with, but for ids changed since.
+    /// The parameters, with ids changed since.
     #[must_use]
     pub const fn parameters(&self) -> &CameraParameters {
         &self.parameters
@@ -254,37 +254,37 @@ impl Cameras {
         self.clock.at(simulation_us) * (TICKS_PER_SECOND / 1_000_000)
     }
 
-    /// The frames so far.
+    /// The counters so far.
     #[must_use]
     pub const fn counters(&self) -> CameraCounters {
         self.counters
     }
 
-    /// The faults in force, to change them from now on.
+    /// Mutable access to the faults.
     pub const fn faults_mut(&mut self) -> &mut CameraFaults {
         &mut self.faults
     }
 
-    /// Counts the scheduled losses from this simulation time on; `None` stops
-    /// them. They start with the simulation unless this is called.
+    /// Sets the epoch of the scheduled losses; `None` stops them. The default is
+    /// the start of the simulation.
     pub const fn set_loss_epoch(&mut self, epoch_us: Option<u64>) {
         self.loss_epoch_us = epoch_us;
     }
 
-    /// Replaces the losses that repeat.
+    /// Replaces the periodic losses.
     pub const fn set_loss(&mut self, loss: Option<LossPattern>) {
         self.parameters.loss = loss;
     }
 
-    /// Adds one loss, in µs since the losses' epoch.
+    /// Adds a single loss, in µs since the losses' epoch.
     pub fn add_loss_window(&mut self, window: LossWindow) {
         self.parameters.loss_windows.push(window);
     }
 
-    /// Gives the car's body another streaming id, as an operator can.
+    /// Changes the streaming id of the car's body, as an operator can.
     pub(crate) const fn set_car_id(&mut self, id: i32) {
         self.parameters.car.id = id;
-        self.last_seen.id = id;
+        self.last_pose.id = id;
     }
 
     /// Simulation time of the next exposure, in µs.
@@ -294,24 +294,24 @@ impl Cameras {
             .when_elapsed(p.phase_us + self.exposures * p.period_us.max(1))
     }
 
-    /// Simulation time at which the next frame goes on the network, in µs.
+    /// Simulation time of sending the next frame, in µs.
     pub(crate) fn next_send_us(&self) -> Option<u64> {
         Some(self.under_way.front()?.sent_us)
     }
 
-    /// Takes one picture.
+    /// Makes one exposure.
     pub(crate) fn expose(&mut self, truth: &Truth) {
         let now_us = truth.time_us;
         self.exposures += 1;
         self.counters.exposed += 1;
-        let seen = self.see(truth);
+        let measured = self.measure(truth);
         let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
         let mut car = match loss {
-            None => seen,
-            Some(_) => self.last_seen.with_tracking_valid(false),
+            None => measured,
+            Some(_) => self.last_pose.with_tracking_valid(false),
         };
         if loss.is_none() {
-            self.last_seen = seen;
+            self.last_pose = measured;
         } else {
             self.counters.lost += 1;
         }
@@ -332,7 +332,7 @@ impl Cameras {
         }
         let sent_us = self.sending_time(now_us);
         self.under_way.push_back(CameraFrame {
-            // Motive counts on; a wrap after eight months is its own.
+            // As in Motive, wraps after eight months.
             number: self.exposures as i32,
             exposed_us: now_us,
             sent_us,
@@ -347,7 +347,7 @@ impl Cameras {
         });
     }
 
-    /// The next frame whose time to be sent has come.
+    /// The next frame that is due.
     pub(crate) fn take_frame(&mut self, now_us: u64) -> Option<CameraFrame> {
         if self.under_way.front()?.sent_us > now_us {
             return None;
@@ -369,7 +369,7 @@ impl Cameras {
         lost.then_some(p.loss_kind)
     }
 
-    /// Frames keep their order.
+    /// Time of sending; frames keep their order.
     fn sending_time(&mut self, now_us: u64) -> u64 {
         let p = &self.parameters;
         let jitter = self.latency.normal().clamp(-3.0, 3.0) * p.latency_jitter_us as f64;
@@ -378,9 +378,9 @@ impl Cameras {
         (now_us + latency).max(before)
     }
 
-    /// The car's body as the cameras measure it, in the streamed axes. Draws
-    /// the same noise whether it is then lost or not.
-    fn see(&mut self, truth: &Truth) -> RigidBody {
+    /// The measured pose of the car's body, in the streamed axes. It draws the same
+    /// noise even if the pose is then lost.
+    fn measure(&mut self, truth: &Truth) -> RigidBody {
         let p = &self.parameters;
         let noise = self.noise.normal3(p.position_noise_m);
         let [roll, pitch, yaw_noise] = self.noise.normal3(p.orientation_noise_rad);
@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_are_streamed_in_the_chosen_axes_and_about_the_pivot() {
+    fn poses_are_streamed_in_the_selected_axes_about_the_pivot() {
         let truth = Truth {
             x: 1.0,
             y: 2.0,
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_can_be_absent_or_silent_and_wait_for_their_epoch() {
+    fn losses_can_be_absent_or_silent_and_start_at_their_epoch() {
         let window = LossWindow {
             start_us: 100_000,
             end_us: 200_000,
@@ -525,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_and_latency_have_the_stated_size() {
+    fn noise_and_latency_have_the_configured_size() {
         let frames = frames(CameraParameters::default(), Truth::default(), 100_000_000);
         let n = frames.len() as f64;
         let sum = |f: &dyn Fn(&CameraFrame) -> f64| frames.iter().map(f).sum::<f64>() / n;

@@ -1,8 +1,8 @@
-//! The clocks of the board and of the cameras, which are not the simulation's.
+//! The clocks of the board and of the cameras.
 
 use singletrack_simavr::CYCLES_PER_US;
 
-/// A clock that runs from its own start at its own rate.
+/// A clock with an offset and a rate error.
 ///
 /// Integer arithmetic throughout: both directions are exact to the microsecond
 /// and monotonic.
@@ -15,7 +15,7 @@ pub struct SkewedClock {
 const MILLION: u64 = 1_000_000;
 
 impl SkewedClock {
-    /// A clock that shows `offset_us` at simulation time zero and gains
+    /// A clock that reads `offset_us` at simulation time zero and gains
     /// `skew_ppm` microseconds a second.
     ///
     /// The skew is limited to ± 100,000 ppm.
@@ -31,7 +31,7 @@ impl SkewedClock {
         MILLION.saturating_add_signed(i64::from(self.skew_ppm))
     }
 
-    /// What the clock shows at a simulation time, in µs.
+    /// Reading of the clock at a simulation time, in µs.
     #[must_use]
     pub fn at(&self, simulation_us: u64) -> u64 {
         let whole = simulation_us / MILLION * self.rate();
@@ -39,8 +39,8 @@ impl SkewedClock {
         self.offset_us.wrapping_add(whole).wrapping_add(part)
     }
 
-    /// The first simulation time at which the clock has run for `elapsed_us`
-    /// of its own microseconds since simulation time zero.
+    /// The first simulation time at which the clock has advanced by `elapsed_us` of
+    /// its own microseconds since simulation time zero.
     #[must_use]
     pub fn when_elapsed(&self, elapsed_us: u64) -> u64 {
         let rate = self.rate();
@@ -49,14 +49,14 @@ impl SkewedClock {
         whole + part
     }
 
-    /// The cycles of the oscillator behind the clock since simulation time zero.
+    /// Cycles of the clock's oscillator since simulation time zero.
     #[must_use]
     pub(crate) fn cycle_at(&self, simulation_us: u64) -> u64 {
         let rate = self.rate() * CYCLES_PER_US;
         simulation_us / MILLION * rate + simulation_us % MILLION * rate / MILLION
     }
 
-    /// The first simulation time, in µs, at which the oscillator has come to a
+    /// The first simulation time, in µs, at which the oscillator has reached a
     /// cycle.
     #[must_use]
     pub(crate) fn when_cycle(&self, cycle: u64) -> u64 {
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn the_moment_of_a_reading_is_the_first_that_shows_it() {
+    fn the_time_of_a_reading_is_the_first_with_it() {
         for skew in [-5_000, -17, 0, 1, 3_000, 99_999] {
             let clock = SkewedClock::new(0, skew);
             for elapsed in [1, 999, 1_000, 123_456_789, 86_400_000_000] {

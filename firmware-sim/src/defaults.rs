@@ -1,11 +1,11 @@
-//! The configuration that fits the default car.
+//! The board's configuration for the default car.
 
 use singletrack_protocol::{
     Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
 };
 
-/// The board's configuration for the default [`crate::CarParameters`]: what
-/// someone who calibrated that car would have written down.
+/// The board's configuration for the default [`crate::CarParameters`], as from a
+/// calibration of that car.
 #[must_use]
 pub const fn default_board_configuration() -> Configuration {
     Configuration {
@@ -14,7 +14,7 @@ pub const fn default_board_configuration() -> Configuration {
             gain_us_per_rad: -800,
             min_us: 1_080,
             max_us: 1_920,
-            // 6 rad/s: nearly what the servo can do.
+            // 6 rad/s, close to the servo's limit.
             slew_us_per_20ms: 96,
         },
         esc: EscCalibration {
@@ -27,8 +27,8 @@ pub const fn default_board_configuration() -> Configuration {
         },
         speed: SpeedLoop {
             pulse_distance_um: 3_000,
-            // Less than the car needs (98): the proportional term is full before
-            // the car moves, and the two together would overshoot.
+            // Less than the car needs (98): the proportional term saturates before
+            // the car moves, and the sum would overshoot.
             feed_forward_us_per_m_s: 80,
             proportional_us_per_m_s: 80,
             integral_us_per_m: 250,

@@ -1,9 +1,9 @@
-//! The board and the car behind a pseudo-terminal, the cameras behind UDP.
+//! Simulator of board, car and cameras.
 //!
-//! [`World`] is everything that is not the host, in virtual time: the real
-//! board code, the car that it steers, the serial line between board and host,
-//! and the cameras with their NatNet server. The same seed and the same inputs
-//! at the same times give the same bits, on every machine and in every build.
+//! [`World`] simulates everything except the host, in virtual time: the real board
+//! code, the car, the serial line between board and host, and the cameras with
+//! their NatNet server. The same seed and the same inputs at the same times give
+//! the same bits, on every machine and in every build.
 //!
 //! ```
 //! use singletrack_sim::{SimulationConfig, World};
@@ -21,8 +21,8 @@
 //! # Ok::<(), singletrack_sim::ConfigError>(())
 //! ```
 //!
-//! [`RealTimeSimulator`] runs a world on its own thread, behind a
-//! pseudo-terminal and UDP sockets, for a host that is another process.
+//! [`RealTimeSimulator`] runs a world on its own thread, with a pseudo-terminal and
+//! UDP sockets for a host in another process.
 
 mod attitude;
 mod board;
@@ -43,8 +43,8 @@ mod wire;
 mod world;
 
 pub use board::{
-    BoardKind, BoardParameters, Heard, ImageSize, Installation, SERVO_FRAME_US, SimulatedBoard,
-    UnknownBoard, UnoError,
+    BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
+    SimulatedBoard, UnknownBoard, UnoError,
 };
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,

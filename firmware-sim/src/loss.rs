@@ -1,26 +1,26 @@
-//! When the cameras lose the markers: `200ms@2s` and explicit windows.
+//! Schedules of marker losses: periodic (`200ms@2s`) and single.
 
 use core::{fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Losses that repeat: for `duration_us` at every multiple of `interval_us`,
-/// the first one at `interval_us`.
+/// Periodic losses: of `duration_us` at every multiple of `interval_us`, starting
+/// at `interval_us`.
 ///
-/// Written `DURATION@INTERVAL`, for instance `200ms@2s`.
+/// The text form is `DURATION@INTERVAL`, for example `200ms@2s`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LossPattern {
     duration_us: u64,
     interval_us: u64,
 }
 
-/// A loss pattern that cannot be read.
+/// Error while parsing a loss pattern.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LossPatternError {
     /// No `@` between duration and interval, or more than one.
     #[error("\"{text}\" is not a loss pattern: write DURATION@INTERVAL, for instance 200ms@2s")]
     Form {
-        /// What was given.
+        /// The invalid text.
         text: String,
     },
     /// A duration without a number or with an unknown unit.
@@ -28,16 +28,16 @@ pub enum LossPatternError {
         "\"{text}\" is not a duration: write a number and one of us, ms, s, for instance 200ms or 0.2s"
     )]
     Duration {
-        /// What was given.
+        /// The invalid text.
         text: String,
     },
     /// A duration of zero.
     #[error("the {name} of a loss pattern must be at least 1 us; it is zero")]
     Zero {
-        /// Which of the two.
+        /// Name of the duration: duration or interval.
         name: &'static str,
     },
-    /// The markers would never be seen after the first loss.
+    /// The losses overlap, so that the markers never return.
     #[error(
         "a loss of {duration_us} us at every {interval_us} us never ends: make the duration shorter than the interval"
     )]
@@ -50,7 +50,7 @@ pub enum LossPatternError {
 }
 
 impl LossPattern {
-    /// A loss of `duration_us` at every multiple of `interval_us`.
+    /// A pattern with a loss of `duration_us` at every multiple of `interval_us`.
     ///
     /// # Errors
     ///
@@ -73,13 +73,13 @@ impl LossPattern {
         })
     }
 
-    /// How long one loss lasts, in µs.
+    /// Duration of a loss, in µs.
     #[must_use]
     pub const fn duration_us(&self) -> u64 {
         self.duration_us
     }
 
-    /// From the start of one loss to the start of the next, in µs.
+    /// Time between the starts of two losses, in µs.
     #[must_use]
     pub const fn interval_us(&self) -> u64 {
         self.interval_us
@@ -107,12 +107,12 @@ impl FromStr for LossPattern {
     }
 }
 
-/// Reads a duration such as `200ms`, `0.2s` or `1500us`, in µs.
+/// Parses a duration such as `200ms`, `0.2s` or `1500us`; returns µs.
 ///
 /// # Errors
 ///
-/// [`LossPatternError::Duration`] without a number that is finite and not
-/// negative, or without one of the units.
+/// [`LossPatternError::Duration`] if the number is negative or not finite, or the
+/// unit is unknown.
 pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
     let error = || LossPatternError::Duration {
         text: text.to_owned(),
@@ -130,7 +130,7 @@ pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
         return Err(error());
     }
     let value = number.parse::<f64>().map_err(|_| error())? * microseconds;
-    // A year is more than any run, and far from where f64 counts no longer.
+    // A year exceeds any run, and is exact in f64.
     if value <= 3.2e13 {
         Ok((value + 0.5) as u64)
     } else {
@@ -138,7 +138,7 @@ pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
     }
 }
 
-/// Writes a duration in the largest unit that leaves no fraction.
+/// Formats a duration in the largest unit without a fraction.
 fn format_duration(microseconds: u64) -> String {
     match microseconds {
         us if us % 1_000_000 == 0 => format!("{}s", us / 1_000_000),
@@ -172,7 +172,7 @@ impl<'de> Deserialize<'de> for LossPattern {
     }
 }
 
-/// One loss, by simulation time since the schedule's epoch.
+/// A single loss, in simulation time since the schedule's epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LossWindow {
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_is_written_as_it_is_read() {
+    fn patterns_round_trip_through_text() {
         for text in ["200ms@2s", "50ms@1s", "1500us@20ms", "1s@3s"] {
             assert_eq!(text.parse::<LossPattern>().unwrap().to_string(), text);
         }
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_what_was_written_and_what_to_write() {
+    fn errors_contain_the_text_and_the_expected_form() {
         for (text, part) in [
             ("200ms", "DURATION@INTERVAL"),
             ("200ms@2s@3s", "DURATION@INTERVAL"),

@@ -1,5 +1,5 @@
-//! `singletrack-sim`: the board and the car behind a pseudo-terminal, the
-//! cameras behind UDP, to point a daemon at.
+//! `singletrack-sim`: the real-time simulator, with the board behind a
+//! pseudo-terminal and the cameras behind UDP.
 
 use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
 
@@ -11,33 +11,32 @@ use singletrack_sim::{
 };
 use tokio::signal::unix::{SignalKind, signal};
 
-/// A simulated car to point a controller at.
+/// Simulate the car, the board and the motion capture system in real time.
 ///
-/// The board's serial port is a pseudo-terminal; the motion-capture system is a
-/// NatNet server on UDP. Both behave like the real ones, in real time: use
-/// their addresses in the daemon's configuration, and it drives the simulated
-/// car as it would drive the real one. Stop with Ctrl-C.
+/// The board's serial port is a pseudo-terminal; the motion capture system is a
+/// NatNet server on UDP. Put their addresses in the daemon's configuration: the
+/// daemon then drives the simulated car like the real one. Stop with Ctrl-C.
 #[derive(Debug, Parser)]
 #[command(name = "singletrack-sim", version)]
 struct Arguments {
-    /// What runs on the board: its code, compiled for this machine, or the Arduino's
-    /// image on a simulated processor (`cargo uno` builds it)
+    /// Board to simulate: its code, compiled for this machine, or the UNO image on
+    /// a simulated processor (built by `cargo uno`)
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     board: BoardKind,
 
-    /// Where to link the board's serial port
+    /// Path of the link to the board's serial port
     #[arg(long, value_name = "PATH", default_value = "/tmp/singletrack-board")]
     port: PathBuf,
 
-    /// Interface to serve NatNet on, by its address; only this machine by default
+    /// Address of the interface for NatNet
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     interface: Ipv4Addr,
 
-    /// UDP port for NatNet commands (0: any free one)
+    /// UDP port for NatNet commands (0: any free port)
     #[arg(long, value_name = "PORT", default_value_t = 1510)]
     command_port: u16,
 
-    /// UDP port for NatNet frames (0: any free one)
+    /// UDP port for NatNet frames (0: any free port)
     #[arg(long, value_name = "PORT", default_value_t = 1511)]
     data_port: u16,
 
@@ -49,19 +48,19 @@ struct Arguments {
     #[arg(long, value_name = "VERSION", default_value = "4.1", value_parser = parse_bitstream)]
     bitstream: BitstreamVersion,
 
-    /// All random numbers follow from this
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
-    /// Where the centre of mass starts, in metres, and the yaw, in degrees
+    /// Initial position of the centre of mass, in metres, and yaw, in degrees
     #[arg(long, value_name = "X,Y,YAW", default_value = "0,0,0", allow_hyphen_values = true, value_parser = parse_pose)]
     start: StartPose,
 
-    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
+    /// Lose the markers for DURATION at every multiple of INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     loss: Option<LossPattern>,
 
-    /// What a loss looks like: the tracking bit cleared, the body absent, or no frame at all
+    /// Form of a loss: tracking bit cleared (occluded), body absent, or no frame (silent)
     #[arg(long, value_name = "KIND", default_value = "occluded", value_parser = parse_loss_kind)]
     loss_kind: LossKind,
 
@@ -77,7 +76,7 @@ struct Arguments {
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     duration: Option<Duration>,
 
-    /// Say nothing but errors
+    /// Print only errors
     #[arg(long, short)]
     quiet: bool,
 }
@@ -154,7 +153,7 @@ async fn main() -> ExitCode {
 }
 
 async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
-    // First of all, so that a signal never leaves the link behind.
+    // First, so that no signal leaves the link behind.
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let simulator = RealTimeSimulator::start(arguments.config())?;
@@ -195,11 +194,10 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Without its process the image is a board that is off for good: nothing to wait
-/// for.
+/// Period of the check for a failed image process. A board without it stays off.
 const FAILURE_PERIOD: Duration = Duration::from_millis(100);
 
-/// Waits until the process that runs the image has gone, and says why.
+/// Waits until the process that runs the image fails; returns the error.
 async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTimeError> {
     loop {
         tokio::time::sleep(FAILURE_PERIOD).await;

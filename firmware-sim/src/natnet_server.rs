@@ -1,4 +1,4 @@
-//! The NatNet server in front of the cameras, without a socket.
+//! The cameras' NatNet server, without sockets.
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
@@ -16,10 +16,10 @@ use singletrack_mocap::{
 
 use crate::cameras::{CameraFrame, CameraParameters, TICKS_PER_SECOND};
 
-/// The group to which NatNet servers send by default.
+/// Default multicast group of NatNet servers.
 pub const MULTICAST_GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
 
-/// What the server streams, and to whom.
+/// Parameters of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NatNetParameters {
@@ -33,7 +33,7 @@ pub struct NatNetParameters {
     pub multicast: bool,
     /// The multicast group.
     pub group: Ipv4Addr,
-    /// Silence after which a unicast client gets no frames any more, in µs.
+    /// Silence after which a unicast client is dropped, in µs.
     pub keep_alive_timeout_us: u64,
 }
 
@@ -48,11 +48,11 @@ impl Default for NatNetParameters {
     }
 }
 
-/// Reads a bitstream version such as `4.1`.
+/// Parses a bitstream version such as `4.1`.
 ///
 /// # Errors
 ///
-/// A sentence that names the text and the versions there are.
+/// A message with the text and the supported versions.
 pub fn parse_bitstream(text: &str) -> Result<BitstreamVersion, String> {
     text.split_once('.')
         .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)))
@@ -77,39 +77,39 @@ fn deserialize_version<'de, D: Deserializer<'de>>(
     parse_bitstream(&String::deserialize(deserializer)?).map_err(D::Error::custom)
 }
 
-/// Where a datagram goes.
+/// Destination of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// To one client.
+    /// A client's address.
     Client(SocketAddr),
-    /// To the multicast group, at the data port.
+    /// The multicast group, at the data port.
     Group,
 }
 
 /// A datagram from the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Datagram {
-    /// Where it goes.
+    /// Destination.
     pub to: Destination,
-    /// Whether it is a frame, which leaves from the data port; answers leave
-    /// from the command port.
+    /// Whether it is a frame, sent from the data port; answers are sent from the
+    /// command port.
     pub is_frame: bool,
-    /// What it holds.
+    /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// What the server has seen and done.
+/// Counters of the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NatNetCounters {
-    /// Datagrams understood.
+    /// Valid datagrams.
     pub requests: u64,
-    /// Datagrams not understood.
+    /// Invalid datagrams.
     pub malformed: u64,
-    /// Frame datagrams handed out, counted for every receiver.
+    /// Frame datagrams sent, counted per receiver.
     pub frames: u64,
     /// Clients dropped for their silence.
     pub expired: u64,
-    /// Messages that could not be encoded: a name with a NUL, or too long.
+    /// Messages that could not be encoded: a name is too long or contains NUL.
     pub unencodable: u64,
 }
 
@@ -117,13 +117,13 @@ pub struct NatNetCounters {
 struct Client {
     address: SocketAddr,
     bitstream: BitstreamVersion,
-    last_heard_us: u64,
+    last_received_us: u64,
 }
 
-/// No laboratory has more listeners.
+/// Limit on the number of unicast clients.
 const MAX_CLIENTS: usize = 16;
 
-/// The server's side of NatNet: requests in, answers and frames out.
+/// The server side of NatNet.
 #[derive(Clone, Debug)]
 pub struct NatNetServer {
     parameters: NatNetParameters,
@@ -148,35 +148,35 @@ impl NatNetServer {
         }
     }
 
-    /// What the server was built with.
+    /// The parameters.
     #[must_use]
     pub const fn parameters(&self) -> &NatNetParameters {
         &self.parameters
     }
 
-    /// What it has seen and done.
+    /// The counters so far.
     #[must_use]
     pub const fn counters(&self) -> NatNetCounters {
         self.counters
     }
 
-    /// The data port that it tells its clients.
+    /// Sets the data port that is reported to clients.
     pub const fn set_data_port(&mut self, port: u16) {
         self.data_port = port;
     }
 
-    /// Addresses that frames go to.
+    /// Addresses of the unicast clients.
     pub fn clients(&self) -> impl Iterator<Item = SocketAddr> {
         self.clients.iter().map(|client| client.address)
     }
 
-    /// Marks the next frame as the first after a change of the models.
+    /// Flags a change of the models in the next frame.
     pub(crate) const fn announce_model_change(&mut self) {
         self.models_changed = true;
     }
 
-    /// Takes a datagram from a client; `ticks` is the server's clock. Returns
-    /// the answer, if there is one.
+    /// Processes a datagram from a client and returns the answer, if any; `ticks`
+    /// is the server's clock.
     pub fn handle_datagram(
         &mut self,
         now_us: u64,
@@ -202,7 +202,7 @@ impl NatNetServer {
             ClientMessage::Discovery => self.server_info(from),
             ClientMessage::KeepAlive => {
                 if let Some(client) = self.client_mut(from) {
-                    client.last_heard_us = now_us;
+                    client.last_received_us = now_us;
                 }
                 None
             }
@@ -223,13 +223,12 @@ impl NatNetServer {
         }
     }
 
-    /// The datagrams of one frame, for everyone who listens. A silent frame
-    /// has none.
+    /// The datagrams of one frame for all receivers; none for a silent frame.
     pub fn frame(&mut self, now_us: u64, frame: &CameraFrame) -> Vec<Datagram> {
         let timeout_us = self.parameters.keep_alive_timeout_us;
         let before = self.clients.len();
         self.clients
-            .retain(|client| now_us.saturating_sub(client.last_heard_us) <= timeout_us);
+            .retain(|client| now_us.saturating_sub(client.last_received_us) <= timeout_us);
         self.counters.expired += (before - self.clients.len()) as u64;
         if frame.silent {
             return Vec::new();
@@ -267,7 +266,7 @@ impl NatNetServer {
         let client = Client {
             address,
             bitstream,
-            last_heard_us: now_us,
+            last_received_us: now_us,
         };
         if let Some(known) = self.client_mut(address) {
             *known = client;
@@ -332,7 +331,7 @@ impl NatNetServer {
 
     fn text_request(&mut self, from: SocketAddr, text: &str) -> Option<Datagram> {
         match bitstream_request(text) {
-            // A multicast stream is the same for all.
+            // All receivers share a multicast stream.
             Some(Ok(version)) if !self.parameters.multicast => {
                 let status = match self.client_mut(from) {
                     Some(client) => {
@@ -377,7 +376,7 @@ impl NatNetServer {
 
 const MARKER_NAMES: [&str; 3] = ["front", "left", "right"];
 
-/// A frame as a real laboratory sends it: with the markers of the bodies too.
+/// Encodes a frame with the markers of the bodies, as real servers send it.
 fn encode_frame(
     version: BitstreamVersion,
     frame: &CameraFrame,

@@ -1,4 +1,4 @@
-//! Everything that can be set before a simulation starts.
+//! The configuration of a simulation.
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameterError;
@@ -11,14 +11,14 @@ use crate::{
     wire::WireParameters,
 };
 
-/// Everything that can be set before a simulation starts.
+/// The configuration of a simulation.
 ///
-/// The default is the paper's car with hobby-grade actuators, a consumer IMU
-/// and a good motion-capture system, and nothing wrong.
+/// The default is the paper's car with hobby-grade actuators, a consumer IMU and a
+/// good motion capture system, without faults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationConfig {
-    /// From this all random numbers follow.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// The car.
     pub car: CarParameters,
@@ -45,29 +45,29 @@ impl Default for SimulationConfig {
     }
 }
 
-/// A setting with which nothing can be simulated.
+/// Errors in the configuration of a simulation.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigError {
-    /// No such vehicle.
+    /// Invalid vehicle parameters.
     #[error("car.vehicle: {0}")]
     Vehicle(#[from] VehicleParameterError),
-    /// No simulated UNO to be had.
+    /// The simulated UNO is not available.
     #[error(transparent)]
     Uno(#[from] UnoError),
-    /// A value that is out of range.
+    /// A value is out of range.
     #[error("{name} is {value}: it must be {rule}")]
     OutOfRange {
-        /// The setting's name.
+        /// Name of the setting.
         name: &'static str,
-        /// Its value.
+        /// Value of the setting.
         value: f64,
-        /// What it must be.
+        /// Allowed values.
         rule: &'static str,
     },
 }
 
 impl SimulationConfig {
-    /// Refuses what cannot be simulated.
+    /// Checks all settings against their ranges.
     ///
     /// # Errors
     ///
@@ -235,7 +235,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_can_be_simulated_and_survives_being_written() {
+    fn the_default_is_valid_and_round_trips() {
         let config = SimulationConfig::default();
         config.validate().unwrap();
         let text = toml::to_string(&config).unwrap();
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_keys_and_bad_values_are_refused_by_name() {
+    fn unknown_keys_and_invalid_values_are_reported_by_name() {
         let error = toml::from_str::<SimulationConfig>("[car.servo]\nlagg_s = 1").unwrap_err();
         assert!(error.to_string().contains("lagg_s"), "{error}");
         let config: SimulationConfig = toml::from_str("[wire.faults]\ncorrupt = 1.5").unwrap();

@@ -1,4 +1,4 @@
-//! A pseudo-terminal that looks like the board's serial port.
+//! A pseudo-terminal in place of the board's serial port.
 
 use std::{
     ffi::OsStr,
@@ -14,33 +14,32 @@ use rustix::{
     termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr},
 };
 
-/// Why there is no pseudo-terminal.
+/// Errors while opening a pseudo-terminal.
 #[derive(Debug, thiserror::Error)]
 pub enum PtyError {
-    /// The system gives none.
+    /// The system provides none.
     #[error("cannot open a pseudo-terminal: {0}")]
     Open(#[source] io::Error),
-    /// Something else is at the place of the link.
-    #[error("cannot link {link} to the pseudo-terminal: something that is no link is there; remove it or choose another path", link = link.display())]
+    /// The path of the link is occupied.
+    #[error("cannot link {link} to the pseudo-terminal: the path exists and is not a link; remove it or choose another path", link = link.display())]
     Occupied {
-        /// The path asked for.
+        /// Path of the link.
         link: PathBuf,
     },
-    /// The link cannot be made.
+    /// The link cannot be created.
     #[error("cannot link {link} to the pseudo-terminal: {source}", link = link.display())]
     Link {
-        /// The path asked for.
+        /// Path of the link.
         link: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// A pseudo-terminal that looks like the board's serial port; dropped, it
-/// hangs up.
+/// A pseudo-terminal in place of the board's serial port. Dropping it hangs up.
 ///
-/// It passes every byte value unchanged. It holds the host's end open itself:
-/// otherwise its own end would read errors whenever no host is there.
+/// All byte values pass unchanged. It keeps the host's end open, because its own
+/// end would otherwise return errors while no host is connected.
 #[derive(Debug)]
 pub struct Pty {
     master: OwnedFd,
@@ -50,11 +49,12 @@ pub struct Pty {
 }
 
 impl Pty {
-    /// Opens one, and links `link` to its device, replacing a link that is there.
+    /// Opens a pseudo-terminal and links `link` to its device, replacing an existing
+    /// link.
     ///
     /// # Errors
     ///
-    /// When the system gives none, or the link cannot be made.
+    /// Fails if the system provides none, or the link cannot be created.
     pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
         let (master, host_end, device) =
             open_raw().map_err(|error| PtyError::Open(error.into()))?;
@@ -69,17 +69,17 @@ impl Pty {
         })
     }
 
-    /// Where a host finds it: the link if there is one, else the device.
+    /// Path for the host: the link if there is one, else the device.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.link.as_deref().unwrap_or(&self.device)
     }
 
-    /// Takes what the host has written; zero when there is nothing.
+    /// Reads bytes from the host; zero if there are none.
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// The system's error.
     pub fn read(&self, buffer: &mut [u8]) -> io::Result<usize> {
         match rustix::io::read(&self.master, buffer) {
             Ok(count) => Ok(count),
@@ -88,11 +88,11 @@ impl Pty {
         }
     }
 
-    /// Gives bytes to the host; returns how many there was room for.
+    /// Writes bytes to the host; returns the number written.
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// The system's error.
     pub fn write(&self, bytes: &[u8]) -> io::Result<usize> {
         match rustix::io::write(&self.master, bytes) {
             Ok(count) => Ok(count),
@@ -101,11 +101,10 @@ impl Pty {
         }
     }
 
-    /// Lets the next host open the port although the last one took it for
-    /// itself: a real port forgets that when it is closed, but this one is
-    /// never closed.
+    /// Clears exclusive mode. A real port loses it when it is closed, but this one
+    /// is never closed.
     pub fn clear_exclusive(&self) {
-        // A port that cannot be freed is one that the next host reports.
+        // If this fails, the next host reports the error.
         let _ = ioctl_tiocnxcl(&self.host_end);
     }
 }
@@ -115,7 +114,7 @@ impl Drop for Pty {
         if let Some(link) = &self.link
             && std::fs::read_link(link).is_ok_and(|target| target == self.device)
         {
-            // Nobody is left to tell.
+            // No one can handle an error here.
             let _ = std::fs::remove_file(link);
         }
     }
@@ -152,7 +151,7 @@ fn replace_link(link: &Path, device: &Path) -> Result<(), PtyError> {
         link: link.to_owned(),
         source,
     };
-    // Made beside and moved over, so that a host never finds it missing.
+    // Created beside and renamed, so that the link always exists.
     let mut temporary = link.as_os_str().to_owned();
     temporary.push(format!(".{}", std::process::id()));
     let temporary = PathBuf::from(temporary);

@@ -1,24 +1,23 @@
-//! The pulses on the board's pins, as an oscilloscope would see them.
+//! Log of the pulses on the board's pins.
 
 use std::collections::VecDeque;
 
-/// One servo frame: both pulses start at this moment.
+/// A servo frame: both pulses start at the same time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PulseRecord {
     /// Simulation time at which the pulses start, in µs.
     pub time_us: u64,
-    /// The same on the board's clock, in µs, wrapping.
+    /// Board time, in µs, wrapping.
     pub board_time_us: u32,
-    /// Servo pulse in µs; zero is no pulse.
+    /// Servo pulse in µs; zero for none.
     pub servo_us: u16,
-    /// ESC pulse in µs; zero is no pulse.
+    /// ESC pulse in µs; zero for none.
     pub esc_us: u16,
-    /// A reset came in mid-pulse: the pulses that it ended are shorter than they
-    /// were meant to be.
+    /// A reset cut the pulses, which are therefore shorter than intended.
     pub cut: bool,
 }
 
-/// The last servo frames, oldest first.
+/// The most recent servo frames.
 #[derive(Clone, Debug, Default)]
 pub struct PulseLog {
     records: VecDeque<PulseRecord>,
@@ -26,7 +25,7 @@ pub struct PulseLog {
 }
 
 impl PulseLog {
-    /// Frames kept: twenty minutes at 50 Hz.
+    /// Number of frames kept: twenty minutes at 50 Hz.
     pub const CAPACITY: usize = 60_000;
 
     pub(crate) fn push(&mut self, record: PulseRecord) {
@@ -37,7 +36,7 @@ impl PulseLog {
         self.total += 1;
     }
 
-    /// Frames since the start, those that are not kept any more too.
+    /// Number of frames since the start, including those no longer kept.
     #[must_use]
     pub const fn total(&self) -> u64 {
         self.total
@@ -54,9 +53,9 @@ impl PulseLog {
         self.records.back()
     }
 
-    /// The first frame at or after `time_us` from which on, to the end of the
-    /// log, the ESC's pulse stays within `tolerance_us` of neutral or is absent.
-    /// A pulse that a reset cut short of neutral says nothing about it.
+    /// The first frame at or after `time_us` from which on all ESC pulses are
+    /// absent or within `tolerance_us` of neutral. Pulses that a reset cut below
+    /// neutral are ignored.
     #[must_use]
     pub fn neutral_from(
         &self,
@@ -82,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neutral_counts_from_the_frame_after_which_it_stays() {
+    fn neutral_counts_from_the_first_frame_of_the_last_neutral_phase() {
         let mut log = PulseLog::default();
         for (i, esc_us) in [1500, 1560, 1500, 1560, 1502, 1500, 0]
             .into_iter()
@@ -105,7 +104,7 @@ mod tests {
         assert_eq!(at(120_001), None);
     }
     #[test]
-    fn a_pulse_that_a_reset_cut_neither_begins_nor_ends_neutral() {
+    fn a_pulse_cut_by_a_reset_neither_starts_nor_ends_neutral() {
         let from = |pulses: &[(u16, bool)]| {
             let mut log = PulseLog::default();
             for (i, &(esc_us, cut)) in pulses.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Random numbers that are the same on every machine and in every build.
+//! Seeded random numbers, the same on every machine and in every build.
 
 use libm::{cos, log, sqrt};
 use rand_chacha::{
@@ -6,10 +6,10 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 
-/// Who draws from a stream of its own.
+/// Consumers with a stream of their own.
 ///
-/// Every sensor and every fault has one, so that switching one off does not
-/// change what the others draw.
+/// Every sensor and every fault has one, so that disabling one does not change the
+/// draws of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stream {
     Gyroscope = 1,
@@ -40,21 +40,21 @@ impl Random {
         (self.0.next_u64() >> 11) as f64 * SCALE
     }
 
-    /// Whether an event of this probability happens. Draws always, so that the
-    /// probability does not change what comes after.
+    /// True with the given probability. Always draws one number, so that the
+    /// probability does not change later draws.
     pub(crate) fn happens(&mut self, probability: f64) -> bool {
         self.uniform() < probability
     }
 
-    /// One of `n` values from 0, for small `n`.
+    /// A uniform integer below `n`, for small `n`.
     pub(crate) fn below(&mut self, n: u32) -> u32 {
         ((u64::from(self.0.next_u32()) * u64::from(n)) >> 32) as u32
     }
 
     /// Standard normal (Box and Muller).
     ///
-    /// Not `rand_distr`: its logarithm is the platform's as soon as anything in
-    /// the build asks `num-traits` for `std`.
+    /// Not `rand_distr`: its logarithm depends on the platform if any crate of the
+    /// build enables `std` of `num-traits`.
     pub(crate) fn normal(&mut self) -> f64 {
         // In (0, 1], where the logarithm is finite.
         let radius = sqrt(-2.0 * log(1.0 - self.uniform()));

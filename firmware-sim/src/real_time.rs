@@ -1,4 +1,4 @@
-//! The world in real time: behind a pseudo-terminal and UDP, on its own thread.
+//! The world in real time, on its own thread, with a pseudo-terminal and UDP.
 
 use std::{
     collections::VecDeque,
@@ -26,17 +26,17 @@ use crate::{
     world::World,
 };
 
-/// What the real-time simulator needs beyond the simulation itself.
+/// Configuration of the real-time simulator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealTimeConfig {
     /// The simulation.
     pub simulation: SimulationConfig,
-    /// Where to link the pseudo-terminal, so that its path stays the same when
-    /// it is unplugged and plugged in again.
+    /// Path of the link to the pseudo-terminal, which stays the same when the line
+    /// is unplugged and plugged in.
     pub pty_link: Option<PathBuf>,
-    /// Where the NatNet server listens.
+    /// Sockets of the NatNet server.
     pub udp: UdpConfig,
-    /// Time between two points of the recorded trajectory, in µs.
+    /// Period of the recorded trajectory, in µs.
     pub trajectory_period_us: u64,
 }
 
@@ -51,19 +51,19 @@ impl Default for RealTimeConfig {
     }
 }
 
-/// Why the simulator does not start, or has stopped.
+/// Errors of the real-time simulator.
 #[derive(Debug, thiserror::Error)]
 pub enum RealTimeError {
-    /// A setting with which nothing can be simulated.
+    /// Invalid configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// No pseudo-terminal.
+    /// The pseudo-terminal cannot be opened.
     #[error(transparent)]
     Pty(#[from] PtyError),
-    /// No socket.
+    /// A socket cannot be opened.
     #[error(transparent)]
     Udp(#[from] UdpError),
-    /// No thread.
+    /// The thread cannot be started.
     #[error("cannot start the simulator's thread: {0}")]
     Thread(#[source] io::Error),
     /// The simulator's thread has ended.
@@ -71,38 +71,38 @@ pub enum RealTimeError {
     Stopped,
 }
 
-/// The truth at a moment of `CLOCK_MONOTONIC`.
+/// Ground truth with its time on `CLOCK_MONOTONIC`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TimedTruth {
     /// `CLOCK_MONOTONIC`, in ns.
     pub monotonic_ns: u64,
-    /// What was so.
+    /// Ground truth.
     pub truth: Truth,
 }
 
-/// How the simulator's thread has fared.
+/// Statistics of the simulator's thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RealTimeCounters {
     /// Rounds of the loop.
     pub rounds: u64,
-    /// Rounds that began more than 5 ms late.
+    /// Rounds that started more than 5 ms late.
     pub late_rounds: u64,
-    /// Latest begin of a round, in µs.
+    /// Largest delay of a round, in µs.
     pub max_lateness_us: u64,
-    /// Bytes for which the pseudo-terminal had no room.
+    /// Bytes lost because the pseudo-terminal was full.
     pub bytes_lost: u64,
     /// Datagrams that could not be sent.
     pub datagrams_lost: u64,
 }
 
-/// What is left when the simulator has stopped.
+/// Results of a stopped simulator.
 #[derive(Debug)]
 pub struct Finished {
-    /// The world at its last moment.
+    /// Final state of the world.
     pub world: World,
-    /// The recorded trajectory that nobody took, oldest first.
+    /// The rest of the recorded trajectory, oldest first.
     pub trajectory: Vec<TimedTruth>,
-    /// How the thread has fared.
+    /// Statistics of the thread.
     pub counters: RealTimeCounters,
     /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
     pub started_ns: u64,
@@ -110,7 +110,7 @@ pub struct Finished {
 
 type Request = Box<dyn FnOnce(&mut Machine) + Send>;
 
-/// A running simulator. Dropped, it stops.
+/// A running simulator. Dropping it stops the thread.
 #[derive(Debug)]
 pub struct RealTimeSimulator {
     requests: mpsc::Sender<Request>,
@@ -123,11 +123,11 @@ pub struct RealTimeSimulator {
 }
 
 impl RealTimeSimulator {
-    /// Opens pseudo-terminal and sockets and starts the simulation.
+    /// Opens the pseudo-terminal and the sockets and starts the simulation.
     ///
     /// # Errors
     ///
-    /// What stands in the way.
+    /// Fails if a resource cannot be opened or the configuration is invalid.
     pub fn start(config: RealTimeConfig) -> Result<Self, RealTimeError> {
         let mut world = World::new(config.simulation)?;
         let sockets = NatNetSockets::bind(&config.udp, world.natnet().parameters().group)?;
@@ -168,20 +168,20 @@ impl RealTimeSimulator {
         })
     }
 
-    /// Where the board's serial port is: the link if one was asked for, else
-    /// the device (which is another one after [`plug`](Self::plug)).
+    /// Path of the board's serial port: the link if configured, else the device
+    /// (which changes with [`plug`](Self::plug)).
     #[must_use]
     pub fn pty_path(&self) -> &Path {
         &self.pty_path
     }
 
-    /// Where the NatNet server takes commands.
+    /// Command address of the NatNet server.
     #[must_use]
     pub const fn command_address(&self) -> SocketAddrV4 {
         self.command_address
     }
 
-    /// Where its frames come from; its port is also the multicast port.
+    /// Source address of the frames; its port is also the multicast port.
     #[must_use]
     pub const fn data_address(&self) -> SocketAddrV4 {
         self.data_address
@@ -193,8 +193,8 @@ impl RealTimeSimulator {
         self.started_ns
     }
 
-    /// Does something with the world on the simulator's thread, within its
-    /// next millisecond, and returns the result.
+    /// Calls a function with the world on the simulator's thread, within the next
+    /// millisecond, and returns its result.
     ///
     /// # Errors
     ///
@@ -206,7 +206,7 @@ impl RealTimeSimulator {
         self.with_machine(|machine| action(&mut machine.world))
     }
 
-    /// What is so now.
+    /// The present ground truth.
     ///
     /// # Errors
     ///
@@ -215,7 +215,7 @@ impl RealTimeSimulator {
         self.with_machine(|machine| machine.timed_truth())
     }
 
-    /// How the thread has fared so far.
+    /// Statistics of the thread so far.
     ///
     /// # Errors
     ///
@@ -224,7 +224,7 @@ impl RealTimeSimulator {
         self.with_machine(|machine| machine.counters)
     }
 
-    /// Takes the trajectory recorded since the last call, oldest first.
+    /// Returns the trajectory recorded since the last call, oldest first.
     ///
     /// # Errors
     ///
@@ -233,7 +233,7 @@ impl RealTimeSimulator {
         self.with_machine(|machine| core::mem::take(&mut machine.trajectory).into())
     }
 
-    /// Pulls the serial line out: the host sees a hang-up, the link is gone.
+    /// Unplugs the serial line: the host sees a hang-up, and the link is removed.
     ///
     /// # Errors
     ///
@@ -245,12 +245,12 @@ impl RealTimeSimulator {
         })
     }
 
-    /// Plugs the serial line in again, with a new pseudo-terminal under the
-    /// same link. Returns where it is.
+    /// Plugs the serial line in with a new pseudo-terminal under the same link.
+    /// Returns its path.
     ///
     /// # Errors
     ///
-    /// When there is no pseudo-terminal to be had, or [`RealTimeError::Stopped`].
+    /// Fails if no pseudo-terminal can be opened, or with [`RealTimeError::Stopped`].
     pub fn plug(&self) -> Result<PathBuf, RealTimeError> {
         self.with_machine(|machine| -> Result<PathBuf, RealTimeError> {
             if let Some(pty) = &machine.pty {
@@ -264,11 +264,11 @@ impl RealTimeSimulator {
         })?
     }
 
-    /// Stops, and returns what is left.
+    /// Stops the simulator and returns its results.
     ///
     /// # Errors
     ///
-    /// [`RealTimeError::Stopped`] when the thread has ended otherwise.
+    /// [`RealTimeError::Stopped`] if the thread has already ended.
     pub fn stop(mut self) -> Result<Finished, RealTimeError> {
         self.stop.store(true, Ordering::Relaxed);
         self.thread
@@ -284,7 +284,7 @@ impl RealTimeSimulator {
         let (sender, receiver) = mpsc::sync_channel(1);
         self.requests
             .send(Box::new(move |machine| {
-                // Who asked may have gone.
+                // The caller may have gone.
                 let _ = sender.send(action(machine));
             }))
             .map_err(|_| RealTimeError::Stopped)?;
@@ -296,13 +296,13 @@ impl Drop for RealTimeSimulator {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It has nothing to say any more.
+            // The result is no longer needed.
             let _ = thread.join();
         }
     }
 }
 
-/// Everything on the simulator's thread.
+/// State of the simulator's thread.
 #[derive(Debug)]
 struct Machine {
     world: World,
@@ -319,7 +319,7 @@ struct Machine {
 
 /// Time between two rounds, in ns.
 const ROUND_NS: u64 = 1_000_000;
-/// Points of the trajectory kept: over an hour at 5 ms.
+/// Number of points of the trajectory kept: over an hour at 5 ms.
 const TRAJECTORY_CAPACITY: usize = 1 << 20;
 
 impl Machine {
@@ -333,7 +333,7 @@ impl Machine {
             self.counters.rounds += 1;
             self.counters.late_rounds += u64::from(lateness_us > 5_000);
             self.counters.max_lateness_us = self.counters.max_lateness_us.max(lateness_us);
-            // No round is made up for: the world catches up in this one.
+            // Missed rounds are not repeated: this round catches up.
             deadline_ns += lateness_us * 1_000 / ROUND_NS * ROUND_NS;
             self.round((now_ns - self.started_ns) / 1_000);
             while let Ok(request) = requests.try_recv() {
@@ -348,7 +348,7 @@ impl Machine {
         }
     }
 
-    /// Virtual time first: what has come since the last round came before now.
+    /// Advances virtual time first: inputs since the last round arrived before now.
     fn round(&mut self, now_us: u64) {
         while self.next_record_us <= now_us {
             self.world.advance_to(self.next_record_us);
@@ -367,7 +367,7 @@ impl Machine {
         let Some(pty) = &self.pty else {
             return;
         };
-        // Into a stuck line the host's writes pile up in its own driver.
+        // While the line is stuck, the host's writes stay in its driver.
         if !self.world.wire().faults().stuck {
             let mut buffer = [0; 1024];
             while let Ok(count @ 1..) = pty.read(&mut buffer) {
@@ -415,7 +415,7 @@ impl Machine {
 /// `CLOCK_MONOTONIC`, in ns.
 fn monotonic_ns() -> u64 {
     let now = clock_gettime(rustix::time::ClockId::Monotonic);
-    // The clock starts at boot: it is never negative.
+    // The clock starts at boot and is never negative.
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs() as u64
 }
 
@@ -424,6 +424,6 @@ fn sleep_until(deadline_ns: u64) {
         tv_sec: (deadline_ns / 1_000_000_000) as i64,
         tv_nsec: (deadline_ns % 1_000_000_000) as _,
     };
-    // Interrupted, the round is early and finds little to do.
+    // If interrupted, the round starts early, which is harmless.
     let _ = clock_nanosleep_absolute(ClockId::Monotonic, &deadline);
 }

@@ -1,4 +1,4 @@
-//! A small host for the simulated board: enough to configure, arm and drive.
+//! A minimal host for the simulated board, which configures, arms and drives.
 
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Decoder, Drive, Hello, RefusalReason, Sequence,
@@ -7,7 +7,7 @@ use singletrack_protocol::{
 
 use crate::{ConfigError, SimulationConfig, World, default_board_configuration};
 
-/// What a host remembers of the board.
+/// A minimal host.
 #[derive(Debug, Default)]
 pub struct ScriptedHost {
     decoder: Decoder,
@@ -15,21 +15,21 @@ pub struct ScriptedHost {
     pub telemetry: Option<Telemetry>,
     /// The last status record.
     pub status: Option<Status>,
-    /// Telemetry records so far.
+    /// Number of telemetry records.
     pub records: u64,
-    /// Frames that were damaged or made no sense.
+    /// Number of corrupted or invalid frames.
     pub damaged: u64,
-    /// Requests that were refused.
+    /// Refused requests.
     pub refusals: Vec<RefusalReason>,
-    /// Requests that were answered, refused or not.
+    /// Number of answered requests, refused or not.
     pub answers: u64,
-    /// Greetings, answered and unsolicited.
+    /// Number of greetings, answered and unsolicited.
     pub hellos: Vec<Hello>,
     sequence: Sequence,
 }
 
 impl ScriptedHost {
-    /// Bytes from the board.
+    /// Processes bytes from the board.
     pub fn take(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let message = match self.decoder.push(byte) {
@@ -57,7 +57,7 @@ impl ScriptedHost {
         }
     }
 
-    /// A number that has not been used.
+    /// A new sequence number.
     pub fn next_sequence(&mut self) -> Sequence {
         self.sequence = self.sequence.next();
         self.sequence
@@ -70,7 +70,7 @@ impl ScriptedHost {
             .map_or(0, |telemetry| telemetry.board_time_us)
     }
 
-    /// The board's mode, as far as it is known.
+    /// The board's last reported mode.
     #[must_use]
     pub fn mode(&self) -> Option<BoardMode> {
         self.telemetry.map(|telemetry| telemetry.mode)
@@ -95,7 +95,7 @@ pub struct ScriptedDrive {
     pub world: World,
     /// The host.
     pub host: ScriptedHost,
-    /// What the host configures the board with.
+    /// Configuration of the board.
     pub configuration: Configuration,
 }
 
@@ -104,7 +104,7 @@ impl ScriptedDrive {
     ///
     /// # Errors
     ///
-    /// The world can't be simulated.
+    /// Fails if the configuration is invalid.
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         Ok(Self {
             world: World::new(config)?,
@@ -113,11 +113,12 @@ impl ScriptedDrive {
         })
     }
 
-    /// Powers up, configures and arms; whether that worked the host's mode tells.
+    /// Powers up, configures and arms; the host's mode shows whether that
+    /// succeeded.
     ///
     /// # Errors
     ///
-    /// The world can't be simulated.
+    /// Fails if the configuration is invalid.
     pub fn armed(config: SimulationConfig) -> Result<Self, ConfigError> {
         let mut drive = Self::new(config)?;
         drive.run_ms(200);
@@ -125,7 +126,7 @@ impl ScriptedDrive {
         Ok(drive)
     }
 
-    /// Configures, waits until the ESC has seen neutral for long enough, and arms.
+    /// Configures, waits until the ESC has been at neutral long enough, and arms.
     pub fn prepare(&mut self) {
         self.configure();
         self.run_ms(2_800);
@@ -137,7 +138,7 @@ impl ScriptedDrive {
         self.world.host_write(message.encode().as_bytes());
     }
 
-    /// Lets time pass by whole milliseconds, the host listening.
+    /// Advances time by whole milliseconds while the host receives.
     pub fn run_ms(&mut self, ms: u64) {
         let start = self.world.now_us();
         for i in 1..=ms {
@@ -146,7 +147,7 @@ impl ScriptedDrive {
         }
     }
 
-    /// The host takes what has arrived.
+    /// Lets the host process the received bytes.
     pub fn listen(&mut self) {
         let mut received = Vec::new();
         self.world.host_read(&mut received);
@@ -170,7 +171,7 @@ impl ScriptedDrive {
         self.run_ms(20);
     }
 
-    /// Asks the board to obey commands from now on.
+    /// Sends an arm request to the board.
     pub fn arm(&mut self) {
         let request = self.host.next_sequence();
         let arm = Arm {
@@ -182,7 +183,7 @@ impl ScriptedDrive {
         self.run_ms(40);
     }
 
-    /// Drives for whole ticks of 10 ms; `each` sees the drive after every one.
+    /// Drives for ticks of 10 ms; calls `each` after every one.
     pub fn drive(
         &mut self,
         ticks: u64,

@@ -10,16 +10,16 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use crate::natnet_server::{Datagram, Destination};
 
-/// Where the NatNet server listens.
+/// Addresses of the NatNet server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UdpConfig {
-    /// Address of the interface to serve on; also the interface of the
-    /// multicast frames. Only this machine by default.
+    /// Address of the interface, also for multicast frames. The default is this
+    /// machine only.
     pub interface: Ipv4Addr,
-    /// Port for commands, 1510 in a real laboratory; 0 takes a free one.
+    /// Port for commands, 1510 by default in NatNet; 0 selects a free one.
     pub command_port: u16,
-    /// Port for frames, 1511 in a real laboratory; 0 takes a free one.
+    /// Port for frames, 1511 by default in NatNet; 0 selects a free one.
     pub data_port: u16,
 }
 
@@ -33,17 +33,17 @@ impl Default for UdpConfig {
     }
 }
 
-/// Why the NatNet server has no socket.
+/// Error while opening a socket of the NatNet server.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "cannot serve NatNet on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
 )]
 pub struct UdpError {
-    /// The address asked for.
+    /// Requested address.
     pub address: SocketAddrV4,
-    /// What it was for.
+    /// Purpose of the socket.
     pub purpose: &'static str,
-    /// What the system says.
+    /// The system's error.
     pub source: io::Error,
 }
 
@@ -79,19 +79,19 @@ impl NatNetSockets {
         self.data_address
     }
 
-    /// The next datagram that has arrived.
+    /// The next received datagram.
     pub(crate) fn receive(&self, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
         loop {
             match self.command.recv_from(buffer) {
                 Ok(received) => return Some(received),
-                // A client that has gone: the answer to an earlier frame.
+                // A client has gone: an ICMP error for an earlier frame.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(_) => return None,
             }
         }
     }
 
-    /// Sends; what cannot be sent is lost, as on any network.
+    /// Sends a datagram; returns false if it is lost.
     pub(crate) fn send(&self, datagram: &Datagram) -> bool {
         let to: SocketAddr = match datagram.to {
             Destination::Client(address) => address,

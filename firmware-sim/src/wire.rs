@@ -1,4 +1,4 @@
-//! The serial line: bytes paced at the baud rate, and what can go wrong with them.
+//! The serial line: bytes paced at the baud rate, with faults.
 
 use std::collections::VecDeque;
 
@@ -12,7 +12,7 @@ use crate::random::{Random, Stream};
 pub struct WireParameters {
     /// Bits per second; a byte takes ten (8N1).
     pub baud: u32,
-    /// Faults from the start; see [`SerialWire::faults_mut`] to change them later.
+    /// Initial faults; [`SerialWire::faults_mut`] changes them later.
     pub faults: WireFaults,
 }
 
@@ -25,7 +25,7 @@ impl Default for WireParameters {
     }
 }
 
-/// What is wrong with the line, in both directions.
+/// Faults of the line, in both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WireFaults {
@@ -33,9 +33,9 @@ pub struct WireFaults {
     pub drop: f64,
     /// Probability that one bit of a byte is flipped.
     pub corrupt: f64,
-    /// Further time that every byte takes, in µs.
+    /// Additional delay of every byte, in µs.
     pub delay_us: u64,
-    /// Nothing passes; what is sent waits, and goes on when this ends.
+    /// Nothing passes; sent bytes wait until this ends.
     pub stuck: bool,
 }
 
@@ -43,10 +43,10 @@ pub struct WireFaults {
 #[derive(Clone, Debug)]
 struct Direction {
     random: Random,
-    /// When the last byte has passed, in picoseconds: a byte at 115200 baud is
-    /// not a whole number of microseconds.
+    /// Time at which the last byte has passed, in picoseconds: a byte at 115200
+    /// baud does not take a whole number of microseconds.
     free_at_ps: u64,
-    /// Bytes under way, with the time at which they arrive.
+    /// Bytes in transit with their arrival times.
     under_way: VecDeque<(u64, u8)>,
 }
 
@@ -61,15 +61,15 @@ impl Direction {
         }
     }
 
-    /// Passes a byte at the line's own pace.
+    /// Sends a byte, paced at the baud rate.
     fn send(&mut self, now_us: u64, byte: u8, byte_ps: u64, faults: &WireFaults) {
         self.free_at_ps = self.free_at_ps.max(now_us * PS_PER_US) + byte_ps;
         self.pass(self.free_at_ps.div_ceil(PS_PER_US), byte, faults);
     }
 
-    /// Passes a byte whose stop bit ends at a time.
+    /// Sends a byte whose stop bit ends at the given time.
     fn pass(&mut self, sent_us: u64, byte: u8, faults: &WireFaults) {
-        // Always three draws, so that one fault does not change another.
+        // Always three draws, so that faults do not affect each other's draws.
         let dropped = self.random.happens(faults.drop);
         let corrupted = self.random.happens(faults.corrupt);
         let bit = self.random.below(8);
@@ -79,7 +79,7 @@ impl Direction {
         let byte = if corrupted { byte ^ (1 << bit) } else { byte };
         let mut arrival = sent_us + faults.delay_us;
         if let Some((last, _)) = self.under_way.back() {
-            // A delay that is taken away lets no byte overtake.
+            // A decreasing delay must not reorder bytes.
             arrival = arrival.max(*last);
         }
         self.under_way.push_back((arrival, byte));
@@ -103,9 +103,8 @@ impl Direction {
 
 /// The line between host and board, with the USB bridge at the host's end.
 ///
-/// A stuck bridge holds what the host sends before it reaches the line, and
-/// what the board sends after it has passed the line: released, the first is
-/// paced, the second comes at once.
+/// A stuck bridge holds the host's bytes before the line and the board's bytes
+/// after it. After release, the first are paced and the second arrive at once.
 #[derive(Clone, Debug)]
 pub struct SerialWire {
     byte_ps: u64,
@@ -113,12 +112,12 @@ pub struct SerialWire {
     connected: bool,
     to_board: Direction,
     to_host: Direction,
-    /// What the host has sent into a stuck bridge.
+    /// Bytes of the host held by a stuck bridge.
     held: VecDeque<u8>,
 }
 
 impl SerialWire {
-    /// A line at rest.
+    /// An idle line.
     #[must_use]
     pub fn new(parameters: &WireParameters, seed: u64) -> Self {
         Self {
@@ -131,13 +130,13 @@ impl SerialWire {
         }
     }
 
-    /// The faults in force.
+    /// The present faults.
     #[must_use]
     pub const fn faults(&self) -> &WireFaults {
         &self.faults
     }
 
-    /// Changes the faults, from now on.
+    /// Mutable access to the faults.
     pub const fn faults_mut(&mut self) -> &mut WireFaults {
         &mut self.faults
     }
@@ -148,7 +147,7 @@ impl SerialWire {
         self.connected
     }
 
-    /// Unplugs the line or plugs it in again; what was under way is lost.
+    /// Unplugs or plugs in the line; bytes in transit are lost.
     pub fn set_connected(&mut self, now_us: u64, connected: bool) {
         if self.connected != connected {
             self.connected = connected;
@@ -158,7 +157,7 @@ impl SerialWire {
         }
     }
 
-    /// The host sends bytes. Into an unplugged line they are lost.
+    /// Sends bytes from the host; lost if the line is unplugged.
     pub fn host_write(&mut self, now_us: u64, bytes: &[u8]) {
         if !self.connected {
             return;
@@ -167,20 +166,20 @@ impl SerialWire {
         self.pass_held(now_us);
     }
 
-    /// The host takes what has arrived, appending it to `bytes`.
+    /// Appends the bytes that have arrived at the host to `bytes`.
     pub fn host_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         if !self.faults.stuck {
             self.to_host.receive(now_us, |_, byte| bytes.push(byte));
         }
     }
 
-    /// Bytes that the host has sent and that have not reached the board.
+    /// Number of bytes from the host that have not reached the board.
     #[must_use]
     pub fn bytes_to_board(&self) -> usize {
         self.held.len() + self.to_board.under_way.len()
     }
 
-    /// The board sends bytes.
+    /// Sends bytes from the board.
     pub(crate) fn board_write(&mut self, now_us: u64, bytes: &[u8]) {
         if self.connected {
             for &byte in bytes {
@@ -189,25 +188,25 @@ impl SerialWire {
         }
     }
 
-    /// The board has sent a byte by itself, whose stop bit ended at a time.
+    /// Sends a byte of the board whose stop bit ended at the given time.
     pub(crate) fn board_sent(&mut self, sent_us: u64, byte: u8) {
         if self.connected {
             self.to_host.pass(sent_us, byte, &self.faults);
         }
     }
 
-    /// Bytes that the board has sent and that have not left it yet.
+    /// Number of bytes from the board that have not left it.
     pub(crate) fn board_backlog(&self, now_us: u64) -> usize {
         let waiting = self.to_host.free_at_ps.saturating_sub(now_us * PS_PER_US);
         usize::try_from(waiting.div_ceil(self.byte_ps)).unwrap_or(usize::MAX)
     }
 
-    /// The board takes what has arrived, appending it to `bytes`.
+    /// Appends the bytes that have arrived at the board to `bytes`.
     pub(crate) fn board_read(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         self.board_read_timed(now_us, |_, byte| bytes.push(byte));
     }
 
-    /// The same, each byte with the time of its arrival, in µs.
+    /// Takes the bytes that have arrived at the board, with their times, in µs.
     pub(crate) fn board_read_timed(&mut self, now_us: u64, take: impl FnMut(u64, u8)) {
         self.pass_held(now_us);
         self.to_board.receive(now_us, take);
@@ -255,7 +254,7 @@ mod tests {
         wire.host_write(500, &sent);
         assert_eq!(board_reads(&mut wire, 500 + 86), []);
         assert_eq!(board_reads(&mut wire, 500 + 87), [0]);
-        // 11.52 bytes in a millisecond, whatever the moment of reading.
+        // 11.52 bytes per millisecond, independent of the time of reading.
         let mut received = 1;
         for ms in 1..200 {
             received += board_reads(&mut wire, 500 + ms * 1000).len();
@@ -276,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_follows_its_probability_and_its_seed() {
+    fn faults_follow_their_probability_and_seed() {
         let faults = WireFaults {
             drop: 0.02,
             corrupt: 0.05,
@@ -297,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn one_fault_does_not_change_another() {
+    fn faults_are_independent() {
         let run = |corrupt| {
             let mut wire = wire(WireFaults {
                 drop: 0.5,
@@ -312,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stuck_line_holds_everything_and_then_lets_it_go() {
+    fn a_stuck_line_holds_all_bytes_until_release() {
         let mut wire = wire(WireFaults {
             stuck: true,
             ..WireFaults::default()
@@ -330,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_that_ends_lets_no_byte_overtake() {
+    fn the_end_of_a_delay_does_not_reorder_bytes() {
         let mut wire = wire(WireFaults {
             delay_us: 50_000,
             ..WireFaults::default()
@@ -343,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unplugged_line_loses_what_was_under_way() {
+    fn unplugging_loses_bytes_in_transit() {
         let mut wire = wire(WireFaults::default());
         wire.host_write(0, &[1; 100]);
         wire.set_connected(1_000, false);

@@ -1,4 +1,4 @@
-//! Board, car, line and cameras together, in virtual time.
+//! Board, car, serial line and cameras, in virtual time.
 
 use std::{collections::VecDeque, net::SocketAddr};
 
@@ -13,26 +13,26 @@ use crate::{
     wire::SerialWire,
 };
 
-/// Board, car, line and cameras together, in virtual time.
+/// Board, car, serial line and cameras, in virtual time.
 ///
-/// Time moves by [`advance_to`](Self::advance_to) alone. What the host sends
+/// Only [`advance_to`](Self::advance_to) advances time. Inputs of the host
 /// ([`host_write`](Self::host_write), [`handle_datagram`](Self::handle_datagram))
-/// takes effect at the time reached; what the world sends is taken with
-/// [`host_read`](Self::host_read) and [`poll_datagram`](Self::poll_datagram).
-/// The same seed and the same inputs at the same times give the same bits,
-/// however often `advance_to` is called in between.
+/// take effect at the time reached; [`host_read`](Self::host_read) and
+/// [`poll_datagram`](Self::poll_datagram) fetch the world's outputs. The same seed
+/// and the same inputs at the same times give the same bits, for any number of
+/// calls of `advance_to` in between.
 #[derive(Debug)]
 pub struct World {
     now_us: u64,
     car: Car,
-    /// The end of the car's next step on its own grid, in µs.
+    /// End of the car's next step on its grid, in µs.
     next_step_us: u64,
     imu: Imu,
     imu_samples: u64,
     imu_fault: ImuFault,
-    /// The last sample that was taken as it should be.
+    /// The last sample taken without a fault.
     imu_last: Option<ImuReading>,
-    /// Samples on their way to the board, with the time at which it has them.
+    /// Samples in transit to the board with their arrival times.
     imu_pending: VecDeque<(u64, ImuReading)>,
     board: SimulatedBoard,
     wire: SerialWire,
@@ -43,18 +43,18 @@ pub struct World {
     config: SimulationConfig,
 }
 
-/// Camera frames and datagrams kept for a host that does not fetch them.
+/// Number of camera frames and datagrams kept until the host fetches them.
 const QUEUE_CAPACITY: usize = 1_024;
 
-/// The car's own grid, in µs: the truth is exact at its multiples.
+/// The car's grid, in µs: ground truth is exact at its multiples.
 const STEP_US: u64 = 1_000;
 
 impl World {
-    /// A world at simulation time zero, the board just powered on.
+    /// A world at simulation time zero, with the board just powered on.
     ///
     /// # Errors
     ///
-    /// A setting that cannot be simulated, or a UNO that is not there.
+    /// Fails if the configuration is invalid or the UNO is not available.
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         let seed = config.seed;
@@ -77,20 +77,20 @@ impl World {
         })
     }
 
-    /// What the world was built with.
+    /// The configuration.
     #[must_use]
     pub const fn config(&self) -> &SimulationConfig {
         &self.config
     }
 
-    /// The time reached, in µs.
+    /// The present time, in µs.
     #[must_use]
     pub const fn now_us(&self) -> u64 {
         self.now_us
     }
 
-    /// Lets everything happen that is due up to and at `until_us`. An earlier
-    /// time changes nothing.
+    /// Advances to `until_us`, including the events at that time. An earlier time
+    /// has no effect.
     pub fn advance_to(&mut self, until_us: u64) {
         loop {
             let next_us = self.next_event_us();
@@ -124,7 +124,7 @@ impl World {
         p.phase_us + self.imu_samples * p.period_us.max(1)
     }
 
-    /// Simultaneous events happen in this order.
+    /// Processes simultaneous events in this order.
     fn events_at(&mut self, now_us: u64) {
         if self.next_step_us <= now_us {
             self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
@@ -167,24 +167,24 @@ impl World {
         }
     }
 
-    /// The host sends bytes to the board.
+    /// Sends bytes from the host to the board.
     pub fn host_write(&mut self, bytes: &[u8]) {
         self.wire.host_write(self.now_us, bytes);
     }
 
-    /// The host takes what has arrived from the board, appending it to `bytes`.
+    /// Appends the bytes that have arrived from the board to `bytes`.
     pub fn host_read(&mut self, bytes: &mut Vec<u8>) {
         self.wire.host_read(self.now_us, bytes);
     }
 
-    /// A client's datagram reaches the NatNet server.
+    /// Passes a client's datagram to the NatNet server.
     pub fn handle_datagram(&mut self, from: SocketAddr, bytes: &[u8]) {
         self.handle_datagram_at(self.now_us, from, bytes);
     }
 
-    /// The same at a time that the rest of the world has not come to yet: the
-    /// server's clock must not stand still while the world catches up with it, or
-    /// clients would map it wrongly and not know.
+    /// Like [`handle_datagram`](Self::handle_datagram), at a time that the world
+    /// has not reached yet. The server's clock must not lag while the world catches
+    /// up, or clients would map it wrongly.
     pub(crate) fn handle_datagram_at(&mut self, now_us: u64, from: SocketAddr, bytes: &[u8]) {
         let answer = self.natnet.handle_datagram(
             now_us,
@@ -198,31 +198,30 @@ impl World {
         }
     }
 
-    /// The next datagram of the NatNet server, answers and frames alike.
+    /// The next datagram of the NatNet server, answer or frame.
     pub fn poll_datagram(&mut self) -> Option<Datagram> {
         self.datagrams.pop_front()
     }
 
-    /// The next camera frame that has been sent, for a host that needs no
-    /// datagrams.
+    /// The next sent camera frame, for a host without NatNet.
     pub fn poll_camera_frame(&mut self) -> Option<CameraFrame> {
         self.frames.pop_front()
     }
 
-    /// What is really so. Exact at every full millisecond; in between, the
-    /// last event's.
+    /// Ground truth, exact at every full millisecond; in between, that of the last
+    /// event.
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.car.truth()
     }
 
-    /// The bias of the gyroscope about the car's axes at present, in rad/s.
+    /// Present bias of the gyroscope about the car's axes, in rad/s.
     #[must_use]
     pub const fn gyro_bias_rad_s(&self) -> [f64; 3] {
         self.imu.gyro_bias()
     }
 
-    /// Breaks the IMU or mends it.
+    /// Sets the fault of the IMU.
     pub const fn set_imu_fault(&mut self, fault: ImuFault) {
         self.imu_fault = fault;
     }
@@ -233,7 +232,7 @@ impl World {
         &self.car
     }
 
-    /// The car, to move it or to break its motor sensor.
+    /// Mutable access to the car.
     pub const fn car_mut(&mut self) -> &mut Car {
         &mut self.car
     }
@@ -244,17 +243,17 @@ impl World {
         &self.board
     }
 
-    /// Resets the board: after its start-up time it begins anew.
+    /// Resets the board; it restarts after its start-up time.
     pub fn reset_board(&mut self, cause: ResetCause) {
         self.board.reset(self.now_us, cause, &mut self.car);
     }
 
-    /// Switches the board's supply; the ESC has its own.
+    /// Switches the board's power; the ESC has its own supply.
     pub fn set_board_power(&mut self, on: bool) {
         self.board.set_power(self.now_us, on, &mut self.car);
     }
 
-    /// The board, to open its stop switch or to hang its main loop.
+    /// Mutable access to the board.
     pub const fn board_mut(&mut self) -> &mut SimulatedBoard {
         &mut self.board
     }
@@ -265,12 +264,12 @@ impl World {
         &self.wire
     }
 
-    /// The serial line, to damage it.
+    /// Mutable access to the serial line.
     pub const fn wire_mut(&mut self) -> &mut SerialWire {
         &mut self.wire
     }
 
-    /// Unplugs the serial line or plugs it in again.
+    /// Unplugs or plugs in the serial line.
     pub fn set_wire_connected(&mut self, connected: bool) {
         self.wire.set_connected(self.now_us, connected);
     }
@@ -281,7 +280,7 @@ impl World {
         &self.cameras
     }
 
-    /// The cameras, to blind them.
+    /// Mutable access to the cameras.
     pub const fn cameras_mut(&mut self) -> &mut Cameras {
         &mut self.cameras
     }
@@ -292,13 +291,13 @@ impl World {
         &self.natnet
     }
 
-    /// The NatNet server, to tell it its port.
+    /// Mutable access to the NatNet server.
     pub const fn natnet_mut(&mut self) -> &mut NatNetServer {
         &mut self.natnet
     }
 
-    /// Gives the car's rigid body another streaming id, as an operator can;
-    /// the next frame says that the models have changed.
+    /// Changes the streaming id of the car's rigid body, as an operator can; the
+    /// next frame announces the change.
     pub const fn set_car_body_id(&mut self, id: i32) {
         self.cameras.set_car_id(id);
         self.natnet.announce_model_change();
@@ -322,7 +321,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_world_that_is_behind_tells_the_cameras_clock_of_now() {
+    fn a_late_world_answers_echoes_with_the_present_time() {
         let mut world = World::new(SimulationConfig::default()).unwrap();
         world.advance_to(1_000_000);
         while world.poll_datagram().is_some() {}

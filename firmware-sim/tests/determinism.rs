@@ -1,4 +1,4 @@
-//! The same seed and the same inputs at the same times give the same bits.
+//! Determinism: the same seed and inputs give the same bits.
 
 #![allow(
     clippy::unwrap_used,
@@ -21,28 +21,28 @@ fn config(seed: u64) -> SimulationConfig {
     config
 }
 
-/// Everything that a host can see, and the truth, as text with all digits.
+/// All outputs to the host, and ground truth, as text with all digits.
 fn run(seed: u64) -> String {
     let mut bench = ScriptedDrive::armed(config(seed)).unwrap();
-    let mut seen = String::new();
+    let mut outputs = String::new();
     bench.drive(300, 400, 2_000, |bench| {
-        seen += &format!("{:?}{:?}\n", bench.world.truth(), bench.host.telemetry);
+        outputs += &format!("{:?}{:?}\n", bench.world.truth(), bench.host.telemetry);
         while let Some(frame) = bench.world.poll_camera_frame() {
-            seen += &format!("{frame:?}\n");
+            outputs += &format!("{frame:?}\n");
         }
     });
-    seen
+    outputs
 }
 
 #[test]
-fn one_seed_gives_one_run_and_another_seed_another() {
+fn runs_depend_only_on_the_seed() {
     let first = run(1);
     assert!(first == run(1));
     assert!(first != run(2));
 }
 
 #[test]
-fn how_often_time_is_advanced_changes_nothing() {
+fn the_steps_of_advance_to_have_no_effect() {
     let run = |step_us: u64| {
         let mut world = World::new(config(3)).unwrap();
         let (mut now, mut bytes) = (0, Vec::new());
@@ -59,7 +59,7 @@ fn how_often_time_is_advanced_changes_nothing() {
 }
 
 #[test]
-fn silencing_one_sensor_leaves_the_others_as_they_were() {
+fn silencing_one_sensor_does_not_change_the_others() {
     let poses = |change: fn(&mut SimulationConfig)| {
         let mut config = SimulationConfig::default();
         change(&mut config);
@@ -74,8 +74,8 @@ fn silencing_one_sensor_leaves_the_others_as_they_were() {
     assert!(reference != poses(|config| config.cameras.position_noise_m = 0.001));
 }
 
-/// Frozen, so that a platform, a profile or a dependency that changes the bits
-/// does not go unnoticed. A deliberate change of the car changes the number.
+/// Frozen, to detect a platform, profile or dependency that changes the bits. A
+/// deliberate change of the car changes this number.
 #[test]
 fn the_cars_bits_are_the_same_on_every_platform() {
     let mut car = Car::new(CarParameters::default());

@@ -1,4 +1,4 @@
-//! Whatever reaches the simulator from outside, it goes on.
+//! Random input from outside does not stop the simulator.
 
 #![allow(
     clippy::unwrap_used,
@@ -27,7 +27,7 @@ proptest! {
         world.advance_to(end);
         prop_assert_eq!(world.now_us(), end);
         prop_assert_eq!(world.truth().wheel_speed, 0.0);
-        // Telemetry still comes.
+        // Telemetry continues.
         let mut received = Vec::new();
         world.host_read(&mut received);
         prop_assert!(received.len() > 1_000);
@@ -47,7 +47,7 @@ proptest! {
     }
 
     #[test]
-    fn every_loss_pattern_is_read_as_it_is_written(
+    fn loss_patterns_round_trip_through_text(
         (duration, interval) in (1_u64..10_000_000).prop_flat_map(|d| (Just(d), d + 1..20_000_000)),
     ) {
         let pattern = LossPattern::new(duration, interval).unwrap();

@@ -1,4 +1,4 @@
-//! What the simulated cameras put on the network, read by two decoders.
+//! The datagrams of the simulated cameras, checked with two decoders.
 
 #![allow(
     clippy::unwrap_used,
@@ -52,7 +52,7 @@ fn frames(world: &mut World, ms: u64) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn an_independent_decoder_and_ours_read_the_same() {
+fn an_independent_decoder_agrees_with_ours() {
     for version in [BitstreamVersion::V3_0, BitstreamVersion::V4_1] {
         let mut world = world(version);
         let [major, minor, build, revision] = version.to_wire();
@@ -113,7 +113,7 @@ fn an_independent_decoder_and_ours_read_the_same() {
 }
 
 #[test]
-fn a_client_may_ask_for_another_bitstream() {
+fn a_client_can_request_another_bitstream() {
     let mut world = world(BitstreamVersion::V4_1);
     ask(&mut world, &CONNECT).unwrap();
     let answer = ask(&mut world, &ClientMessage::Request("Bitstream,3.0")).unwrap();
@@ -136,9 +136,12 @@ fn a_client_may_ask_for_another_bitstream() {
 }
 
 #[test]
-fn a_unicast_client_that_falls_silent_gets_no_more_frames() {
+fn a_silent_unicast_client_is_dropped() {
     let mut world = world(BitstreamVersion::V4_1);
-    assert!(frames(&mut world, 100).is_empty(), "nobody has connected");
+    assert!(
+        frames(&mut world, 100).is_empty(),
+        "no client has connected"
+    );
     ask(&mut world, &CONNECT).unwrap();
     for _ in 0..10 {
         assert_eq!(frames(&mut world, 1_000).len(), 100);
@@ -155,7 +158,7 @@ fn a_unicast_client_that_falls_silent_gets_no_more_frames() {
 }
 
 #[test]
-fn an_echo_tells_the_servers_clock() {
+fn an_echo_returns_the_servers_clock() {
     let mut world = world(BitstreamVersion::V4_1);
     let mut echo = |at_us: u64| {
         world.advance_to(at_us);
@@ -187,7 +190,7 @@ fn multicast_frames_go_to_the_group_without_a_client() {
 }
 
 #[test]
-fn damaged_requests_are_counted_and_answered_as_unrecognised() {
+fn corrupted_requests_are_counted_and_answered_as_unrecognised() {
     let mut world = world(BitstreamVersion::V4_1);
     for bytes in [&[][..], &[0], &[255; 3], &[0, 0, 255, 255], &[9; 2000]] {
         world.handle_datagram(client(), bytes);
@@ -230,7 +233,7 @@ fn a_new_streaming_id_is_announced_and_in_the_models() {
 }
 
 #[test]
-fn losses_are_what_they_are_called_on_the_wire() {
+fn every_kind_of_loss_has_its_form_on_the_wire() {
     for (kind, bodies, sent) in [
         (LossKind::Occluded, 3, true),
         (LossKind::Absent, 2, true),
@@ -240,7 +243,7 @@ fn losses_are_what_they_are_called_on_the_wire() {
         ask(&mut world, &CONNECT).unwrap();
         frames(&mut world, 50);
         world.cameras_mut().faults_mut().loss = Some(kind);
-        // What was under way before.
+        // Frames in transit before the loss.
         frames(&mut world, 20);
         let frames = frames(&mut world, 100);
         assert_eq!(frames.len(), if sent { 10 } else { 0 });

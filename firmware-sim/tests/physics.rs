@@ -1,4 +1,4 @@
-//! The car on its own.
+//! The car without board or host.
 
 #![allow(
     clippy::unwrap_used,
@@ -39,7 +39,7 @@ fn a_car_at_rest_stays_at_rest() {
 }
 
 #[test]
-fn the_esc_does_not_drive_before_it_has_seen_neutral_for_a_second() {
+fn the_esc_does_not_drive_before_a_second_of_neutral() {
     let mut car = Car::new(CarParameters::default());
     drive(&mut car, 0, 100, 1_500, 1_600);
     assert_eq!(car.truth().wheel_speed, 0.0);
@@ -98,7 +98,7 @@ fn the_wheels_follow_the_servo_at_its_rate_and_within_its_stops() {
 }
 
 #[test]
-fn a_rolling_car_comes_to_rest_without_turning_back() {
+fn a_rolling_car_stops_without_reversing() {
     for esc_us in [1_500, 1_350, 0] {
         let (mut car, now) = armed();
         let now = drive(&mut car, now, 100, 1_400, 1_600);
@@ -110,7 +110,7 @@ fn a_rolling_car_comes_to_rest_without_turning_back() {
             }
             car.advance_to(now + ms * 1_000);
             let speed = car.truth().wheel_speed;
-            // Dead time first; then it only slows down.
+            // After the dead time it only slows down.
             assert!(speed >= 0.0 && (ms < 150 || speed <= before));
             before = speed;
         }
@@ -132,7 +132,7 @@ fn reverse_needs_the_brake_first_and_then_neutral() {
 /// The paper's circle: 1 m at 0.5 rad/s ends on v = 0.397455 m/s with a
 /// steering of 0.328643 rad and a sideslip of 0.153467 rad.
 #[test]
-fn the_steady_circle_is_the_papers_to_first_order() {
+fn the_steady_circle_matches_the_paper_to_first_order() {
     let (speed, steering) = (0.397_455, 0.328_643);
     // A motor that holds exactly this speed of G.
     let mut parameters = CarParameters::default();
@@ -146,7 +146,7 @@ fn the_steady_circle_is_the_papers_to_first_order() {
     let mut esc_us = 1_570;
     for _ in 0..600 {
         now = drive(&mut car, now, 1, servo_us, esc_us);
-        // Integer pulses, dithered about the speed.
+        // Integer pulses, dithered around the speed.
         esc_us = if car.truth().speed < speed {
             1_572
         } else {
@@ -165,7 +165,7 @@ fn the_steady_circle_is_the_papers_to_first_order() {
         linear.sideslip += 1e-4 * d.sideslip;
     }
     assert!((linear.sideslip - 0.153_467).abs() < 0.003, "{linear:?}");
-    // tan(steering) against steering is 3.7 %, and the tyres saturate a little.
+    // tan(steering) exceeds steering by 3.7 %, and the tyres saturate slightly.
     assert!((truth.sideslip - linear.sideslip).abs() < 0.01, "{truth:?}");
     assert!(
         (truth.yaw_rate - linear.yaw_rate).abs() < 0.04 * linear.yaw_rate.abs(),
@@ -176,8 +176,9 @@ fn the_steady_circle_is_the_papers_to_first_order() {
 }
 
 #[test]
-fn the_size_of_the_steps_does_not_matter() {
-    // The same drive, advanced in 1 ms and in odd pieces: the actuators' corners fall into other steps.
+fn the_step_size_has_no_effect() {
+    // The same drive in steps of 1 ms and of odd sizes, so that the actuators' inputs
+    // change within different steps.
     let run = |pieces: &[u64]| {
         let (mut car, start) = armed();
         let mut now = start;

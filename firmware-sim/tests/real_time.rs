@@ -1,4 +1,4 @@
-//! The simulator as another process sees it: pseudo-terminal and UDP.
+//! The real-time simulator through its pseudo-terminal and UDP.
 
 #![allow(
     clippy::unwrap_used,
@@ -25,7 +25,7 @@ use singletrack_sim::{
 
 /// `O_NONBLOCK` and `O_NOCTTY` on Linux.
 const NON_BLOCKING: i32 = 0o4000 | 0o400;
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 fn open(path: &Path) -> File {
     OpenOptions::new()
@@ -36,11 +36,11 @@ fn open(path: &Path) -> File {
         .unwrap()
 }
 
-/// Calls until it says yes.
+/// Polls until `done` returns true.
 fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {
-        assert!(start.elapsed() < PATIENCE, "no {what} in {PATIENCE:?}");
+        assert!(start.elapsed() < TIMEOUT, "no {what} in {TIMEOUT:?}");
         std::thread::sleep(Duration::from_millis(2));
     }
 }
@@ -67,12 +67,12 @@ fn every_byte_value_passes_the_pseudo_terminal_unchanged_both_ways() {
         length >= 256
     });
     assert_eq!(received[..length], all);
-    // Nothing is echoed.
+    // No echo.
     assert!(host.read(&mut received).is_err());
 }
 
 #[test]
-fn without_a_host_the_board_reads_nothing_rather_than_an_error() {
+fn without_a_host_the_board_reads_nothing_and_no_error() {
     let pty = Pty::open(None).unwrap();
     drop(open(pty.path()));
     assert_eq!(pty.read(&mut [0; 16]).unwrap(), 0);
@@ -83,7 +83,7 @@ fn without_a_host_the_board_reads_nothing_rather_than_an_error() {
 }
 
 #[test]
-fn the_link_replaces_a_link_and_nothing_else_and_goes_with_the_terminal() {
+fn the_link_replaces_only_links_and_is_removed_with_the_terminal() {
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("board");
     std::os::unix::fs::symlink("/nowhere", &link).unwrap();
@@ -109,7 +109,7 @@ fn start(config: SimulationConfig, link: &Path) -> RealTimeSimulator {
 }
 
 #[test]
-fn telemetry_comes_through_unplugged_and_plugged_in_again() {
+fn telemetry_resumes_after_unplugging_and_plugging_in() {
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("board");
     let simulator = start(SimulationConfig::default(), &link);
@@ -125,7 +125,7 @@ fn telemetry_comes_through_unplugged_and_plugged_in_again() {
 
     simulator.unplug().unwrap();
     wait_for("hang-up", || {
-        // A hang-up reads as the end or as an error, not as "try again".
+        // A hang-up reads as end of file or as an error, not as "would block".
         match port.read(&mut buffer) {
             Ok(count) => count == 0,
             Err(error) => error.kind() != std::io::ErrorKind::WouldBlock,
@@ -159,13 +159,13 @@ fn monotonic_ns() -> u64 {
 }
 
 #[test]
-fn simulated_time_keeps_up_with_real_time_and_never_runs_ahead() {
+fn simulated_time_follows_real_time_without_running_ahead() {
     let directory = tempfile::tempdir().unwrap();
     let simulator = start(SimulationConfig::default(), &directory.path().join("b"));
     let mut before = 0;
     for _ in 0..20 {
-        // A busy machine may delay a round, but not every one.
-        wait_for("truth of now", || {
+        // A busy machine may delay a round, but not every round.
+        wait_for("recent ground truth", || {
             let time_ns = simulator.truth().unwrap().monotonic_ns;
             let now_ns = monotonic_ns();
             assert!(before <= time_ns && time_ns <= now_ns);
@@ -187,9 +187,9 @@ const CONNECT: ClientMessage<'_> = ClientMessage::Connect(Connect {
     requested_bitstream: None,
 });
 
-/// Receives until `count` frames have come.
+/// Receives `count` frames.
 fn receive_frames(socket: &UdpSocket, count: usize) {
-    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut buffer = [0; 2048];
     let mut frames = 0;
     while frames < count {
@@ -204,7 +204,7 @@ fn natnet_is_served_by_unicast() {
     let directory = tempfile::tempdir().unwrap();
     let simulator = start(SimulationConfig::default(), &directory.path().join("b"));
     let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     socket
         .send_to(&request(&CONNECT), simulator.command_address())
         .unwrap();
@@ -240,7 +240,7 @@ fn natnet_is_served_by_multicast_on_the_loopback_interface() {
 }
 
 #[test]
-fn an_occupied_port_is_named() {
+fn an_occupied_port_is_reported() {
     let taken = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port();
     let error = RealTimeSimulator::start(RealTimeConfig {

@@ -1,4 +1,4 @@
-//! Writes the corpus that the fuzzers begin with.
+//! Writes the generated corpus.
 
 use std::{error::Error, fs, path::Path};
 

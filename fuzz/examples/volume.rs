@@ -1,5 +1,5 @@
-//! Millions of hostile packets and bytes through the sessions: no panic, and no
-//! memory that grows.
+//! Millions of hostile packets and bytes through the sessions, without a panic or
+//! growing memory.
 //!
 //! ```text
 //! cargo run --release -p singletrack-fuzz --example volume
@@ -19,20 +19,20 @@ use rand_chacha::{
 };
 use singletrack_fuzz::{TARGETS, Target};
 
-/// Random bytes to begin a conversation from, each time.
+/// Number of random bytes per run of a target.
 const CHUNK: usize = 4_096;
 
-/// Pushes random packets and bytes through the sessions, and measures time and
-/// memory. Ends with an error when memory grows; a broken promise is a panic.
+/// Send random packets and bytes to the sessions, and measure time and memory.
+/// Fails if memory grows; a violated invariant is a panic.
 #[derive(Parser)]
 struct Arguments {
-    /// Datagrams to the motion capture session.
+    /// Number of datagrams to the motion capture session.
     #[arg(long, default_value_t = 10_000_000)]
     packets: u64,
-    /// Bytes over the serial line, each way.
+    /// Number of bytes over the serial line, in each direction.
     #[arg(long, default_value_t = 10_000_000)]
     bytes: u64,
-    /// Seeds the random numbers.
+    /// Seed of the random numbers.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         seed,
     } = Arguments::parse();
     let mut grown = 0;
-    for (name, wanted, unit) in [
+    for (name, amount, unit) in [
         ("natnet_packets", packets, "packets"),
         ("board_bytes", bytes, "bytes"),
         ("host_bytes", bytes, "bytes"),
@@ -52,8 +52,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let target = TARGETS
             .into_iter()
             .find(|target| target.name == name)
-            .ok_or("no such target")?;
-        grown += push(&target, wanted, unit, seed)?;
+            .ok_or("unknown target")?;
+        grown += run_target(&target, amount, unit, seed)?;
     }
     if grown > 0 {
         return Err(format!("memory has grown by {grown} pages").into());
@@ -61,20 +61,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Pushes so much through a target; returns by how many pages the most memory of
-/// the second half exceeds that of the first. What is used once, and how the
-/// allocator places it, is over by then; what leaks is not.
-fn push(target: &Target, wanted: u64, unit: &str, seed: u64) -> Result<u64, Box<dyn Error>> {
+/// Sends an amount of input to a target; returns by how many pages the peak memory
+/// of the second half exceeds that of the first. The first half covers initial
+/// allocations, so that the difference shows leaks.
+fn run_target(target: &Target, amount: u64, unit: &str, seed: u64) -> Result<u64, Box<dyn Error>> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut chunk = vec![0; CHUNK];
     let mut done = 0;
     let mut percent = 0;
     let mut most = [0; 2];
     let began = Instant::now();
-    while done < wanted {
+    while done < amount {
         random.fill_bytes(&mut chunk);
         done += (target.run)(&chunk);
-        let now = (done * 100 / wanted).min(100);
+        let now = (done * 100 / amount).min(100);
         if now > percent {
             percent = now;
             eprint!("\r{}: {percent} %", target.name);
@@ -98,8 +98,8 @@ fn push(target: &Target, wanted: u64, unit: &str, seed: u64) -> Result<u64, Box<
     Ok(grown)
 }
 
-/// Pages of this process in memory that are its own: code that is read from its
-/// file when it is first run is no growth.
+/// Resident pages that belong to this process alone: code loaded on its first use
+/// does not count as growth.
 fn own_pages() -> Result<u64, Box<dyn Error>> {
     let statm = fs::read_to_string("/proc/self/statm")?;
     let mut fields = statm.split_whitespace().skip(1).map(str::parse::<u64>);

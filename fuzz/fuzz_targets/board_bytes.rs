@@ -1,4 +1,4 @@
-//! See `singletrack_fuzz::board_bytes`.
+//! libFuzzer program of `singletrack_fuzz::board_bytes`.
 
 #![no_main]
 

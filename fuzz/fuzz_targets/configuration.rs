@@ -1,4 +1,4 @@
-//! See `singletrack_fuzz::configuration`.
+//! libFuzzer program of `singletrack_fuzz::configuration`.
 
 #![no_main]
 

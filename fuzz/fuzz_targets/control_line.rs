@@ -1,4 +1,4 @@
-//! See `singletrack_fuzz::control_line`.
+//! libFuzzer program of `singletrack_fuzz::control_line`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! See `singletrack_fuzz::host_bytes`.
+//! libFuzzer program of `singletrack_fuzz::host_bytes`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! See `singletrack_fuzz::natnet_packets`.
+//! libFuzzer program of `singletrack_fuzz::natnet_packets`.
 
 #![no_main]
 

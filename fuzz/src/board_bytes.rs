@@ -1,4 +1,4 @@
-//! Bytes that the serial line brings to the board.
+//! Fuzz target: bytes on the serial line to the board.
 
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
 use singletrack_protocol::{
@@ -6,42 +6,39 @@ use singletrack_protocol::{
     EmergencyStop, FailsafeAction, Hello, ResetCause, Sequence, ToBoard, ToHost, VERSION,
 };
 
-use crate::choices::Choices;
-use crate::frame::frame;
-use crate::samples::CONFIGURATION;
+use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
 
 const MS: u32 = 1_000;
 
-/// The ESC's pulse while there is no configuration, in µs.
+/// ESC pulse without a configuration, in µs.
 const NEUTRAL_AT_START_US: u16 = 1_500;
 
-/// The type bytes of the messages to the board, and one that is none.
+/// Type bytes of the messages to the board, and an invalid one.
 const KINDS: [u8; 7] = [0x01, 0x10, 0x11, 0x12, 0x13, 0x14, 0x20];
 
-/// Frames that a poll may send unasked: twice a zero and two greetings, a
-/// record of telemetry and one of status.
-const UNASKED: usize = 8;
+/// Largest number of frames in a poll besides answers: twice a zero and two
+/// greetings, a telemetry record and a status record.
+const MAX_UNSOLICITED: usize = 8;
 
-// No room for a heap: what a board needs, it has from the start.
+// The board owns no heap memory.
 const _: () = assert!(!core::mem::needs_drop::<Board>());
 const _: () = assert!(size_of::<Board>() <= 512);
 
-/// Bytes that the serial line brings to the board, while its pins show anything
-/// and time goes by in any steps.
+/// Runs the board on bytes from the serial line, with any pins and any time steps.
 ///
-/// The first byte chooses how far host and board had come before; the others are
-/// what happens then: bytes, frames around any payload, messages that fit what
-/// went before, time, pins.
+/// The first byte selects the initial state of host and board; the others select
+/// events: bytes, frames around any payload, messages that fit the state, time,
+/// pins.
 ///
 /// # Panics
 ///
-/// When the board drives without an `Arm` of its configuration and a `Drive`
-/// since, or longer than a command's time to live; when a pulse leaves the
-/// configuration's limits, or turns faster than it allows; when a mode follows
-/// that may not; when it sends what is no frame, or more than it was asked for;
-/// when a stop that was heard last does not stop.
+/// If the board drives without an `Arm` of its configuration and a `Drive` after
+/// it, or longer than a command's time to live; if a pulse violates the
+/// configuration's limits or slew rate; if a mode transition is invalid; if it
+/// sends bytes that are not a frame, or more frames than requested; if the last
+/// received stop does not stop it.
 ///
-/// Returns how many bytes the board was handed.
+/// Returns the number of bytes passed to the board.
 pub fn board_bytes(data: &[u8]) -> u64 {
     let mut choices = Choices::new(data);
     let mut bench = Bench::at_stage(&mut choices);
@@ -59,21 +56,21 @@ struct Bench {
     /// Time between two motor pulses while the ESC drives.
     pulse_period_us: Option<u32>,
     line_open: bool,
-    /// Hears what the board hears.
+    /// Decodes the bytes to the board.
     mirror: Decoder,
     polled_us: u32,
     request: u8,
     braked_us: u32,
-    /// Handed to the board.
+    /// Number of bytes passed to the board.
     bytes: u64,
 }
 
-/// The messages of one poll, as the mirror heard them.
+/// The messages in one poll, by the mirror decoder.
 #[derive(Default)]
-struct Heard {
+struct PollMessages {
     frames: usize,
     configure: bool,
-    /// For a configuration that the board had or was given.
+    /// Hashes of the board's present and past configurations.
     arm: bool,
     drive: bool,
     last: Option<ToBoard>,
@@ -116,7 +113,7 @@ impl Bench {
         let stage = options & 3;
         bench.poll(&[]);
         if stage >= 1 {
-            bench.say(Hello {
+            bench.send(Hello {
                 protocol_version: VERSION,
                 software_version: [0, 1, 0],
                 nonce: 1,
@@ -126,7 +123,7 @@ impl Bench {
         }
         if stage >= 2 {
             let arm = bench.arm_request();
-            bench.say(arm);
+            bench.send(arm);
         }
         if stage >= 3 {
             for _ in 0..3 {
@@ -157,7 +154,7 @@ impl Bench {
                 let step_us = choices.u16();
                 self.wait(choices.byte() % 8 + 1, step_us.into());
             }
-            // Half a turn of the clock is no time between two polls.
+            // Polls are closer together than half a turn of the clock.
             5 => self.wait(1, choices.u32() >> 1),
             6 => {
                 let protocol_version = if choices.flag() {
@@ -165,7 +162,7 @@ impl Bench {
                 } else {
                     choices.u16()
                 };
-                self.say(Hello {
+                self.send(Hello {
                     protocol_version,
                     software_version: [1, 2, 3],
                     nonce: choices.byte().into(),
@@ -177,11 +174,11 @@ impl Bench {
             }
             8 => {
                 let arm = self.arm_request();
-                self.say(arm);
+                self.send(arm);
             }
             9 => {
                 let arm = self.arm_request();
-                self.say(Arm {
+                self.send(Arm {
                     request: Sequence(choices.byte()),
                     configuration_hash: arm.configuration_hash ^ u32::from(choices.byte() & 2),
                     telemetry_time_us: self.now_us.wrapping_sub(choices.u32()),
@@ -189,17 +186,17 @@ impl Bench {
             }
             10 => {
                 let request = self.next_request();
-                self.say(Disarm { request });
+                self.send(Disarm { request });
             }
             11 => {
                 let request = self.next_request();
-                self.say(EmergencyStop { request });
+                self.send(EmergencyStop { request });
             }
             12 => {
                 let (speed, steering) = (choices.i16(), choices.i16());
                 self.drive_well(speed, steering);
             }
-            13 => self.say(Drive {
+            13 => self.send(Drive {
                 sequence: Sequence(self.board.last_sequence().0.wrapping_add(choices.byte())),
                 speed_mm_s: choices.i16(),
                 steering_100urad: choices.i16(),
@@ -225,7 +222,7 @@ impl Bench {
             }
             18 => self.line_open = choices.flag(),
             _ => {
-                // A good host for a while.
+                // A correct host for a while.
                 let (speed, steering) = (choices.i16(), choices.i16());
                 for _ in 0..choices.byte() % 16 {
                     self.drive_well(speed, steering);
@@ -249,14 +246,14 @@ impl Bench {
 
     fn configure(&mut self, configuration: Configuration) {
         let request = self.next_request();
-        self.say(Configure {
+        self.send(Configure {
             request,
             configuration,
         });
     }
 
     fn drive_well(&mut self, speed_mm_s: i16, steering_100urad: i16) {
-        self.say(Drive {
+        self.send(Drive {
             sequence: self.board.last_sequence().next(),
             speed_mm_s,
             steering_100urad,
@@ -266,8 +263,8 @@ impl Bench {
         self.wait(2, 5 * MS);
     }
 
-    fn say(&mut self, message: impl Into<ToBoard>) {
-        // Ends whatever stands half said on the line.
+    fn send(&mut self, message: impl Into<ToBoard>) {
+        // Ends a partial frame on the line.
         let mut bytes = vec![0];
         bytes.extend_from_slice(message.into().encode().as_bytes());
         self.poll(&bytes);
@@ -280,8 +277,8 @@ impl Bench {
         }
     }
 
-    fn hear(&mut self, bytes: &[u8]) -> Heard {
-        let mut heard = Heard::default();
+    fn decode(&mut self, bytes: &[u8]) -> PollMessages {
+        let mut messages = PollMessages::default();
         let mut hashes: Vec<_> = self
             .board
             .configuration()
@@ -295,19 +292,19 @@ impl Bench {
             let Ok(message) = ToBoard::decode(packet) else {
                 continue;
             };
-            heard.frames += 1;
+            messages.frames += 1;
             match message {
                 ToBoard::Configure(configure) => {
-                    heard.configure = true;
+                    messages.configure = true;
                     hashes.push(configure.configuration.hash());
                 }
-                ToBoard::Arm(arm) => heard.arm |= hashes.contains(&arm.configuration_hash),
-                ToBoard::Drive(_) => heard.drive = true,
+                ToBoard::Arm(arm) => messages.arm |= hashes.contains(&arm.configuration_hash),
+                ToBoard::Drive(_) => messages.drive = true,
                 _ => {}
             }
-            heard.last = Some(message);
+            messages.last = Some(message);
         }
-        heard
+        messages
     }
 
     fn turn_the_motor(&mut self) {
@@ -332,7 +329,7 @@ impl Bench {
             configuration: self.board.configuration().copied(),
             servo_us: self.outputs.servo_us,
         };
-        let heard = self.hear(received);
+        let messages = self.decode(received);
         self.bytes += received.len() as u64;
         let elapsed_us = self.now_us.wrapping_sub(self.polled_us);
         self.polled_us = self.now_us;
@@ -346,39 +343,39 @@ impl Bench {
                 line_open
             });
         assert!(
-            sent <= heard.frames + UNASKED,
+            sent <= messages.frames + MAX_UNSOLICITED,
             "{sent} frames in answer to {}",
-            heard.frames
+            messages.frames
         );
         assert_eq!(self.outputs, self.board.outputs());
-        self.check_mode(before.mode, &heard);
+        self.check_mode(before.mode, &messages);
         match self.board.configuration().copied() {
             None => self.check_silence(),
             Some(now) => {
                 assert_eq!(now.validate(), Ok(()));
-                self.check_servo(&now, &before, &heard, elapsed_us);
+                self.check_servo(&now, &before, &messages, elapsed_us);
                 self.check_esc(&now, before.mode, elapsed_us);
             }
         }
     }
 
-    fn check_mode(&self, before: BoardMode, heard: &Heard) {
+    fn check_mode(&self, before: BoardMode, messages: &PollMessages) {
         use BoardMode::{Armed, Driving, EmergencyStopped};
         let mode = self.board.mode();
         let is_armed = |mode| matches!(mode, Armed | Driving);
         assert!(
-            !is_armed(mode) || is_armed(before) || heard.arm,
+            !is_armed(mode) || is_armed(before) || messages.arm,
             "{before:?} -> {mode:?} unasked"
         );
         assert!(
-            mode != Driving || before == Driving || heard.drive,
+            mode != Driving || before == Driving || messages.drive,
             "{before:?} -> {mode:?} without a command"
         );
         assert!(
             before != EmergencyStopped || mode == EmergencyStopped,
             "left an emergency stop for {mode:?}"
         );
-        match heard.last {
+        match messages.last {
             Some(ToBoard::Disarm(_)) => assert!(!is_armed(mode), "disarmed and {mode:?}"),
             Some(ToBoard::EmergencyStop(_)) => assert_eq!(mode, EmergencyStopped),
             _ => {}
@@ -393,7 +390,7 @@ impl Bench {
         }
     }
 
-    /// Without a configuration nothing moves.
+    /// Without a configuration no actuator moves.
     fn check_silence(&self) {
         assert_eq!(
             (self.outputs.servo_us, self.outputs.esc_us),
@@ -405,7 +402,13 @@ impl Bench {
         ));
     }
 
-    fn check_servo(&self, now: &Configuration, before: &Before, heard: &Heard, elapsed_us: u32) {
+    fn check_servo(
+        &self,
+        now: &Configuration,
+        before: &Before,
+        messages: &PollMessages,
+        elapsed_us: u32,
+    ) {
         let servo = &now.servo;
         let Some(pulse_us) = self.outputs.servo_us else {
             panic!("a configured board without a servo pulse");
@@ -413,7 +416,7 @@ impl Bench {
         assert!((servo.min_us..=servo.max_us).contains(&pulse_us));
         if let Some(before_us) = before.servo_us
             && before.configuration.as_ref() == Some(now)
-            && !heard.configure
+            && !messages.configure
         {
             let allowed =
                 u64::from(servo.slew_us_per_20ms) * u64::from(elapsed_us.min(20_000)) / 20_000 + 1;
@@ -433,7 +436,7 @@ impl Bench {
                 "reverse"
             );
         } else if pulse_us != esc.neutral_us {
-            // A stop that brakes: once, after driving, for half a second at most.
+            // A stop brakes once, after driving, for at most half a second.
             assert_eq!(pulse_us, esc.brake_us, "{mode:?}");
             assert!(matches!(
                 mode,
@@ -452,14 +455,14 @@ impl Bench {
     }
 }
 
-/// What was so before a poll.
+/// State before a poll.
 struct Before {
     mode: BoardMode,
     configuration: Option<Configuration>,
     servo_us: Option<u16>,
 }
 
-/// What the board sends is a zero, or one message to the host.
+/// Checks that the board sent a zero or one message to the host.
 fn assert_is_frame(bytes: &[u8]) {
     if bytes == [0] {
         return;
@@ -475,7 +478,7 @@ fn assert_is_frame(bytes: &[u8]) {
     );
 }
 
-/// One of a few that boards take, with one value of any size.
+/// A valid configuration, with one arbitrary value.
 fn any_configuration(choices: &mut Choices<'_>) -> Configuration {
     let mut configuration = CONFIGURATION;
     let Configuration {
@@ -516,16 +519,16 @@ mod tests {
     use super::{Bench, BoardMode, Choices};
 
     #[test]
-    fn the_first_byte_brings_the_board_as_far_as_it_says() {
+    fn the_first_byte_selects_the_initial_state() {
         for options in 0..64_u8 {
             let bench = Bench::at_stage(&mut Choices::new(&[options]));
-            let wanted = match options & 3 {
+            let expected = match options & 3 {
                 0 => BoardMode::Boot,
                 1 => BoardMode::Neutral,
                 2 => BoardMode::Armed,
                 _ => BoardMode::Driving,
             };
-            assert_eq!(bench.board.mode(), wanted, "{options:#08b}");
+            assert_eq!(bench.board.mode(), expected, "{options:#08b}");
             assert_eq!(bench.board.configuration().is_some(), options & 3 != 0);
         }
     }

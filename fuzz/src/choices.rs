@@ -1,9 +1,9 @@
-//! Bytes as the choices of a test.
+//! Decisions of a test, read from bytes.
 
-/// The choices that a fuzzer's bytes stand for, one after another.
+/// The sequence of decisions in a fuzzer's bytes.
 ///
-/// A fuzzer that changes one byte changes one choice; what comes behind stays
-/// what it was. At the end every choice is zero.
+/// Changing one byte changes one decision and keeps the later ones. At the end
+/// every decision is zero.
 #[derive(Clone, Debug)]
 pub(crate) struct Choices<'a>(&'a [u8]);
 
@@ -16,12 +16,12 @@ impl<'a> Choices<'a> {
         self.0.is_empty()
     }
 
-    /// All that is left.
+    /// The remaining bytes.
     pub(crate) fn rest(&mut self) -> &'a [u8] {
         core::mem::take(&mut self.0)
     }
 
-    /// So many bytes, or those that are left.
+    /// Up to `count` bytes.
     fn take(&mut self, count: usize) -> &'a [u8] {
         let (taken, rest) = self.0.split_at(count.min(self.0.len()));
         self.0 = rest;
@@ -36,7 +36,7 @@ impl<'a> Choices<'a> {
         array
     }
 
-    /// Bytes of a length of its own, up to 255.
+    /// Bytes preceded by their length, up to 255.
     pub(crate) fn bytes(&mut self) -> &'a [u8] {
         let count = self.byte();
         self.take(count.into())
@@ -70,17 +70,17 @@ impl<'a> Choices<'a> {
         u64::from_le_bytes(self.array())
     }
 
-    /// Any bits: infinite and no number, too.
+    /// Any bit pattern, including infinities and NaN.
     pub(crate) fn f32(&mut self) -> f32 {
         f32::from_le_bytes(self.array())
     }
 
-    /// Any bits: infinite and no number, too.
+    /// Any bit pattern, including infinities and NaN.
     pub(crate) fn f64(&mut self) -> f64 {
         f64::from_le_bytes(self.array())
     }
 
-    /// One of these.
+    /// One of the options.
     pub(crate) fn one_of<T: Copy, const N: usize>(&mut self, options: [T; N]) -> T {
         const { assert!(N > 0) };
         options[usize::from(self.byte()) % N]

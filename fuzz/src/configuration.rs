@@ -1,14 +1,14 @@
-//! Texts that somebody calls a configuration.
+//! Fuzz target: configuration files.
 
 use singletrack_core::Config;
 use singletrack_link::Session;
 
 use crate::choices::Choices;
 
-/// The example that is shipped with the daemon.
+/// The example configuration of the daemon.
 const EXAMPLE: &str = include_str!("../../host/daemon/singletrackd.example.toml");
 
-/// Values that are wrong at most keys, and right at some.
+/// Values that are valid for some keys and invalid for most.
 const VALUES: [&str; 24] = [
     "0",
     "-1",
@@ -36,22 +36,21 @@ const VALUES: [&str; 24] = [
     "1979-05-27",
 ];
 
-/// How long a message about a mistake may be, beside the text that it quotes.
-const MESSAGE: usize = 2_048;
+/// Largest length of an error message, without the quoted text.
+const MAX_MESSAGE: usize = 2_048;
 
-/// Texts that somebody calls a configuration.
+/// Parses texts as configurations.
 ///
-/// The first byte says what is made of the rest: the text itself, or changes of
+/// The first byte selects the use of the rest: as the text itself, or as changes of
 /// the example's lines.
 ///
 /// # Panics
 ///
-/// When what is accepted is not valid, does not survive being written and read,
-/// can't be given to controller, link and cameras, or is a reference that is
-/// anywhere not finite; when what is refused is
-/// refused without a word, or with more than the text deserves.
+/// If an accepted configuration is invalid, does not round-trip, is rejected by
+/// controller, link or cameras, or has a reference that is not finite; if a refusal
+/// has no message or one that is too long.
 ///
-/// Returns how many texts were tried.
+/// Returns the number of texts.
 pub fn configuration(data: &[u8]) -> u64 {
     let mut choices = Choices::new(data);
     if choices.byte() & 1 != 0 {
@@ -69,9 +68,9 @@ fn check(text: &str) {
         Ok(config) => check_accepted(&config),
         Err(error) => {
             let message = error.to_string();
-            assert!(!message.trim().is_empty(), "refused without a word");
+            assert!(!message.trim().is_empty(), "refused without a message");
             assert!(
-                message.len() <= MESSAGE + 4 * text.len(),
+                message.len() <= MAX_MESSAGE + 4 * text.len(),
                 "{} bytes about {}",
                 message.len(),
                 text.len()
@@ -88,7 +87,9 @@ fn check_accepted(config: &Config) {
         read.as_ref().is_ok_and(|read| read == config),
         "{read:?} instead of {config:?}"
     );
-    let pilot = config.pilot().expect("what is valid is for the controller");
+    let pilot = config
+        .pilot()
+        .expect("the controller accepts a valid configuration");
     for time_s in [0.0, 0.01, 1.0, 1_000.0] {
         let point = pilot.reference.at(time_s);
         let position = point.position.map(|position| [position.x, position.y]);
@@ -101,7 +102,7 @@ fn check_accepted(config: &Config) {
             "{point:?} is not finite"
         );
     }
-    assert!(Session::new(config.link(1)).is_ok(), "not for the link");
+    assert!(Session::new(config.link(1)).is_ok(), "refused by the link");
     let cameras = config.motion_capture.session();
     assert!(
         cameras.is_ok_and(|cameras| singletrack_mocap::Session::new(cameras).is_ok()),
@@ -123,7 +124,7 @@ fn changed_example(choices: &mut Choices<'_>) -> String {
         let at = usize::from(choices.byte()) % lines.len();
         let Some(line) = lines.get_mut(at) else { break };
         match operation % 8 {
-            // A default, switched on.
+            // A commented default, enabled.
             0 => *line = line.trim_start_matches('#').to_owned(),
             1 => set_value(line, choices.one_of(VALUES)),
             2 => set_value(line, &choices.i32().to_string()),
@@ -140,7 +141,7 @@ fn changed_example(choices: &mut Choices<'_>) -> String {
     lines.join("\n")
 }
 
-/// Gives the line's key another value, and switches it on.
+/// Sets another value for the line's key, and enables the line.
 fn set_value(line: &mut String, value: &str) {
     if let Some((key, _)) = line.trim_start_matches('#').split_once('=') {
         *line = format!("{key}= {value}");
@@ -158,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_made_where_it_says() {
+    fn a_change_applies_to_the_selected_line() {
         let example = changed_example(&mut Choices::new(&[]));
         let port = example.lines().position(|line| line.starts_with("port ="));
         let text = changed_example(&mut Choices::new(&[1, port.unwrap() as u8, 4]));

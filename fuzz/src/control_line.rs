@@ -1,16 +1,16 @@
-//! Lines that a client of the control socket sends.
+//! Fuzz target: lines from clients of the control socket.
 
 use singletrackd::Command;
 
 use crate::choices::Choices;
 
-/// When the line is read, in ns of `CLOCK_MONOTONIC`.
+/// Time of reading the line, in ns of `CLOCK_MONOTONIC`.
 const NOW_NS: u64 = 1_000_000_000_000;
 
-/// How long an answer about a mistake may be, beside the line that it quotes.
-const ANSWER: usize = 1_024;
+/// Largest length of an error message, without the quoted line.
+const MAX_ANSWER: usize = 1_024;
 
-/// Keys of a line, and one that is none.
+/// Keys of a line, and an unknown one.
 const KEYS: [&str; 9] = [
     "version",
     "command",
@@ -23,7 +23,7 @@ const KEYS: [&str; 9] = [
     "surplus",
 ];
 
-/// Values that are right at some keys.
+/// Values that are valid for some keys.
 const VALUES: [&str; 24] = [
     "1",
     "2",
@@ -51,18 +51,18 @@ const VALUES: [&str; 24] = [
     "1000000000001",
 ];
 
-/// Lines that a client of the control socket sends.
+/// Parses lines from a client of the control socket.
 ///
-/// The first byte says what is made of the rest: the line itself, or an object of
-/// known keys with values of all kinds.
+/// The first byte selects the use of the rest: as the line itself, or as an object
+/// of known keys with values of all kinds.
 ///
 /// # Panics
 ///
-/// When a set-point is accepted that is not finite, or made in the future; when a
-/// command is read from a line that does not hold its word, or of another version;
-/// when a line is refused without a word, or with more than it deserves.
+/// If an accepted set-point is not finite, or lies in the future; if a command is
+/// parsed from a line that does not contain its word, or of another version; if a
+/// refusal has no message or one that is too long.
 ///
-/// Returns how many lines were read.
+/// Returns the number of lines.
 pub fn control_line(data: &[u8]) -> u64 {
     let mut choices = Choices::new(data);
     if choices.byte() & 1 == 0 {
@@ -95,9 +95,9 @@ fn check(line: &[u8]) {
     match Command::parse(line, NOW_NS) {
         Ok(command) => check_accepted(&command, line),
         Err(error) => {
-            assert!(!error.trim().is_empty(), "refused without a word");
+            assert!(!error.trim().is_empty(), "refused without a message");
             assert!(
-                error.len() <= ANSWER + 8 * line.len(),
+                error.len() <= MAX_ANSWER + 8 * line.len(),
                 "{} bytes about {}",
                 error.len(),
                 line.len()
@@ -107,10 +107,9 @@ fn check(line: &[u8]) {
 }
 
 fn check_accepted(command: &Command, line: &[u8]) {
-    // Nobody arms a car by accident: the words must be there. (A word may be
-    // written with escapes, too.)
+    // No command by accident: the line must contain its word. (Or escapes of it.)
     let text = core::str::from_utf8(line).expect("JSON is UTF-8");
-    assert!(text.contains('1'), "another version is obeyed: {text}");
+    assert!(text.contains('1'), "another version is accepted: {text}");
     let word = match command {
         Command::Ask(question) => match question {
             singletrackd::Question::Status => "status",
@@ -136,7 +135,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
             numbers.iter().flatten().all(|number| number.is_finite()),
             "{setpoint:?} is not finite"
         );
-        assert!(setpoint.time.0 <= NOW_NS, "made in the future");
+        assert!(setpoint.time.0 <= NOW_NS, "a set-point from the future");
     }
 }
 

@@ -1,20 +1,20 @@
-//! Frames of the serial line around any packet.
+//! Frames of the serial line with arbitrary packets.
 
 use crc::{CRC_16_IBM_SDLC, Crc};
 
-const CHECK_SUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
+const CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
 
-/// A frame whose check sum is right, whatever type byte and payload are.
+/// A frame with a valid checksum, for any type byte and payload.
 ///
-/// The payload may be longer than any message's, up to 255 bytes.
+/// The payload may exceed those of all messages, up to 255 bytes.
 pub(crate) fn frame(kind: u8, payload: &[u8]) -> Vec<u8> {
     let mut packet = vec![kind];
     packet.extend_from_slice(payload);
-    let check_sum = CHECK_SUM.checksum(&packet);
-    packet.extend_from_slice(&check_sum.to_le_bytes());
+    let checksum = CHECKSUM.checksum(&packet);
+    packet.extend_from_slice(&checksum.to_le_bytes());
     let mut frame = vec![0; cobs::max_encoding_length(packet.len()) + 1];
     let length = cobs::encode(&packet, &mut frame);
-    // The zero that ends it is already there.
+    // The final zero is already there.
     frame.truncate(length + 1);
     frame
 }
@@ -24,7 +24,7 @@ mod tests {
     use singletrack_protocol::{Decoder, Disarm, Message, Packet, Sequence};
 
     #[test]
-    fn frames_are_those_of_the_protocol() {
+    fn frames_match_the_protocol() {
         let disarm = Disarm {
             request: Sequence(7),
         };

@@ -1,4 +1,4 @@
-//! Bytes that the serial line brings to the host.
+//! Fuzz target: bytes on the serial line to the host.
 
 use core::num::NonZeroU32;
 
@@ -8,37 +8,35 @@ use singletrack_protocol::{
     Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
 };
 
-use crate::choices::Choices;
-use crate::frame::frame;
-use crate::samples::CONFIGURATION;
+use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
 
 const MS: u64 = 1_000_000;
 
-/// What the session may want to send at one moment: a stop, a greeting or a
-/// configuration, a request to arm.
+/// Largest number of messages that the session sends at one time: a stop, a
+/// greeting or a configuration, an arm request.
 const TRANSMITS: usize = 3;
 
-/// The type bytes of the messages to the host, and one that is none.
+/// Type bytes of the messages to the host, and an invalid one.
 const KINDS: [u8; 6] = [0x01, 0x20, 0x21, 0x22, 0x23, 0x13];
 
-// No room for a heap: what a session needs, it has from the start.
+// The session owns no heap memory.
 const _: () = assert!(size_of::<Session>() <= 8_192);
 
-/// Bytes that the serial line brings to the host, whose owner arms, drives,
-/// stops, closes and opens the port, and lets time go by in any steps.
+/// Runs the session on bytes from the serial line, while its owner arms, drives,
+/// stops, closes and opens the port, with any time steps.
 ///
-/// The first byte chooses how far the session had come before.
+/// The first byte selects the initial state.
 ///
 /// # Panics
 ///
-/// When the session connects without an answer to its own greeting; when it
-/// sends what is no message, or more than one of a kind at a time, or a request
-/// to arm that nobody has asked for or that has outlived a loss, a restart, a
-/// stop; when it makes a command for a board that is not armed, or of other
-/// numbers than it was given; when times of a record run backwards or lie in
-/// the future; when it wants to be woken in the past.
+/// If the session connects without an answer to its own greeting; if it sends bytes
+/// that are not a message, more than one of a kind at a time, or an arm request
+/// that was not made or that survived a loss, a restart or a stop; if it makes a
+/// command for a board that is not armed, or with other values than it was given;
+/// if times of a record run backwards or lie in the future; if it requests a
+/// wake-up in the past.
 ///
-/// Returns how many bytes the session was handed.
+/// Returns the number of bytes passed to the session.
 pub fn host_bytes(data: &[u8]) -> u64 {
     let mut choices = Choices::new(data);
     let mut bench = Bench::at_stage(choices.byte());
@@ -51,26 +49,26 @@ pub fn host_bytes(data: &[u8]) -> u64 {
 struct Bench {
     session: Session,
     now_ns: u64,
-    /// The board as it would be.
+    /// Model of the board.
     board_time_us: u32,
     board_mode: BoardMode,
-    /// Hears what the session hears.
+    /// Decodes the bytes to the session.
     mirror: Decoder,
-    /// Of the newest greeting.
+    /// Nonce of the newest greeting.
     nonce: u32,
-    /// Of the newest configuration sent.
+    /// Request number of the newest configuration sent.
     configure: Sequence,
-    /// The request to arm that may still be sent.
+    /// The arm request that may still be sent.
     arm: Option<Sequence>,
     stop: Sequence,
     newest: Option<TimedTelemetry>,
-    /// Handed to the session.
+    /// Number of bytes passed to the session.
     bytes: u64,
 }
 
-/// What the session was told in one call, as the mirror heard it.
+/// The messages in one call, by the mirror decoder.
 #[derive(Default)]
-struct Heard {
+struct CallMessages {
     frames: usize,
     answer_to_greeting: bool,
 }
@@ -84,7 +82,7 @@ impl Bench {
             baud: NonZeroU32::new(115_200).unwrap_or(NonZeroU32::MIN),
         };
         let mut bench = Self {
-            session: Session::new(config).expect("the configuration is a good one"),
+            session: Session::new(config).expect("the configuration is valid"),
             now_ns: 500_000 * MS,
             board_time_us: if options & 0x80 != 0 {
                 u32::MAX - 500_000
@@ -112,7 +110,7 @@ impl Bench {
             bench.run(3);
         }
         if stage >= 4 {
-            bench.ask_to_arm();
+            bench.request_arm();
         }
         if stage >= 5 {
             let sequence = bench.arm.unwrap_or_default();
@@ -125,10 +123,10 @@ impl Bench {
 
     fn step(&mut self, choices: &mut Choices<'_>) {
         match choices.byte() % 24 {
-            0 => self.hear(choices.bytes()),
+            0 => self.receive(choices.bytes()),
             1 => {
                 let kind = choices.byte();
-                self.hear(&frame(kind, choices.bytes()));
+                self.receive(&frame(kind, choices.bytes()));
             }
             2 => {
                 let mut bytes = Vec::new();
@@ -136,11 +134,11 @@ impl Bench {
                     bytes.extend_from_slice(&frame(choices.one_of(KINDS), choices.bytes()));
                 }
                 bytes.truncate(usize::from(choices.u16()));
-                self.hear(&bytes);
+                self.receive(&bytes);
             }
             3 => self.greet(VERSION),
             4 => self.greet(choices.u16()),
-            5 => self.say(Hello {
+            5 => self.send(Hello {
                 protocol_version: VERSION,
                 software_version: [0; 3],
                 nonce: if choices.flag() {
@@ -150,17 +148,17 @@ impl Bench {
                 },
             }),
             6 => self.acknowledge(Request::Configure, self.configure),
-            // Type, request, number, hash: any of them.
+            // Any type, request, number and hash.
             7 => {
                 let sequence = self.some_sequence(choices);
                 let [a, b, c, d] = choices.u32().to_le_bytes();
                 let request = choices.byte() % 5;
-                self.hear(&frame(0x22, &[request, sequence.0, a, b, c, d]));
+                self.receive(&frame(0x22, &[request, sequence.0, a, b, c, d]));
             }
             8 => {
                 let sequence = self.some_sequence(choices);
                 let (request, reason) = (choices.byte() % 5, choices.byte() % 16);
-                self.hear(&frame(0x23, &[request, sequence.0, reason]));
+                self.receive(&frame(0x23, &[request, sequence.0, reason]));
             }
             9 => self.run(choices.byte() % 16),
             10 => {
@@ -177,20 +175,20 @@ impl Bench {
             11 => {
                 self.board_time_us = choices.u32();
                 let telemetry = self.any_telemetry(choices);
-                self.say(telemetry);
+                self.send(telemetry);
             }
             12 => {
                 let telemetry = self.any_telemetry(choices);
-                self.say(telemetry);
+                self.send(telemetry);
             }
             13 => {
                 let status = self.any_status(choices);
-                self.say(status);
+                self.send(status);
             }
             14 => self.pass(u64::from(choices.u16()) * 1_000),
             15 => self.pass(u64::from(choices.byte()) * 10 * MS),
             16 => self.pass(choices.u32().into()),
-            17 => self.ask_to_arm(),
+            17 => self.request_arm(),
             18 => {
                 self.stop = self.session.disarm(self.now_ns);
                 self.arm = None;
@@ -206,7 +204,7 @@ impl Bench {
                     max_pose_age_ms: choices.u16(),
                     ..CONFIGURATION
                 };
-                // Refused while armed; nothing is changed then.
+                // Refused while armed, without effect.
                 let hash = self.session.configuration_hash();
                 if self.session.configure(self.now_ns, configuration).is_err() {
                     assert_eq!(self.session.configuration_hash(), hash);
@@ -259,7 +257,7 @@ impl Bench {
     }
 
     fn greet(&mut self, protocol_version: u16) {
-        self.say(Hello {
+        self.send(Hello {
             protocol_version,
             software_version: [9, 8, 7],
             nonce: self.nonce,
@@ -267,17 +265,17 @@ impl Bench {
     }
 
     fn acknowledge(&mut self, request: Request, sequence: Sequence) {
-        self.say(singletrack_protocol::Acknowledgement {
+        self.send(singletrack_protocol::Acknowledgement {
             request,
             sequence,
             configuration_hash: self.session.configuration_hash(),
         });
     }
 
-    fn ask_to_arm(&mut self) {
+    fn request_arm(&mut self) {
         let ready = matches!(self.session.state(), State::Ready { .. });
         if let Ok(sequence) = self.session.arm(self.now_ns) {
-            assert!(ready, "armed without a board that is ready");
+            assert!(ready, "armed without a ready board");
             assert!(!self.session.is_stop_pending(), "armed across a stop");
             self.arm = Some(sequence);
         }
@@ -298,7 +296,7 @@ impl Bench {
         );
         assert!(!self.session.is_stop_pending(), "a command across a stop");
         let ToBoard::Drive(drive) = message_to_board(bytes.as_bytes()) else {
-            panic!("a command that is none");
+            panic!("not a drive command");
         };
         self.check_drive(&command, &drive);
     }
@@ -313,13 +311,13 @@ impl Bench {
         let newest = self.newest.expect("a command rests on telemetry");
         assert_eq!(drive.telemetry_time_us, newest.telemetry.board_time_us);
         assert!(drive.sequence.is_newer_than(newest.telemetry.last_sequence));
-        // Never told younger than it is.
+        // The reported age is never too small.
         let age_ns = command.pose_time_ns.map_or(u64::MAX, |pose_ns| {
             newest.board_time_host_ns.saturating_sub(pose_ns)
         });
         assert!(
             drive.pose_age_ms == u16::MAX || u64::from(drive.pose_age_ms) * MS >= age_ns,
-            "{age_ns} ns told as {} ms",
+            "{age_ns} ns reported as {} ms",
             drive.pose_age_ms
         );
     }
@@ -328,7 +326,7 @@ impl Bench {
     fn run(&mut self, records: u8) {
         for _ in 0..records {
             self.pass(10 * MS);
-            self.say(self.telemetry());
+            self.send(self.telemetry());
         }
     }
 
@@ -389,23 +387,23 @@ impl Bench {
         self.settle();
     }
 
-    fn say(&mut self, message: impl Into<ToHost>) {
-        // Ends whatever stands half said on the line.
+    fn send(&mut self, message: impl Into<ToHost>) {
+        // Ends a partial frame on the line.
         let mut bytes = vec![0];
         bytes.extend_from_slice(message.into().encode().as_bytes());
-        self.hear(&bytes);
+        self.receive(&bytes);
     }
 
-    fn hear(&mut self, bytes: &[u8]) {
+    fn receive(&mut self, bytes: &[u8]) {
         self.bytes += bytes.len() as u64;
-        let mut heard = Heard::default();
+        let mut messages = CallMessages::default();
         for &byte in bytes {
             let Some(Ok(packet)) = self.mirror.push(byte) else {
                 continue;
             };
-            heard.frames += 1;
+            messages.frames += 1;
             if let Ok(ToHost::Hello(hello)) = ToHost::decode(packet) {
-                heard.answer_to_greeting |=
+                messages.answer_to_greeting |=
                     hello.nonce == self.nonce && hello.protocol_version == VERSION;
             }
         }
@@ -413,13 +411,13 @@ impl Bench {
         self.session
             .handle_bytes(self.now_ns, bytes, &mut |event| events.push(event));
         assert!(
-            events.len() <= 3 * heard.frames,
+            events.len() <= 3 * messages.frames,
             "{} events of {} frames",
             events.len(),
-            heard.frames
+            messages.frames
         );
         for event in events {
-            self.check_event(&event, heard.answer_to_greeting);
+            self.check_event(&event, messages.answer_to_greeting);
         }
         self.settle();
     }
@@ -427,7 +425,10 @@ impl Bench {
     fn check_event(&mut self, event: &Event, answer_to_greeting: bool) {
         match event {
             Event::Connected { .. } => {
-                assert!(answer_to_greeting, "connected by a stranger's greeting");
+                assert!(
+                    answer_to_greeting,
+                    "connected by a greeting that is not an answer"
+                );
             }
             Event::Lost { .. } | Event::BoardRestarted { .. } => self.arm = None,
             Event::Acknowledged { request, sequence }
@@ -436,7 +437,11 @@ impl Bench {
             }
             | Event::Unanswered { request, sequence } => match request {
                 Request::Arm => {
-                    assert_eq!(self.arm.take(), Some(*sequence), "an answer to nothing");
+                    assert_eq!(
+                        self.arm.take(),
+                        Some(*sequence),
+                        "an answer without a request"
+                    );
                 }
                 Request::Disarm | Request::EmergencyStop => assert_eq!(*sequence, self.stop),
                 Request::Configure => {}
@@ -463,7 +468,7 @@ impl Bench {
         }
     }
 
-    /// Lets the session give up and send what is due.
+    /// Lets the session handle timeouts and send what is due.
     fn settle(&mut self) {
         let mut events = Vec::new();
         self.session
@@ -475,11 +480,11 @@ impl Bench {
         let mut sent = 0;
         while let Some(transmit) = self.session.poll_transmit(self.now_ns) {
             sent += 1;
-            assert!(sent <= TRANSMITS, "sends without end");
+            assert!(sent <= TRANSMITS, "unbounded sending");
             self.check_transmit(message_to_board(transmit.as_bytes()));
         }
         if let Some(wake_ns) = self.session.poll_timeout() {
-            assert!(wake_ns > self.now_ns, "wants to be woken in the past");
+            assert!(wake_ns > self.now_ns, "a wake-up in the past");
         }
     }
 
@@ -502,18 +507,22 @@ impl Bench {
                 self.configure = configure.request;
             }
             ToBoard::Arm(arm) => {
-                assert_eq!(Some(arm.request), self.arm, "arms unasked in {state:?}");
+                assert_eq!(
+                    Some(arm.request),
+                    self.arm,
+                    "an arm request without a request in {state:?}"
+                );
                 assert!(!self.session.is_stop_pending(), "arms across a stop");
             }
             ToBoard::Disarm(_) | ToBoard::EmergencyStop(_) => {
                 assert!(self.session.is_stop_pending());
             }
-            ToBoard::Drive(_) => panic!("drives by itself"),
+            ToBoard::Drive(_) => panic!("a drive command without a request"),
         }
     }
 }
 
-/// The one message that these bytes are.
+/// Decodes bytes that must be one message.
 fn message_to_board(bytes: &[u8]) -> ToBoard {
     let mut decoder = Decoder::new();
     let messages: Vec<_> = bytes
@@ -531,7 +540,7 @@ mod tests {
     use super::{Bench, BoardMode, State};
 
     #[test]
-    fn the_first_byte_brings_the_session_as_far_as_it_says() {
+    fn the_first_byte_selects_the_initial_state() {
         for options in [0, 0x40, 0x80, 0xF8] {
             let state = |stage| Bench::at_stage(options | stage).session.state();
             assert_eq!(state(0), State::Disconnected);

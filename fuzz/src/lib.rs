@@ -1,18 +1,18 @@
-//! Hostile input: what it must never do, whoever sends it.
+//! Invariants for hostile input.
 //!
-//! One function for each way into the two computers. It makes a test of any
-//! bytes and panics when a promise is broken; what the promises are is said at
-//! each. `README.md` says how to run them under libFuzzer; `tests/` runs them on
-//! the corpus and on random bytes with every `cargo test`.
+//! One function for each input of the two computers. It derives a test from
+//! arbitrary bytes and panics when an invariant is violated; each function
+//! documents its invariants. `README.md` describes how to run them with libFuzzer;
+//! `tests/` runs them on the corpus and on random bytes with every `cargo test`.
 //!
-//! Common to all: no panic, no overflow, no loop that the length of the input
-//! does not bound, no memory that it does not.
+//! Common invariants: no panic, no overflow, and no loop or memory that is not
+//! bounded by the length of the input.
 
 #![allow(
     clippy::panic,
     clippy::unwrap_used,
     clippy::expect_used,
-    reason = "a panic is how a target says that a promise is broken"
+    reason = "a target panics when an invariant is violated"
 )]
 
 mod board_bytes;
@@ -32,12 +32,12 @@ pub use control_line::control_line;
 pub use host_bytes::host_bytes;
 pub use natnet_packets::natnet_packets;
 
-/// A fuzz target: its name, and what it does with some bytes.
+/// A fuzz target.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// The name of its program and of its folder in the corpus.
+    /// Name of its program and of its folder in the corpus.
     pub name: &'static str,
-    /// The checks; returns how much of what they are about was tried.
+    /// Runs the checks on some bytes; returns the amount of input that was processed.
     pub run: fn(&[u8]) -> u64,
 }
 

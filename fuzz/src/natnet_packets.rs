@@ -1,16 +1,18 @@
-//! Datagrams that the network brings to the motion capture client.
+//! Fuzz target: datagrams to the motion capture client.
 
-use core::f64::consts::PI;
-use core::net::{IpAddr, Ipv4Addr, SocketAddr};
-use core::num::NonZeroU64;
-
-use singletrack_mocap::codec::{
-    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
-    RigidBody, RigidBodyDefinition, ServerInfo, ServerMessage,
+use core::{
+    f64::consts::PI,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    num::NonZeroU64,
 };
-use singletrack_mocap::encode::{self, Dataset, EncodeError, FrameContent};
+
 use singletrack_mocap::{
     Binding, Config, Observation, Outcome, Phase, Pose, PoseState, Session, Transport, UpAxis,
+    codec::{
+        BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+        RigidBody, RigidBodyDefinition, ServerInfo, ServerMessage,
+    },
+    encode::{self, Dataset, EncodeError, FrameContent},
 };
 
 use crate::choices::Choices;
@@ -22,11 +24,11 @@ const TICKS_PER_SECOND: u64 = 10_000_000;
 const SERVER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 168, 1, 10)), 1510);
 const STRANGER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 168, 1, 66)), 1510);
 
-/// Datagrams that a session may want to send at one moment: an echo, a request
-/// for the models, a keep-alive; and the greeting that a silence leads to.
+/// Largest number of datagrams that the session sends at one time: an echo, a
+/// request for the models, a keep-alive, and the greeting after a silence.
 const TRANSMITS: usize = 4;
 
-/// Events that wait at most.
+/// Largest number of queued events.
 const EVENTS: usize = 16;
 
 const VERSIONS: [(u8, u8); 9] = [
@@ -41,27 +43,26 @@ const VERSIONS: [(u8, u8); 9] = [
     (4, 4),
 ];
 
-// No room for a heap: what a session needs, it has from the start.
+// The session owns no heap memory.
 const _: () = assert!(size_of::<Session>() <= 8_192);
 
-/// Datagrams that the network brings to the motion capture client, from the
-/// server and from strangers, at any time.
+/// Runs the motion capture session on datagrams from the server and from other
+/// addresses, at any time.
 ///
-/// The first bytes choose the server's version, how the session is configured
-/// and how far it had come before.
+/// The first bytes select the server's version, the configuration of the session
+/// and its initial state.
 ///
 /// # Panics
 ///
-/// When a pose is believed that is not finite, not in its ranges, captured after
-/// it was received or before the last one, of a body that is not the bound one or
-/// not tracked, or farther from the last one than the body can move; when a frame
-/// is believed that is not newer than the last, or that comes before the server
-/// was greeted;
-/// when a stranger's datagram changes anything but the count of those; when the
-/// session sends what is no message, elsewhere than to its server, or without
-/// end; when it wants to be woken in the past; when the counts don't add up.
+/// If an accepted pose is not finite, out of range, captured after its reception or
+/// before the last one, of another body, not tracked, or farther from the last one
+/// than the body can move; if an accepted frame is not newer than the last one, or
+/// precedes the greeting; if a datagram from another address changes anything
+/// except its counter; if the session sends bytes that are not a message, to
+/// another address, or without bound; if it requests a wake-up in the past; if the
+/// counters are inconsistent.
 ///
-/// Returns how many datagrams the session was handed.
+/// Returns the number of datagrams passed to the session.
 pub fn natnet_packets(data: &[u8]) -> u64 {
     let mut choices = Choices::new(data);
     let mut bench = Bench::at_stage(&mut choices);
@@ -81,9 +82,9 @@ struct Bench {
     x_m: f32,
     echo_stamp: u64,
     last_valid: Option<Pose>,
-    /// A buffer for datagrams, as large as they get.
+    /// Buffer for the largest datagrams.
     buffer: Vec<u8>,
-    /// Datagrams handed to the session.
+    /// Number of datagrams passed to the session.
     datagrams: u64,
 }
 
@@ -103,9 +104,9 @@ impl Bench {
         };
         let up_axis = if is(4) { UpAxis::Y } else { UpAxis::Z };
         let config = Config::new(SERVER.ip(), transport, "car", up_axis)
-            .expect("the configuration is a good one");
+            .expect("the configuration is valid");
         let mut bench = Self {
-            session: Session::new(config).expect("the configuration is a good one"),
+            session: Session::new(config).expect("the configuration is valid"),
             now_ns: 1_000_000 * MS,
             version,
             ticks_at_zero: if is(5) {
@@ -142,9 +143,9 @@ impl Bench {
 
     fn step(&mut self, choices: &mut Choices<'_>) {
         let operation = choices.byte();
-        // A quarter of everything also comes from a stranger.
+        // A quarter of all datagrams also comes from another address.
         if operation & 0xC0 == 0xC0 {
-            self.hear_stranger(operation, choices);
+            self.receive_from_stranger(operation, choices);
             return;
         }
         match operation % 20 {
@@ -204,7 +205,7 @@ impl Bench {
                 let flags = FrameFlags(choices.byte().into());
                 self.frame(bodies.get(..count).unwrap_or_default(), step, flags);
             }
-            // A good frame with some bytes changed, or cut short.
+            // A valid frame with some bytes changed, or truncated.
             12 | 13 => {
                 let mut datagram = self.nominal_frame();
                 for _ in 0..choices.byte() % 8 {
@@ -244,7 +245,7 @@ impl Bench {
     }
 
     fn car(&self, x_m: f32, y_m: f32) -> RigidBody {
-        // Upright whichever axis is up: the quaternion of no rotation.
+        // The identity quaternion, which is upright for any up axis.
         match self.session.config().up_axis {
             UpAxis::Z => RigidBody::tracked(CAR, [x_m, y_m, 0.05], [0.0, 0.0, 0.0, 1.0]),
             UpAxis::Y => RigidBody::tracked(CAR, [x_m, 0.05, -y_m], [0.0, 0.0, 0.0, 1.0]),
@@ -285,7 +286,7 @@ impl Bench {
         self.receive(SERVER, &datagram);
     }
 
-    /// 10 ms at 0.5 m/s, and a frame of it.
+    /// Moves for 10 ms at 0.5 m/s, and sends a frame.
     fn drive_on(&mut self) {
         self.pass(10 * MS);
         self.x_m += 0.005;
@@ -356,7 +357,7 @@ impl Bench {
         self.receive(SERVER, &datagram);
     }
 
-    fn hear_stranger(&mut self, operation: u8, choices: &mut Choices<'_>) {
+    fn receive_from_stranger(&mut self, operation: u8, choices: &mut Choices<'_>) {
         let datagram = match operation % 4 {
             0 => choices.bytes().to_vec(),
             1 => {
@@ -372,13 +373,16 @@ impl Bench {
         let mut counters = *self.session.counters();
         assert_eq!(counters.wrong_source, before.wrong_source + 1);
         counters.wrong_source = before.wrong_source;
-        assert_eq!(counters, before, "a stranger is counted as something else");
-        // What is counted is all that differs.
+        assert_eq!(
+            counters, before,
+            "a foreign datagram changed another counter"
+        );
+        // Only the counter differs.
         let _ = expected.handle_datagram(self.now_ns, STRANGER, &[]);
         assert_eq!(
             format!("{expected:?}"),
             format!("{:?}", self.session),
-            "a stranger changed something"
+            "a foreign datagram changed the session"
         );
     }
 
@@ -393,7 +397,7 @@ impl Bench {
                 assert_eq!(source, SERVER);
                 assert_eq!(self.session.counters().frames, frames + 1);
                 let Phase::Streaming(version) = phase else {
-                    panic!("a frame is believed in {phase:?}");
+                    panic!("a frame is accepted in {phase:?}");
                 };
                 assert_eq!(observation.receive_time_ns, self.now_ns);
                 self.check_observation(&observation, version, binding, datagram);
@@ -418,13 +422,13 @@ impl Bench {
             panic!("a pose of a body that is {binding:?}");
         };
         let Ok(ServerMessage::Frame(frame)) = ServerMessage::decode(datagram, version) else {
-            panic!("a pose of a datagram that is no frame");
+            panic!("a pose from a datagram that is not a frame");
         };
         let bodies: Vec<_> = frame.rigid_bodies().filter(|body| body.id == id).collect();
         let [body] = bodies.as_slice() else {
             panic!("a pose of {} bodies", bodies.len());
         };
-        assert!(body.tracking_valid(), "a pose of a body that nobody sees");
+        assert!(body.tracking_valid(), "a pose of an untracked body");
         assert_eq!(pose.frame_number, frame.number);
         self.check_pose(&pose);
         self.last_valid = Some(pose);
@@ -452,7 +456,7 @@ impl Bench {
             "captured in the future"
         );
         let Some(last) = self.last_valid else {
-            assert!(pose.reacquired, "the first pose continues none");
+            assert!(pose.reacquired, "the first pose has no predecessor");
             return;
         };
         if !pose.reacquired {
@@ -484,26 +488,26 @@ impl Bench {
         self.settle();
     }
 
-    /// Lets the session send what is due and say what it has to say.
+    /// Lets the session send what is due and report its events.
     fn settle(&mut self) {
         let mut sent = 0;
         while let Some(datagram) = self.session.poll_transmit(self.now_ns) {
             sent += 1;
-            assert!(sent <= TRANSMITS, "sends without end");
+            assert!(sent <= TRANSMITS, "unbounded sending");
             assert_eq!(datagram.destination, SERVER);
             match ClientMessage::decode(&datagram.bytes) {
                 Ok(ClientMessage::EchoRequest { client_stamp }) => self.echo_stamp = client_stamp,
                 Ok(_) => {}
-                Err(error) => panic!("sends what is no message: {error}"),
+                Err(error) => panic!("sent bytes that are not a message: {error}"),
             }
         }
         let mut events = 0;
         while self.session.poll_event().is_some() {
             events += 1;
-            assert!(events <= EVENTS, "events without end");
+            assert!(events <= EVENTS, "unbounded events");
         }
         if let Some(wake_ns) = self.session.poll_timeout() {
-            assert!(wake_ns > self.now_ns, "wants to be woken in the past");
+            assert!(wake_ns > self.now_ns, "a wake-up in the past");
         }
         let counters = self.session.counters();
         let rejected = &counters.rejected;
@@ -522,7 +526,7 @@ impl Bench {
     }
 }
 
-/// A datagram whose header is right, whatever message and payload are.
+/// A datagram with a valid header, for any message and payload.
 fn with_header(id: u16, payload: &[u8]) -> Vec<u8> {
     let length = u16::try_from(payload.len()).unwrap_or(u16::MAX);
     let payload = payload.get(..length.into()).unwrap_or_default();
@@ -548,7 +552,7 @@ mod tests {
     use super::{Bench, Binding, CAR, Choices, Phase, PoseState, VERSIONS};
 
     #[test]
-    fn the_first_bytes_bring_the_session_as_far_as_they_say() {
+    fn the_first_bytes_select_the_initial_state() {
         for options in 0..64_u8 {
             for version in 0..VERSIONS.len() as u8 {
                 let bench = Bench::at_stage(&mut Choices::new(&[options, version]));

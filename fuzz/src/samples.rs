@@ -1,10 +1,10 @@
-//! A car to attack: the calibration that board and session are given.
+//! The calibration of board and session.
 
 use singletrack_protocol::{
     Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
 };
 
-/// A configuration that every board takes.
+/// A valid configuration.
 pub(crate) const CONFIGURATION: Configuration = Configuration {
     servo: ServoCalibration {
         centre_us: 1_500,

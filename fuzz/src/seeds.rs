@@ -1,10 +1,9 @@
-//! What the corpus begins with: golden frames, their mutations, and courses of
-//! events that lead far into each target.
+//! Seeds of the corpus: golden frames, their mutations, and sequences of events
+//! that reach all states of a target.
 //!
 //! `cargo run -p singletrack-fuzz --example seeds` writes them to `corpus/`.
 
-use singletrack_mocap::codec::BitstreamVersion;
-use singletrack_mocap::encode;
+use singletrack_mocap::{codec::BitstreamVersion, encode};
 use singletrack_protocol::{
     Acknowledgement, Arm, BoardMode, Configure, Disarm, Drive, EmergencyStop, Frame, Hello,
     ImuState, Refusal, RefusalReason, Request, ResetCause, Sequence, Status, StopCause, Telemetry,
@@ -16,13 +15,13 @@ use crate::samples::CONFIGURATION;
 /// One file of the corpus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Seed {
-    /// The file's name.
+    /// File name.
     pub name: String,
-    /// What is in it.
+    /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// The seeds of a target; none for a name that is no target's.
+/// The seeds of a target; none for an unknown name.
 #[must_use]
 pub fn seeds(target: &str) -> Vec<Seed> {
     match target {
@@ -35,10 +34,10 @@ pub fn seeds(target: &str) -> Vec<Seed> {
     }
 }
 
-/// A course of events: its name, and the bytes that are it.
+/// A sequence of events, with its name.
 type Course = (&'static str, &'static [u8]);
 
-// The numbers are those of the operations in `board_bytes`.
+// The numbers are the operations in `board_bytes`.
 const BOARD_COURSES: &[Course] = &[
     (
         "configure-arm-drive",
@@ -97,7 +96,7 @@ const BOARD_COURSES: &[Course] = &[
     ),
 ];
 
-// The numbers are those of the operations in `host_bytes`.
+// The numbers are the operations in `host_bytes`.
 const HOST_COURSES: &[Course] = &[
     (
         "greet-configure-arm-drive",
@@ -131,7 +130,7 @@ const HOST_COURSES: &[Course] = &[
     ),
 ];
 
-// The numbers are those of the operations in `natnet_packets`.
+// The numbers are the operations in `natnet_packets`.
 const NATNET_COURSES: &[Course] = &[
     (
         "greet-define-drive",
@@ -212,8 +211,7 @@ fn courses(courses: &[Course]) -> impl Iterator<Item = Seed> {
         .map(|&(name, bytes)| seed(format!("course-{name}"), bytes))
 }
 
-/// The golden frames as they come over the line at some stages, and damaged ones
-/// at the last.
+/// The golden frames in some initial states, and corrupted ones in the last state.
 fn serial(
     golden: &[(&'static str, Frame)],
     stages: core::ops::Range<u8>,
@@ -239,7 +237,7 @@ fn serial(
             *byte ^= 1;
         }
         seeds.push(seed(format!("flipped-{name}"), bytes(last, &flipped)));
-        // The half of one, then a whole one.
+        // Half a frame, then a complete one.
         let cut = [frame.get(..middle).unwrap_or_default(), frame].concat();
         seeds.push(seed(format!("cut-{name}"), bytes(last, &cut)));
     }
@@ -359,10 +357,10 @@ fn to_host() -> Vec<(&'static str, Frame)> {
         .to_vec()
 }
 
-/// An empty frame in every layout, whole and cut, and the courses.
+/// An empty frame in every layout, complete and truncated, and sequences of events.
 fn natnet() -> Vec<Seed> {
     let mut seeds: Vec<_> = courses(NATNET_COURSES).collect();
-    // As in `natnet_packets`: the place in its table of versions.
+    // The index in the table of versions of `natnet_packets`.
     for (index, (major, minor)) in [(0, (2, 7)), (3, (3, 0)), (6, (4, 1))] {
         let mut buffer = [0; 512];
         let frame = BitstreamVersion::new(major, minor).map(|version| {
@@ -385,7 +383,7 @@ fn natnet() -> Vec<Seed> {
     seeds
 }
 
-/// Texts, and one change of the example in many places.
+/// Texts, and single changes of the example.
 fn configuration() -> Vec<Seed> {
     let texts = [
         ("empty", ""),
@@ -412,7 +410,7 @@ fn configuration() -> Vec<Seed> {
     seeds
 }
 
-/// The lines of the protocol's description, and objects that nearly are some.
+/// The lines of the protocol's description, and objects that resemble them.
 fn control_line() -> Vec<Seed> {
     let lines = [
         ("status", r#"{"version":1,"command":"status"}"#),
@@ -445,7 +443,7 @@ fn control_line() -> Vec<Seed> {
     let mut seeds: Vec<_> = lines
         .map(|(name, line)| seed(format!("line-{name}"), [b"\0", line.as_bytes()].concat()))
         .to_vec();
-    // Key and value; then the same of the next key.
+    // Key and value, then the next key and its value.
     for command in 6..13 {
         for key in [2, 4] {
             let bytes = [1, 1, 1, command, key, 13, key + 1, 18];
@@ -460,7 +458,7 @@ mod tests {
     use crate::TARGETS;
 
     #[test]
-    fn every_target_has_seeds_of_different_names() {
+    fn every_target_has_seeds_with_distinct_names() {
         for target in TARGETS {
             let seeds = super::seeds(target.name);
             let mut names: Vec<_> = seeds.iter().map(|seed| &seed.name).collect();
@@ -469,6 +467,6 @@ mod tests {
             assert_eq!(names.len(), seeds.len(), "{}", target.name);
             assert!(seeds.len() >= 24, "{}: {}", target.name, seeds.len());
         }
-        assert!(super::seeds("nobody").is_empty());
+        assert!(super::seeds("unknown").is_empty());
     }
 }

@@ -1,9 +1,6 @@
-//! Replays the corpus, and holds it to what the generator makes.
+//! Replays the corpus, and compares it with the generator.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "the helpers of tests may fail as tests do"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
 use std::{
     fs,
@@ -32,10 +29,10 @@ fn files(target: &str) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn every_file_of_the_corpus_keeps_the_promises() {
+fn no_file_of_the_corpus_violates_an_invariant() {
     for target in TARGETS {
         for (name, bytes) in files(target.name) {
-            // Seen when it fails.
+            // Shown on failure.
             println!("{}/{name}", target.name);
             (target.run)(&bytes);
         }
@@ -43,7 +40,7 @@ fn every_file_of_the_corpus_keeps_the_promises() {
 }
 
 #[test]
-fn the_corpus_is_what_the_generator_makes_and_what_a_fuzzer_found() {
+fn the_corpus_is_the_generated_one_plus_findings() {
     for target in TARGETS {
         let mut expected: Vec<_> = seeds(target.name)
             .into_iter()

@@ -1,4 +1,4 @@
-//! The targets on random bytes, for a few seconds with every `cargo test`.
+//! Runs the targets on random bytes, for a few seconds with every `cargo test`.
 
 use proptest::{collection::vec, prelude::*, test_runner::FileFailurePersistence};
 
@@ -16,22 +16,22 @@ proptest! {
     #![proptest_config(config(1_000))]
 
     #[test]
-    fn any_bytes_to_the_board_keep_its_promises(data in vec(any::<u8>(), 0..600)) {
+    fn random_bytes_to_the_board_violate_no_invariant(data in vec(any::<u8>(), 0..600)) {
         singletrack_fuzz::board_bytes(&data);
     }
 
     #[test]
-    fn any_bytes_to_the_host_keep_its_promises(data in vec(any::<u8>(), 0..600)) {
+    fn random_bytes_to_the_host_violate_no_invariant(data in vec(any::<u8>(), 0..600)) {
         singletrack_fuzz::host_bytes(&data);
     }
 
     #[test]
-    fn any_packets_of_the_cameras_keep_the_clients_promises(data in vec(any::<u8>(), 0..600)) {
+    fn random_datagrams_violate_no_invariant(data in vec(any::<u8>(), 0..600)) {
         singletrack_fuzz::natnet_packets(&data);
     }
 
     #[test]
-    fn any_text_is_a_good_configuration_or_is_refused_with_a_word(
+    fn random_text_is_a_valid_configuration_or_refused_with_a_message(
         changes: bool,
         mut data in vec(any::<u8>(), 0..40),
     ) {
@@ -40,7 +40,7 @@ proptest! {
     }
 
     #[test]
-    fn any_line_of_a_client_is_a_command_or_is_refused_with_a_word(
+    fn random_lines_are_commands_or_refused_with_a_message(
         object: bool,
         mut data in vec(any::<u8>(), 0..60),
     ) {

@@ -1,4 +1,4 @@
-//! What a frame costs on the host.
+//! Cost of encoding and decoding a frame on the host.
 
 use std::hint::black_box;
 
@@ -20,16 +20,16 @@ fn frames(criterion: &mut Criterion) {
         criterion.bench_function(&format!("decode {}", sample.name), |bencher| {
             let mut decoder = Decoder::new();
             bencher.iter(|| {
-                let mut heard = 0;
+                let mut decoded = 0;
                 for &byte in black_box(frame.as_bytes()) {
                     if let Some(Ok(packet)) = decoder.push(byte) {
-                        heard += usize::from(match sample.message {
+                        decoded += usize::from(match sample.message {
                             samples::Either::ToBoard(_) => ToBoard::decode(packet).is_ok(),
                             samples::Either::ToHost(_) => ToHost::decode(packet).is_ok(),
                         });
                     }
                 }
-                assert_eq!(heard, 1);
+                assert_eq!(decoded, 1);
             });
         });
     }

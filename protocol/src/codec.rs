@@ -1,21 +1,20 @@
-//! Payloads into bytes and back, for the board.
+//! Encoding and decoding of payloads, for the board.
 //!
-//! The bytes are those that postcard gives for the same types, which the host's
-//! end uses (the tests compare the two), and nothing else is ever sent. But
-//! postcard's code is generic, inlined, and checks every byte for room in the
-//! middle of every field: on the board it would be a quarter of the flash. Here a
-//! field is a call; what is missing or means nothing is noted, and asked about at
-//! the end.
+//! The bytes are the same as postcard's for these types; the host uses postcard,
+//! and tests compare the two. On the board, postcard's code would take a quarter of
+//! the flash: it is generic, inlined, and checks the remaining room at every byte.
+//! Here a field is a function call; missing bytes and invalid numbers set a flag
+//! that is read at the end.
 
 /// What a payload is made of.
 pub trait Field: Sized {
-    /// Appends it.
+    /// Appends the value.
     fn write(&self, writer: &mut Writer<'_>);
-    /// Takes it from the front.
+    /// Reads a value from the front.
     fn read(reader: &mut Reader<'_>) -> Self;
 }
 
-/// Fills a buffer from the front. What does not fit is left out.
+/// Writes to a buffer from the front. Bytes that do not fit are dropped.
 #[derive(Debug)]
 pub struct Writer<'a>(core::slice::IterMut<'a, u8>);
 
@@ -24,7 +23,7 @@ impl<'a> Writer<'a> {
         Self(buffer.iter_mut())
     }
 
-    /// Bytes of the buffer that are still free.
+    /// Number of free bytes.
     pub(crate) fn room(&self) -> usize {
         self.0.len()
     }
@@ -55,11 +54,11 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Takes a payload apart.
+/// Reads a payload from the front.
 #[derive(Debug)]
 pub struct Reader<'a> {
     bytes: core::slice::Iter<'a, u8>,
-    /// Something was missing or meant nothing.
+    /// A byte was missing or a number invalid.
     failed: bool,
 }
 
@@ -71,7 +70,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Whether everything had a meaning, and nothing is left.
+    /// Whether all values were valid and no byte is left.
     pub(crate) fn finish(self) -> bool {
         !self.failed && self.bytes.len() == 0
     }
@@ -101,7 +100,7 @@ impl<'a> Reader<'a> {
         u32::from(low) | (u32::from(self.take_16()) << 16)
     }
 
-    /// A number below `count`; zero instead of another one.
+    /// A number below `count`; any other one is an error and gives zero.
     #[inline(never)]
     pub(crate) fn take_below(&mut self, count: u8) -> u8 {
         let number = self.next();
@@ -254,15 +253,17 @@ pub(crate) use {enumeration, structure};
 
 #[cfg(test)]
 mod tests {
+    use std::fmt::Debug;
+
+    use proptest::{array::uniform32, prelude::*};
+
     use super::{Reader, Writer};
     use crate::{
         Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Message, Refusal,
         Status, Telemetry,
     };
-    use proptest::{array::uniform32, prelude::*};
-    use std::fmt::Debug;
 
-    /// Reads any bytes as postcard does, and writes what they mean as postcard does.
+    /// Reading and writing give the same results as postcard, for any bytes.
     fn agrees_with_postcard<M: Message + PartialEq + Debug>(
         bytes: &[u8],
     ) -> Result<(), TestCaseError> {
@@ -291,7 +292,7 @@ mod tests {
     proptest! {
         #[test]
         fn every_payload_is_read_and_written_as_postcard_does(
-            // Mostly small, or hardly any number would have a meaning.
+            // Mostly small, or hardly any number would be valid.
             bytes in [(); 2].map(|()| uniform32(prop_oneof![7 => 0_u8..6, 1 => any::<u8>()])),
         ) {
             let bytes = bytes.concat();

@@ -1,4 +1,4 @@
-//! What the host asks of the board while driving.
+//! Requests and commands of the host.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +16,7 @@ impl Sequence {
         Self(self.0.wrapping_add(1))
     }
 
-    /// Whether this number comes after `other`, within half the circle.
+    /// Whether this number comes after `other`, by at most 127 steps.
     #[must_use]
     pub const fn is_newer_than(self, other: Self) -> bool {
         matches!(self.0.wrapping_sub(other.0), 1..=127)

@@ -1,7 +1,7 @@
-//! The calibration and the limits that the host gives to the board.
+//! Calibration and limits, sent by the host.
 //!
-//! One file on the host owns them; the board keeps nothing over a reset and
-//! refuses to arm without.
+//! The host keeps them in one file. The board loses them at a reset and refuses to
+//! arm without them.
 
 use crate::codec::{Field, Writer, enumeration, structure};
 use crate::{Configure, Message, crc::crc32};
@@ -28,12 +28,12 @@ structure! {
 }
 
 impl Configuration {
-    /// Its length as it is sent: a [`Configure`] without the request number.
+    /// Length in bytes: a [`Configure`] without the request number.
     const LENGTH: usize = Configure::PAYLOAD_LENGTH - 1;
 
-    /// Names this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
-    /// and [`crate::Status`]: CRC-32 of its bytes as they are sent. Never zero,
-    /// which means that there is none.
+    /// Identifies this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
+    /// and [`crate::Status`]: the CRC-32 of its encoded bytes. Never zero, which
+    /// stands for no configuration.
     #[must_use]
     #[inline(never)]
     pub fn hash(&self) -> u32 {

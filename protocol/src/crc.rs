@@ -1,13 +1,12 @@
-//! The two check sums, in forms that suit an 8-bit processor.
+//! The two checksums, in forms that suit an 8-bit processor.
 //!
-//! On the AVR every constant lives in SRAM: the usual table of 256 entries
-//! would take a quarter of it. CRC-16/X-25 is therefore computed a nibble at a
-//! time in registers, and CRC-32, which is needed once per configuration, bit
-//! by bit.
+//! On the AVR every constant is in SRAM; the usual table of 256 entries would take
+//! a quarter of it. CRC-16/X-25 is therefore computed by nibbles in registers, and
+//! CRC-32, which is needed once per configuration, by bits.
 
-/// CRC-16/X-25 of everything that has been given to [`Crc16::update`].
+/// Running CRC-16/X-25.
 ///
-/// In bytes, and not one number of 16 bits, because the board computes in bytes.
+/// Two bytes instead of a 16-bit number, because the board computes in bytes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Crc16 {
     low: u8,
@@ -15,7 +14,7 @@ pub(crate) struct Crc16 {
 }
 
 impl Crc16 {
-    /// The state after a message and its own check sum, low byte first: 0xF0B8.
+    /// State after a message and its checksum: 0xF0B8, low byte first.
     const RESIDUE: [u8; 2] = [0xB8, 0xF0];
 
     pub(crate) const fn new() -> Self {
@@ -27,26 +26,26 @@ impl Crc16 {
 
     #[inline(always)]
     pub(crate) const fn update(&mut self, byte: u8) {
-        // Reflected polynomial 0x8408. Its two nibble steps collapse into
-        // shifts because the polynomial is sparse: x^16 + x^12 + x^5 + 1.
+        // Reflected polynomial 0x8408. Its two nibble steps reduce to shifts
+        // because it is sparse: x^16 + x^12 + x^5 + 1.
         let mut mixed = byte ^ self.low;
         mixed ^= mixed << 4;
         self.low = self.high ^ (mixed >> 4) ^ (mixed << 3);
         self.high = mixed ^ (mixed >> 5);
     }
 
-    /// Low byte first, as it is sent.
+    /// The checksum in the order of transmission, low byte first.
     pub(crate) const fn finish(self) -> [u8; 2] {
         [!self.low, !self.high]
     }
 
-    /// Whether the last two bytes were the check sum of all bytes before them.
+    /// Whether the last two bytes were the checksum of all bytes before them.
     pub(crate) const fn is_residue(self) -> bool {
         self.low == Self::RESIDUE[0] && self.high == Self::RESIDUE[1]
     }
 }
 
-/// CRC-32 (ISO-HDLC, the one of Ethernet and zip) of `bytes`.
+/// CRC-32/ISO-HDLC of `bytes`, as in Ethernet and zip.
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     let mut crc = u32::MAX;
     for &byte in bytes {
@@ -64,8 +63,9 @@ pub(crate) fn crc32(bytes: &[u8]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Crc16, crc32};
     use proptest::prelude::*;
+
+    use super::{Crc16, crc32};
 
     fn crc16(bytes: &[u8]) -> u16 {
         let mut crc = Crc16::new();
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_check_values_are_those_of_the_catalogue() {
+    fn check_values_match_the_catalogue() {
         assert_eq!(crc16(b"123456789"), 0x906E);
         assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
     }
@@ -90,7 +90,7 @@ mod tests {
         }
 
         #[test]
-        fn a_message_followed_by_its_check_sum_leaves_the_residue(bytes: [u8; 20], wrong in 1_u16..) {
+        fn a_message_and_its_checksum_leave_the_residue(bytes: [u8; 20], wrong in 1_u16..) {
             for (flip, good) in [(0, true), (wrong, false)] {
                 let mut crc = Crc16::new();
                 for byte in bytes.into_iter().chain((crc16(&bytes) ^ flip).to_le_bytes()) {

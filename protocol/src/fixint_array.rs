@@ -1,6 +1,6 @@
 //! Arrays of `i16` as fixed-width little-endian bytes.
 //!
-//! `postcard::fixint` covers single integers; this is the same for arrays.
+//! `postcard::fixint` covers only single integers.
 
 use serde::{
     Deserialize, Deserializer, Serializer,

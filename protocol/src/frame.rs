@@ -1,40 +1,42 @@
-//! Frames: a packet made safe for a line that loses and damages bytes.
+//! Framing for a line that loses and corrupts bytes.
 //!
 //! ```text
 //! COBS( type: u8 | payload | CRC-16/X-25: u16 LE ) 00
 //! ```
 //!
-//! No byte of a frame but its last is zero, so a receiver that has lost its
-//! place finds it again at the next zero. A sender puts one zero on the line
-//! after connecting: it ends whatever the receiver had begun to hear.
+//! Zero occurs only as the last byte of a frame, so a receiver synchronises at the
+//! next zero. After connecting, a sender first transmits one zero, which ends any
+//! partial frame at the receiver.
 
-use crate::codec::{Field, Writer};
-use crate::crc::Crc16;
+use crate::{
+    codec::{Field, Writer},
+    crc::Crc16,
+};
 
 /// Length of the longest payload, in bytes: [`crate::Configure`].
 pub const MAX_PAYLOAD_LENGTH: usize = 41;
 
-/// Length of type byte and check sum, in bytes.
+/// Length of type byte and checksum, in bytes.
 const ENVELOPE_LENGTH: usize = 3;
 
 /// Length of the longest packet before COBS, in bytes.
 const MAX_PACKET_LENGTH: usize = MAX_PAYLOAD_LENGTH + ENVELOPE_LENGTH;
 
-/// Length of the longest frame, in bytes, with the zero that ends it.
+/// Length of the longest frame, in bytes, including the final zero.
 pub const MAX_FRAME_LENGTH: usize = frame_length(MAX_PAYLOAD_LENGTH);
 
-// Up to 253 bytes COBS costs exactly one byte, whatever the contents: a frame
-// then has the same length every time, and the load of the line is known.
+// Up to 253 bytes, COBS adds exactly one byte, so the length of a frame does not
+// depend on its contents and the load of the line is known.
 const _: () = assert!(MAX_PACKET_LENGTH < 254);
 
-/// Length of a frame on the wire with a payload of `payload_length` bytes:
-/// type, check sum, one byte of COBS, and the zero that ends it.
+/// Length of a frame on the wire with a payload of `payload_length` bytes: type,
+/// checksum, one byte of COBS, and the final zero.
 #[must_use]
 pub const fn frame_length(payload_length: usize) -> usize {
     payload_length + ENVELOPE_LENGTH + 2
 }
 
-/// One frame, ready for the line, with the zero that ends it.
+/// An encoded frame, including the final zero.
 #[derive(Clone, Debug)]
 pub struct Frame {
     bytes: [u8; MAX_FRAME_LENGTH],
@@ -50,7 +52,7 @@ impl Frame {
             .unwrap_or_default()
     }
 
-    /// No frame yet.
+    /// An empty frame.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -59,10 +61,10 @@ impl Frame {
         }
     }
 
-    /// Puts type byte and payload in an envelope.
+    /// Encodes type byte and payload.
     ///
-    /// A payload that is too long is cut, and every receiver refuses it by its
-    /// length; the tests show that none is.
+    /// A payload that is too long is truncated, and every receiver refuses it by
+    /// its length; tests show that no message is.
     pub(crate) fn build(&mut self, kind: u8, payload: &impl Field) {
         let mut writer = self.open(kind);
         payload.write(&mut writer);
@@ -70,8 +72,8 @@ impl Frame {
         self.seal(MAX_PAYLOAD_LENGTH - room);
     }
 
-    /// A frame whose payload `fill` writes to a buffer of [`MAX_PAYLOAD_LENGTH`]
-    /// bytes; it returns the length.
+    /// A frame whose payload is written by `fill` to a buffer of
+    /// [`MAX_PAYLOAD_LENGTH`] bytes; `fill` returns the length.
     pub(crate) fn filled(kind: u8, fill: impl FnOnce(&mut [u8]) -> usize) -> Self {
         let mut frame = Self::new();
         let [_, first, rest @ ..] = &mut frame.bytes;
@@ -81,7 +83,7 @@ impl Frame {
         frame
     }
 
-    /// Begins a packet.
+    /// Starts a packet.
     #[inline(never)]
     fn open(&mut self, kind: u8) -> Writer<'_> {
         let [count, first, rest @ ..] = &mut self.bytes;
@@ -90,10 +92,10 @@ impl Frame {
         Writer::new(rest.get_mut(..MAX_PAYLOAD_LENGTH).unwrap_or_default())
     }
 
-    /// Adds check sum and COBS to type byte and payload, which begin at the second byte.
+    /// Adds checksum and COBS to type byte and payload, which start at the second byte.
     #[inline(never)]
     fn seal(&mut self, payload_length: usize) {
-        // In range, but the compiler could not know.
+        // Always in range; the compiler cannot prove it.
         let crc_at = 2 + payload_length.min(MAX_PAYLOAD_LENGTH);
         let mut crc = Crc16::new();
         for &byte in self.bytes.get(1..crc_at).unwrap_or_default() {
@@ -103,8 +105,8 @@ impl Frame {
             [*low, *high] = crc.finish();
             *end = 0;
         }
-        // The zero that ends the frame stays; each one before it (the first byte
-        // is one) becomes the distance to the next.
+        // The final zero stays; every zero before it becomes the distance to the
+        // next. The first byte counts as a zero.
         let end = crc_at + 2;
         let mut distance = 1;
         for byte in self
@@ -144,39 +146,39 @@ impl AsRef<[u8]> for Frame {
     }
 }
 
-/// What a good frame held: its check sum was right, its meaning is not yet known.
+/// Contents of a frame with a valid checksum, not yet decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
     /// The type byte; see [`crate::MessageType`].
     pub kind: u8,
-    /// The bytes between type and check sum.
+    /// The bytes between type and checksum.
     pub payload: &'a [u8],
 }
 
-/// Why the bytes between two zeros are not a frame.
+/// Errors in the bytes between two zeros.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// The line lost bytes, or damaged one of those that count others.
-    #[error("the frame ended in the middle: bytes were lost or damaged")]
+    /// Bytes were lost, or a COBS code byte was corrupted.
+    #[error("frame truncated: bytes were lost or corrupted")]
     Truncated,
     /// Longer than any frame of this version.
     #[error(
-        "more than {MAX_FRAME_LENGTH} bytes without a zero: the frame is too long, or its end was lost"
+        "more than {MAX_FRAME_LENGTH} bytes without a zero: the frame is too long or its end was lost"
     )]
     TooLong,
-    /// Not even a type byte and a check sum.
-    #[error("the frame holds {0} bytes, fewer than a type byte and a check sum")]
+    /// Shorter than a type byte and a checksum.
+    #[error("the frame has {0} bytes, fewer than a type byte and a checksum")]
     TooShort(u8),
-    /// A byte was damaged.
-    #[error("the check sum is wrong: a byte was damaged")]
+    /// The checksum does not match: a byte was corrupted.
+    #[error("wrong checksum: a byte was corrupted")]
     CheckSum,
 }
 
 /// Finds frames in a stream of bytes.
 ///
-/// Give it every byte received with [`Decoder::push`], in order. It keeps
-/// nothing but the frame it is in, needs the same time for every byte, and
-/// finds its place again at the next zero whatever came before.
+/// Pass every received byte to [`Decoder::push`], in order. It stores only the
+/// current frame, takes the same time for every byte, and synchronises at the next
+/// zero after any input.
 #[derive(Debug)]
 pub struct Decoder {
     packet: [u8; MAX_PACKET_LENGTH],
@@ -184,17 +186,17 @@ pub struct Decoder {
     too_long: bool,
     crc: Crc16,
     in_frame: bool,
-    /// COBS: bytes to come until the next that counts others,
+    /// COBS: bytes left until the next code byte.
     until_count: u8,
-    /// which stands for a zero unless the one before it was [`FULL_BLOCK`].
+    /// The last code byte was [`FULL_BLOCK`], so the next one stands for no zero.
     full_block: bool,
 }
 
-/// The number that says of a block of COBS that no zero follows it.
+/// COBS code byte of a block that is not followed by a zero.
 const FULL_BLOCK: u8 = 0xFF;
 
 impl Decoder {
-    /// A decoder that expects the first byte of a frame.
+    /// A decoder at the start of a frame.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -208,13 +210,13 @@ impl Decoder {
         }
     }
 
-    /// Takes one byte; at the end of a frame, returns what it held.
+    /// Processes one byte; returns the packet at the end of a frame.
     ///
-    /// Zeros between frames are silent.
+    /// Further zeros between frames are ignored.
     ///
     /// # Errors
     ///
-    /// One [`FrameError`] for every stretch between two zeros that is no frame.
+    /// One [`FrameError`] for every invalid sequence between two zeros.
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet<'_>, FrameError>> {
         if self.push_data(byte) || !self.in_frame {
             return None;
@@ -223,8 +225,8 @@ impl Decoder {
         Some(self.finish())
     }
 
-    /// Takes a byte that is not zero: none of those ends a frame. Returns `false`,
-    /// and does nothing, when it is zero.
+    /// Processes a byte other than zero, which never ends a frame. Returns `false`,
+    /// without effect, if the byte is zero.
     #[inline(always)]
     pub fn push_data(&mut self, byte: u8) -> bool {
         if byte != 0 {
@@ -233,7 +235,7 @@ impl Decoder {
         byte != 0
     }
 
-    /// A byte that is not zero.
+    /// Undoes COBS for one byte, which is not zero.
     #[inline(never)]
     fn unstuff(&mut self, byte: u8) {
         if self.in_frame {
@@ -296,10 +298,12 @@ impl Default for Decoder {
 
 #[cfg(test)]
 mod tests {
+    use std::vec::Vec;
+
+    use proptest::{collection::vec, prelude::*};
+
     use super::{Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet};
     use crate::codec::{Field, Reader, Writer};
-    use proptest::{collection::vec, prelude::*};
-    use std::vec::Vec;
 
     struct Raw<'a>(&'a [u8]);
 
@@ -319,7 +323,7 @@ mod tests {
         frame
     }
 
-    /// The outcome of the last byte; no earlier byte may have one.
+    /// The outcome of the last byte; asserts that no earlier byte has one.
     fn outcome<'a>(
         decoder: &'a mut Decoder,
         bytes: &[u8],
@@ -332,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_gives_its_packet_at_its_last_byte() {
+    fn a_frame_yields_its_packet_at_its_last_byte() {
         let mut decoder = Decoder::new();
         let bytes = frame(7, &[0, 1, 0, 0, 2]);
         let packet = Packet {
@@ -343,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn zeros_between_frames_are_silent() {
+    fn zeros_between_frames_are_ignored() {
         let mut decoder = Decoder::new();
         for _ in 0..3 {
             assert_eq!(decoder.push(0), None);
@@ -356,15 +360,15 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_damage_has_its_name() {
+    fn every_kind_of_corruption_has_its_error() {
         let good = frame(7, &[9; 10]);
-        let mut damaged = frame(7, &[9; 10]).as_bytes().to_owned_array();
-        damaged[5] ^= 1;
+        let mut corrupted = frame(7, &[9; 10]).as_bytes().to_owned_array();
+        corrupted[5] ^= 1;
         let cases: [(&[u8], FrameError); 5] = [
             (&[5, 1, 2, 0], FrameError::Truncated),
             (&[1, 0], FrameError::TooShort(0)),
             (&[3, 1, 2, 0], FrameError::TooShort(2)),
-            (&damaged[..good.as_bytes().len()], FrameError::CheckSum),
+            (&corrupted[..good.as_bytes().len()], FrameError::CheckSum),
             (&OVERLONG, FrameError::TooLong),
         ];
         let mut decoder = Decoder::new();
@@ -382,14 +386,14 @@ mod tests {
         crc.checksum(bytes).to_le_bytes()
     }
 
-    /// The same by independent implementations.
+    /// The frame by independent implementations.
     fn reference(kind: u8, payload: &[u8]) -> Vec<u8> {
         let message = [&[kind], payload].concat();
         let packet = [&message[..], &check_sum(&message)].concat();
         [cobs::encode_vec(&packet), Vec::from([0])].concat()
     }
 
-    /// Likewise: what each byte of a stream yields, good packets as their bytes.
+    /// The outcome of each byte of a stream, with valid packets as bytes.
     fn reference_outcomes(stream: &[u8]) -> Vec<Option<Result<Vec<u8>, FrameError>>> {
         use cobs::{DecodeResult, DecoderState};
 
@@ -432,7 +436,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn frames_are_those_of_an_independent_implementation(
+        fn frames_match_an_independent_implementation(
             kind: u8,
             payload in vec(prop_oneof![Just(0), any::<u8>()], 0..=MAX_PAYLOAD_LENGTH),
         ) {
@@ -441,7 +445,7 @@ mod tests {
         }
 
         #[test]
-        fn any_stream_yields_what_it_yields_to_an_independent_implementation(
+        fn any_stream_gives_the_outcomes_of_an_independent_implementation(
             stream in vec(
                 prop_oneof![
                     3 => vec(prop_oneof![Just(0), Just(1), Just(2), Just(255), any::<u8>()], 0..20),

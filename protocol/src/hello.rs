@@ -1,8 +1,8 @@
-//! The greeting, whose layout is frozen for ever.
+//! The greeting, whose layout never changes.
 
 use crate::codec::structure;
 
-/// The nonce of a [`Hello`] that answers nothing: the board has just started.
+/// The nonce of the [`Hello`] that the board sends at its start, unsolicited.
 pub const UNSOLICITED: u32 = 0;
 
 structure! {

@@ -1,4 +1,4 @@
-//! What the two computers of the car say to each other.
+//! Messages and frames between the host and the board.
 //!
 //! The host (Odroid) and the board (Arduino UNO) exchange [`ToBoard`] and
 //! [`ToHost`] messages over a serial line. Every message is one frame:
@@ -9,17 +9,16 @@
 //!
 //! # Version policy
 //!
-//! [`VERSION`] is exact-match: host and board that differ refuse to arm. Any
-//! change of a layout, a type byte or a meaning raises it. [`Hello`], its type
-//! byte and the framing never change, so that two versions that cannot talk
-//! can still name each other. The bytes of every version are frozen by the
-//! golden tests: a golden test that fails says that the change is wrong, or
-//! that [`VERSION`] has to rise.
+//! Versions must match exactly: host and board that differ refuse to arm. Any
+//! change of a layout, a type byte or a meaning increments [`VERSION`]. [`Hello`],
+//! its type byte and the framing never change, so that incompatible versions can
+//! still report each other. Golden tests freeze the bytes of every version: if one
+//! fails, either the change is wrong or [`VERSION`] must be incremented.
 //!
 //! # Physics
 //!
-//! None. Quantities are scaled integers with the unit in the name; what they
-//! do to the car is the board's and the host's business.
+//! This crate contains no physics. Quantities are scaled integers with the unit in
+//! the name; board and host interpret them.
 
 #![no_std]
 
@@ -56,21 +55,21 @@ pub use report::{
 
 pub use validation::{ConfigurationError, ConfigurationField};
 
-/// The protocol version. Exact match: see the crate's version policy.
+/// The protocol version; see the crate's version policy.
 pub const VERSION: u16 = 1;
 
-/// How old the telemetry that a [`Drive`] or [`Arm`] was based on may be, in
-/// microseconds of board time, before the board refuses it; and how long after
-/// that telemetry an accepted [`Drive`] stays in force.
+/// Time to live of a command, in microseconds of board time. The board refuses a
+/// [`Drive`] or [`Arm`] whose underlying telemetry is older; an accepted [`Drive`]
+/// stays in force this long after that telemetry.
 ///
 /// With one servo period (20 ms) and one supervisor period (1 ms) on top, the
 /// neutral pulse leaves the board within 120 ms of the last valid command.
 pub const COMMAND_TIME_TO_LIVE_US: u32 = 95_000;
 
-/// The largest pose age that any configuration may allow, in milliseconds.
+/// Upper limit of [`Configuration::max_pose_age_ms`], in milliseconds.
 ///
-/// Compiled in: no configuration can make the board follow a host that has
-/// been blind for longer.
+/// This limit is compiled in, so that no configuration lets the board follow a host
+/// without a newer pose.
 pub const MAX_POSE_AGE_CEILING_MS: u16 = 1_000;
 
 /// Period of [`Telemetry`] in microseconds (100 Hz).

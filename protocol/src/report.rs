@@ -1,4 +1,4 @@
-//! What the board tells the host.
+//! Answers and records of the board.
 
 use crate::{
     Sequence,

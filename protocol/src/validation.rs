@@ -1,22 +1,22 @@
-//! The limits of a sane configuration.
+//! Limits of a valid configuration.
 //!
-//! The board refuses what is outside, whatever the host believes; the host
-//! asks the same function first, so that a person reads which line to correct.
+//! The board refuses values outside of them. The host calls the same function
+//! first, so that its error names the line to correct.
 
-use core::fmt;
-use core::ops::RangeInclusive;
+use core::{fmt, ops::RangeInclusive};
 
 use crate::{Configuration, MAX_POSE_AGE_CEILING_MS};
 
-/// Pulses that servos and speed controllers for model cars understand, in µs.
+/// Pulse range of servos and speed controllers for model cars, in µs.
 const PULSE_US: RangeInclusive<u16> = 800..=2_200;
-/// The neutral pulse that the board sends from its start until it is configured,
-/// in µs: the middle of what remote controls send.
+/// Neutral pulse from the board's start until it is configured, in µs: the middle
+/// of the range of remote controls.
 const NEUTRAL_AT_START_US: u16 = 1_500;
 const DEADBAND_US: RangeInclusive<u16> = 0..=200;
-/// Up to the whole width of [`PULSE_US`], which is no limit at all.
+/// The upper end is the width of [`PULSE_US`], which disables the limit.
 const SLEW_US: RangeInclusive<u16> = 1..=1_400;
-/// A servo turns about 1 rad in 600 µs; horn and linkage divide or multiply that by a few.
+/// A servo turns about 1 rad per 600 µs; horn and linkage scale that by a small
+/// factor.
 const SERVO_GAIN_US_PER_RAD: RangeInclusive<u16> = 50..=5_000;
 /// Keeps the products of the speed loop within 32 bits.
 const LOOP_GAIN: RangeInclusive<u16> = 0..=5_000;
@@ -24,26 +24,26 @@ const INTEGRAL_LIMIT_US: RangeInclusive<u16> = 0..=700;
 const PULSE_DISTANCE_UM: RangeInclusive<u16> = 1..=u16::MAX;
 const MAX_SPEED_MM_S: u16 = 20_000;
 
-/// A value of a [`Configuration`] that the board refuses.
+/// A value of a [`Configuration`] outside its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field} is {value}, but must be {lowest} to {highest}")]
 pub struct ConfigurationError {
-    /// Which value.
+    /// The field.
     pub field: ConfigurationField,
-    /// What it is.
+    /// Its value.
     pub value: i32,
-    /// The lowest value allowed, given the other values.
+    /// Smallest allowed value, given the other fields.
     pub lowest: i32,
-    /// The highest value allowed, given the other values.
+    /// Largest allowed value, given the other fields.
     pub highest: i32,
 }
 
 macro_rules! fields {
     ($($field:ident = $path:literal,)*) => {
-        /// A value of a [`Configuration`], by name.
+        /// A field of a [`Configuration`].
         ///
-        /// Shown as its path in the structure. (An enumeration and not the
-        /// path itself: on the board a string would take up SRAM.)
+        /// Displayed as its path in the structure. (An enumeration, because a
+        /// string would take up SRAM on the board.)
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum ConfigurationField {
             $(#[doc = concat!("`", $path, "`")] $field,)*
@@ -81,8 +81,7 @@ fields! {
     MaxPoseAge = "max_pose_age_ms",
 }
 
-// Inlined into a caller that only asks whether there is an error, this comes
-// down to two comparisons.
+// Inlined into a caller that needs only `is_err`, this reduces to two comparisons.
 #[inline(always)]
 fn check(
     field: ConfigurationField,
@@ -101,11 +100,11 @@ fn check(
 }
 
 impl Configuration {
-    /// Whether a board can follow this configuration.
+    /// Checks all values against their limits.
     ///
     /// # Errors
     ///
-    /// The first value that is outside its limits, with the limits.
+    /// The first value outside its limits.
     #[inline]
     pub fn validate(&self) -> Result<(), ConfigurationError> {
         use ConfigurationField as Field;
@@ -123,12 +122,12 @@ impl Configuration {
         let esc = &self.esc;
         let (neutral, deadband) = (esc.neutral_us, esc.deadband_us);
         check(Field::EscDeadband, deadband, DEADBAND_US)?;
-        // After a reset in mid-drive the ESC is still armed: what the board
-        // sends then must not drive this car either.
+        // After a reset while driving the ESC is still armed: the start-up pulse
+        // must not drive this car.
         let starts_neutral = NEUTRAL_AT_START_US - deadband..=NEUTRAL_AT_START_US + deadband;
         check(Field::EscNeutral, neutral, starts_neutral)?;
         let min = esc.min_us;
-        // Within the deadband nothing brakes.
+        // A pulse within the deadband does not brake.
         let weakest_brake = neutral - deadband - 1;
         check(Field::EscMin, min, lowest_pulse..=weakest_brake)?;
         check(

@@ -1,4 +1,4 @@
-//! What a configuration may hold, and how it is named.
+//! Limits and hash of a configuration.
 
 mod samples;
 
@@ -13,10 +13,10 @@ fn the_sample_is_valid() {
     assert_eq!(configuration().validate(), Ok(()));
 }
 
-/// Every field with the lowest and the highest value that the sample's other
-/// values allow it.
+/// Every field with its smallest and largest value, given the sample's other
+/// values.
 #[test]
-fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
+fn values_are_accepted_at_their_limits_and_refused_beyond() {
     let cases: [(Field, i32, i32, Change); 19] = [
         (Field::ServoMin, 800, 1_490, |c, v| {
             c.servo.min_us = v as u16;
@@ -36,13 +36,13 @@ fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
         (Field::ServoSlew, 1, 1_400, |c, v| {
             c.servo.slew_us_per_20ms = v as u16;
         }),
-        // Around the 1500 that the board starts with, by this deadband.
+        // Within this deadband of the 1500 µs of the start.
         (Field::EscNeutral, 1_475, 1_525, |c, v| {
             c.esc.neutral_us = v as u16;
         }),
         (Field::EscDeadband, 0, 200, |c, v| {
             c.esc.deadband_us = v as u16;
-            // Below the widest deadband, as a brake must be.
+            // The brake must be below the widest deadband.
             c.esc.brake_us = 1_250;
         }),
         (Field::EscMin, 800, 1_300, |c, v| {
@@ -102,7 +102,7 @@ fn every_value_is_accepted_at_its_limits_and_refused_beyond_them() {
 }
 
 #[test]
-fn a_refusal_names_the_value_and_its_limits() {
+fn an_error_contains_field_value_and_limits() {
     let mut wrong = configuration();
     wrong.speed.max_reverse_mm_s = 20_001;
     let error = wrong.validate().unwrap_err();

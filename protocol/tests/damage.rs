@@ -1,4 +1,4 @@
-//! What a bad line does to frames, and what it must never do.
+//! Corrupted frames are refused, and do not affect later frames.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
@@ -10,22 +10,22 @@ use singletrack_protocol::{
     DecodeError, Decoder, Frame, FrameError, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost,
 };
 
-/// What a receiver that listens to both directions makes of a packet.
-fn understand(packet: Packet<'_>) -> Option<Either> {
+/// Decodes a packet of either direction.
+fn decode(packet: Packet<'_>) -> Option<Either> {
     let to_board = ToBoard::decode(packet).map(Either::ToBoard);
     to_board
         .or_else(|_| ToHost::decode(packet).map(Either::ToHost))
         .ok()
 }
 
-/// Every message accepted from `bytes`, and the number of frames refused.
+/// The messages decoded from `bytes`, and the number of refused frames.
 fn receive(decoder: &mut Decoder, bytes: &[u8]) -> (Vec<Either>, usize) {
     let mut accepted = Vec::new();
     let mut refused = 0;
     for &byte in bytes {
         match decoder.push(byte) {
             None => {}
-            Some(Ok(packet)) => match understand(packet) {
+            Some(Ok(packet)) => match decode(packet) {
                 Some(message) => accepted.push(message),
                 None => refused += 1,
             },
@@ -35,25 +35,31 @@ fn receive(decoder: &mut Decoder, bytes: &[u8]) -> (Vec<Either>, usize) {
     (accepted, refused)
 }
 
-/// `Hello` is the same frame both ways and is heard as one to the board.
-fn as_heard(message: Either) -> Either {
+/// `Hello` has the same frame in both directions and is decoded as one to the
+/// board.
+fn as_decoded(message: Either) -> Either {
     match message {
         Either::ToHost(ToHost::Hello(hello)) => Either::ToBoard(hello.into()),
         other => other,
     }
 }
 
-/// Sends a damaged frame, a zero in case its own was lost, and a good frame;
-/// only the good one may be heard.
-fn assert_refused(damaged: &[u8], what: &dyn Fn() -> String) {
+/// Sends a corrupted frame, a zero in case its own was lost, and a valid frame;
+/// asserts that only the valid one is accepted.
+fn assert_refused(corrupted: &[u8], context: &dyn Fn() -> String) {
     let good = samples().pop().unwrap();
     let mut decoder = Decoder::new();
-    let (accepted, _) = receive(&mut decoder, damaged);
-    assert_eq!(accepted, [], "{}", what());
+    let (accepted, _) = receive(&mut decoder, corrupted);
+    assert_eq!(accepted, [], "{}", context());
     let (accepted, _) = receive(&mut decoder, &[0]);
-    assert_eq!(accepted, [], "{}", what());
+    assert_eq!(accepted, [], "{}", context());
     let (accepted, refused) = receive(&mut decoder, good.frame().as_bytes());
-    assert_eq!((accepted, refused), (vec![good.message], 0), "{}", what());
+    assert_eq!(
+        (accepted, refused),
+        (vec![good.message], 0),
+        "{}",
+        context()
+    );
 }
 
 #[test]
@@ -61,9 +67,9 @@ fn every_flip_of_one_bit_is_refused() {
     for sample in samples() {
         let golden = sample.frame().as_bytes().to_vec();
         for bit in 0..golden.len() * 8 {
-            let mut damaged = golden.clone();
-            damaged[bit / 8] ^= 1 << (bit % 8);
-            assert_refused(&damaged, &|| format!("{}, bit {bit}", sample.name));
+            let mut corrupted = golden.clone();
+            corrupted[bit / 8] ^= 1 << (bit % 8);
+            assert_refused(&corrupted, &|| format!("{}, bit {bit}", sample.name));
         }
     }
 }
@@ -76,11 +82,11 @@ fn every_flip_of_two_bits_is_refused() {
         for (first, second) in
             (0..bits).flat_map(|first| (0..first).map(move |second| (first, second)))
         {
-            let mut damaged = golden.clone();
-            damaged[first / 8] ^= 1 << (first % 8);
-            damaged[second / 8] ^= 1 << (second % 8);
+            let mut corrupted = golden.clone();
+            corrupted[first / 8] ^= 1 << (first % 8);
+            corrupted[second / 8] ^= 1 << (second % 8);
             let mut decoder = Decoder::new();
-            let (mut accepted, _) = receive(&mut decoder, &damaged);
+            let (mut accepted, _) = receive(&mut decoder, &corrupted);
             accepted.extend(receive(&mut decoder, &[0]).0);
             assert_eq!(accepted, [], "{}, bits {first} and {second}", sample.name);
         }
@@ -88,7 +94,7 @@ fn every_flip_of_two_bits_is_refused() {
 }
 
 #[test]
-fn a_strict_prefix_of_a_frame_yields_nothing_and_a_zero_after_it_yields_an_error() {
+fn a_prefix_of_a_frame_yields_nothing_and_a_zero_after_it_an_error() {
     for sample in samples() {
         let golden = sample.frame();
         let golden = golden.as_bytes();
@@ -116,15 +122,15 @@ fn a_frame_that_lost_a_byte_anywhere_is_refused() {
     for sample in samples() {
         let golden = sample.frame().as_bytes().to_vec();
         for lost in 0..golden.len() - 1 {
-            let mut damaged = golden.clone();
-            damaged.remove(lost);
-            assert_refused(&damaged, &|| format!("{}, byte {lost} lost", sample.name));
+            let mut corrupted = golden.clone();
+            corrupted.remove(lost);
+            assert_refused(&corrupted, &|| format!("{}, byte {lost} lost", sample.name));
         }
     }
 }
 
 #[test]
-fn an_overlong_stretch_is_one_error_and_the_next_frame_is_heard() {
+fn too_many_bytes_are_one_error_and_the_next_frame_is_received() {
     let sample = samples().pop().unwrap();
     let mut bytes = vec![1; 10 * MAX_FRAME_LENGTH];
     bytes.push(0);
@@ -139,7 +145,7 @@ fn an_overlong_stretch_is_one_error_and_the_next_frame_is_heard() {
 }
 
 #[test]
-fn a_payload_of_any_other_length_is_refused_by_name() {
+fn a_payload_of_another_length_is_refused() {
     let zeros = [0; 64];
     for sample in samples() {
         let mut decoder = Decoder::new();
@@ -150,7 +156,7 @@ fn a_payload_of_any_other_length_is_refused_by_name() {
         let right = packet.payload.len();
         for wrong in (0..=zeros.len()).filter(|&length| length != right) {
             let payload = &zeros[..wrong];
-            let outcome = sample.same_direction(Packet {
+            let outcome = sample.decode_same_direction(Packet {
                 kind: packet.kind,
                 payload,
             });
@@ -165,7 +171,7 @@ fn a_payload_of_any_other_length_is_refused_by_name() {
 }
 
 #[test]
-fn a_type_byte_of_the_other_direction_or_of_none_is_refused_by_number() {
+fn an_unknown_type_byte_is_refused() {
     for kind in 0..=u8::MAX {
         let packet = Packet { kind, payload: &[] };
         let to_board = ToBoard::decode(packet) == Err(DecodeError::UnknownType(kind));
@@ -176,8 +182,8 @@ fn a_type_byte_of_the_other_direction_or_of_none_is_refused_by_number() {
 }
 
 #[test]
-fn a_number_without_a_meaning_is_refused() {
-    // An acknowledgement of request 4; and of request 0, told in two bytes.
+fn an_invalid_number_is_refused() {
+    // Request 4 does not exist; request 0 must not be encoded in two bytes.
     let outcome = |payload| {
         ToHost::decode(Packet {
             kind: 0x22,
@@ -195,26 +201,26 @@ fn a_number_without_a_meaning_is_refused() {
 }
 
 #[test]
-fn the_greeting_of_another_version_is_understood() {
-    // Version 0x0203 says hello: the layout is frozen, so it can be named.
+fn the_greeting_of_another_version_is_decoded() {
+    // A greeting of version 0x0203; the layout never changes.
     let payload = &[0x03, 0x02, 9, 8, 7, 0x78, 0x56, 0x34, 0x12];
     let Ok(ToHost::Hello(hello)) = ToHost::decode(Packet {
         kind: 0x01,
         payload,
     }) else {
-        panic!("not understood");
+        panic!("not decoded");
     };
     assert_eq!(hello.protocol_version, 0x0203);
     assert_eq!(hello.software_version, [9, 8, 7]);
     assert_eq!(hello.nonce, 0x1234_5678);
 }
 
-/// A piece of what may come over the line.
+/// A sequence of bytes on the line.
 #[derive(Clone, Debug)]
 enum Piece {
     Garbage(Vec<u8>),
     Good(usize),
-    Damaged { sample: usize, at: usize, with: u8 },
+    Corrupted { sample: usize, at: usize, with: u8 },
     Cut { sample: usize, length: usize },
 }
 
@@ -224,7 +230,7 @@ fn piece() -> impl Strategy<Value = Piece> {
         proptest::collection::vec(any::<u8>(), 0..80).prop_map(Piece::Garbage),
         sample.clone().prop_map(Piece::Good),
         (sample.clone(), any::<usize>(), 1..=u8::MAX)
-            .prop_map(|(sample, at, with)| Piece::Damaged { sample, at, with }),
+            .prop_map(|(sample, at, with)| Piece::Corrupted { sample, at, with }),
         (sample, any::<usize>()).prop_map(|(sample, length)| Piece::Cut { sample, length }),
     ]
 }
@@ -234,7 +240,7 @@ fn bytes_of(piece: &Piece) -> Vec<u8> {
     match *piece {
         Piece::Garbage(ref bytes) => bytes.clone(),
         Piece::Good(sample) => frame(sample).as_bytes().to_vec(),
-        Piece::Damaged { sample, at, with } => {
+        Piece::Corrupted { sample, at, with } => {
             let mut bytes = frame(sample).as_bytes().to_vec();
             let at = at % bytes.len();
             bytes[at] ^= with;
@@ -250,7 +256,7 @@ fn bytes_of(piece: &Piece) -> Vec<u8> {
 
 proptest! {
     #[test]
-    fn after_any_garbage_the_second_of_two_good_frames_is_heard(
+    fn after_any_bytes_the_second_of_two_valid_frames_is_received(
         pieces in proptest::collection::vec(piece(), 0..8),
         sample in 0..samples().len(),
     ) {
@@ -258,11 +264,11 @@ proptest! {
         for piece in &pieces {
             receive(&mut decoder, &bytes_of(piece));
         }
-        // The first may have been swallowed by what came before it.
+        // The first one may be merged with bytes before it.
         let sample = samples()[sample];
         receive(&mut decoder, sample.frame().as_bytes());
-        let heard = receive(&mut decoder, sample.frame().as_bytes());
-        prop_assert_eq!(heard, (vec![as_heard(sample.message)], 0));
+        let received = receive(&mut decoder, sample.frame().as_bytes());
+        prop_assert_eq!(received, (vec![as_decoded(sample.message)], 0));
     }
 
     #[test]
@@ -270,7 +276,7 @@ proptest! {
         pieces in proptest::collection::vec(piece(), 0..8),
         sample in 0..samples().len(),
     ) {
-        // A zero ends whatever went before: from there on the decoder is as new.
+        // A zero resets the decoder.
         let mut used = Decoder::new();
         for piece in &pieces {
             receive(&mut used, &bytes_of(piece));
@@ -287,14 +293,14 @@ proptest! {
         payload in proptest::collection::vec(0_u8..6, 0..46),
     ) {
         let packet = Packet { kind, payload: &payload };
-        // What is accepted is the only reading of these bytes.
-        if let Some(message) = understand(packet) {
+        // Encoding the accepted message gives a frame with the same meaning.
+        if let Some(message) = decode(packet) {
             let frame = match message {
                 Either::ToBoard(message) => message.encode(),
                 Either::ToHost(message) => message.encode(),
             };
             let (accepted, _) = receive(&mut Decoder::new(), frame.as_bytes());
-            prop_assert_eq!(accepted, vec![as_heard(message)]);
+            prop_assert_eq!(accepted, vec![as_decoded(message)]);
         }
     }
 }

@@ -1,8 +1,8 @@
-//! The bytes of version 1, frozen.
+//! The frozen bytes of version 1.
 //!
-//! A test that fails here says one of two things: the change is wrong, or
-//! `VERSION` has to rise and these bytes stay behind as the old version's. It
-//! never says that the bytes should be corrected.
+//! If a test fails here, either the change is wrong, or `VERSION` must be
+//! incremented and these bytes stay as the old version's. The bytes are never
+//! corrected.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
@@ -46,7 +46,7 @@ fn every_message_has_the_bytes_of_version_1() {
 }
 
 #[test]
-fn the_bytes_of_version_1_are_understood() {
+fn the_bytes_of_version_1_are_decoded() {
     for (sample, (name, golden)) in samples().iter().zip(GOLDEN) {
         let mut decoder = Decoder::new();
         let mut bytes = unhex(golden);
@@ -55,12 +55,16 @@ fn the_bytes_of_version_1_are_understood() {
             assert_eq!(decoder.push(byte), None, "{name}");
         }
         let packet = decoder.push(last).unwrap().unwrap();
-        assert_eq!(sample.same_direction(packet), Ok(sample.message), "{name}");
+        assert_eq!(
+            sample.decode_same_direction(packet),
+            Ok(sample.message),
+            "{name}"
+        );
     }
 }
 
 #[test]
-fn every_payload_has_the_length_that_the_message_states() {
+fn every_payload_has_the_length_in_its_message_trait() {
     fn length<M: Message>(message: &M) -> (usize, usize) {
         (
             postcard::to_slice(message, &mut [0; 64]).unwrap().len(),
@@ -68,7 +72,7 @@ fn every_payload_has_the_length_that_the_message_states() {
         )
     }
     for Sample { name, message } in samples() {
-        let (actual, stated) = match message {
+        let (actual, declared) = match message {
             samples::Either::ToBoard(message) => match message {
                 ToBoard::Hello(m) => length(&m),
                 ToBoard::Configure(m) => length(&m),
@@ -85,12 +89,12 @@ fn every_payload_has_the_length_that_the_message_states() {
                 ToHost::Refusal(m) => length(&m),
             },
         };
-        assert_eq!(actual, stated, "{name}");
+        assert_eq!(actual, declared, "{name}");
     }
 }
 
 #[test]
-fn the_hash_of_a_configuration_is_frozen_too() {
+fn the_hash_of_a_configuration_is_frozen() {
     assert_eq!(samples::configuration().hash(), 0xE0F4_70B3);
 }
 

@@ -1,4 +1,4 @@
-//! Every message that can be written is read as it was.
+//! Every message decodes to what was encoded.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
@@ -8,8 +8,9 @@ use proptest::prelude::*;
 use samples::{Either, samples};
 use singletrack_protocol::{Decoder, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost};
 
-/// Messages with every field free: any payload of the right length that is
-/// accepted, as enumerations and truth values have but a few.
+/// Messages with random fields: random payloads of the right length, of which the
+/// accepted ones are used. Enumerations and Booleans are mutated seldom, because
+/// few of their values are valid.
 fn any_message() -> impl Strategy<Value = Either> {
     let lengths_and_kinds: Vec<_> = samples()
         .iter()
@@ -26,7 +27,7 @@ fn any_message() -> impl Strategy<Value = Either> {
         .collect();
     let payload_noise = proptest::collection::vec((any::<u8>(), 0_u8..4), MAX_FRAME_LENGTH);
     (0..lengths_and_kinds.len(), payload_noise).prop_filter_map(
-        "a value without a meaning",
+        "an invalid value",
         move |(which, noise)| {
             let (sample, kind, payload) = &lengths_and_kinds[which];
             let mut payload = payload.clone();
@@ -37,7 +38,7 @@ fn any_message() -> impl Strategy<Value = Either> {
                 *byte = value;
             }
             sample
-                .same_direction(Packet {
+                .decode_same_direction(Packet {
                     kind: *kind,
                     payload: &payload,
                 })
@@ -48,7 +49,7 @@ fn any_message() -> impl Strategy<Value = Either> {
 
 proptest! {
     #[test]
-    fn what_is_encoded_decodes_to_the_same(message in any_message()) {
+    fn messages_round_trip(message in any_message()) {
         let frame = match message {
             Either::ToBoard(message) => message.encode(),
             Either::ToHost(message) => message.encode(),

@@ -1,4 +1,4 @@
-//! When the board restarts, or its motor sensor fails.
+//! Restarts of the board, and failures of its motor sensor.
 
 use std::time::Duration;
 
@@ -8,11 +8,8 @@ use singletrack_protocol::{ResetCause, StopCause};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
-    Scenario::new(
-        "a_board_that_restarts_in_mid_drive_waits_for_an_arm",
-        restarted,
-    )
-    .needing(&[Need::Reset]),
+    Scenario::new("a_board_restart_while_driving_requires_arming", restarted)
+        .needing(&[Need::Reset]),
     Scenario::new("a_dead_motor_sensor_stops_the_car", motor_sensor).needing(&[Need::MotorSensor]),
 ];
 
@@ -22,7 +19,7 @@ fn restarted(bench: &mut Bench) -> Outcome {
         bench.keep_driving(Duration::from_millis(700))?;
         let place = bench.rig().trace()?.len();
         bench.rig().reset(cause)?;
-        // Gone, greeted, configured, two seconds of neutral for the ESC.
+        // Disconnected, greeted, configured, two seconds of neutral for the ESC.
         bench.wait_for_mode("disconnected", Duration::from_secs(1))?;
         let status = bench.wait_until_ready()?;
         ensure!(
@@ -32,8 +29,8 @@ fn restarted(bench: &mut Bench) -> Outcome {
             status.text()
         );
         bench.stays_neutral(Duration::from_millis(500))?;
-        // From the reset on there was no pulse at all, then neutral; the servo
-        // had none until it was configured.
+        // After the reset there was no pulse at all, then neutral; the servo had
+        // none until it was configured.
         let trace = bench.rig().trace()?;
         let since = trace.since(place);
         let silent = since
@@ -56,8 +53,8 @@ fn restarted(bench: &mut Bench) -> Outcome {
     Ok(())
 }
 
-/// 150 ms without a pulse, the last of which was up to 10 ms ago; a servo
-/// period, a control period of the board.
+/// 150 ms without a pulse, up to 10 ms since the last pulse, a servo period, and a
+/// control period of the board.
 const SENSOR_LIMIT_MS: f64 = 190.0;
 
 fn motor_sensor(bench: &mut Bench) -> Outcome {
@@ -79,8 +76,11 @@ fn motor_sensor(bench: &mut Bench) -> Outcome {
         status.text()
     );
     let cause = bench.rig().stop_cause()?;
-    ensure!(cause == Some(StopCause::MotorSensor), "really {cause:?}");
-    // The speed loop had no time to run away.
+    ensure!(
+        cause == Some(StopCause::MotorSensor),
+        "ground truth: {cause:?}"
+    );
+    // The speed loop had no time to accelerate the car.
     let after = bench.rig().truth()?.speed;
     bench.at_most(
         "speed gained without a sensor",

@@ -1,4 +1,4 @@
-//! Driving, and not driving before it is asked for.
+//! Driving on request, and not before.
 
 use std::{process::Command, time::Duration};
 
@@ -18,18 +18,18 @@ use crate::Scenario;
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("drives_the_circle_and_disarms", drives_the_circle),
     Scenario::new(
-        "moves_nothing_before_it_is_configured_and_armed",
+        "nothing_moves_before_configuring_and_arming",
         moves_nothing_before,
     )
     .needing(&[Need::FreshBoard]),
 ];
 
-/// Of the drive, the time in which the car comes to the circle.
+/// Time for the car to reach the circle.
 const APPROACH: Duration = Duration::from_secs(9);
-/// The time in which its error counts.
-const JUDGED: Duration = Duration::from_secs(6);
-/// For the distance of the true P from the circle, and of the believed P from
-/// its moving place on it.
+/// Time in which the error is evaluated.
+const EVALUATED: Duration = Duration::from_secs(6);
+/// Limit for the true P's distance to the circle, and for the estimated P's
+/// distance to its reference.
 const RMS_LIMIT_MM: f64 = 10.0;
 
 fn drives_the_circle(bench: &mut Bench) -> Outcome {
@@ -38,7 +38,7 @@ fn drives_the_circle(bench: &mut Bench) -> Outcome {
     let mut client = bench.client()?;
     let (mut off_circle, mut off_reference) =
         (RootMeanSquare::default(), RootMeanSquare::default());
-    wait::throughout(JUDGED, || {
+    wait::throughout(EVALUATED, || {
         let status = client.status()?;
         ensure!(status.mode() == "driving", "it stopped: {}", status.text());
         let truth = bench.rig().truth()?;
@@ -46,15 +46,15 @@ fn drives_the_circle(bench: &mut Bench) -> Outcome {
             VehicleParameters::paper().front_axle_distance_m,
             POINT_DISTANCE_M,
         );
-        // The radial error needs no common clock.
+        // The radial error does not depend on a common clock.
         off_circle.add(x.hypot(y) - RADIUS_M);
         off_reference.add(status.tracking_error_m()?);
         Ok(())
     })?;
     for (what, rms) in [
-        ("RMS of P's distance to the circle, in truth", off_circle),
+        ("RMS of the true P's distance to the circle", off_circle),
         (
-            "RMS of P's distance to the reference, by the status",
+            "RMS of the estimated P's distance to the reference",
             off_reference,
         ),
     ] {
@@ -75,14 +75,14 @@ fn drives_the_circle(bench: &mut Bench) -> Outcome {
     bench.stays_neutral(Duration::from_millis(300))?;
     bench.was_neutral_since(place)?;
     bench.was_within_limits(&bench.rig().trace()?)?;
-    is_replayed(bench)
+    assert_replays(bench)
 }
 
-/// What the pilot did is what it does at the sight of the record.
-fn is_replayed(bench: &mut Bench) -> Outcome {
+/// Checks that the record replays to the same outputs.
+fn assert_replays(bench: &mut Bench) -> Outcome {
     let (status, _) = bench.daemon()?.terminate(Duration::from_secs(3))?;
     ensure!(status.success(), "the daemon ended with {status}");
-    // Built beside the daemon.
+    // Built next to the daemon.
     let tool = bench.program().with_file_name("singletrack");
     let folder = &bench.config().record.directory;
     let records: Vec<_> = std::fs::read_dir(folder)
@@ -91,7 +91,9 @@ fn is_replayed(bench: &mut Bench) -> Outcome {
         .map(|entry| entry.path())
         .collect();
     let [record] = &records[..] else {
-        return Err(Failure::new(format!("not one record but {records:?}")));
+        return Err(Failure::new(format!(
+            "expected one record, found {records:?}"
+        )));
     };
     let output = Command::new(&tool)
         .args(["replay", "--verify"])
@@ -117,7 +119,7 @@ fn moves_nothing_before(bench: &mut Bench) -> Outcome {
         trace.0.iter().all(|pulses| pulses.servo_us == 0),
         "the servo had a pulse before it was configured"
     );
-    // Configured, everything ready, for a second and longer.
+    // Configured and ready, for more than a second.
     bench.start_daemon()?;
     bench.wait_until_ready()?;
     std::thread::sleep(Duration::from_secs(1));

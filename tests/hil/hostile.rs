@@ -1,4 +1,4 @@
-//! When somebody else sends to the daemon.
+//! Datagrams from other hosts.
 
 use std::{
     collections::HashSet,
@@ -13,19 +13,19 @@ use singletrack_hil::{Failure, Outcome, bench::Bench, ensure};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
-    "a_flood_of_foreign_datagrams_changes_nothing_about_the_drive",
+    "a_flood_of_foreign_datagrams_does_not_affect_driving",
     flooded,
 )
 .alone()];
 
-/// For so long, and so many each millisecond.
+/// Duration and rate of the flood.
 const FLOOD: Duration = Duration::from_secs(5);
 const PER_MILLISECOND: u32 = 20;
 
-/// An address of this machine that is not the cameras'.
+/// An address of this machine other than the cameras'.
 const STRANGER: Ipv4Addr = Ipv4Addr::new(127, 0, 0, 2);
 
-/// A tick in a hundred may be later than this: others use the processors.
+/// Limit for the 99th percentile of the lateness; the processors are shared.
 const LATENESS_LIMIT_US: f64 = 5_000.0;
 
 fn flooded(bench: &mut Bench) -> Outcome {
@@ -50,7 +50,7 @@ fn flooded(bench: &mut Bench) -> Outcome {
                     let datagram = frame_of(number);
                     for port in &ports {
                         let to = SocketAddr::from((Ipv4Addr::LOCALHOST, *port));
-                        // What finds no room is no flood that got through.
+                        // Only datagrams that were accepted count.
                         if stranger.send_to(&datagram, to).is_ok() {
                             sent.fetch_add(1, Ordering::Relaxed);
                         }
@@ -72,20 +72,20 @@ fn flooded(bench: &mut Bench) -> Outcome {
     let sent = sent.load(Ordering::Relaxed) as f64;
     ensure!(
         sent > 1_000.0 && foreign > 0.5 * sent,
-        "{foreign} of {sent} datagrams were counted as a stranger's"
+        "{foreign} of {sent} datagrams were counted as from a wrong source"
     );
     bench.at_most(
-        "lateness of a tick in a hundred",
+        "99th percentile of the ticks' lateness",
         status.figure("/lateness_us/p99")?,
         LATENESS_LIMIT_US,
         "us",
     )?;
-    // The cameras are still heard, and it is still them that it believes.
+    // Poses of the cameras are still received and used.
     bench.keep_driving(Duration::from_secs(1))?;
     bench.was_within_limits(&bench.rig().trace()?)
 }
 
-/// The begin of a frame of mocap data, with a number; then nothing that fits.
+/// The start of a frame of mocap data, with a number, followed by invalid bytes.
 fn frame_of(number: u32) -> Vec<u8> {
     const FRAME_OF_DATA: [u8; 2] = [7, 0];
     let mut datagram = Vec::with_capacity(64);

@@ -1,4 +1,4 @@
-//! What only the Arduino's image can show.
+//! Tests that need the UNO image.
 
 use std::time::Duration;
 
@@ -9,20 +9,20 @@ use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new(
-        "a_board_that_hangs_is_neutral_then_restarts_and_waits_for_an_arm",
+        "a_hung_board_goes_to_neutral_restarts_and_requires_arming",
         hung,
     )
     .needing(&[Need::Image]),
-    Scenario::new("a_jammed_imu_bus_is_freed_in_mid_drive", jammed).needing(&[Need::Image]),
+    Scenario::new("a_jammed_imu_bus_is_freed_while_driving", jammed).needing(&[Need::Image]),
     Scenario::new("a_dead_imu_stops_the_car", dead_imu).needing(&[Need::Image]),
 ];
 
-/// The supervisor sees a stall after 20 ms, within one of its periods; the pulse
+/// The supervisor detects a stall after 20 ms, within one of its periods; the pulse
 /// follows within a servo period.
 const STALL_LIMIT_MS: f64 = 45.0;
 
-/// When nothing but the watchdog is left: its 64 ms at an oscillator that is 10 %
-/// slow, and the pulse before.
+/// Only the watchdog acts: its 64 ms with an oscillator that is 10 % slow, and the
+/// pulse before.
 const WATCHDOG_LIMIT_MS: f64 = 110.0;
 
 fn hung(bench: &mut Bench) -> Outcome {
@@ -36,7 +36,7 @@ fn hung(bench: &mut Bench) -> Outcome {
         let hung_us = bench.board_time_us()?;
         bench.rig().hang(hang)?;
         bench.neutral_within(&format!("after a hang ({hang:?})"), hung_us, limit_ms)?;
-        // Restarted, greeted, configured; it drives only when asked to.
+        // Restarted, greeted, configured; it drives only after arming.
         let status = bench.wait_until_ready()?;
         ensure!(
             status.figure("/frames/board_restarts")? + status.figure("/frames/links_lost")?
@@ -50,7 +50,9 @@ fn hung(bench: &mut Bench) -> Outcome {
             .iter()
             .position(|pulses| pulses.esc_us == 0);
         let Some(silent) = silent else {
-            return Err(singletrack_hil::Failure::new("the watchdog did not bite"));
+            return Err(singletrack_hil::Failure::new(
+                "the watchdog did not reset the board",
+            ));
         };
         bench.stays_neutral(Duration::from_millis(500))?;
         bench.was_neutral_since(place + silent)?;
@@ -69,7 +71,7 @@ fn jammed(bench: &mut Bench) -> Outcome {
     Ok(())
 }
 
-/// How long the host waits for the IMU, and the ramp to standstill.
+/// Time until the host detects the silent IMU, and the ramp to standstill.
 const IMU_LIMIT: Duration = Duration::from_secs(2);
 
 fn dead_imu(bench: &mut Bench) -> Outcome {
@@ -82,7 +84,7 @@ fn dead_imu(bench: &mut Bench) -> Outcome {
         status.text()
     );
     bench.wait_until_standing()?;
-    // Mended, it comes back by itself; the car does not.
+    // After the repair the IMU recovers by itself; the car does not drive.
     bench.rig().break_imu_bus(BusFault::None)?;
     bench.wait_until_ready()?;
     bench.stays_neutral(Duration::from_millis(500))?;

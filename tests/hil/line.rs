@@ -1,4 +1,4 @@
-//! When the serial line is unplugged, damaged or stuck.
+//! A serial line that is unplugged, corrupted or stuck.
 
 use std::time::{Duration, Instant};
 
@@ -8,35 +8,35 @@ use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new(
-        "an_unplugged_line_stops_the_car_and_comes_back_unarmed",
+        "an_unplugged_line_stops_the_car_and_returns_disarmed",
         unplugged,
     ),
     Scenario::new(
-        "keeps_driving_with_half_a_percent_of_the_bytes_damaged",
-        slightly_damaged,
+        "keeps_driving_with_half_a_percent_of_the_bytes_corrupted",
+        slightly_corrupted,
     ),
     Scenario::new(
-        "stops_with_five_percent_of_the_bytes_damaged",
-        badly_damaged,
+        "stops_with_five_percent_of_the_bytes_corrupted",
+        badly_corrupted,
     ),
-    Scenario::new("a_stuck_line_releases_nothing_that_moves", stuck),
+    Scenario::new("commands_released_by_a_stuck_line_do_not_drive", stuck),
 ];
 
-/// How soon a hang-up shows, and a line that is back is used.
-const NOTICED_LIMIT_MS: f64 = 50.0;
+/// Limits for the detection of a hang-up, and for the use of a line that is back.
+const DETECTION_LIMIT_MS: f64 = 50.0;
 const REOPENED_LIMIT_MS: f64 = 1_000.0;
 
 fn unplugged(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_millis(1_500))?;
-    // A hang-up says so itself; no time-out is needed.
+    // A hang-up is an event; it needs no timeout.
     bench.rig().unplug()?;
     let start = Instant::now();
     let status = bench.wait_for_mode("disconnected", Duration::from_millis(500))?;
     bench.at_most(
-        "from the hang-up to its being told",
+        "from the hang-up to the status",
         start.elapsed().as_secs_f64() * 1_000.0,
-        NOTICED_LIMIT_MS,
+        DETECTION_LIMIT_MS,
         "ms",
     )?;
     bench.neutral_after_last_command()?;
@@ -72,7 +72,7 @@ fn unplugged(bench: &mut Bench) -> Outcome {
     bench.arm_and_drive()
 }
 
-fn slightly_damaged(bench: &mut Bench) -> Outcome {
+fn slightly_corrupted(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.rig().set_line(LineFaults {
         corrupt: 0.005,
@@ -81,18 +81,18 @@ fn slightly_damaged(bench: &mut Bench) -> Outcome {
     bench.keep_driving(Duration::from_secs(10))?;
     let status = bench.status()?;
     let damaged = status.figure("/frames/crc_errors")? + status.figure("/frames/decode_errors")?;
-    // 1,000 records of 42 bytes: about 180 of them.
+    // About 180 of 1,000 records of 42 bytes.
     ensure!(
         (90.0..=300.0).contains(&damaged),
-        "{damaged} damaged frames were counted of about 180"
+        "{damaged} corrupted frames were counted, expected about 180"
     );
     bench.was_within_limits(&bench.rig().trace()?)
 }
 
-/// From the begin of the damage to the last pulse that is not neutral.
+/// From the start of the corruption to the last pulse that is not neutral.
 const STOP_LIMIT_MS: f64 = 2_000.0;
 
-fn badly_damaged(bench: &mut Bench) -> Outcome {
+fn badly_corrupted(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_secs(1))?;
     let begin_us = bench.board_time_us()?;
@@ -101,12 +101,12 @@ fn badly_damaged(bench: &mut Bench) -> Outcome {
         stuck: false,
     })?;
     bench.neutral_within(
-        "after 5 % of the bytes are damaged",
+        "after 5 % of the bytes are corrupted",
         begin_us,
         STOP_LIMIT_MS,
     )?;
     bench.wait_until_standing()?;
-    // It can't be armed through this, and nothing moves by itself.
+    // Arming is impossible now, and nothing moves by itself.
     let place = bench.rig().trace()?.len();
     bench.stays_neutral(Duration::from_secs(2))?;
     bench.rig().set_line(LineFaults::default())?;
@@ -117,7 +117,7 @@ fn badly_damaged(bench: &mut Bench) -> Outcome {
     bench.arm_and_drive()
 }
 
-/// Commands that may wait in a stuck line.
+/// Number of commands that may wait in a stuck line.
 const MAX_QUEUED: f64 = 2.0;
 
 fn stuck(bench: &mut Bench) -> Outcome {
@@ -130,7 +130,7 @@ fn stuck(bench: &mut Bench) -> Outcome {
     })?;
     bench.neutral_after_last_command()?;
     bench.wait_until_standing()?;
-    // As long as it takes for a hundred commands to pile up, were they sent.
+    // Long enough for a hundred commands, if they were sent.
     std::thread::sleep(Duration::from_secs(1));
 
     let place = bench.rig().trace()?.len();
@@ -138,7 +138,7 @@ fn stuck(bench: &mut Bench) -> Outcome {
     bench.wait_for_mode("ready", Duration::from_secs(4))?;
     bench.stays_neutral(Duration::from_millis(500))?;
     bench.was_neutral_since(place)?;
-    // What had waited came too late, and the board has said so.
+    // The queued commands were too late, and the board refused them.
     let refused = bench.drives_refused()? - refused_before;
     bench.at_most(
         "commands that waited in the stuck line",

@@ -1,5 +1,5 @@
-//! What the shipped daemon must do with a board, in real time; see
-//! [`singletrack_hil`] for how to run it.
+//! Hardware-in-the-loop tests of the shipped daemon, in real time;
+//! [`singletrack_hil`] describes how to run them.
 
 mod board;
 mod drive;
@@ -28,24 +28,24 @@ use singletrack_hil::{
 };
 use singletrack_sim::BoardKind;
 
-/// The shipped daemon against a board, in real time.
+/// Test the shipped daemon with a board, in real time.
 #[derive(Debug, Parser)]
 #[command(disable_version_flag = true)]
 struct Options {
-    /// A physical UNO instead of the simulator: servo and motor WILL MOVE, wheels off the ground!
+    /// Use a physical UNO instead of the simulator: servo and motor WILL MOVE, wheels off the ground!
     #[arg(long, value_name = "DEVICE")]
     port: Option<PathBuf>,
 
-    /// What runs on the simulated board: its code, compiled for this machine, or the
-    /// Arduino's image on a simulated processor (`cargo uno` builds it)
+    /// Board to simulate: its code, compiled for this machine, or the UNO image on
+    /// a simulated processor (built by `cargo uno`)
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native, conflicts_with = "port")]
     board: BoardKind,
 
-    /// A singletrackd that is already there, instead of building one
+    /// Test this singletrackd instead of building one
     #[arg(long, value_name = "PATH")]
     daemon: Option<PathBuf>,
 
-    /// How often the daemon is killed in mid-drive, at different moments
+    /// Number of times that the daemon is killed while driving, at different times
     #[arg(long, value_name = "N", default_value_t = 3)]
     kills: usize,
 
@@ -53,12 +53,12 @@ struct Options {
     libtest: Arguments,
 }
 
-/// What must happen, and what it takes to see it.
+/// A test with its requirements on the rig.
 #[derive(Clone, Copy)]
 struct Scenario {
     name: &'static str,
     needs: &'static [Need],
-    /// Loads the machine itself, or measures how the load of others is borne.
+    /// Loads the machine, or measures under load.
     alone: bool,
     run: fn(&mut Bench) -> Outcome,
 }
@@ -77,7 +77,7 @@ impl Scenario {
         Self { needs, ..self }
     }
 
-    /// No other test runs at the same time.
+    /// Runs without other tests in parallel.
     const fn alone(self) -> Self {
         Self {
             alone: true,
@@ -86,34 +86,34 @@ impl Scenario {
     }
 }
 
-/// Tests that run at the same time, unless told otherwise: each waits for most of its
-/// time. A rig that gets too little of the machine reports it, and its test is repeated.
-const TOGETHER: usize = 4;
+/// Number of tests in parallel, unless set by an option: each mostly waits. A rig
+/// that gets too little processor time reports it, and its test is repeated.
+const PARALLEL_TESTS: usize = 4;
 
-/// Held by every test, alone by those that must be.
+/// Held shared by every test, and exclusively by those that run alone.
 static MACHINE: RwLock<()> = RwLock::new(());
 
-/// The latest that any rig was.
+/// Largest lateness of any rig.
 static LATEST: Mutex<Duration> = Mutex::new(Duration::ZERO);
 
-/// So often a test is run that has shown nothing.
+/// Maximum number of runs of a test without a valid result.
 const ATTEMPTS: u64 = 4;
 
-/// Between two attempts.
+/// Pause between two attempts.
 const PAUSE: Duration = Duration::from_secs(3);
 
-/// When the rig itself was late by more, a failure shows nothing: a command
-/// lives for 95 ms, of which the simulator must not use up half.
+/// Lateness of the rig above which a failure is not valid: the time to live of a
+/// command is 95 ms, of which the simulator must not use up half.
 const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
 
 fn main() -> ExitCode {
     let options = Options::parse();
     let mut libtest = options.libtest.clone();
-    // There is one physical board.
+    // There is only one physical board.
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let together = match options.port {
         Some(_) => 1,
-        None => TOGETHER.min(2 * processors),
+        None => PARALLEL_TESTS.min(2 * processors),
     };
     libtest.test_threads.get_or_insert(together);
     let measurements = Measurements::default();
@@ -157,30 +157,30 @@ fn main() -> ExitCode {
     let conclusion = libtest_mimic::run(&libtest, trials);
     let table = measurements.table();
     if !table.is_empty() {
-        println!("measured, and the limits:\n{table}");
+        println!("measurements and limits:\n{table}");
     }
     if !libtest.list {
         let latest = *LATEST.lock().unwrap_or_else(PoisonError::into_inner);
         println!(
-            "the rig was late by {latest:.1?} at most; a test counts up to {TOLERATED_LATENESS:?}"
+            "largest lateness of a rig: {latest:.1?}; tests are valid up to {TOLERATED_LATENESS:?}"
         );
     }
     conclusion.exit_code()
 }
 
-/// Runs a scenario beside others, or alone.
+/// Runs a scenario in parallel with others, or alone.
 fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
     if scenario.alone {
         let _alone = MACHINE.write().unwrap_or_else(PoisonError::into_inner);
-        run_until_it_shows(scenario, equipment)
+        run_until_valid(scenario, equipment)
     } else {
         let _beside = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
-        run_until_it_shows(scenario, equipment)
+        run_until_valid(scenario, equipment)
     }
 }
 
-/// Runs a scenario, again if it has shown nothing.
-fn run_until_it_shows(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
+/// Runs a scenario, repeatedly if its result is not valid.
+fn run_until_valid(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
     let needs = scenario.needs.iter();
     if let Some(lack) = needs.clone().find_map(|&need| equipment.lacks(need)) {
         return Ok(Completion::ignored_with(lack));
@@ -205,17 +205,17 @@ fn run_until_it_shows(scenario: &Scenario, equipment: &Equipment) -> Result<Comp
             let log = bench.last_log();
             let folder = bench.keep().display();
             return Err(format!(
-                "{failure}\n(the rig was late by {lateness:.0?} at most; logs and records are kept in {folder})\n\
-                 the daemon's last words:\n{log}"
+                "{failure}\n(largest lateness of the rig: {lateness:.0?}; logs and records are kept in {folder})\n\
+                 end of the daemon's log:\n{log}"
             )
             .into());
         }
         eprintln!(
-            "{}: again, because the rig was late by {lateness:.0?}: {failure}",
+            "{}: repeated, because the rig was late by {lateness:.0?}: {failure}",
             scenario.name
         );
         equipment.measurements.forget(scenario.name);
-        // What keeps the machine busy may be over soon.
+        // The load of the machine may end soon.
         std::thread::sleep(PAUSE);
         attempt += 1;
     }

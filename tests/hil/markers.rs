@@ -1,4 +1,4 @@
-//! When the cameras lose the car.
+//! Loss of the markers.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         "keeps_driving_when_the_markers_are_lost_for_200_ms",
         short_loss,
     ),
-    Scenario::new("stops_when_the_markers_are_lost_for_good", loss_for_good),
+    Scenario::new("stops_when_the_markers_stay_lost", loss_for_good),
 ];
 
 fn short_loss(bench: &mut Bench) -> Outcome {
@@ -26,7 +26,7 @@ fn short_loss(bench: &mut Bench) -> Outcome {
         bench.keep_driving(Duration::from_secs(1))?;
     }
     let held = bench.status()?.figure("/mocap/held_ticks")? - before;
-    // Two losses of 200 ms; a busy machine lets some last a little longer.
+    // Two losses of 200 ms, slightly longer on a busy machine.
     ensure!(
         (35.0..=80.0).contains(&held),
         "{held} held ticks for 2 x 200 ms"
@@ -40,8 +40,7 @@ fn loss_for_good(bench: &mut Bench) -> Outcome {
     let config = bench.config();
     let hold_ms = f64::from(config.supervisor.hold_ms);
     let ramp_ms = 1_000.0 * bench.rig().truth()?.speed / config.control.stop_deceleration_m_s2;
-    // Ticks, the line, a servo period; and the wheels, which stand later than
-    // they are told to.
+    // Ticks, the line, a servo period, and the lag of the wheels.
     const MARGIN_MS: f64 = 150.0;
 
     let lost_us = bench.board_time_us()?;
@@ -52,9 +51,9 @@ fn loss_for_good(bench: &mut Bench) -> Outcome {
         hold_ms + ramp_ms + MARGIN_MS,
     )?;
     let status = bench.wait_for_mode("idle", Duration::from_secs(3))?;
-    // At neutral the wheels roll on, and the odometer tells standstill later still:
-    // by then the last pose may be as old as the board allows, and it ends the
-    // drive in the host's stead.
+    // At neutral the wheels roll on, and the odometer detects standstill even
+    // later: by then the last pose may exceed the board's age limit, and the board
+    // ends the drive before the host.
     let by_board = status.reason() == "board-failsafe" && status.stop_cause() == "pose-too-old";
     ensure!(
         status.reason() == "pose-too-old" || by_board,
@@ -63,7 +62,7 @@ fn loss_for_good(bench: &mut Bench) -> Outcome {
     );
     bench.wait_until_standing()?;
 
-    // Seen again, the car waits.
+    // With the markers back, the car waits.
     bench.rig().set_markers(None)?;
     let place = bench.rig().trace()?.len();
     bench.wait_for_mode("ready", Duration::from_secs(3))?;

@@ -1,4 +1,4 @@
-//! When the daemon is killed, ended or started twice.
+//! A daemon that is killed, terminated, suspended or started twice.
 
 use std::time::Duration;
 
@@ -11,39 +11,42 @@ use singletrack_core::config::{FenceSection, OuterLoopSection, ReferenceSection,
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
-    Scenario::new("a_killed_daemon_leaves_a_car_that_stops", killed),
+    Scenario::new("a_killed_daemon_stops_the_car", killed),
     Scenario::new(
-        "a_termination_while_driving_stops_the_car_first",
+        "termination_while_driving_stops_the_car_first",
         terminated_driving,
     ),
-    Scenario::new("a_termination_at_rest_is_prompt", terminated_at_rest),
+    Scenario::new("termination_at_rest_is_prompt", terminated_at_rest),
     Scenario::new(
-        "a_daemon_that_was_paused_sends_nothing_old_and_waits_for_an_arm",
+        "a_suspended_daemon_sends_no_old_commands_and_requires_arming",
         paused,
     ),
     Scenario::new("a_second_daemon_on_the_same_socket_is_refused", same_socket),
-    Scenario::new("a_second_daemon_on_the_same_port_gets_no_board", same_port),
+    Scenario::new(
+        "a_second_daemon_on_the_same_port_does_not_connect",
+        same_port,
+    ),
 ];
 
-/// How long the car had driven when the daemon was killed, in ms: while it
-/// speeds up, and at moments that fall differently on ticks and servo frames.
-const KILLED_AFTER_MS: [u64; 3] = [53, 571, 1_238];
+/// Driving time at which the daemon is killed, in ms: while accelerating, and at
+/// different phases of ticks and servo frames.
+const KILL_TIMES_MS: [u64; 3] = [53, 571, 1_238];
 
-/// These, and then any others up to one and a half seconds: multiples of the
-/// golden ratio fall evenly and never on the same moment of a tick.
-fn kill_moments(count: usize) -> impl Iterator<Item = Duration> {
+/// These times, followed by others up to one and a half seconds: multiples of the
+/// golden ratio are evenly distributed and never repeat a phase of the tick.
+fn kill_times(count: usize) -> impl Iterator<Item = Duration> {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let others = (1_u32..).map(|index| 1.5 * (GOLDEN * f64::from(index)).fract());
-    KILLED_AFTER_MS
+    KILL_TIMES_MS
         .into_iter()
         .map(Duration::from_millis)
         .chain(others.map(Duration::from_secs_f64))
         .take(count)
 }
 
-/// With the next daemon the car sets out from where it stands, turning by this at most
-/// to where there is room. A circle would have it wait for its reference, and start as
-/// slowly as that comes.
+/// Sets a straight reference for the next daemon, from the present pose, turned by
+/// at most this angle towards free space. With a circle, the car would wait for its
+/// reference and start as slowly as it comes.
 fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
     const SPEED_M_S: f64 = 0.4;
     let truth = bench.rig().truth()?;
@@ -63,20 +66,19 @@ fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
 }
 
 fn killed(bench: &mut Bench) -> Outcome {
-    // It turns in a wide circle, however often.
+    // Limits the turn after every kill to a wide circle.
     const MOST_RAD: f64 = 0.6;
     const HALL_M: f64 = 20.0;
     bench.config_mut().fence = FenceSection::square(HALL_M);
     onward(bench, MOST_RAD)?;
     bench.start_driving()?;
-    for after in kill_moments(bench.kills()) {
+    for after in kill_times(bench.kills()) {
         bench.keep_driving(after)?;
         bench.daemon()?.kill()?;
         bench.neutral_after_last_command()?;
         bench.wait_until_standing()?;
 
-        // The next one finds the board and the socket that was left behind,
-        // and waits.
+        // The next daemon takes over the board and the stale socket, and waits.
         let place = bench.rig().trace()?.len();
         onward(bench, MOST_RAD)?;
         bench.start_daemon()?;
@@ -88,8 +90,8 @@ fn killed(bench: &mut Bench) -> Outcome {
     Ok(())
 }
 
-/// Commands that may be under way when the daemon is paused, or leave it when it
-/// goes on.
+/// Number of commands in transit when the daemon is suspended, or sent when it
+/// continues.
 const OLD_COMMANDS: f64 = 2.0;
 
 fn paused(bench: &mut Bench) -> Outcome {
@@ -108,14 +110,15 @@ fn paused(bench: &mut Bench) -> Outcome {
         bench.stays_neutral(Duration::from_millis(500))?;
         bench.was_neutral_since(place)?;
         let refused = bench.drives_refused()? - refused_before;
-        bench.at_most("commands that came too late", refused, OLD_COMMANDS, "")?;
+        bench.at_most("commands that were too late", refused, OLD_COMMANDS, "")?;
         bench.arm_and_drive()?;
     }
     Ok(())
 }
 
-/// From the signal to the end of the process, the car standing by then: the
-/// ramp takes 0.2 s at this speed, standing still and disarming some more.
+/// Limit for the time from the signal to the end of the process, with the car at
+/// standstill: the ramp takes 0.2 s at this speed, standstill and disarming some
+/// more.
 const DRIVING_LIMIT: Duration = Duration::from_millis(2_500);
 
 fn terminated_driving(bench: &mut Bench) -> Outcome {
@@ -135,17 +138,17 @@ fn terminated_driving(bench: &mut Bench) -> Outcome {
         "it ended while the car drove {} m/s",
         truth.wheel_speed
     );
-    // Told to, rather than left alone.
+    // Stopped by a command, not by a timeout.
     let cause = bench.rig().stop_cause()?;
     ensure!(
         cause == Some(singletrack_protocol::StopCause::Disarmed),
-        "the board stopped because of {cause:?}"
+        "the board's stop cause: {cause:?}"
     );
     bench.stays_neutral(Duration::from_millis(300))?;
-    nothing_is_left(bench)
+    assert_nothing_left(bench)
 }
 
-/// The target on the car's computer is 50 ms; here others use the processors.
+/// The target on the car's computer is 50 ms; here the processors are shared.
 const REST_LIMIT_MS: f64 = 250.0;
 
 fn terminated_at_rest(bench: &mut Bench) -> Outcome {
@@ -159,11 +162,11 @@ fn terminated_at_rest(bench: &mut Bench) -> Outcome {
         REST_LIMIT_MS,
         "ms",
     )?;
-    nothing_is_left(bench)
+    assert_nothing_left(bench)
 }
 
-/// No socket, and no process with the test's configuration.
-fn nothing_is_left(bench: &Bench) -> Outcome {
+/// Checks that no socket and no process with the test's configuration is left.
+fn assert_nothing_left(bench: &Bench) -> Outcome {
     let socket = settings::socket(bench.folder());
     ensure!(!socket.exists(), "{} is left", socket.display());
     let config = bench.config_file();
@@ -188,13 +191,13 @@ fn same_socket(bench: &mut Bench) -> Outcome {
         second.status()
     })?;
     ensure!(!status.success(), "the second daemon ended with success");
-    let said = second.log();
+    let message = second.log();
     let socket = settings::socket(bench.folder());
     ensure!(
-        said.contains(&*socket.to_string_lossy()),
-        "it does not say what is in the way: {said}"
+        message.contains(&*socket.to_string_lossy()),
+        "the log does not name the conflict: {message}"
     );
-    // The first is not disturbed.
+    // The first daemon is not affected.
     bench.keep_driving(Duration::from_secs(1))
 }
 
@@ -206,7 +209,7 @@ fn same_port(bench: &mut Bench) -> Outcome {
     let file = bench.folder().join("second.toml");
     settings::write(&config, &file)?;
     let mut second = Daemon::start(bench.program(), &file, &bench.folder().join("second.log"))?;
-    let said = wait::until("a word about the port", Duration::from_secs(3), || {
+    let message = wait::until("a message about the port", Duration::from_secs(3), || {
         if let Some(status) = second.status()? {
             return Err(Failure::new(format!(
                 "it ended: {status}: {}",
@@ -217,8 +220,11 @@ fn same_port(bench: &mut Bench) -> Outcome {
         Ok(log.contains("in use by another program").then_some(log))
     })?;
     let port = bench.rig().port().to_string_lossy().into_owned();
-    ensure!(said.contains(&port), "it does not name the port: {said}");
-    // The first is not disturbed, and the second has no board to arm.
+    ensure!(
+        message.contains(&port),
+        "the log does not name the port: {message}"
+    );
+    // The first daemon is not affected, and the second has no board to arm.
     bench.keep_driving(Duration::from_secs(1))?;
     let mut client = Client::connect(&config.socket.path)?;
     let answer = client.arm()?;

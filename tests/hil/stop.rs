@@ -1,4 +1,4 @@
-//! Emergency stops: asked for, and by the switch.
+//! Emergency stops by request and by the switch.
 
 use std::time::Duration;
 
@@ -8,17 +8,14 @@ use singletrack_protocol::{ResetCause, StopCause};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
-    Scenario::new(
-        "a_latched_stop_ends_with_a_reset_of_the_board",
-        stop_and_reset,
-    )
-    .needing(&[Need::Reset]),
+    Scenario::new("a_reset_of_the_board_clears_a_latched_stop", stop_and_reset)
+        .needing(&[Need::Reset]),
     Scenario::new("an_open_stop_switch_stops_the_car", stop_switch).needing(&[Need::StopSwitch]),
-    // The last one: it leaves a physical board that only its button resets.
-    Scenario::new("a_stop_is_neutral_at_once_and_latched", stop_command),
+    // The last one, because a physical board then needs its reset button.
+    Scenario::new("an_emergency_stop_is_immediate_and_latched", stop_command),
 ];
 
-/// From the request on the socket: the socket's thread, a tick of 10 ms, 2 ms
+/// Limit from the request on the socket: the socket's thread, a tick of 10 ms, 2 ms
 /// on the line, a poll, a servo period; the rest is for a busy machine.
 const REQUEST_LIMIT_MS: f64 = 80.0;
 
@@ -30,9 +27,13 @@ fn stop_command(bench: &mut Bench) -> Outcome {
 
 fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
     let mut client = bench.client()?;
-    let asked_us = bench.board_time_us()?;
+    let requested_us = bench.board_time_us()?;
     client.stop()?.accepted()?;
-    bench.neutral_within("after a stop was asked for", asked_us, REQUEST_LIMIT_MS)?;
+    bench.neutral_within(
+        "after an emergency stop request",
+        requested_us,
+        REQUEST_LIMIT_MS,
+    )?;
     let status = bench.wait_for_mode("fault", Duration::from_millis(500))?;
     ensure!(
         status.reason() == "emergency-stop",
@@ -46,7 +47,7 @@ fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
     );
     bench.wait_until_standing()?;
 
-    // Neither arm nor disarm leads out of it, and the answer says why.
+    // Neither arm nor disarm clears it, and the answer contains the reason.
     let place = bench.rig().trace()?.len();
     client.disarm()?;
     let answer = client.arm()?;

@@ -1,4 +1,4 @@
-//! When many look on.
+//! Many viewers of the live view.
 
 use std::{
     net::{SocketAddr, TcpStream},
@@ -14,27 +14,27 @@ use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
-    "twenty_viewers_that_never_read_change_nothing_about_the_drive",
-    looked_at,
+    "twenty_viewers_that_never_read_do_not_affect_driving",
+    with_viewers,
 )
 .alone()];
 
 const VIEWERS: usize = 20;
 
-/// Of a viewer, in bytes: a few messages.
+/// Receive buffer of a viewer, in bytes: a few messages.
 const RECEIVE_BUFFER: usize = 4_096;
 
-/// Rounds with and without viewers take turns, each so long.
+/// Rounds with and without viewers alternate.
 const ROUNDS: usize = 2;
 const ROUND: Duration = Duration::from_secs(2);
 
-/// A tick in a hundred may be later than this: others use the processors.
+/// Limit for the 99th percentile of the lateness; the processors are shared.
 const LATENESS_LIMIT_US: f64 = 5_000.0;
 
-/// What half of the ticks are late by may not grow by more than this.
+/// Limit for the growth of the median lateness.
 const MEDIAN_LIMIT: f64 = 2.0;
 
-fn looked_at(bench: &mut Bench) -> Outcome {
+fn with_viewers(bench: &mut Bench) -> Outcome {
     let live = &mut bench.config_mut().live;
     live.enabled = true;
     live.port = 0;
@@ -48,25 +48,25 @@ fn looked_at(bench: &mut Bench) -> Outcome {
         let viewers: Outcome<Vec<_>> = (0..VIEWERS).map(|_| idle_viewer(address)).collect();
         let viewers = viewers?;
         lateness(bench, &mut watched)?;
-        let (_, seen) = bench.status()?.live()?;
-        ensure!(seen == VIEWERS as u64, "{seen} viewers");
+        let (_, connected) = bench.status()?.live()?;
+        ensure!(connected == VIEWERS as u64, "{connected} viewers");
         drop(viewers);
     }
     let status = bench.status()?;
     let lost = status.figure("/dropped/record_entries")?;
-    ensure!(lost == 0.0, "the record misses {lost} entries");
+    ensure!(lost == 0.0, "the record lacks {lost} entries");
     let [alone, watched] = [alone, watched].map(|values| {
         let values = Distribution::of(values);
         [0.5, 0.99].map(|part| values.quantile(part).unwrap_or(f64::NAN))
     });
     bench.at_most(
-        "lateness of a tick in two, times that without viewers",
+        "median lateness of the ticks, relative to no viewers",
         watched[0] / alone[0],
         MEDIAN_LIMIT,
         "",
     )?;
     bench.at_most(
-        "lateness of a tick in a hundred",
+        "99th percentile of the ticks' lateness",
         watched[1],
         LATENESS_LIMIT_US,
         "us",
@@ -74,7 +74,7 @@ fn looked_at(bench: &mut Bench) -> Outcome {
     bench.was_within_limits(&bench.rig().trace()?)
 }
 
-/// How late the ticks of a round are, in us.
+/// Records the lateness of the ticks of a round, in us.
 fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
     let mut ticks = bench.client()?.watch_ticks()?;
     let begin = Instant::now();
@@ -86,8 +86,8 @@ fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
     Ok(())
 }
 
-/// Wants everything, and takes nothing. With the room that a viewer usually has for
-/// what it has not read, it would be slow only after a quarter of a minute.
+/// Subscribes to everything and reads nothing. With a usual receive buffer, it
+/// would become slow only after 15 s.
 fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)
         .map_err(Failure::system("no socket"))?;

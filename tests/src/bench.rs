@@ -1,4 +1,4 @@
-//! One test's rig, daemon and files.
+//! Rig, daemon and files of one test.
 
 use std::{
     path::{Path, PathBuf},
@@ -18,23 +18,23 @@ use crate::{
     settings, trace, wait,
 };
 
-/// Which board, which program.
+/// Board and program under test.
 #[derive(Clone, Debug)]
 pub struct Equipment {
     /// The daemon's program.
     pub program: PathBuf,
-    /// The port of a physical UNO; the simulator without one.
+    /// The port of a physical UNO; `None` selects the simulator.
     pub port: Option<PathBuf>,
-    /// What runs on the simulated board.
+    /// Implementation of the simulated board.
     pub board: BoardKind,
-    /// How often the daemon is killed in mid-drive.
+    /// Number of times that the daemon is killed while driving.
     pub kills: usize,
-    /// Where the measurements go.
+    /// Collects the measurements.
     pub measurements: Measurements,
 }
 
 impl Equipment {
-    /// Why a test need not be begun: what it needs can't be had.
+    /// Reason why a test cannot run with this equipment, if any.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         match &self.port {
@@ -44,7 +44,7 @@ impl Equipment {
     }
 }
 
-/// One test's rig, daemon and files.
+/// Rig, daemon and files of one test.
 pub struct Bench {
     test: String,
     equipment: Equipment,
@@ -55,25 +55,25 @@ pub struct Bench {
     folder: TempDir,
 }
 
-/// From the daemon's start to a board that can be armed: two seconds of neutral
-/// for the ESC, half a second of poses, handshakes; a UNO's bootloader.
+/// Limit for the time from the daemon's start to readiness: two seconds of neutral
+/// for the ESC, half a second of poses, handshakes, and a UNO's bootloader.
 const READY: Duration = Duration::from_secs(10);
-/// From arming to a car that moves.
+/// Limit for the time from arming to a moving car.
 const MOVING: Duration = Duration::from_secs(3);
-/// From coasting to standing.
+/// Limit for the time from coasting to standstill.
 const STANDING: Duration = Duration::from_secs(4);
-/// So long must neutral last to be more than a pulse in passing.
-const LASTING: Duration = Duration::from_millis(200);
-/// The longest that a pulse may differ from neutral after the last command: a
-/// time to live of 95 ms, a servo period of 20 ms, a poll of 1 ms, and 4 ms.
+/// Shortest duration of neutral that counts.
+const SUSTAINED: Duration = Duration::from_millis(200);
+/// Limit for the time from the last command to neutral: a time to live of 95 ms, a
+/// servo period of 20 ms, a poll of 1 ms, and 4 ms.
 pub const NEUTRAL_LIMIT_MS: f64 = 120.0;
 
 impl Bench {
-    /// Powers the rig on; the daemon is not yet there.
+    /// Powers the rig on without a daemon.
     ///
     /// # Errors
     ///
-    /// The rig does not start.
+    /// Fails if the rig does not start.
     pub fn new(test: &str, equipment: &Equipment, seed: u64) -> Outcome<Self> {
         let folder = tempfile::Builder::new()
             .prefix("singletrack-hil-")
@@ -96,7 +96,7 @@ impl Bench {
         })
     }
 
-    /// Why this bench can't do what a test needs, now that it is there.
+    /// Reason why this bench lacks what a test needs, if it does.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         self.rig.lacks(need)
@@ -108,35 +108,35 @@ impl Bench {
         self.rig.as_ref()
     }
 
-    /// The test's own folder.
+    /// The test's folder.
     #[must_use]
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Ends the daemon as it would end by itself, keeps configuration, logs and
-    /// records for whoever looks into a failure, and says where.
+    /// Terminates the daemon, keeps configuration, logs and records for the
+    /// analysis of a failure, and returns their folder.
     pub fn keep(&mut self) -> &Path {
         if let Some(daemon) = &mut self.daemon {
-            // Killed otherwise, it would not finish its record.
+            // A killed daemon would not finish its record.
             let _ = daemon.terminate(Duration::from_secs(3));
         }
         self.folder.disable_cleanup(true);
         self.folder.path()
     }
 
-    /// What the next daemon is given.
+    /// Mutable access to the next daemon's configuration.
     pub fn config_mut(&mut self) -> &mut Config {
         &mut self.config
     }
 
-    /// What the daemon is given.
+    /// The daemon's configuration.
     #[must_use]
     pub const fn config(&self) -> &Config {
         &self.config
     }
 
-    /// Where the configuration file is, once a daemon has been started.
+    /// Path of the configuration file, which exists once a daemon has been started.
     #[must_use]
     pub fn config_file(&self) -> PathBuf {
         self.folder().join("singletrackd.toml")
@@ -148,22 +148,22 @@ impl Bench {
         &self.equipment.program
     }
 
-    /// How often the daemon is to be killed.
+    /// Number of times that the daemon is killed.
     #[must_use]
     pub const fn kills(&self) -> usize {
         self.equipment.kills
     }
 
-    /// Drive commands that the board has refused since it started.
+    /// Number of drive commands refused by the board since its start.
     ///
     /// # Errors
     ///
-    /// It does not say.
+    /// Fails without an answer.
     pub fn drives_refused(&mut self) -> Outcome<f64> {
         self.client()?.watch_board()?.next("drives_refused")
     }
 
-    /// The pulse at which the motor gets nothing, in µs.
+    /// The neutral pulse, in µs.
     #[must_use]
     pub const fn neutral_us(&self) -> u16 {
         self.config.board.esc.neutral_us
@@ -171,11 +171,11 @@ impl Bench {
 
     // The daemon.
 
-    /// Starts a daemon; the one before must have ended.
+    /// Starts a daemon; the previous one must have ended.
     ///
     /// # Errors
     ///
-    /// It does not start.
+    /// Fails if it does not start.
     pub fn start_daemon(&mut self) -> Outcome {
         let file = self.config_file();
         settings::write(&self.config, &file)?;
@@ -189,14 +189,14 @@ impl Bench {
     ///
     /// # Errors
     ///
-    /// There is none.
+    /// Fails if there is none.
     pub fn daemon(&mut self) -> Outcome<&mut Daemon> {
         self.daemon
             .as_mut()
             .ok_or_else(|| Failure::new("no daemon was started"))
     }
 
-    /// The end of the daemon's log, for whoever looks into a failure.
+    /// The end of the daemon's log, for the report of a failure.
     #[must_use]
     pub fn last_log(&self) -> String {
         const LINES: usize = 25;
@@ -210,7 +210,7 @@ impl Bench {
     ///
     /// # Errors
     ///
-    /// No socket within five seconds, or a daemon that has ended.
+    /// Fails without a socket within five seconds, or if the daemon has ended.
     pub fn client(&mut self) -> Outcome<Client> {
         let path = settings::socket(self.folder());
         let daemon = self.daemon()?;
@@ -222,20 +222,20 @@ impl Bench {
         })
     }
 
-    /// How the daemon is.
+    /// The daemon's status.
     ///
     /// # Errors
     ///
-    /// It does not say.
+    /// Fails without an answer.
     pub fn status(&mut self) -> Outcome<Status> {
         self.client()?.status()
     }
 
-    /// Waits for a mode, and returns the status that showed it.
+    /// Waits for a mode, and returns the status with it.
     ///
     /// # Errors
     ///
-    /// Another mode for the whole time.
+    /// Fails if the mode does not occur in time.
     pub fn wait_for_mode(&mut self, mode: &str, limit: Duration) -> Outcome<Status> {
         let mut client = self.client()?;
         let mut last = String::new();
@@ -250,22 +250,22 @@ impl Bench {
         })
     }
 
-    /// Waits until the car could be armed.
+    /// Waits until the car can be armed.
     ///
     /// # Errors
     ///
-    /// It can't.
+    /// Fails if it does not become ready.
     pub fn wait_until_ready(&mut self) -> Outcome<Status> {
         self.wait_for_mode("ready", READY)
     }
 
-    // Drives.
+    // Driving.
 
     /// Starts a daemon, arms, and waits until the car moves.
     ///
     /// # Errors
     ///
-    /// It does not drive.
+    /// Fails if it does not drive.
     pub fn start_driving(&mut self) -> Outcome {
         self.start_daemon()?;
         self.wait_until_ready()?;
@@ -276,7 +276,7 @@ impl Bench {
     ///
     /// # Errors
     ///
-    /// It does not drive.
+    /// Fails if it does not drive.
     pub fn arm_and_drive(&mut self) -> Outcome {
         self.client()?.arm()?.accepted()?;
         self.wait_for_mode("driving", MOVING)?;
@@ -285,11 +285,11 @@ impl Bench {
         })
     }
 
-    /// Lets the car drive; it must not stop by itself.
+    /// Keeps driving for a time; the car must not stop.
     ///
     /// # Errors
     ///
-    /// It stopped.
+    /// Fails if it stops.
     pub fn keep_driving(&mut self, time: Duration) -> Outcome {
         let mut client = self.client()?;
         wait::throughout(time, || {
@@ -303,23 +303,23 @@ impl Bench {
         })
     }
 
-    /// Waits until the car stands.
+    /// Waits until the car stands still.
     ///
     /// # Errors
     ///
-    /// It rolls on.
+    /// Fails if it keeps rolling.
     pub fn wait_until_standing(&self) -> Outcome {
         wait::until("a standing car", STANDING, || {
             Ok((self.rig.truth()?.speed.abs() < 0.01).then_some(()))
         })
     }
 
-    /// For the whole time: the motor gets nothing, although everything for a
-    /// drive may be there.
+    /// Checks for the whole time that the motor is not driven, although all
+    /// conditions for driving may be met.
     ///
     /// # Errors
     ///
-    /// The car was driven, or the ESC had no pulses that could tell.
+    /// Fails if the car was driven, or if there were too few ESC pulses to decide.
     pub fn stays_neutral(&self, time: Duration) -> Outcome {
         let place = self.rig.trace()?.len();
         std::thread::sleep(time);
@@ -327,12 +327,12 @@ impl Bench {
         self.was_neutral_since(place)
     }
 
-    /// The motor got nothing since a place in the trace; the pulse that a reset cut
-    /// aside.
+    /// Checks that the motor was not driven since a position in the trace, except
+    /// by a pulse cut by a reset.
     ///
     /// # Errors
     ///
-    /// The car was driven.
+    /// Fails if the car was driven.
     pub fn was_neutral_since(&self, place: usize) -> Outcome {
         let trace = self.rig.trace()?;
         let driven = trace
@@ -342,17 +342,17 @@ impl Bench {
             .find(|pulses| !pulses.is_neutral(self.neutral_us()));
         ensure!(
             driven.is_none(),
-            "the motor was driven without having been armed: {driven:?}"
+            "the motor was driven while not armed: {driven:?}"
         );
         Ok(())
     }
 
-    /// Every pulse was within the configured limits; one that a reset cut may be
-    /// shorter.
+    /// Checks that every pulse was within the configured limits; one cut by a reset
+    /// may be shorter.
     ///
     /// # Errors
     ///
-    /// The pulses that were not.
+    /// Fails with a pulse outside.
     pub fn was_within_limits(&self, trace: &Trace) -> Outcome {
         let (servo, esc) = (&self.config.board.servo, &self.config.board.esc);
         let outside = trace.0.iter().find(|pulses| {
@@ -368,11 +368,11 @@ impl Bench {
 
     // Measurements, in board time.
 
-    /// Notes a value and holds it against its limit.
+    /// Records a value and checks it against its limit.
     ///
     /// # Errors
     ///
-    /// The value above the limit.
+    /// Fails if the value exceeds the limit.
     pub fn at_most(&self, what: &str, value: f64, limit: f64, unit: &'static str) -> Outcome {
         self.equipment
             .measurements
@@ -383,26 +383,27 @@ impl Bench {
     ///
     /// # Errors
     ///
-    /// The board does not run.
+    /// Fails if the board does not run.
     pub fn board_time_us(&self) -> Outcome<u32> {
         self.rig
             .board_time_us()?
             .ok_or_else(|| Failure::new("the board does not run"))
     }
 
-    /// From a board time to the first pulse from which on the motor got nothing.
+    /// Measures the time from a board time to the pulse from which on the motor is
+    /// not driven.
     ///
     /// # Errors
     ///
-    /// It still gets something, or later than the limit.
+    /// Fails if it is still driven, or the limit is exceeded.
     pub fn neutral_within(&self, what: &str, since_us: u32, limit_ms: f64) -> Outcome {
-        // Longer than the limit, to see by how much it is exceeded.
-        let patience = Duration::from_millis(500 + limit_ms as u64);
-        wait::until(&format!("neutral {what}"), patience, || {
+        // Longer than the limit, to measure by how much it is exceeded.
+        let timeout = Duration::from_millis(500 + limit_ms as u64);
+        wait::until(&format!("neutral {what}"), timeout, || {
             Ok(self.rig.trace()?.neutral_from(self.neutral_us()))
         })?;
-        // It counts only if it lasts.
-        std::thread::sleep(LASTING);
+        // Only sustained neutral counts.
+        std::thread::sleep(SUSTAINED);
         let first = self
             .rig
             .trace()?
@@ -417,11 +418,11 @@ impl Bench {
         )
     }
 
-    /// Waits for the last command to run out, and measures from it.
+    /// Waits until the last command has expired, and measures from it.
     ///
     /// # Errors
     ///
-    /// Neutral came too late, or never.
+    /// Fails if neutral is late or missing.
     pub fn neutral_after_last_command(&self) -> Outcome {
         let command_us = self.rig.last_command_us()?;
         self.neutral_within("after the last command", command_us, NEUTRAL_LIMIT_MS)

@@ -1,4 +1,4 @@
-//! The daemon's control socket, as any client sees it: a JSON object a line.
+//! A client of the daemon's control socket: one JSON object per line.
 
 use std::{
     io::{BufRead, BufReader, Write},
@@ -19,8 +19,8 @@ pub struct Client {
     write: UnixStream,
 }
 
-/// An answer may wait for the car to be armed, which takes two seconds at most.
-const PATIENCE: Duration = Duration::from_secs(4);
+/// Timeout of an answer; arming takes two seconds at most.
+const TIMEOUT: Duration = Duration::from_secs(4);
 
 /// The version of the socket's protocol.
 const VERSION: u32 = 1;
@@ -30,11 +30,11 @@ impl Client {
     ///
     /// # Errors
     ///
-    /// Nobody listens.
+    /// Fails if the daemon does not listen.
     pub fn connect(path: &Path) -> Outcome<Self> {
         let connect = || -> std::io::Result<Self> {
             let write = UnixStream::connect(path)?;
-            write.set_read_timeout(Some(PATIENCE))?;
+            write.set_read_timeout(Some(TIMEOUT))?;
             let read = BufReader::new(write.try_clone()?);
             Ok(Self { read, write })
         };
@@ -73,11 +73,11 @@ impl Client {
         }
     }
 
-    /// How the daemon is.
+    /// Requests the daemon's status.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn status(&mut self) -> Outcome<Status> {
         let Answer(mut answer) = self.ask("status")?;
         match answer["status"].take() {
@@ -86,47 +86,48 @@ impl Client {
         }
     }
 
-    /// Asks for a drive; the answer comes when it drives, or says why not.
+    /// Requests arming; the answer comes when the car drives, or with the reason why
+    /// not.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn arm(&mut self) -> Outcome<Answer> {
         self.ask("arm")
     }
 
-    /// Asks for a stop along a ramp.
+    /// Requests a controlled stop.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn disarm(&mut self) -> Outcome<Answer> {
         self.ask("disarm")
     }
 
-    /// Asks for an emergency stop.
+    /// Requests an emergency stop.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn stop(&mut self) -> Outcome<Answer> {
         self.ask("stop")
     }
 
-    /// Watches what the board says of itself, five times a second.
+    /// Subscribes to the board's status, five times a second.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn watch_board(self) -> Outcome<Watch> {
         self.watch("status")
     }
 
-    /// Watches every tick.
+    /// Subscribes to every tick.
     ///
     /// # Errors
     ///
-    /// No answer.
+    /// Fails without an answer.
     pub fn watch_ticks(self) -> Outcome<Watch> {
         self.watch("tick")
     }
@@ -138,16 +139,16 @@ impl Client {
     }
 }
 
-/// What the daemon answers to a command.
+/// The daemon's answer to a command.
 #[derive(Clone, Debug)]
 pub struct Answer(Value);
 
 impl Answer {
-    /// The command must have been accepted.
+    /// Checks that the command was accepted.
     ///
     /// # Errors
     ///
-    /// The daemon's reason.
+    /// Fails with the daemon's reason.
     pub fn accepted(&self) -> Outcome {
         if self.0["ok"] == true {
             Ok(())
@@ -156,20 +157,20 @@ impl Answer {
         }
     }
 
-    /// Whether the daemon has refused.
+    /// Whether the command was refused.
     #[must_use]
     pub fn is_refused(&self) -> bool {
         self.0["ok"] == false
     }
 
-    /// The whole answer.
+    /// The complete answer.
     #[must_use]
     pub fn text(&self) -> String {
         self.0.to_string()
     }
 }
 
-/// How the daemon is.
+/// The daemon's status.
 #[derive(Clone, Debug)]
 pub struct Status(Value);
 
@@ -187,19 +188,19 @@ impl Status {
         self.word("/mode")
     }
 
-    /// Why the car does not drive, or stopped; empty without a reason.
+    /// The reason for not driving, or for the last stop; empty if none.
     #[must_use]
     pub fn reason(&self) -> &str {
         self.word("/reason")
     }
 
-    /// Where the session with the board stands.
+    /// State of the link to the board.
     #[must_use]
     pub fn link(&self) -> &str {
         self.word("/link")
     }
 
-    /// Why the board last went to neutral, as it said itself.
+    /// The board's last stop cause.
     #[must_use]
     pub fn stop_cause(&self) -> &str {
         self.word("/board/stop_cause")
@@ -209,7 +210,7 @@ impl Status {
     ///
     /// # Errors
     ///
-    /// There is no such figure.
+    /// Fails if there is no such figure.
     pub fn figure(&self, pointer: &str) -> Outcome<f64> {
         self.0
             .pointer(&format!("/figures{pointer}"))
@@ -217,11 +218,11 @@ impl Status {
             .ok_or_else(|| Failure::new(format!("no figure {pointer} in {}", self.0)))
     }
 
-    /// Where the live view is, and how many look at it.
+    /// Address of the live view, and its number of viewers.
     ///
     /// # Errors
     ///
-    /// There is none.
+    /// Fails if there is none.
     pub fn live(&self) -> Outcome<(SocketAddr, u64)> {
         let live = &self.0["live"];
         let address = live["address"].as_str().and_then(|text| text.parse().ok());
@@ -230,11 +231,11 @@ impl Status {
             .ok_or_else(|| Failure::new(format!("no live view in {}", self.0)))
     }
 
-    /// From where P should be to where the daemon believes it to be, in m.
+    /// Distance from the reference of P to its estimate, in m.
     ///
     /// # Errors
     ///
-    /// The status does not say.
+    /// Fails if the status lacks one of them.
     pub fn tracking_error_m(&self) -> Outcome<f64> {
         let place = |name: &str, axis: usize| self.0[name][axis].as_f64();
         let along = |axis| Some(place("point_m", axis)? - place("reference_m", axis)?);
@@ -244,7 +245,7 @@ impl Status {
             .ok_or_else(|| Failure::new(format!("no point or no reference in {}", self.0)))
     }
 
-    /// In short, for whoever looks into a failure.
+    /// A summary for the report of a failure.
     #[must_use]
     pub fn text(&self) -> String {
         let short = json!({
@@ -255,33 +256,33 @@ impl Status {
     }
 }
 
-/// A stream of what the daemon records.
+/// A subscription to the daemon's records.
 #[derive(Debug)]
 pub struct Watch(Client);
 
 impl Watch {
-    /// Waits for the next entry, and takes a figure from it.
+    /// Waits for the next entry, and returns one of its figures.
     ///
     /// # Errors
     ///
-    /// Nothing comes, or it has no such figure.
+    /// Fails if no entry comes, or it has no such figure.
     pub fn next(&mut self, figure: &str) -> Outcome<f64> {
         let entry = self.0.receive()?;
         find(&entry, figure).ok_or_else(|| Failure::new(format!("no {figure} in {entry}")))
     }
 
-    /// Waits for the next entry, and takes those figures from it that it has.
+    /// Waits for the next entry, and returns those of the figures that it has.
     ///
     /// # Errors
     ///
-    /// Nothing comes.
+    /// Fails if no entry comes.
     pub fn next_of<const N: usize>(&mut self, figures: [&str; N]) -> Outcome<[Option<f64>; N]> {
         let entry = self.0.receive()?;
         Ok(figures.map(|figure| find(&entry, figure)))
     }
 }
 
-/// The record's entries nest; the name is there once. True is 1, false 0.
+/// Finds a value by name in nested entries; names are unique. True is 1, false 0.
 fn find(value: &Value, name: &str) -> Option<f64> {
     let object = value.as_object()?;
     let figure = |value: &Value| {

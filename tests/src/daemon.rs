@@ -1,4 +1,4 @@
-//! The daemon as the process that it is.
+//! The daemon as a process.
 
 use std::{
     fs::File,
@@ -11,7 +11,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{Failure, Outcome, wait};
 
-/// A running `singletrackd`. Dropped, it is killed.
+/// A running `singletrackd`. Dropping it kills the process.
 #[derive(Debug)]
 pub struct Daemon {
     child: Child,
@@ -19,11 +19,11 @@ pub struct Daemon {
 }
 
 impl Daemon {
-    /// Starts the program with a configuration file. What it logs goes to `log`.
+    /// Starts the program with a configuration file. Its log goes to the file `log`.
     ///
     /// # Errors
     ///
-    /// The program can't be run.
+    /// Fails if the program cannot be run.
     pub fn start(program: &Path, config: &Path, log: &Path) -> Outcome<Self> {
         let output = File::create(log)
             .map_err(Failure::system(format!("cannot write {}", log.display())))?;
@@ -44,34 +44,34 @@ impl Daemon {
         })
     }
 
-    /// Its process.
+    /// Its process id.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// What it has logged so far.
+    /// Its log so far.
     #[must_use]
     pub fn log(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
-    /// Whether it has ended, and how.
+    /// Its exit status, if it has ended.
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// Fails with an error of the system.
     pub fn status(&mut self) -> Outcome<Option<ExitStatus>> {
         self.child
             .try_wait()
-            .map_err(Failure::system("cannot ask for the daemon's end"))
+            .map_err(Failure::system("cannot query the daemon's exit status"))
     }
 
-    /// Kills it: it has no chance to say anything.
+    /// Kills it (SIGKILL).
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// Fails with an error of the system.
     pub fn kill(&mut self) -> Outcome {
         self.child
             .kill()
@@ -80,12 +80,12 @@ impl Daemon {
         Ok(())
     }
 
-    /// Asks it to end, as the system does, and returns how it ended and how
-    /// long that took.
+    /// Terminates it (SIGTERM), and returns its exit status and the time until its
+    /// end.
     ///
     /// # Errors
     ///
-    /// It did not end within the limit.
+    /// Fails if it does not end within the limit.
     pub fn terminate(&mut self, limit: Duration) -> Outcome<(ExitStatus, Duration)> {
         let start = Instant::now();
         self.signal(Signal::TERM)?;
@@ -93,20 +93,20 @@ impl Daemon {
         Ok((status, start.elapsed()))
     }
 
-    /// Stops all of its threads where they are.
+    /// Suspends it (SIGSTOP).
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// Fails with an error of the system.
     pub fn pause(&self) -> Outcome {
         self.signal(Signal::STOP)
     }
 
-    /// Lets them go on.
+    /// Continues it (SIGCONT).
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// Fails with an error of the system.
     pub fn go_on(&self) -> Outcome {
         self.signal(Signal::CONT)
     }

@@ -1,38 +1,37 @@
-//! Why a test did not pass.
+//! Failures of a test.
 
-/// Why a test did not pass.
+/// Failures of a test.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// Something is not as it must be.
+    /// A requirement is violated.
     #[error("{0}")]
     Failed(String),
-    /// The harness could not see what it had to see: nothing is shown, neither
-    /// good nor bad.
+    /// The harness missed what it had to observe: the test has no result.
     #[error("void: {0}")]
     Void(String),
-    /// The system does not do its part.
+    /// An operation of the system failed.
     #[error("{what}: {source}")]
     System {
-        /// What was tried.
+        /// The operation.
         what: String,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The simulator does not do its part.
+    /// The simulator failed.
     #[error("the simulator: {0}")]
     Simulator(#[from] singletrack_sim::RealTimeError),
 }
 
-/// What a test or a part of it comes to.
+/// Result of a test or a part of it.
 pub type Outcome<T = ()> = Result<T, Failure>;
 
 impl Failure {
-    /// Something is not as it must be.
+    /// A violated requirement.
     pub fn new(what: impl Into<String>) -> Self {
         Self::Failed(what.into())
     }
 
-    /// For `map_err`: says what was tried.
+    /// For `map_err`: adds the operation.
     pub fn system(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> Self {
         |source| Self::System {
             what: what.into(),

@@ -1,10 +1,10 @@
-//! What the tests measured, for the table at the end.
+//! Measurements of the tests, for the table at the end.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::{Failure, Outcome};
 
-/// What the tests measured, beside the limits; shared by all tests.
+/// Measurements with their limits, shared by all tests.
 #[derive(Clone, Debug, Default)]
 pub struct Measurements(Arc<Mutex<Vec<Line>>>);
 
@@ -18,11 +18,11 @@ struct Line {
 }
 
 impl Measurements {
-    /// Notes a value, and fails if it is above its limit or not a number.
+    /// Records a value, and fails if it exceeds its limit or is NaN.
     ///
     /// # Errors
     ///
-    /// The value above its limit.
+    /// Fails if the value exceeds its limit.
     pub fn at_most(
         &self,
         test: &str,
@@ -50,7 +50,7 @@ impl Measurements {
         }
     }
 
-    /// Forgets what a test has measured: it is repeated.
+    /// Removes the measurements of a test that is repeated.
     pub fn forget(&self, test: &str) {
         self.0
             .lock()
@@ -63,7 +63,7 @@ impl Measurements {
     pub fn table(&self) -> String {
         let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut lines: Vec<&Line> = lines.iter().collect();
-        // Tests overlap, and so do their lines.
+        // Tests run in parallel, so their lines are mixed.
         lines.sort_by_key(|line| &line.test);
         let mut table = String::new();
         let mut test = "";
@@ -79,4 +79,15 @@ impl Measurements {
         }
         table
     }
+}
+
+/// The smallest value that is not exceeded by `part` (0 to 1) of the sorted values;
+/// NaN without values.
+#[must_use]
+pub fn percentile(sorted: &[f64], part: f64) -> f64 {
+    let rank = (part * sorted.len() as f64).ceil() as usize;
+    sorted
+        .get(rank.saturating_sub(1))
+        .copied()
+        .unwrap_or(f64::NAN)
 }

@@ -1,4 +1,4 @@
-//! The daemon's program: built once, as it is shipped.
+//! Builds the daemon's program once, as it is shipped.
 
 use std::{
     ffi::OsString,
@@ -10,22 +10,21 @@ use serde_json::Value;
 
 use crate::{Failure, Outcome};
 
-/// Builds `singletrackd` in the release profile, whatever profile the tests are
-/// built in, and says where it is.
+/// Builds `singletrackd` in the release profile, independent of the tests' own
+/// profile, and returns its path.
 ///
 /// # Errors
 ///
-/// It does not build; the compiler has said why.
+/// Fails if it does not build; the compiler prints the errors.
 pub fn build() -> Outcome<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
     let mut command = Command::new(&cargo);
-    // Cargo sets it for a test: where the checkout is now, not where it was compiled.
+    // Set by cargo for a test: the present path of the checkout, not the compiled one.
     if let Some(package) = std::env::var_os("CARGO_MANIFEST_DIR") {
         command.current_dir(Path::new(&package).join(".."));
     }
     let output = command
-        // With the features that the suite itself was built with: the libraries
-        // are there already.
+        // With the suite's own features, so that the libraries are not built again.
         .args(["build", "--release", "--bins"])
         .args(["--package", "singletrackd", "--package", "singletrack"])
         .arg("--message-format=json-render-diagnostics")

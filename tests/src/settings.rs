@@ -1,4 +1,4 @@
-//! The configuration that the daemon is given.
+//! Configuration of the daemon and the simulation.
 
 use std::{
     net::SocketAddrV4,
@@ -17,8 +17,7 @@ use crate::{Failure, Outcome};
 
 /// The paper's circle with feed-forward, for the simulated car.
 ///
-/// The board's failsafe coasts rather than brakes: the ESC is then at neutral
-/// exactly, and nothing else counts as stopped.
+/// The board's failsafe coasts, so that a stop is always exactly neutral.
 #[must_use]
 pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
     Config {
@@ -64,17 +63,17 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
     }
 }
 
-/// The point P is this far beyond the front axle, in m.
+/// Distance of the point P beyond the front axle, in m.
 pub const POINT_DISTANCE_M: f64 = 0.35;
 
-/// Width of the fence around the origin, in m: the circle's, and room to stop.
+/// Width of the geofence around the origin, in m: the circle plus room to stop.
 pub const FENCE_WIDTH_M: f64 = 4.0;
 
 /// Radius of the circle, in m.
 pub const RADIUS_M: f64 = 1.0;
 
-/// Where the car stands at the start: with P where the circle begins, and
-/// nearly along it.
+/// Initial pose of the car: P at the start of the circle, and the yaw nearly along
+/// it.
 fn start() -> StartPose {
     const YAW_RAD: f64 = 1.2;
     let reach_m = VehicleParameters::paper().front_axle_distance_m + POINT_DISTANCE_M;
@@ -85,7 +84,7 @@ fn start() -> StartPose {
     }
 }
 
-/// What is simulated.
+/// Configuration of the simulation.
 #[must_use]
 pub fn simulation(seed: u64) -> SimulationConfig {
     let mut config = SimulationConfig {
@@ -100,7 +99,7 @@ pub fn simulation(seed: u64) -> SimulationConfig {
 ///
 /// # Errors
 ///
-/// What the system says.
+/// Fails with an error of the system.
 pub fn write(config: &Config, file: &Path) -> Outcome {
     let text = config
         .to_toml()

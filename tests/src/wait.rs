@@ -1,4 +1,4 @@
-//! Waiting for events, never longer than stated.
+//! Waiting for events with a time limit.
 
 use std::{
     thread,
@@ -7,14 +7,14 @@ use std::{
 
 use crate::{Failure, Outcome};
 
-/// Time between two looks.
+/// Polling interval.
 const INTERVAL: Duration = Duration::from_millis(2);
 
-/// Looks until there is something to see.
+/// Polls until `look` returns a value.
 ///
 /// # Errors
 ///
-/// Nothing within the limit, or what looking failed with.
+/// Fails at the time limit, or if `look` fails.
 pub fn until<T>(
     what: &str,
     limit: Duration,
@@ -22,8 +22,8 @@ pub fn until<T>(
 ) -> Outcome<T> {
     let start = Instant::now();
     loop {
-        if let Some(seen) = look()? {
-            return Ok(seen);
+        if let Some(value) = look()? {
+            return Ok(value);
         }
         if start.elapsed() >= limit {
             return Err(Failure::new(format!("{what}: not within {limit:?}")));
@@ -32,11 +32,11 @@ pub fn until<T>(
     }
 }
 
-/// Looks for the whole of the time: what must stay so is checked all along.
+/// Polls for the whole time: checks a condition that must hold throughout.
 ///
 /// # Errors
 ///
-/// What looking failed with.
+/// Fails if `look` fails.
 pub fn throughout(time: Duration, mut look: impl FnMut() -> Outcome) -> Outcome {
     let start = Instant::now();
     while start.elapsed() < time {

@@ -1,5 +1,5 @@
-//! The compilers for the Arduino and the Odroid: nightly features, and a standard
-//! library that is built from its sources. They are found, and tried, not assumed.
+//! Compilers for the Arduino and the Odroid: they need nightly features and the
+//! sources of the standard library. Candidates are searched and tested.
 
 use std::{
     fmt,
@@ -8,15 +8,15 @@ use std::{
 
 use crate::machine::{COMPILER_VARIABLE, Machine, Scratch, answer};
 
-/// What a compiler is needed for.
+/// Target of a compiler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Target {
     pub(crate) triple: &'static str,
-    /// What the message calls it.
+    /// Name in messages.
     pub(crate) name: &'static str,
-    /// What a file of this target needs on the command line.
+    /// Compiler options of this target.
     flags: &'static [&'static str],
-    /// The crates whose sources are built for it.
+    /// Crates that are built from source for it.
     libraries: &'static [&'static str],
 }
 
@@ -28,7 +28,7 @@ pub(crate) const AVR: Target = Target {
     libraries: &["core"],
 };
 
-/// The Odroid's, as Debian's armhf has it.
+/// The Odroid's processor, Debian's armhf.
 pub(crate) const ARM: Target = Target {
     triple: "armv7-unknown-linux-gnueabihf",
     name: "Rust for the Odroid",
@@ -36,26 +36,26 @@ pub(crate) const ARM: Target = Target {
     libraries: &["core", "std"],
 };
 
-/// The oldest release that builds the workspace: its `rust-version`.
+/// Oldest release that builds the workspace: its `rust-version`.
 const OLDEST: &str = env!("CARGO_PKG_RUST_VERSION");
 
-/// A compiler that was tried and does what it is needed for.
+/// A compiler that has been tested for a target.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Compiler {
     pub(crate) rustc: PathBuf,
-    /// The cargo of the same toolchain, where there is one: it knows best how that
-    /// toolchain's standard library is built.
+    /// Cargo of the same toolchain, if any: it matches the layout of that
+    /// toolchain's standard library.
     pub(crate) cargo: Option<PathBuf>,
-    /// Such as `1.96.0`.
+    /// Release, for example `1.96.0`.
     release: String,
     origin: Origin,
 }
 
-/// Where a compiler comes from.
+/// Origin of a compiler.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Origin {
     Variable,
-    /// The toolchain's name.
+    /// A toolchain of rustup, by name.
     Rustup(String),
     Debian,
 }
@@ -83,7 +83,7 @@ impl fmt::Display for Compiler {
 }
 
 impl Compiler {
-    /// Clippy of this very compiler, or why there is none.
+    /// Clippy of this compiler, or the reason why there is none.
     pub(crate) fn clippy(&self, machine: &Machine) -> Result<PathBuf, String> {
         let driver = self.rustc.with_file_name("clippy-driver");
         let fix = match &self.origin {
@@ -92,10 +92,10 @@ impl Compiler {
             }
             _ => String::new(),
         };
-        let Some(said) = machine.ask(&driver, ["--rustc", "-vV"]) else {
+        let Some(answer) = machine.ask(&driver, ["--rustc", "-vV"]) else {
             return Err(format!("{} does not start{fix}", driver.display()));
         };
-        match release(&said.stdout) {
+        match release(&answer.stdout) {
             Some(of) if of == self.release => Ok(driver),
             Some(of) => Err(format!(
                 "{} is of rustc {of}, the compiler is {}{fix}",
@@ -106,15 +106,15 @@ impl Compiler {
         }
     }
 
-    /// Whether Debian's packages bring it up to date.
+    /// Whether Debian's packages update it.
     pub(crate) fn is_debians(&self) -> bool {
         self.origin == Origin::Debian
     }
 }
 
-/// The first compiler that can build for a target: the one that the environment names,
-/// a nightly of rustup's with `rust-src`, Debian's. Else why each of them can't, a line
-/// each.
+/// Finds the first compiler that can build for a target: the one named by the
+/// environment, a nightly of rustup with `rust-src`, Debian's. Otherwise returns
+/// one reason per candidate.
 pub(crate) fn find(machine: &Machine, target: Target) -> Result<Compiler, Vec<String>> {
     if let Some(rustc) = &machine.named_compiler {
         // A named compiler is not replaced by another.
@@ -155,7 +155,7 @@ fn nightlies(machine: &Machine) -> Vec<String> {
         .unwrap_or_default()
 }
 
-/// Tries a compiler, or says what it lacks.
+/// Tests a compiler; the error says what it lacks.
 fn attempt(
     machine: &Machine,
     target: Target,
@@ -170,7 +170,7 @@ fn attempt(
         });
     };
     let Some(release) = release(&version.stdout).map(str::to_owned) else {
-        return Err(format!("{place} ({origin}) does not say its release"));
+        return Err(format!("{place} ({origin}) does not print its release"));
     };
     let lacks = |what: String| Err(format!("{place}, rustc {release} ({origin}), {what}"));
     if !at_least(&release, OLDEST) {
@@ -197,8 +197,8 @@ fn attempt(
     let cargo = rustc.with_file_name("cargo");
     let cargo = machine
         .ask(&cargo, ["-vV"])
-        .is_some_and(|said| {
-            self::release(&said.stdout).is_some_and(|of| minor(of) == minor(&release))
+        .is_some_and(|answer| {
+            self::release(&answer.stdout).is_some_and(|of| minor(of) == minor(&release))
         })
         .then_some(cargo);
     Ok(Compiler {
@@ -209,7 +209,7 @@ fn attempt(
     })
 }
 
-/// The value of `release:` in what `rustc -vV` prints.
+/// The value of `release:` in the output of `rustc -vV`.
 fn release(version: &str) -> Option<&str> {
     version
         .lines()
@@ -227,10 +227,11 @@ fn at_least(release: &str, oldest: &str) -> bool {
     minor(release).is_some_and(|release| Some(release) >= minor(oldest))
 }
 
-/// Makes an object file for the target, from a crate that needs no library: a compiler may
-/// know the target and yet lack the back end. Else the compiler's first error.
+/// Compiles a crate without libraries to an object file for the target: a compiler
+/// may know the target but lack the back end. The error is the compiler's first
+/// one.
 fn compile(machine: &Machine, target: Target, rustc: &Path) -> Result<(), String> {
-    let failed = |error: std::io::Error| format!(": no file to try it with: {error}");
+    let failed = |error: std::io::Error| format!(": cannot create a test file: {error}");
     let scratch = Scratch::new("compiler").map_err(failed)?;
     let source = "#![feature(no_core)]\n#![allow(internal_features)]\n#![no_core]\n";
     let file = scratch.file("nothing.rs", source).map_err(failed)?;
@@ -255,7 +256,7 @@ fn compile(machine: &Machine, target: Target, rustc: &Path) -> Result<(), String
     }
 }
 
-/// Where the sources of the standard library are, if they are there.
+/// Folder of the sources of the standard library, if present.
 fn sources(machine: &Machine, rustc: &Path) -> Option<PathBuf> {
     let sysroot = machine
         .ask(rustc, ["--print", "sysroot"])
@@ -269,7 +270,7 @@ pub(crate) mod stand_in {
     use super::*;
     use crate::machine::stand_in::Bare;
 
-    /// A script that answers as rustc does.
+    /// A script that imitates rustc.
     pub(crate) fn rustc(machine: &Bare, release: &str, target: &str, sysroot: &str) -> String {
         let sysroot = machine.folder.join(sysroot);
         format!(
@@ -290,7 +291,7 @@ pub(crate) mod stand_in {
         }
     }
 
-    /// Debian's compiler of a release, with all sources and its clippy.
+    /// Debian's compiler of a release, with sources and clippy.
     pub(crate) fn add_debians(machine: &Bare, release: &str, target: &str) {
         let script = rustc(machine, release, target, "debian");
         machine.write(Path::new("debian/bin/rustc"), &script);
@@ -348,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_named_compiler_that_falls_short_is_not_replaced_by_another() {
+    fn an_unsuitable_named_compiler_is_not_replaced() {
         let mut machine = Bare::new("named-short");
         add_debians(&machine, "1.96.0", "avr-none");
         let script = rustc(&machine, "1.97.0", "none-of-ours", "mine");
@@ -380,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cargo_beside_a_compiler_is_used_when_it_is_of_the_same_release() {
+    fn the_cargo_next_to_a_compiler_is_used_if_of_the_same_release() {
         let machine = Bare::new("cargo");
         add_nightly(&machine, "1.99.0-nightly", &["core"]);
         let cargo = machine.write(Path::new("nightly/bin/cargo"), "echo 'release: 1.99.0'");
@@ -390,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nightly_without_sources_is_passed_over() {
+    fn a_nightly_without_sources_is_skipped() {
         let machine = Bare::new("without-sources");
         add_debians(&machine, "1.96.0", "avr-none");
         add_nightly(&machine, "1.99.0-nightly", &[]);
@@ -399,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn when_none_will_do_each_says_why_and_how_to_mend_it() {
+    fn without_a_suitable_compiler_each_reason_has_a_fix() {
         let machine = Bare::new("none");
         add_nightly(&machine, "1.99.0-nightly", &[]);
         let reasons = find(&machine.machine, AVR).unwrap_err();
@@ -417,8 +418,8 @@ mod tests {
     }
 
     #[test]
-    fn a_compiler_is_judged_by_what_it_does() {
-        for (test, release, target, wanted, lack) in [
+    fn compilers_are_tested_for_release_and_target() {
+        for (test, release, target, tested, lack) in [
             ("old", "1.85.0", "avr-none", AVR, "is older than 1.95"),
             (
                 "no-avr",
@@ -437,13 +438,13 @@ mod tests {
         ] {
             let machine = Bare::new(test);
             add_debians(&machine, release, target);
-            let reasons = find(&machine.machine, wanted).unwrap_err();
+            let reasons = find(&machine.machine, tested).unwrap_err();
             assert!(reasons[0].contains(lack), "{reasons:?}");
         }
     }
 
     #[test]
-    fn the_odroid_takes_the_sources_of_the_whole_standard_library() {
+    fn the_odroid_needs_the_sources_of_the_complete_standard_library() {
         let machine = Bare::new("std");
         let script = rustc(&machine, "1.96.0", "armv7", "debian");
         machine.write(Path::new("debian/bin/rustc"), &script);

@@ -1,11 +1,11 @@
-//! Cargo with the compiler for another processor.
+//! Cargo with a cross compiler.
 
 use std::{env, path::Path, process::Command};
 
 use crate::{compiler::Compiler, workspace::cargo_here};
 
-/// Cargo in a folder, with nothing in the environment that would make another
-/// program: what is tested is what is flashed and installed.
+/// Cargo in a folder, without environment variables that would change the program:
+/// the tested program is the one that is flashed or installed.
 pub(crate) fn cross_cargo(compiler: &Compiler, folder: &Path) -> Command {
     let mut cargo = compiler
         .cargo
@@ -18,17 +18,17 @@ pub(crate) fn cross_cargo(compiler: &Compiler, folder: &Path) -> Command {
     }
     cargo
         .current_dir(folder)
-        // Empty: not even the one in the user's configuration.
+        // Empty overrides the user's configuration, too.
         .envs([("RUSTC_WRAPPER", ""), ("RUSTC_WORKSPACE_WRAPPER", "")])
-        // With its unstable options: building the standard library is one.
+        // Enables unstable options, such as building the standard library.
         .env("RUSTC", &compiler.rustc)
         .env("RUSTC_BOOTSTRAP", "1");
     cargo
 }
 
-/// Whether a variable of this name could make another program.
+/// Whether an environment variable could change the program.
 fn changes_a_build(name: &str) -> bool {
-    /// What cargo does besides building.
+    /// Variables that do not affect the build.
     const HARMLESS: [&str; 7] = [
         "CARGO_HOME",
         "CARGO_HTTP_",
@@ -47,7 +47,7 @@ mod tests {
     use super::changes_a_build;
 
     #[test]
-    fn variables_that_make_another_program_are_told_from_the_others() {
+    fn variables_that_change_a_build_are_recognised() {
         for name in [
             "RUSTFLAGS",
             "CARGO_ENCODED_RUSTFLAGS",

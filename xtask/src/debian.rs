@@ -1,4 +1,4 @@
-//! Debian's packages: which are installed, and getting more of them.
+//! Debian packages: query and installation.
 
 use std::{
     fs,
@@ -10,12 +10,12 @@ use crate::{
     process::Failure,
 };
 
-/// Older package lists name packages that the servers no longer have, and miss the
-/// security updates since.
+/// Age above which package lists are refreshed: older lists name packages that the
+/// servers have removed, and lack security updates.
 const LISTS_ARE_FRESH_FOR: Duration = Duration::from_secs(24 * 3600);
 
-/// What is installed of some packages, in words: `gcc-avr 1:5.4.0; not avr-libc`.
-/// Nothing where there is no dpkg.
+/// Installed versions of packages as text: `gcc-avr 1:5.4.0; not avr-libc`. Empty
+/// without dpkg.
 pub(crate) fn installed(machine: &Machine, packages: &[&str]) -> Option<String> {
     let arguments = [
         "--show",
@@ -45,23 +45,23 @@ pub(crate) fn installed(machine: &Machine, packages: &[&str]) -> Option<String> 
     Some(words.join(", "))
 }
 
-/// apt-get, where it may be used.
+/// apt-get, if it may be used.
 pub(crate) struct Apt<'a> {
     machine: &'a Machine,
     sudo: bool,
-    /// Whether the lists could be refreshed, once that was tried.
+    /// Result of refreshing the lists, once tried.
     refreshed: Option<Result<(), String>>,
 }
 
 impl<'a> Apt<'a> {
-    /// Or why packages cannot be installed here.
+    /// Fails with the reason why packages cannot be installed here.
     pub(crate) fn find(machine: &'a Machine) -> Result<Self, String> {
         if machine.ask("apt-get", ["--version"]).is_none() {
-            return Err("There is no apt-get here to install packages with.".to_owned());
+            return Err("There is no apt-get here.".to_owned());
         }
         match machine.rights() {
             Rights::None => Err(
-                "Installing packages takes root, and sudo asks for a password: install them \
+                "Installing packages needs root, and sudo asks for a password: install them \
                  by hand."
                     .to_owned(),
             ),
@@ -73,13 +73,12 @@ impl<'a> Apt<'a> {
         }
     }
 
-    /// Installs packages, or upgrades those that are there, from lists that are not older
-    /// than a day.
+    /// Installs or upgrades packages, from lists that are at most a day old.
     pub(crate) fn install(&mut self, packages: &[&str]) -> Result<(), Failure> {
         if self.refreshed.is_none() && lists_are_old(self.machine) {
             self.refresh();
-            // Packages would not come either, each after a time-out of its own. If one list
-            // came and another did not, the packages may still come.
+            // Downloads would fail too, each after a timeout. If at least one list
+            // was fetched, the packages may be available.
             if self.refresh_error().is_some() && lists_are_old(self.machine) {
                 return Err(Failure::new(
                     "No package list could be refreshed, so nothing was installed.".to_owned(),
@@ -93,15 +92,15 @@ impl<'a> Apt<'a> {
         self.run(&arguments).map_err(Failure::new)
     }
 
-    /// Fetches the package lists, unless that was done before.
+    /// Fetches the package lists, at most once.
     pub(crate) fn refresh(&mut self) {
-        /// How often, and after how long, while another program holds the lists.
+        /// Number and interval of tries while another program locks the lists.
         const TRIES: u32 = 10;
         const PAUSE: Duration = Duration::from_secs(2);
         eprintln!("Refreshing the package lists");
         let mut result = Ok(());
         for _ in 0..TRIES {
-            // A list that cannot be fetched would be a warning, and its old one be used.
+            // By default, a failed list is only a warning, and its old version is used.
             result = self.run(&["update", "--error-on=any"]);
             // apt waits for the lock of dpkg, but not for this one.
             match &result {
@@ -117,7 +116,7 @@ impl<'a> Apt<'a> {
         self.refreshed.is_some()
     }
 
-    /// Why the lists may be old all the same.
+    /// The error of refreshing the lists, if any.
     pub(crate) fn refresh_error(&self) -> Option<&str> {
         self.refreshed.as_ref()?.as_ref().err().map(String::as_str)
     }
@@ -134,29 +133,29 @@ impl<'a> Apt<'a> {
         };
         command
             .args(["-qq", "-o", "Dpkg::Use-Pty=0"])
-            // Another program may be installing something just now.
+            // Another program may be installing packages.
             .args(["-o", "DPkg::Lock::Timeout=20"])
-            // A server that does not answer is given up soon.
+            // Short timeout for servers that do not answer.
             .args(["-o", "Acquire::Retries=0", "-o", "Acquire::http::Timeout=8"])
             .args(["-o", "Acquire::https::Timeout=8"])
             .args(arguments);
-        let Some(said) = answer(&mut command) else {
+        let Some(answered) = answer(&mut command) else {
             return Err("apt-get does not start".to_owned());
         };
-        if said.success {
+        if answered.success {
             return Ok(());
         }
         Err(format!(
             "apt-get {} failed{}",
             arguments.join(" "),
-            errors(&said.text)
+            errors(&answered.text)
         ))
     }
 }
 
-/// The errors in what apt-get printed, each once, each on a line of its own.
+/// The distinct errors in the output of apt-get, one per line.
 fn errors(text: &str) -> String {
-    const MOST: usize = 4;
+    const MAX_ERRORS: usize = 4;
     let mut lines: Vec<&str> = Vec::new();
     for line in text.lines().filter(|line| line.starts_with("E: ")) {
         if !lines.contains(&line) {
@@ -166,16 +165,16 @@ fn errors(text: &str) -> String {
     if lines.is_empty() {
         lines.extend(text.lines().rev().take(1));
     }
-    lines.truncate(MOST);
+    lines.truncate(MAX_ERRORS);
     lines
         .into_iter()
         .map(|line| format!("\n    {line}"))
         .collect()
 }
 
-/// Whether the package lists are missing, or were fetched longer than a day ago. The
-/// files in the folder have the server's times; the folder's own is that of the last list
-/// that came. (Its folder `partial` changes with every attempt.)
+/// Whether the package lists are missing or older than a day. The files have the
+/// server's times; the folder has the time of the last fetched list. (Its subfolder
+/// `partial` changes with every attempt.)
 fn lists_are_old(machine: &Machine) -> bool {
     let folder = &machine.package_lists;
     let lists = fs::read_dir(folder).is_ok_and(|mut files| {
@@ -183,7 +182,7 @@ fn lists_are_old(machine: &Machine) -> bool {
             file.is_ok_and(|file| file.file_name().to_string_lossy().contains("_Packages"))
         })
     });
-    // A time in the future says nothing.
+    // A time in the future is not valid.
     let fresh = fs::metadata(folder)
         .and_then(|folder| folder.modified())
         .ok()
@@ -248,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn packages_are_installed_from_lists_of_today_as_they_are() {
+    fn recent_lists_are_not_refreshed() {
         let machine = Bare::new("today");
         machine.program("apt-get", &machine.logged("apt-get"));
         add_list(&machine);
@@ -258,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn an_apt_that_is_offline_says_why_once() {
+    fn an_offline_apt_reports_the_reason_once() {
         let machine = Bare::new("offline");
         machine.program(
             "apt-get",
@@ -281,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_that_cannot_be_fetched_does_not_keep_packages_from_being_installed() {
+    fn a_failed_list_does_not_prevent_the_installation() {
         let machine = Bare::new("one-list");
         add_list(&machine);
         set_age(&machine, Duration::from_secs(48 * 3600));
@@ -302,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn without_apt_or_rights_nothing_is_tried() {
+    fn nothing_is_tried_without_apt_or_rights() {
         let mut machine = Bare::new("rights");
         assert!(Apt::find(&machine.machine).is_err());
         machine.program("apt-get", &machine.logged("apt-get"));
@@ -312,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn sudo_is_asked_never_to_ask() {
+    fn sudo_never_prompts() {
         let mut machine = Bare::new("sudo");
         machine.program("apt-get", "");
         machine.program("sudo", &machine.logged("sudo"));
@@ -330,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn installed_packages_are_told_with_their_versions() {
+    fn installed_packages_are_listed_with_versions() {
         let machine = Bare::new("dpkg");
         assert_eq!(installed(&machine.machine, &["gcc-avr"]), None);
         machine.program(

@@ -1,4 +1,4 @@
-//! `cargo demo`: builds what the demo needs and becomes it.
+//! `cargo demo`: builds the demo and executes it.
 
 use crate::{
     image::{self, Progress},
@@ -7,8 +7,8 @@ use crate::{
     workspace::cargo_here,
 };
 
-/// Returns only when it fails. The demo writes where it is called from, so
-/// this stays there; stdout is the demo's alone.
+/// Returns only on failure. It keeps the current folder, to which the demo writes
+/// its files, and leaves stdout to the demo.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     release::announce("singletrack")?;
     let mut cargo = cargo_here();
@@ -22,8 +22,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     release::become_program(cargo, &[&["demo".to_owned()], arguments].concat())
 }
 
-/// Whether the demo will want the Arduino's image. Whether the arguments are
-/// right is for the demo to say.
+/// Whether the demo needs the Arduino's image. The demo itself validates the
+/// arguments.
 pub(crate) fn drives_the_image(arguments: &[String]) -> bool {
     arguments.iter().any(|argument| argument == "--board=uno")
         || arguments
@@ -36,7 +36,7 @@ mod tests {
     use super::drives_the_image;
 
     #[test]
-    fn the_image_is_built_only_for_who_asks_for_it() {
+    fn the_image_is_built_only_on_request() {
         let asks = |line: &str| {
             let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
             drives_the_image(&arguments)

@@ -1,4 +1,4 @@
-//! `cargo faults`: builds what the fault campaign needs and becomes it.
+//! `cargo faults`: builds the fault campaign and executes it.
 
 use crate::{
     demo::drives_the_image,
@@ -8,8 +8,8 @@ use crate::{
     workspace::cargo_here,
 };
 
-/// Returns only when it fails. A schedule to replay may be a file named from
-/// where this is called, so this stays there.
+/// Returns only on failure. It keeps the current folder, because a schedule may be
+/// a relative path.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     release::announce("singletrack-faults")?;
     let mut cargo = cargo_here();
@@ -21,17 +21,17 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     release::become_program(cargo, arguments)
 }
 
-/// Whether a schedule to replay, in the arguments or in a file that they name,
-/// wants the Arduino's image.
+/// Whether a schedule to replay, given as text or as a file, needs the Arduino's
+/// image.
 fn replays_the_image(arguments: &[String]) -> bool {
-    let wants = |schedule: &str| {
+    let needs_image = |schedule: &str| {
         schedule
             .split(['\n', ';'])
             .any(|entry| entry.split_whitespace().eq(["board", "uno"]))
     };
     arguments.iter().any(|argument| {
         let named = argument.strip_prefix("--replay=").unwrap_or(argument);
-        wants(named) || std::fs::read_to_string(named).is_ok_and(|text| wants(&text))
+        needs_image(named) || std::fs::read_to_string(named).is_ok_and(|text| needs_image(&text))
     })
 }
 
@@ -40,7 +40,7 @@ mod tests {
     use super::replays_the_image;
 
     #[test]
-    fn a_schedule_that_is_replayed_says_itself_what_runs_on_the_board() {
+    fn a_replayed_schedule_selects_the_board() {
         let asks = |schedule: &str| replays_the_image(&["--replay".into(), schedule.into()]);
         assert!(asks("seed 1; board uno; end_ms 5"));
         assert!(replays_the_image(&["--replay=seed 1;board  uno".into()]));

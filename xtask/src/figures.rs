@@ -1,12 +1,12 @@
-//! What the image costs while it runs, and the table of it all.
+//! Resource usage of the image, with budgets.
 
 use crate::{gates::Size, process::Failure};
 
-/// Half of the processor's flash.
+/// Flash, in bytes: half of the processor's.
 const FLASH_BUDGET: f64 = 16_384.0;
-/// Variables and worst stack, of 2,048 B.
+/// Variables and worst stack, in bytes, of 2,048.
 const SRAM_BUDGET: f64 = 1_400.0;
-/// Of the processor's time.
+/// Processor load, in percent.
 const CPU_BUDGET_PERCENT: f64 = 15.0;
 
 /// One line of the table.
@@ -14,7 +14,7 @@ const CPU_BUDGET_PERCENT: f64 = 15.0;
 pub(crate) struct Figure {
     name: String,
     value: f64,
-    /// Digits behind the point.
+    /// Number of decimals.
     decimals: usize,
     unit: String,
     budget: Option<f64>,
@@ -31,8 +31,8 @@ impl Figure {
         }
     }
 
-    /// From a line such as `stack 248 B`: name, value, unit. A name may have
-    /// blanks, the other two not.
+    /// Parses a line such as `stack 248 B`: name, value, unit. Only the name may
+    /// contain blanks.
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_whitespace().rev();
         let (unit, digits) = (words.next()?, words.next()?);
@@ -62,7 +62,7 @@ impl Figure {
         }
     }
 
-    /// By how much it is too large.
+    /// Message about an exceeded budget, if it is exceeded.
     fn excess(&self) -> Option<String> {
         let Self { name, unit, .. } = self;
         let budget = self.budget?;
@@ -77,7 +77,7 @@ impl Figure {
     }
 }
 
-/// The table of what size and `uno-figures` tell, budgets first.
+/// The table of the results of `avr-size` and `uno-figures`, budgets first.
 pub(crate) fn table(size: Size, measured: &str) -> Result<Vec<Figure>, Failure> {
     let mut figures = Vec::new();
     for line in measured.lines().filter(|line| !line.trim().is_empty()) {
@@ -91,14 +91,14 @@ pub(crate) fn table(size: Size, measured: &str) -> Result<Vec<Figure>, Failure> 
         let position = figures
             .iter()
             .position(|figure| figure.name == name && figure.unit == unit)
-            .ok_or_else(|| Failure::new(format!("uno-figures tells no `{name}` in {unit}")))?;
+            .ok_or_else(|| Failure::new(format!("uno-figures prints no `{name}` in {unit}")))?;
         Ok::<_, Failure>(figures.remove(position))
     };
     let stack = take("stack", "B")?.named("worst stack");
     let cpu = take("cpu", "%")?.within(CPU_BUDGET_PERCENT);
     let flash = Figure::bytes("flash", f64::from(size.flash)).within(FLASH_BUDGET);
     let static_sram = Figure::bytes("static SRAM", f64::from(size.static_sram));
-    // It reads the file in a way of its own, of which avr-size knows nothing.
+    // uno-figures reads the file independently of avr-size.
     for (name, ours) in [("flash", &flash), ("static", &static_sram)] {
         let theirs = take(name, "B")?;
         if theirs.value != ours.value {
@@ -114,7 +114,7 @@ pub(crate) fn table(size: Size, measured: &str) -> Result<Vec<Figure>, Failure> 
     Ok(table)
 }
 
-/// The table as people read it.
+/// Formats the table.
 pub(crate) fn render(table: &[Figure]) -> String {
     let rows: Vec<[String; 3]> = table
         .iter()
@@ -147,7 +147,7 @@ pub(crate) fn render(table: &[Figure]) -> String {
     text
 }
 
-/// Fails over every budget exceeded, by name and by how much.
+/// Fails with all exceeded budgets.
 pub(crate) fn check(table: &[Figure]) -> Result<(), Failure> {
     let excess: Vec<String> = table.iter().filter_map(Figure::excess).collect();
     if excess.is_empty() {
@@ -157,7 +157,7 @@ pub(crate) fn check(table: &[Figure]) -> Result<(), Failure> {
     }
 }
 
-/// With commas between thousands.
+/// Formats a number with commas between thousands.
 fn number(value: f64, decimals: usize) -> String {
     let digits = format!("{value:.decimals$}");
     let (whole, fraction) = match digits.find('.') {
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn every_budget_exceeded_is_named() {
+    fn every_exceeded_budget_is_reported() {
         let size = Size {
             flash: 16_385,
             ..SIZE
@@ -215,19 +215,19 @@ mod tests {
     }
 
     #[test]
-    fn a_figure_with_a_budget_must_be_told() {
+    fn a_missing_figure_with_a_budget_is_refused() {
         for measured in [
             "flash 6512 B\nstatic 289 B\nstack 248 B\n",
             "flash 6512 B\nstatic 289 B\ncpu 7.1 %\n",
             "flash 6512 B\nstatic 289 B\nstack 248 %\ncpu 7.1 %\n",
         ] {
             let error = table(SIZE, measured).unwrap_err().to_string();
-            assert!(error.contains("tells no"), "{error}");
+            assert!(error.contains("prints no"), "{error}");
         }
     }
 
     #[test]
-    fn a_size_that_avr_size_does_not_tell_is_refused() {
+    fn a_size_that_differs_from_avr_size_is_refused() {
         for measured in [
             "flash 6513 B\nstatic 289 B\nstack 248 B\ncpu 7 %\n",
             "flash 6512 B\nstatic 288 B\nstack 248 B\ncpu 7 %\n",
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_another_form_is_refused() {
+    fn a_malformed_line_is_refused() {
         for line in ["stack", "248 B", "stack many B", "stack NaN B"] {
             let error = table(SIZE, line).unwrap_err().to_string();
             assert!(error.contains("not of the form"), "{error}");
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn all_other_figures_are_passed_on() {
+    fn all_other_figures_are_in_the_table() {
         let table = table(
             SIZE,
             "flash 6512 B\nstatic 289 B\nstack 248 B\ncpu 7.12 %\ninterrupt INT0, most 56 cycles\n",

@@ -1,20 +1,20 @@
-//! What the image must not contain, and what it takes of the UNO.
+//! Checks of the image: forbidden symbols and size.
 
 use std::{path::Path, process::Command};
 
 use crate::process::{Failure, output};
 
-/// What the image takes, in bytes.
+/// Size of the image, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Size {
-    /// Program and constants, and the initial values of variables.
+    /// Program, constants and initial values of variables.
     pub(crate) flash: u32,
-    /// Variables and constants, from the first instruction to the last. AVR
-    /// programs have their constants in SRAM too.
+    /// Static variables and constants. AVR programs have their constants in SRAM
+    /// too.
     pub(crate) static_sram: u32,
 }
 
-/// Refuses what is known to go wrong on an AVR, by the names in the image.
+/// Refuses symbols that are known to fail on an AVR.
 pub(crate) fn refuse_forbidden(elf: &Path) -> Result<(), Failure> {
     let symbols = output(Command::new("avr-nm").arg(elf))?;
     forbidden(&String::from_utf8_lossy(&symbols))
@@ -28,7 +28,7 @@ fn forbidden(symbols: &str) -> Result<(), String> {
             .filter_map(|line| line.split_whitespace().last())
     };
     if !names().any(|name| name.starts_with("__vector_")) {
-        return Err("no interrupt among its symbols: without them nothing can be checked".into());
+        return Err("no interrupt among its symbols, so it cannot be checked".into());
     }
     if let Some(name) = names().find(|name| ["__mulosi4", "__mulodi4", "__muloti4"].contains(name))
     {
@@ -39,19 +39,19 @@ fn forbidden(symbols: &str) -> Result<(), String> {
              factors, or multiply in a wider type"
         ));
     }
-    // The mangled path of core::fmt, and its traits' in implementations of them.
+    // The mangled path of core::fmt, and of its traits in implementations.
     if let Some(name) =
         names().find(|name| name.contains("4core3fmt") || name.contains("core..fmt.."))
     {
         return Err(format!(
-            "it contains {name}: formatting takes 3 to 7 KB of flash, and nobody reads the text. \
+            "it contains {name}: formatting takes 3 to 7 KB of flash, and the text is never shown. \
              Look for a derived Debug, unwrap, expect or an index that can panic"
         ));
     }
     Ok(())
 }
 
-/// Measures it.
+/// Measures the size of the image.
 pub(crate) fn size(elf: &Path) -> Result<Size, Failure> {
     let sections = output(Command::new("avr-size").arg("-A").arg(elf))?;
     size_of(&String::from_utf8_lossy(&sections)).ok_or_else(|| {
@@ -101,7 +101,7 @@ Total                       8320
 ";
 
     #[test]
-    fn initial_values_lie_in_flash_and_in_sram() {
+    fn initial_values_count_in_flash_and_in_sram() {
         assert_eq!(
             size_of(SECTIONS),
             Some(Size {
@@ -125,7 +125,7 @@ Total                       8320
     }
 
     #[test]
-    fn each_of_the_miscompiled_multiplications_is_named() {
+    fn each_miscompiled_multiplication_is_reported() {
         for name in ["__mulosi4", "__mulodi4", "__muloti4"] {
             let symbols = format!("00000080 T __vector_1\n00000a12 T {name}\n");
             assert!(forbidden(&symbols).unwrap_err().contains(name));
@@ -133,7 +133,7 @@ Total                       8320
     }
 
     #[test]
-    fn formatting_is_found_under_either_mangling() {
+    fn formatting_is_found_with_either_mangling() {
         for name in [
             "_ZN4core3fmt9Formatter3pad17h0123456789abcdefE",
             "_RNvNtCs1234_4core3fmt5write",

@@ -1,5 +1,5 @@
-//! The Arduino's image and the program that runs it, built and put where the
-//! simulator looks for them: in `uno` in the target folder.
+//! Builds the Arduino's image and the program that runs it, and places them where
+//! the simulator searches: in `uno` in the target folder.
 
 use std::{
     io::{self, IsTerminal},
@@ -17,17 +17,17 @@ use crate::{
     workspace::{cargo, root},
 };
 
-/// How loud the builds are.
+/// Verbosity of the builds.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Progress {
-    /// As cargo is.
+    /// Cargo's default.
     Shown,
     /// Warnings and errors only.
     Quiet,
 }
 
 impl Progress {
-    /// Shown on a terminal.
+    /// Progress is shown on a terminal only.
     pub(crate) fn of_stderr() -> Self {
         if io::stderr().is_terminal() {
             Self::Shown
@@ -36,23 +36,23 @@ impl Progress {
         }
     }
 
-    /// Cargo's.
+    /// Cargo's option for it.
     pub(crate) fn option(self) -> Option<&'static str> {
         (self == Self::Quiet).then_some("--quiet")
     }
 }
 
-/// Where the image is.
+/// Paths of the image.
 pub(crate) struct Image {
-    /// The folder of all files.
+    /// Folder of all files.
     pub(crate) folder: PathBuf,
-    /// What is flashed.
+    /// The image to flash.
     pub(crate) elf: PathBuf,
-    /// The same with its sections marked for the simulator.
+    /// The benchmark for the simulator.
     pub(crate) cycles_elf: PathBuf,
 }
 
-/// Installs what it takes, builds image and simulator, puts them in place.
+/// Installs the prerequisites, builds image and simulator, and places them.
 pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
     let machine = Machine::this();
     prerequisites::ensure(&machine, &prerequisites::IMAGE, &mut |found| {
@@ -71,7 +71,7 @@ pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
     })
 }
 
-/// Builds the image, has the simulator built, and puts both in place.
+/// Builds the image and the simulator, and places both.
 pub(crate) fn build(
     progress: Progress,
     build_simulator: impl FnOnce() -> Result<(), Failure>,
@@ -106,12 +106,12 @@ fn compiler() -> Result<Compiler, Failure> {
     compiler::find(&Machine::this(), AVR).map_err(|reasons| Failure::new(reasons.join("\n")))
 }
 
-/// Neither compiler nor clippy warns of the image.
+/// Checks that the image builds without warnings of compiler and clippy.
 pub(crate) fn lint() -> Result<(), Failure> {
     let compiler = compiler()?;
     let clippy = compiler.clippy(&Machine::this()).map_err(Failure::new)?;
     let build = build_folder(&target::folder()?);
-    // RUSTFLAGS would replace those that the image is built with.
+    // RUSTFLAGS would replace the image's own flags.
     let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
     check(uno_cargo(&compiler, "build", &build).args(deny))?;
     check(
@@ -121,7 +121,7 @@ pub(crate) fn lint() -> Result<(), Failure> {
     )
 }
 
-/// The image's crate, which is no member of the workspace.
+/// The image's crate, which is not a member of the workspace.
 pub(crate) fn folder() -> PathBuf {
     root().join("firmware/uno")
 }
@@ -130,12 +130,12 @@ fn build_folder(target: &Path) -> PathBuf {
     target.join("uno-build")
 }
 
-/// What is the same for every command. The image's `.cargo/config.toml` says
-/// everything else.
+/// The common part of all commands. The image's `.cargo/config.toml` has the other
+/// options.
 fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
     let mut cargo = cross_cargo(compiler, &folder());
     cargo
-        // It warns that AVR's linker does not know -no-pie, and does without.
+        // Suppresses the warning that AVR's linker does not support -no-pie.
         .env("RUSTC_LOG", "error")
         .args([command, "--release", "--locked", "--target-dir"])
         .arg(target);

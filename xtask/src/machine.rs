@@ -1,4 +1,4 @@
-//! The programs of this machine; in a test, stand-ins for them.
+//! The programs of this machine, or stand-ins in tests.
 
 use std::{
     env,
@@ -10,41 +10,42 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-/// Names the compiler for Arduino and Odroid, in place of the one that is found.
+/// Variable that names the compiler for Arduino and Odroid, which is otherwise
+/// searched.
 pub(crate) const COMPILER_VARIABLE: &str = "SINGLETRACK_RUSTC";
 
-/// Where programs and files outside the project are looked up.
+/// Locations of programs and files outside the project.
 #[derive(Clone, Debug)]
 pub(crate) struct Machine {
     /// Replaces `PATH`.
     pub(crate) path: Option<PathBuf>,
     /// The value of [`COMPILER_VARIABLE`].
     pub(crate) named_compiler: Option<PathBuf>,
-    /// Where Debian's package puts its compiler.
+    /// Path of Debian's compiler.
     pub(crate) debian_compiler: PathBuf,
-    /// Where apt keeps its package lists.
+    /// Folder of apt's package lists.
     pub(crate) package_lists: PathBuf,
-    /// May install packages; `None` until it is looked up.
+    /// Permission to install packages; `None` until it is determined.
     pub(crate) rights: Option<Rights>,
 }
 
-/// Who may install packages.
+/// Permission to install packages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rights {
-    /// This process.
+    /// This process is root.
     Root,
     /// sudo, without a password.
     Sudo,
-    /// No one without a password.
+    /// Not without a password.
     None,
 }
 
-/// What came of running a program.
+/// Result of running a program.
 pub(crate) struct Answer {
     pub(crate) success: bool,
-    /// What it printed on standard output, without the white space around it.
+    /// Its standard output, trimmed.
     pub(crate) stdout: String,
-    /// What it printed on both streams, likewise.
+    /// Its output on both streams, trimmed.
     pub(crate) text: String,
 }
 
@@ -56,7 +57,7 @@ impl Machine {
             named_compiler: env::var_os(COMPILER_VARIABLE)
                 .filter(|value| !value.is_empty())
                 .map(PathBuf::from)
-                // It is also called in other folders.
+                // Absolute, because programs also run in other folders.
                 .map(|path| match std::path::absolute(&path) {
                     Ok(absolute) if path.components().count() > 1 => absolute,
                     _ => path,
@@ -77,7 +78,7 @@ impl Machine {
         command
     }
 
-    /// Runs a program; `None` when there is none of that name.
+    /// Runs a program; `None` if it does not exist.
     pub(crate) fn ask<S: AsRef<OsStr>>(
         &self,
         program: impl AsRef<OsStr>,
@@ -86,7 +87,7 @@ impl Machine {
         answer(self.command(program).args(arguments))
     }
 
-    /// Who may install packages here.
+    /// The permission to install packages here.
     pub(crate) fn rights(&self) -> Rights {
         if let Some(rights) = self.rights {
             return rights;
@@ -102,7 +103,7 @@ impl Machine {
     }
 }
 
-/// Runs a command for what it prints; `None` when it does not start.
+/// Runs a command and captures its output; `None` if it does not start.
 pub(crate) fn answer(command: &mut Command) -> Option<Answer> {
     let output = command.output().ok()?;
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
@@ -113,7 +114,7 @@ pub(crate) fn answer(command: &mut Command) -> Option<Answer> {
     })
 }
 
-/// A folder for the files of one probe, removed at the end.
+/// A temporary folder for a probe.
 pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
@@ -124,7 +125,7 @@ impl Scratch {
             std::process::id(),
             NUMBER.fetch_add(1, Ordering::Relaxed)
         ));
-        // Never one that is there already: what is compiled in it is run.
+        // Must not exist yet, because programs compiled in it are run.
         fs::DirBuilder::new().mode(0o700).create(&folder)?;
         Ok(Self(folder))
     }
@@ -152,7 +153,7 @@ impl Drop for Scratch {
 pub(crate) mod stand_in {
     use super::*;
 
-    /// A machine that has nothing but the scripts that a test puts there.
+    /// A machine that has only the scripts of a test.
     pub(crate) struct Bare {
         pub(crate) folder: PathBuf,
         pub(crate) machine: Machine,
@@ -176,17 +177,18 @@ pub(crate) mod stand_in {
             Self { folder, machine }
         }
 
-        /// A program in the path: the body of a POSIX shell script.
+        /// Adds a program to the path, as the body of a POSIX shell script.
         pub(crate) fn program(&self, name: &str, script: &str) -> PathBuf {
             self.write(&Path::new("bin").join(name), script)
         }
 
-        /// A program anywhere in the machine's folder.
+        /// Adds a program anywhere in the machine's folder.
         pub(crate) fn write(&self, place: &Path, script: &str) -> PathBuf {
             let path = self.folder.join(place);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
-            // By another process: a file that this one has open for writing can be inherited
-            // by a program that another test starts, and then does not run.
+            // Written by another process: a file open for writing in this process
+            // could be inherited by a program of another test, and could then not
+            // be executed.
             let written = Command::new("/bin/sh")
                 .args([
                     "-c",
@@ -201,7 +203,7 @@ pub(crate) mod stand_in {
             path
         }
 
-        /// The calls that [`Self::logged`] programs have had, a line each.
+        /// The calls of [`Self::logged`] programs, one per line.
         pub(crate) fn calls(&self) -> Vec<String> {
             fs::read_to_string(self.folder.join("calls"))
                 .unwrap_or_default()
@@ -210,7 +212,7 @@ pub(crate) mod stand_in {
                 .collect()
         }
 
-        /// A line of script that notes the call.
+        /// A script line that logs the call.
         pub(crate) fn logged(&self, name: &str) -> String {
             format!(
                 "echo \"{name} $*\" >> '{}'",

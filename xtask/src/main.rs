@@ -1,8 +1,7 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
 //! `cargo demo`, `cargo faults`, `cargo uno`, `cargo odroid`, `cargo verify`.
 //!
-//! It depends on nothing, so that it is there at once on a machine that has
-//! nothing but a Rust toolchain.
+//! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
 
 mod compiler;
 mod cross_cargo;

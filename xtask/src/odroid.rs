@@ -1,4 +1,4 @@
-//! Daemon and tools for the Odroid XU4: 32-bit ARM, hard float, as Debian calls armhf.
+//! Daemon and tools for the Odroid XU4: 32-bit ARM with hard float (Debian's armhf).
 
 use std::{
     path::{Path, PathBuf},
@@ -9,7 +9,7 @@ use crate::{
     compiler::{self, ARM},
     cross_cargo::cross_cargo,
     machine::Machine,
-    prerequisites,
+    prerequisites::{self, QEMU, QEMU_OPTIONS},
     process::{Failure, check, output},
     release::Release,
     same_bits, target,
@@ -19,16 +19,12 @@ use crate::{
 pub(crate) const USAGE: &str = "\
 usage: cargo odroid
 
-Builds singletrackd and singletrack for the Odroid and prints where they are.
-Installs the Debian packages that are missing.
+Build singletrackd and singletrack for the Odroid and print their paths.
+Installs missing Debian packages.
 ";
 
 const TARGET: &str = "armv7-unknown-linux-gnueabihf";
 const COMPILER: &str = "arm-linux-gnueabihf-gcc";
-
-/// Runs programs for the Odroid here, with the C library that Debian has for them.
-pub(crate) const EMULATOR: &str = "qemu-arm-static";
-pub(crate) const EMULATOR_OPTIONS: [&str; 2] = ["-L", "/usr/arm-linux-gnueabihf"];
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
@@ -47,13 +43,13 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
             Ok(())
         }
         [unknown, ..] => Err(Failure::new(format!(
-            "{unknown:?} makes no sense here\n\n{USAGE}"
+            "unexpected argument {unknown:?}\n\n{USAGE}"
         ))),
     }
 }
 
-/// The Odroid computes what this machine computes, to the bit: a record made on
-/// the car is replayed here.
+/// Checks that the Odroid's programs compute the same bits as this machine: records
+/// of the car are replayed here.
 pub(crate) fn verify(release: Release) -> Result<(), Failure> {
     let folder = build(Programs::AsCompared)?;
     let daemon = folder.join("singletrackd");
@@ -61,7 +57,7 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
         let answer = output(emulated(&daemon).arg(question))?;
         if !String::from_utf8_lossy(&answer).contains("singletrackd") {
             return Err(Failure::new(format!(
-                "singletrackd {question}, emulated, does not say who it is"
+                "singletrackd {question}, emulated, does not print its name"
             )));
         }
     }
@@ -78,12 +74,12 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What is built of the two programs.
+/// Variants of the two programs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Programs {
-    /// Everything.
+    /// Complete.
     AsInstalled,
-    /// Neither live view nor figures: they take most of the time, and nothing of theirs is
+    /// Without live view and figures, which take most of the build time and are not
     /// compared.
     AsCompared,
 }
@@ -91,12 +87,12 @@ enum Programs {
 impl Programs {
     fn profile(self) -> &'static [&'static str] {
         match self {
-            // It is not debugged here, and that is a third of the time.
+            // Debug information would take a third of the time.
             Self::AsInstalled => &["--release", "--config", "profile.release.debug=false"],
             Self::AsCompared => &[
                 "--profile",
                 "compared",
-                // What is built with these features is linted nowhere else.
+                // This combination of features is linted only here.
                 "-Zwarnings",
                 "--config",
                 "build.warnings=\"deny\"",
@@ -112,7 +108,7 @@ impl Programs {
     }
 }
 
-/// Builds both programs and returns the folder that they are in.
+/// Builds both programs and returns their folder.
 fn build(programs: Programs) -> Result<PathBuf, Failure> {
     let compiler = compiler::find(&Machine::this(), ARM)
         .map_err(|reasons| Failure::new(reasons.join("\n")))?;
@@ -141,12 +137,9 @@ fn build(programs: Programs) -> Result<PathBuf, Failure> {
     Ok(target.join(TARGET).join(programs.folder()))
 }
 
-/// A program for the Odroid, on this machine.
+/// A command that runs a program for the Odroid in the emulator.
 fn emulated(program: &Path) -> Command {
-    let mut command = Command::new(EMULATOR);
-    command
-        .current_dir(root())
-        .args(EMULATOR_OPTIONS)
-        .arg(program);
+    let mut command = Command::new(QEMU);
+    command.current_dir(root()).args(QEMU_OPTIONS).arg(program);
     command
 }

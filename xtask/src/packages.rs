@@ -1,7 +1,7 @@
-//! Each pure package must build alone. In the workspace's build a package has the
-//! features that any other asks for, which hides the ones that it forgot. The packages of
-//! the host are not checked so: it takes minutes, and those that users build alone (`cargo
-//! demo`, `cargo faults`) fail at once, and visibly, if they forget one.
+//! Checks that each pure package builds alone. In the workspace's build, a package
+//! has the features requested by all others, which hides missing ones. The host's
+//! packages are not checked: it takes minutes, and missing features of those that
+//! users build alone (`cargo demo`, `cargo faults`) are errors at once.
 
 use crate::{
     process::{Failure, check},

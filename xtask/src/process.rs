@@ -1,4 +1,4 @@
-//! Running other programs.
+//! Running programs.
 
 use std::{
     fmt, io,
@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-/// Why a command of the project failed.
+/// Failure of a command of the project.
 #[derive(Debug)]
 pub(crate) struct Failure(String);
 
@@ -22,7 +22,7 @@ impl fmt::Display for Failure {
     }
 }
 
-/// Runs a command and passes its output on.
+/// Runs a command with inherited output.
 pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
     let status = command
         .stdin(Stdio::null())
@@ -31,11 +31,11 @@ pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
     if status.success() {
         Ok(())
     } else {
-        Err(Failure::new(format!("{}: {status}", spoken(command))))
+        Err(Failure::new(format!("{}: {status}", text_of(command))))
     }
 }
 
-/// Runs a command for its output.
+/// Runs a command and returns its output.
 pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
     let output = command
         .stdin(Stdio::null())
@@ -47,13 +47,13 @@ pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
     } else {
         Err(Failure::new(format!(
             "{}: {}",
-            spoken(command),
+            text_of(command),
             output.status
         )))
     }
 }
 
-/// Runs a command whose output is of interest only when it fails.
+/// Runs a command, and shows its output only if it fails.
 pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
     let output = command
         .stdin(Stdio::null())
@@ -62,21 +62,21 @@ pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
     if output.status.success() {
         return Ok(());
     }
-    let said = [output.stdout, output.stderr].concat();
+    let text = [output.stdout, output.stderr].concat();
     Err(Failure::new(format!(
         "{}: {}\n{}",
-        spoken(command),
+        text_of(command),
         output.status,
-        String::from_utf8_lossy(&said)
+        String::from_utf8_lossy(&text)
     )))
 }
 
 fn not_started(command: &Command, error: &io::Error) -> Failure {
-    Failure::new(format!("{} does not start: {error}", spoken(command)))
+    Failure::new(format!("{} does not start: {error}", text_of(command)))
 }
 
-/// A command as a person would type it, without its environment.
-fn spoken(command: &Command) -> String {
+/// A command as text, without its environment.
+fn text_of(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let mut text = program
         .file_name()
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_command_that_fails_is_named_as_it_is_typed() {
+    fn a_failed_command_is_reported_as_typed() {
         let mut command = Command::new("/bin/sh");
         command.env("A", "B").args(["-c", "exit 3"]);
         assert_eq!(
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_missing_is_named() {
+    fn a_missing_program_is_reported() {
         let error = output(&mut Command::new("no-such-program"))
             .unwrap_err()
             .to_string();
@@ -116,10 +116,10 @@ mod tests {
     }
 
     #[test]
-    fn the_output_of_a_silent_command_is_shown_when_it_fails() {
-        let said = |script: &str| silent(Command::new("/bin/sh").args(["-c", script]));
-        assert!(said("echo much").is_ok());
-        let failure = said("echo this is why; exit 3").unwrap_err().to_string();
+    fn the_output_of_a_silent_command_is_shown_on_failure() {
+        let run = |script: &str| silent(Command::new("/bin/sh").args(["-c", script]));
+        assert!(run("echo much").is_ok());
+        let failure = run("echo this is why; exit 3").unwrap_err().to_string();
         assert!(failure.contains("exit status: 3"), "{failure}");
         assert!(failure.ends_with("this is why\n"), "{failure}");
     }

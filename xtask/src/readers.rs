@@ -1,5 +1,5 @@
-//! Records are for the tools that labs already use: two readers from the package index open
-//! one, and find in it what we say it holds.
+//! Checks records with the readers of other labs' tools: two readers from the
+//! Python package index open one and compare its contents.
 
 use std::{
     fs, io,
@@ -38,16 +38,16 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
         .args([&singletrack, &record]))
 }
 
-/// An environment with the packages required; its Python.
+/// Creates an environment with the required packages; returns its Python.
 fn environment(folder: &Path, requirements: &Path) -> Result<PathBuf, Failure> {
-    let wanted = fs::read(requirements)
+    let required = fs::read(requirements)
         .map_err(|error| Failure::new(format!("{}: {error}", requirements.display())))?;
     let python = folder.join("bin/python");
-    // Left by the last one to get this far.
+    // Written after the last successful installation.
     let installed = folder.join("installed.txt");
-    // The Python that it was made with may be gone, or another by now.
+    // Its Python may have been removed or replaced.
     let works = || silent(Command::new(&python).args(["-c", "import mcap_ros2, rosbags"])).is_ok();
-    if fs::read(&installed).is_ok_and(|installed| installed == wanted) && works() {
+    if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
         return Ok(python);
     }
     let maker = prerequisites::python(&Machine::this()).map_err(Failure::new)?;
@@ -62,12 +62,12 @@ fn environment(folder: &Path, requirements: &Path) -> Result<PathBuf, Failure> {
             .args(["-m", "pip", "install", "--disable-pip-version-check", "-r"])
             .arg(requirements),
     )?;
-    fs::write(&installed, wanted)
+    fs::write(&installed, required)
         .map_err(|error| Failure::new(format!("{}: {error}", installed.display())))?;
     Ok(python)
 }
 
-/// A folder with nothing in it.
+/// Creates or empties a folder.
 fn empty(folder: &Path) -> io::Result<()> {
     match fs::remove_dir_all(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),

@@ -1,8 +1,8 @@
-//! The release builds that the checks run: all of them in one build of the workspace.
+//! The release builds for the checks, from one build of the workspace.
 //!
-//! A package that is built by itself has dependencies with other features than in the
-//! workspace, and they would be compiled again. So every check names the same packages,
-//! features and kinds of target, and cargo builds nothing twice.
+//! A package built alone has dependencies with other features than in the
+//! workspace, which are then compiled again. All checks therefore name the same
+//! packages, features and targets, and cargo builds nothing twice.
 
 use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
@@ -14,17 +14,17 @@ use crate::{
     workspace::{cargo, root},
 };
 
-/// Which release build.
+/// A release build.
 #[derive(Clone, Copy)]
 pub(crate) struct Release {
-    /// Whether the simulated Arduino is part of it.
+    /// Whether it includes the simulated Arduino.
     pub(crate) uno: bool,
 }
 
-/// The test target with hardware in the loop.
+/// The hardware-in-the-loop test target.
 const SUITE: &str = "hil";
 
-/// What takes simavr, and the image, to build.
+/// Features that need simavr and the image.
 const UNO_FEATURES: &str = "singletrack-simavr/simavr,singletrack-sim/uno";
 
 impl Release {
@@ -36,15 +36,25 @@ impl Release {
     /// Cargo's arguments that name the packages and their features.
     fn selection(self) -> Vec<&'static str> {
         let mut arguments = vec!["--release", "--workspace"];
-        // They are run from debug builds alone.
+        // These run only in debug builds.
         arguments.extend(["--exclude", "xtask", "--exclude", "singletrack-fuzz"]);
         arguments.extend(features(self.uno));
         arguments
     }
 
-    /// Builds all programs, and the suite for hardware in the loop.
+    /// All tests in virtual time, as debug builds, which check for overflow.
+    pub(crate) fn debug_tests(self) -> Command {
+        let mut tests = cargo();
+        tests
+            .args(["test", "--workspace", "--exclude", "singletrack-hil"])
+            .args(features(self.uno));
+        tests
+    }
+
+    /// Builds all programs and the hardware-in-the-loop suite.
     pub(crate) fn build(self) -> Result<(), Failure> {
-        // With that test among them: dependencies then have the features that it asks for.
+        // Including that test, so that dependencies have the features that it
+        // needs.
         check(
             cargo()
                 .arg("build")
@@ -53,20 +63,20 @@ impl Release {
         )
     }
 
-    /// A program of the workspace, built.
+    /// Builds a program of the workspace.
     pub(crate) fn program(self, name: &str) -> Result<Command, Failure> {
         let mut command = Command::new(self.path(name)?);
         command.current_dir(root());
         Ok(command)
     }
 
-    /// Where a program of the workspace is; it is built before.
+    /// Builds a program of the workspace and returns its path.
     pub(crate) fn path(self, name: &str) -> Result<PathBuf, Failure> {
         self.build()?;
         Ok(target::folder()?.join("release").join(name))
     }
 
-    /// The suite for hardware in the loop; its own arguments follow.
+    /// The hardware-in-the-loop suite; its own arguments follow.
     pub(crate) fn suite(self) -> Command {
         let mut command = cargo();
         command
@@ -77,16 +87,16 @@ impl Release {
     }
 }
 
-/// Says so when a program is about to be built for the first time.
+/// Prints a notice before the first build of a program.
 pub(crate) fn announce(program: &str) -> Result<(), Failure> {
     if !target::folder()?.join("release").join(program).is_file() {
-        eprintln!("Building {program}: the first time takes some minutes");
+        eprintln!("Building {program}: the first build takes some minutes");
     }
     Ok(())
 }
 
-/// Becomes `cargo run` with arguments for the program; returns only when that fails. The
-/// build shows cargo's progress on a terminal.
+/// Replaces this process by `cargo run` with arguments for the program; returns
+/// only on failure. Cargo shows progress on a terminal.
 pub(crate) fn become_program(mut cargo_run: Command, arguments: &[String]) -> Result<(), Failure> {
     cargo_run
         .args(Progress::of_stderr().option())
@@ -98,7 +108,7 @@ pub(crate) fn become_program(mut cargo_run: Command, arguments: &[String]) -> Re
     )))
 }
 
-/// The features with which checks build the workspace.
+/// The features of the workspace for the checks.
 pub(crate) fn features(uno: bool) -> impl IntoIterator<Item = &'static str> {
     if uno {
         ["--features", UNO_FEATURES].as_slice()

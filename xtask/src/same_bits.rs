@@ -1,16 +1,16 @@
-//! Debug and release builds must simulate the same bits: a replay of what the
-//! car's computer recorded is worth nothing otherwise.
+//! Debug and release builds must simulate the same bits. Otherwise, records of the
+//! car's computer could not be replayed.
 
 use std::{path::PathBuf, process::Command};
 
 use crate::{
     process::{Failure, check as check_command, output},
     release::Release,
-    target, verify,
+    target,
     workspace::root,
 };
 
-/// One scenario of each plant.
+/// One scenario per plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle.toml",
     "tools/scenarios/circle-sampled.toml",
@@ -31,10 +31,10 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The debug build that the tests have made: built for itself, it would have other
-/// features, and all its libraries would be built again.
+/// The debug build of the tests. Built alone, it would have other features, and all
+/// its libraries would be built again.
 fn debug_program(release: Release) -> Result<PathBuf, Failure> {
-    check_command(verify::debug_tests(release).args(["--no-run", "--quiet"]))?;
+    check_command(release.debug_tests().args(["--no-run", "--quiet"]))?;
     Ok(target::folder()?.join("debug").join("singletrack"))
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn simulate(release: Release, scenario: &str) -> Result<Command, Fail
     Ok(command)
 }
 
-/// Runs two builds and compares what they print, to the byte.
+/// Runs two builds and compares their output, byte by byte.
 pub(crate) fn compare(
     scenario: &str,
     (one_name, one): (&str, &mut Command),
@@ -83,7 +83,7 @@ mod tests {
     use super::first_difference;
 
     #[test]
-    fn the_first_line_that_differs_is_named() {
+    fn the_first_different_line_is_reported() {
         assert_eq!(first_difference(b"a\nb\n", b"a\nb\n"), None);
         assert_eq!(
             first_difference(b"a\nb\n", b"a\nc\n").as_deref(),

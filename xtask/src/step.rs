@@ -1,4 +1,4 @@
-//! Steps of a verification: named, announced, timed.
+//! Steps of a verification, with names and times.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ use crate::{
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     pub(crate) what: &'static str,
-    /// The part of the checks that it belongs to, if that can be left out.
+    /// The optional part of the checks that it belongs to.
     pub(crate) part: Option<Part>,
     /// Other parts whose prerequisites it needs.
     needs: Vec<Part>,
@@ -49,7 +49,7 @@ impl Step {
         self
     }
 
-    /// It needs what a part needs, without belonging to it.
+    /// Adds the prerequisites of a part without making it belong to the part.
     pub(crate) fn needing(mut self, part: Option<Part>) -> Self {
         self.needs.extend(part);
         self
@@ -61,8 +61,8 @@ impl Step {
     }
 }
 
-/// Runs the steps chosen and stops at the first that fails. Says how long each took, and
-/// which were not run.
+/// Runs the selected steps up to the first failure. Prints the time of each, and
+/// the steps that were not run.
 pub(crate) fn run_all(steps: &[Step], chosen: &dyn Fn(&Step) -> bool) -> Result<(), Failure> {
     let mut took = Vec::new();
     let mut result = Ok(());
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_run_in_order_up_to_the_first_that_fails() {
+    fn steps_run_in_order_up_to_the_first_failure() {
         let ran = Rc::new(RefCell::new(Vec::new()));
         let step = |name: &'static str, succeeds: bool| {
             let ran = Rc::clone(&ran);

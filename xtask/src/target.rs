@@ -1,4 +1,4 @@
-//! The workspace's target folder, and files put into it.
+//! The workspace's target folder.
 
 use std::{
     fs, io,
@@ -10,16 +10,17 @@ use crate::{
     workspace::{cargo, root},
 };
 
-/// Where cargo builds the workspace, whatever environment or configuration say.
+/// The target folder, with environment and configuration applied.
 pub(crate) fn folder() -> Result<PathBuf, Failure> {
     let metadata = output(cargo().args(["metadata", "--no-deps", "--format-version", "1"]))?;
-    target_directory(&String::from_utf8_lossy(&metadata))
-        .ok_or_else(|| Failure::new("`cargo metadata` does not tell the target folder".to_owned()))
+    target_directory(&String::from_utf8_lossy(&metadata)).ok_or_else(|| {
+        Failure::new("`cargo metadata` does not report the target folder".to_owned())
+    })
 }
 
-/// Rebuilds the workspace's own programs if the target folder came from another checkout:
-/// tests know the paths of the checkout where they were compiled, and cargo takes those of
-/// a copied or moved one as fresh.
+/// Rebuilds the workspace's programs if the target folder came from another
+/// checkout: tests contain paths of the checkout that compiled them, and cargo
+/// considers a copied or moved build fresh.
 pub(crate) fn adopt() -> Result<(), Failure> {
     let folder = folder()?;
     let note = folder.join("checkout.txt");
@@ -35,7 +36,7 @@ pub(crate) fn adopt() -> Result<(), Failure> {
         .map_err(|error| Failure::new(format!("cannot write {}: {error}", note.display())))
 }
 
-/// The one string in cargo's JSON that is of interest.
+/// The target folder in cargo's JSON.
 fn target_directory(metadata: &str) -> Option<PathBuf> {
     let (_, rest) = metadata.split_once("\"target_directory\":\"")?;
     let mut path = String::new();
@@ -45,7 +46,7 @@ fn target_directory(metadata: &str) -> Option<PathBuf> {
             '"' => return Some(path.into()),
             '\\' => match characters.next()? {
                 escaped @ ('"' | '\\' | '/') => path.push(escaped),
-                // A control character in a path: nobody who means it.
+                // Control characters in paths are not supported.
                 _ => return None,
             },
             character => path.push(character),
@@ -53,8 +54,7 @@ fn target_directory(metadata: &str) -> Option<PathBuf> {
     }
 }
 
-/// Copies a program to where others run it: whole or not at all, and not when
-/// it is there already.
+/// Copies a program atomically to its place, unless it is already there.
 pub(crate) fn put(from: &Path, to: &Path) -> Result<(), Failure> {
     place(from, to).map_err(|error| {
         Failure::new(format!(
@@ -73,10 +73,10 @@ fn place(from: &Path, to: &Path) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }
-    let beside = to.with_added_extension(format!("{}.part", std::process::id()));
-    // With the permissions: one of them is a program.
-    fs::copy(from, &beside)?;
-    fs::rename(&beside, to)
+    let temporary = to.with_added_extension(format!("{}.part", std::process::id()));
+    // Copies the permissions too, for programs.
+    fs::copy(from, &temporary)?;
+    fs::rename(&temporary, to)
 }
 
 #[cfg(test)]
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_replaced_when_it_differs_and_left_alone_when_not() {
+    fn a_file_is_replaced_only_if_it_differs() {
         let folder = std::env::temp_dir().join(format!("xtask-put-{}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
         let (from, to) = (folder.join("from"), folder.join("new/to"));
@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(
             fs::read_dir(folder.join("new")).unwrap().count(),
             1,
-            "nothing is left beside it"
+            "a temporary file is left"
         );
         fs::remove_dir_all(&folder).unwrap();
     }

@@ -1,4 +1,4 @@
-//! What systemd says of the service in `packaging/`.
+//! Checks the service in `packaging/` with systemd.
 
 use std::{fs, io, path::Path, process::Command};
 
@@ -10,13 +10,13 @@ use crate::{
 
 const UNIT: &str = "singletrackd.service";
 
-/// For the Odroid alone.
+/// Only for the Odroid.
 const DROP_IN: &str = "singletrackd.service.d/xu4.conf";
 
-/// Exposure by systemd's own count, 0 to 10. gpsd has 9.6, chrony 3.7.
-const MOST_EXPOSED: f64 = 1.6;
+/// Limit for systemd's exposure level, 0 to 10. gpsd has 9.6, chrony 3.7.
+const MAX_EXPOSURE: f64 = 1.6;
 
-/// Verifies the unit with and without the Odroid's drop-in, and how exposed it is.
+/// Verifies the unit and its exposure, with and without the Odroid's drop-in.
 pub(crate) fn check() -> Result<(), Failure> {
     let folder = target::folder()?.join("units");
     for drop_in in [None, Some(DROP_IN)] {
@@ -25,10 +25,10 @@ pub(crate) fn check() -> Result<(), Failure> {
             .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
         verify(&unit)?;
         let exposure = exposure(&unit)?;
-        if exposure > MOST_EXPOSED {
+        if exposure > MAX_EXPOSURE {
             return Err(Failure::new(format!(
-                "{UNIT} is exposed to {exposure}, more than {MOST_EXPOSED}; \
-                 `systemd-analyze security --offline=yes packaging/{UNIT}` says by what"
+                "{UNIT} has an exposure level of {exposure}, above {MAX_EXPOSURE}; \
+                 `systemd-analyze security --offline=yes packaging/{UNIT}` lists the reasons"
             )));
         }
         println!("{}: verified, exposure {exposure}", drop_in.unwrap_or(UNIT));
@@ -36,8 +36,8 @@ pub(crate) fn check() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Puts the unit where systemd finds it with its drop-in; what it starts is a
-/// program that is there, because it need not be installed for this.
+/// Places the unit where systemd finds it with its drop-in. The program is replaced
+/// by an existing one, because the package need not be installed.
 fn lay_out(folder: &Path, drop_in: Option<&str>) -> io::Result<std::path::PathBuf> {
     let packaging = root().join("packaging");
     let unit = folder.join(UNIT);
@@ -57,21 +57,21 @@ fn lay_out(folder: &Path, drop_in: Option<&str>) -> io::Result<std::path::PathBu
     Ok(unit)
 }
 
-/// Systemd succeeds even with keys that it does not know: it must say nothing.
+/// Checks that systemd prints nothing: it succeeds even with unknown keys.
 fn verify(unit: &Path) -> Result<(), Failure> {
-    let said = Command::new("systemd-analyze")
+    let verified = Command::new("systemd-analyze")
         .args(["verify", "--man=no"])
         .arg(unit)
         .output()
         .map_err(|error| Failure::new(format!("systemd-analyze does not start: {error}")))?;
-    let text = [said.stdout, said.stderr].concat();
-    if said.status.success() && text.is_empty() {
+    let text = [verified.stdout, verified.stderr].concat();
+    if verified.status.success() && text.is_empty() {
         return Ok(());
     }
     Err(Failure::new(format!(
         "systemd-analyze verify {}: {}\n{}",
         unit.display(),
-        said.status,
+        verified.status,
         String::from_utf8_lossy(&text)
     )))
 }
@@ -83,7 +83,7 @@ fn exposure(unit: &Path) -> Result<f64, Failure> {
             .arg(unit),
     )?;
     level(&String::from_utf8_lossy(&report)).ok_or_else(|| {
-        Failure::new("`systemd-analyze security` does not tell an exposure level".to_owned())
+        Failure::new("`systemd-analyze security` prints no exposure level".to_owned())
     })
 }
 

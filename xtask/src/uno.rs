@@ -1,4 +1,4 @@
-//! `cargo uno`: builds the Arduino's image, checks it, flashes it.
+//! `cargo uno`: builds, checks and flashes the Arduino's image.
 
 use std::{
     fs,
@@ -19,17 +19,17 @@ use crate::{
 pub(crate) const USAGE: &str = "\
 usage: cargo uno [--flash PORT]
 
-Builds the image for the Arduino UNO, runs it in simavr, and says what it takes
-of flash, SRAM and processor. Fails when that is more than its budget. Installs
-the Debian packages that are missing.
+Build the image for the Arduino UNO, run it in simavr, and print its use of flash,
+SRAM and processor. Fails if a budget is exceeded. Installs missing Debian
+packages.
 
-  --flash PORT   then writes it to the UNO at PORT, such as /dev/ttyACM0
-  -h, --help     says this
+  --flash PORT   then write it to the UNO at PORT, such as /dev/ttyACM0
+  -h, --help     print this help
 ";
 
-/// What is asked for.
+/// The requested action.
 #[derive(Debug, PartialEq, Eq)]
-enum Asked {
+enum UnoCommand {
     Help,
     Check,
     Flash(PathBuf),
@@ -37,27 +37,27 @@ enum Asked {
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match parse(arguments)? {
-        Asked::Help => {
+        UnoCommand::Help => {
             print!("{USAGE}");
             Ok(())
         }
-        Asked::Check => build_and_check().map(drop),
-        Asked::Flash(port) => {
-            // Before the minutes of building.
-            look_at(&port)?;
-            let wanted = [&[prerequisites::PROGRAMMER][..], &prerequisites::IMAGE].concat();
-            prerequisites::ensure(&Machine::this(), &wanted, &mut |_| {})?;
+        UnoCommand::Check => build_and_check().map(drop),
+        UnoCommand::Flash(port) => {
+            // Before the build, which takes minutes.
+            check_port(&port)?;
+            let required = [&[prerequisites::PROGRAMMER][..], &prerequisites::IMAGE].concat();
+            prerequisites::ensure(&Machine::this(), &required, &mut |_| {})?;
             flash(&build_and_check()?.elf, &port)
         }
     }
 }
 
-fn parse(arguments: &[String]) -> Result<Asked, Failure> {
+fn parse(arguments: &[String]) -> Result<UnoCommand, Failure> {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
-        [] => Ok(Asked::Check),
-        ["--help" | "-h"] => Ok(Asked::Help),
-        ["--flash", port] if !port.is_empty() => Ok(Asked::Flash(port.into())),
+        [] => Ok(UnoCommand::Check),
+        ["--help" | "-h"] => Ok(UnoCommand::Help),
+        ["--flash", port] if !port.is_empty() => Ok(UnoCommand::Flash(port.into())),
         ["--flash"] => Err(Failure::new(format!(
             "--flash needs the UNO's port, such as /dev/ttyACM0\n\n{USAGE}"
         ))),
@@ -66,7 +66,7 @@ fn parse(arguments: &[String]) -> Result<Asked, Failure> {
             argument["--flash=".len()..].to_owned(),
         ]),
         [unknown, ..] => Err(Failure::new(format!(
-            "{unknown:?} makes no sense here\n\n{USAGE}"
+            "unexpected argument {unknown:?}\n\n{USAGE}"
         ))),
     }
 }
@@ -82,14 +82,14 @@ fn build_and_check() -> Result<Image, Failure> {
     Ok(image)
 }
 
-/// Checks an image against its budgets, with the program that measures it.
+/// Checks an image against its budgets, with the measuring program.
 pub(crate) fn check_image(image: &Image, measure: &mut Command) -> Result<(), Failure> {
     for elf in [&image.elf, &image.cycles_elf] {
         gates::refuse_forbidden(elf)?;
     }
     let size = gates::size(&image.elf)?;
     let measured = output(
-        // This image, and none that the environment names.
+        // This image, not one named by the environment.
         measure.env("SINGLETRACK_UNO", &image.folder),
     )?;
     let table = figures::table(size, &String::from_utf8_lossy(&measured))?;
@@ -97,34 +97,34 @@ pub(crate) fn check_image(image: &Image, measure: &mut Command) -> Result<(), Fa
     figures::check(&table)
 }
 
-/// Says early what avrdude would say late and less clearly.
-fn look_at(port: &Path) -> Result<(), Failure> {
+/// Checks the port early, with clearer messages than avrdude's.
+fn check_port(port: &Path) -> Result<(), Failure> {
     let name = port.display();
     let metadata = fs::metadata(port).map_err(|error| {
         Failure::new(format!(
             "{name}: {error}. Is the UNO plugged in? `ls /dev/serial/by-id /dev/ttyACM* \
-             /dev/ttyUSB*` lists what there is"
+             /dev/ttyUSB*` lists the ports"
         ))
     })?;
     if !metadata.file_type().is_char_device() {
-        return Err(Failure::new(format!("{name} is no serial port")));
+        return Err(Failure::new(format!("{name} is not a serial port")));
     }
     // Opening it would reset the board.
     let port = port.as_os_str();
     let may_use = Command::new("test")
         .args(["-r".as_ref(), port, "-a".as_ref(), "-w".as_ref(), port])
         .status();
-    // Where there is no such program, avrdude will tell.
+    // Without this program, avrdude reports the error.
     if may_use.is_ok_and(|status| !status.success()) {
         return Err(Failure::new(format!(
-            "you may not use {name}: become a member of the group that owns it, `sudo usermod \
+            "no permission for {name}: add yourself to the group that owns it, `sudo usermod \
              --append --groups dialout $USER`, and log in again"
         )));
     }
     Ok(())
 }
 
-/// Writes the image into the board's flash and reads it back.
+/// Writes the image to the board's flash and verifies it.
 fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
     let hex = elf.with_extension("hex");
     check(
@@ -165,7 +165,7 @@ fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(arguments: &[&str]) -> Result<Asked, Failure> {
+    fn parsed(arguments: &[&str]) -> Result<UnoCommand, Failure> {
         parse(
             &arguments
                 .iter()
@@ -175,17 +175,17 @@ mod tests {
     }
 
     #[test]
-    fn a_port_is_given_in_either_form() {
+    fn the_port_has_two_forms() {
         for arguments in [&["--flash", "/dev/ttyACM0"][..], &["--flash=/dev/ttyACM0"]] {
             assert_eq!(
                 parsed(arguments).unwrap(),
-                Asked::Flash("/dev/ttyACM0".into())
+                UnoCommand::Flash("/dev/ttyACM0".into())
             );
         }
     }
 
     #[test]
-    fn what_makes_no_sense_is_refused_with_the_usage() {
+    fn unexpected_arguments_are_refused_with_the_usage() {
         for arguments in [
             &["--flsh", "/dev/ttyACM0"][..],
             &["--flash"],
@@ -200,8 +200,8 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_no_port_is_refused_before_anything_is_built() {
-        assert!(look_at(Path::new("/dev/no-such-port")).is_err());
-        assert!(look_at(Path::new("/")).is_err());
+    fn an_invalid_port_is_refused_before_the_build() {
+        assert!(check_port(Path::new("/dev/no-such-port")).is_err());
+        assert!(check_port(Path::new("/")).is_err());
     }
 }

@@ -19,21 +19,20 @@ use crate::{
 pub(crate) const USAGE: &str = "\
 usage: cargo verify [STEP...] [--without PART[,PART...]]
 
-Runs every check of the project, or the steps named. Tries first whether the machine
-can do what they need, and installs the Debian packages that are missing or too old.
-Prints how long each step took, stops at the first that fails, and lists what was not
-run.
+Run every check of the project, or the named steps. First tests the prerequisites on
+this machine, and installs Debian packages that are missing or too old. Prints the time
+of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   leaves out all steps of a part: uno, odroid, readers, units
-  -h, --help       prints this
+  --without PART   skip all steps of a part: uno, odroid, readers, units
+  -h, --help       print this help
 ";
 
 /// The first step, which always runs.
 const PREREQUISITES: &str = "prerequisites";
 
-/// What is asked for.
+/// The selected steps.
 #[derive(Debug, Default, PartialEq, Eq)]
-struct Request {
+struct Selection {
     steps: Vec<String>,
     without: Vec<Part>,
 }
@@ -45,7 +44,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     {
         print!("{USAGE}\nSteps, and the part that each belongs to:\n");
         println!(
-            "  {PREREQUISITES:14} {:8} the machine can do what the steps need; always first",
+            "  {PREREQUISITES:14} {:8} the machine meets the prerequisites; always first",
             ""
         );
         for step in steps(&[]) {
@@ -61,10 +60,12 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     let parts = request.parts_needed(&steps);
     let first = Step::new(
         PREREQUISITES,
-        "the machine can do what the checks need",
+        "the machine meets the prerequisites",
         move || {
-            let wanted = prerequisites::of_parts(&parts);
-            prerequisites::ensure(&Machine::this(), &wanted, &mut |found| println!("{found}"))
+            let required = prerequisites::of_parts(&parts);
+            prerequisites::ensure(&Machine::this(), &required, &mut |found| {
+                println!("{found}");
+            })
         },
     );
     let steps: Vec<Step> = [first].into_iter().chain(steps).collect();
@@ -73,22 +74,22 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     });
     if !request.without.is_empty() {
         let parts: Vec<&str> = request.without.iter().map(|part| part.name()).collect();
-        println!("Left out, by --without: {}", parts.join(", "));
+        println!("Skipped by --without: {}", parts.join(", "));
     }
     if request.without.contains(&Part::Uno) {
-        println!("Without uno, lints and tests leave out the simulated Arduino and its image.");
+        println!("Without uno, lints and tests do not cover the simulated Arduino and its image.");
     }
     result
 }
 
-impl Request {
+impl Selection {
     /// Whether a step is to run.
     fn chooses(&self, step: &Step) -> bool {
         !step.part.is_some_and(|part| self.without.contains(&part))
             && (self.steps.is_empty() || self.steps.iter().any(|name| name == step.name))
     }
 
-    /// Refuses steps that there are not, or that are left out.
+    /// Refuses steps that do not exist or are skipped.
     fn check(&self, steps: &[Step]) -> Result<(), Failure> {
         for name in self.steps.iter().filter(|name| *name != PREREQUISITES) {
             let Some(step) = steps.iter().find(|step| step.name == name) else {
@@ -98,15 +99,15 @@ impl Request {
             };
             if !self.chooses(step) {
                 return Err(Failure::new(format!(
-                    "the step {name} is asked for, and left out by --without"
+                    "the step {name} is named, but skipped by --without"
                 )));
             }
         }
         Ok(())
     }
 
-    /// The parts whose prerequisites the chosen steps need. The step `prerequisites`, asked
-    /// for by name, tries those of everything that is not left out.
+    /// The parts whose prerequisites the selected steps need. The step
+    /// `prerequisites`, if named, tests those of all parts that are not skipped.
     fn parts_needed(&self, steps: &[Step]) -> Vec<Part> {
         let everything = self.steps.iter().any(|name| name == PREREQUISITES);
         let needed: Vec<Part> = steps
@@ -121,8 +122,8 @@ impl Request {
     }
 }
 
-fn parse(arguments: &[String]) -> Result<Request, Failure> {
-    let mut request = Request::default();
+fn parse(arguments: &[String]) -> Result<Selection, Failure> {
+    let mut request = Selection::default();
     let mut arguments = arguments.iter().map(String::as_str);
     while let Some(argument) = arguments.next() {
         let list = match argument.strip_prefix("--without") {
@@ -157,16 +158,7 @@ fn parse(arguments: &[String]) -> Result<Request, Failure> {
     Ok(request)
 }
 
-/// All tests that take no more time than they need, in debug builds: overflow is checked.
-pub(crate) fn debug_tests(release: Release) -> Command {
-    let mut tests = cargo();
-    tests
-        .args(["test", "--workspace", "--exclude", "singletrack-hil"])
-        .args(features(release.uno));
-    tests
-}
-
-/// The checks, in order: the quick ones first, those in real time last.
+/// The checks in order: fast ones first, real-time ones last.
 fn steps(without: &[Part]) -> Vec<Step> {
     let release = Release {
         uno: !without.contains(&Part::Uno),
@@ -181,7 +173,7 @@ fn steps(without: &[Part]) -> Vec<Step> {
     .collect()
 }
 
-/// What is wrong with the text of the programs.
+/// Static checks.
 fn text_steps(release: Release) -> Vec<Step> {
     vec![
         Step::new("format", "the code is formatted", format),
@@ -194,10 +186,15 @@ fn text_steps(release: Release) -> Vec<Step> {
                 .chain(["--", "-D", "warnings"]),
         )
         .needing(release.part()),
-        Step::new("lints-uno", "none in the Arduino's image", image::lint).of(Part::Uno),
+        Step::new(
+            "lints-uno",
+            "no warning in the Arduino's image",
+            image::lint,
+        )
+        .of(Part::Uno),
         Step::new(
             "packages",
-            "each pure package builds alone, with the features that it asks for itself",
+            "each pure package builds alone, with its own features",
             packages::check_all,
         ),
         Step::new(
@@ -213,14 +210,14 @@ fn text_steps(release: Release) -> Vec<Step> {
         ),
         Step::new(
             "units",
-            "systemd accepts the service's unit without a warning and rates it as hardly exposed",
+            "systemd accepts the service's unit without warnings and rates its exposure as low",
             units::check,
         )
         .of(Part::Units),
     ]
 }
 
-/// What is wrong with the programs, in as little time as they take.
+/// Checks of the programs in virtual time.
 fn program_steps(release: Release) -> Vec<Step> {
     vec![
         Step::new("programs", "release builds of all programs", move || {
@@ -229,7 +226,7 @@ fn program_steps(release: Release) -> Vec<Step> {
         .needing(release.part()),
         Step::new(
             "uno",
-            "the Arduino's image contains nothing miscompiled and keeps to its budgets",
+            "the Arduino's image has no miscompiled code and stays within its budgets",
             move || {
                 uno::check_image(
                     &with_simulator(release)?,
@@ -241,12 +238,12 @@ fn program_steps(release: Release) -> Vec<Step> {
         Step::new(
             "tests",
             if release.uno {
-                "unit, property and virtual-time tests, of the Arduino's image too"
+                "unit, property and virtual-time tests, including the Arduino's image"
             } else {
-                "unit, property and virtual-time tests, not of the Arduino's image"
+                "unit, property and virtual-time tests, without the Arduino's image"
             },
             move || {
-                let mut tests = debug_tests(release);
+                let mut tests = release.debug_tests();
                 if release.uno {
                     with_image(release, &mut tests)
                 } else {
@@ -263,14 +260,14 @@ fn program_steps(release: Release) -> Vec<Step> {
         .needing(release.part()),
         Step::new(
             "readers",
-            "independent readers find in a record what it holds, and in a recovered one",
+            "independent readers agree on the contents of a record and of a repaired one",
             move || readers::check(release),
         )
         .of(Part::Readers)
         .needing(release.part()),
         Step::new(
             "faults",
-            "random faults in virtual time break nothing that must hold",
+            "random faults in virtual time violate no invariant",
             move || {
                 check(
                     release
@@ -280,14 +277,18 @@ fn program_steps(release: Release) -> Vec<Step> {
             },
         )
         .needing(release.part()),
-        Step::new("faults-uno", "nor with the Arduino's image", move || {
-            with_image(
-                release,
-                release
-                    .program("singletrack-faults")?
-                    .args(["--count", "8", "--board", "uno"]),
-            )
-        })
+        Step::new(
+            "faults-uno",
+            "the same with the Arduino's image",
+            move || {
+                with_image(
+                    release,
+                    release
+                        .program("singletrack-faults")?
+                        .args(["--count", "8", "--board", "uno"]),
+                )
+            },
+        )
         .of(Part::Uno),
         Step::new(
             "odroid",
@@ -299,7 +300,7 @@ fn program_steps(release: Release) -> Vec<Step> {
     ]
 }
 
-/// What only shows in real time.
+/// Checks in real time.
 fn real_time_steps(release: Release) -> Vec<Step> {
     let suite = move |board| {
         let mut suite = release.suite();
@@ -324,19 +325,19 @@ fn real_time_steps(release: Release) -> Vec<Step> {
     ]
 }
 
-/// The image of this source, with its simulator of this release build.
+/// Builds this source's image, with its simulator from this release build.
 fn with_simulator(release: Release) -> Result<Image, Failure> {
     image::build(Progress::Shown, || release.build())
 }
 
-/// Runs a command with the image of this source: chosen alone, a step must not test one
-/// that was left behind, nor one that the environment names.
+/// Runs a command with this source's image: a step that runs alone must not test an
+/// old image or one named by the environment.
 fn with_image(release: Release, command: &mut Command) -> Result<(), Failure> {
     let image = with_simulator(release)?;
     check(command.env("SINGLETRACK_UNO", &image.folder))
 }
 
-/// That of the workspace, and of the image, which is no member of it.
+/// Checks the format of the workspace and of the image, which is not a member.
 fn format() -> Result<(), Failure> {
     check(cargo().args(["fmt", "--all", "--check"]))?;
     check(
@@ -350,13 +351,13 @@ fn format() -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Request, Failure> {
+    fn parsed(line: &str) -> Result<Selection, Failure> {
         let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         parse(&arguments)
     }
 
     #[test]
-    fn parts_are_left_out_in_either_form_and_once() {
+    fn parts_are_skipped_in_either_form() {
         let without = vec![Part::Uno, Part::Readers];
         for line in [
             "--without uno,readers",
@@ -379,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn each_step_chosen_alone_has_what_it_needs() {
+    fn each_step_has_its_prerequisites_when_run_alone() {
         let needed = |line: &str| {
             let request = parsed(line).unwrap();
             request.parts_needed(&steps(&request.without))
@@ -404,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_needs_nothing() {
+    fn skipped_parts_need_nothing() {
         for line in ["--without uno,odroid", "prerequisites --without uno,odroid"] {
             let request = parsed(line).unwrap();
             let steps = steps(&request.without);
@@ -415,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_that_is_unknown_or_left_out_is_refused() {
+    fn an_unknown_or_skipped_step_is_refused() {
         let why = |line: &str| {
             let request = parsed(line).unwrap();
             request
@@ -424,6 +425,6 @@ mod tests {
                 .to_string()
         };
         assert!(why("test").contains("unknown step \"test\""));
-        assert!(why("uno --without uno").contains("left out by --without"));
+        assert!(why("uno --without uno").contains("skipped by --without"));
     }
 }

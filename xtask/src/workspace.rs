@@ -1,4 +1,4 @@
-//! Where the workspace is, and the cargo that builds it.
+//! The workspace's root, and its cargo.
 
 use std::{
     env,
@@ -9,17 +9,17 @@ use std::{
 
 use crate::process::Failure;
 
-/// The workspace's root. [`find`] must have succeeded before, as it does at the start
-/// of `main`.
+/// The workspace's root. Requires a previous successful [`find`], which `main`
+/// calls first.
 pub(crate) fn root() -> &'static Path {
     static ROOT: OnceLock<PathBuf> = OnceLock::new();
     ROOT.get_or_init(|| find().unwrap_or_default())
 }
 
-/// Finds the workspace when it is asked for, never when this is compiled: a checkout
-/// that was copied or moved keeps its programs, and they must build the copy.
+/// Finds the workspace at run time, not at compile time: in a copied or moved
+/// checkout, the existing programs must build the copy.
 pub(crate) fn find() -> Result<PathBuf, Failure> {
-    // Cargo sets it for the program that it runs.
+    // Set by cargo for the program that it runs.
     let manifest = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let here = env::current_dir().ok();
     manifest
@@ -30,7 +30,7 @@ pub(crate) fn find() -> Result<PathBuf, Failure> {
         .map(Path::to_path_buf)
         .ok_or_else(|| {
             Failure::new(
-                "no checkout of Singletrack here: run `cargo verify` and its siblings inside one"
+                "not in a checkout of Singletrack: run `cargo verify` and the other commands inside one"
                     .to_owned(),
             )
         })
@@ -40,24 +40,24 @@ fn is_root(folder: &Path) -> bool {
     folder.join("xtask/Cargo.toml").is_file() && folder.join("firmware/uno/Cargo.toml").is_file()
 }
 
-/// The cargo that runs this, in the workspace's root.
+/// The cargo that runs this program, in the workspace's root.
 pub(crate) fn cargo() -> Command {
     let mut command = cargo_here();
     command.current_dir(root());
-    // Programs would lie in a folder of that target, and older ones be found.
+    // Otherwise programs would be in that target's folder, and older ones be found.
     command.env_remove("CARGO_BUILD_TARGET");
-    // Nothing is built a second time in a fresh clone: what that takes is not worth writing.
+    // A fresh clone is built only once, so incremental data is useless.
     if env::var_os("CI").is_some() {
         command.env("CARGO_INCREMENTAL", "0");
     }
-    // Cargo resolves a relative one against the current folder, which was not the root.
+    // Cargo resolves a relative path against the current folder, which may not be the root.
     if let Some(Ok(target)) = env::var_os("CARGO_TARGET_DIR").map(std::path::absolute) {
         command.env("CARGO_TARGET_DIR", target);
     }
     command
 }
 
-/// The cargo that runs this, where it was called.
+/// The cargo that runs this program, in the current folder.
 pub(crate) fn cargo_here() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }

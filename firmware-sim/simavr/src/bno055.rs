@@ -1,14 +1,15 @@
-//! The IMU as its bus sees it.
+//! The IMU as a device on its bus.
 //!
-//! Registers, times and units after Bosch's data sheet BST-BNO055-DS000, chapters
-//! 3 and 4: what a driver needs to bring it up, to notice its restart and to read
-//! it. Raw sensors, Euler angles, gravity and the second page read as zero.
+//! Registers, times and units follow Bosch's data sheet BST-BNO055-DS000, chapters
+//! 3 and 4, as far as a driver needs them to start the sensor, to detect its
+//! restart and to read it. Raw sensors, Euler angles, gravity and the second page
+//! read as zero.
 
 use serde::{Deserialize, Serialize};
 
 use crate::CYCLES_PER_US;
 
-/// What the IMU measures along its own axes.
+/// Motion along the IMU's axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Motion {
     /// Acceleration without gravity, in mm/s².
@@ -20,9 +21,9 @@ pub struct Motion {
 }
 
 const MS: u64 = 1_000 * CYCLES_PER_US;
-/// From power-on to its first acknowledgement.
+/// Time from power-on to the first acknowledgement.
 const SILENT: u64 = 400 * MS;
-/// From power-on to the configuration mode.
+/// Time from power-on to the configuration mode.
 const STARTUP: u64 = 650 * MS;
 const TO_CONFIGURATION: u64 = 19 * MS;
 const FROM_CONFIGURATION: u64 = 7 * MS;
@@ -51,20 +52,20 @@ const CONFIGURATION: u8 = 0x00;
 /// Chip, accelerometer, magnetometer, gyroscope, software, boot loader.
 const IDENTITY: [u8; 7] = [0xA0, 0xFB, 0x32, 0x0F, 0x11, 0x03, 0x15];
 
-/// A BNO055: its registers and its state.
+/// A BNO055 with its registers and state.
 ///
-/// Time is in cycles of the board, see the crate. It was powered at cycle zero.
+/// Times are cycles of the board, see the crate. It is powered at cycle zero.
 #[derive(Clone, Debug)]
 pub struct Bno055 {
     newest: Motion,
-    /// What the registers show. The data sheet, 3.7: read in one transfer, low and
-    /// high byte of a value belong together.
+    /// The register values. Data sheet, 3.7: in one transfer, low and high byte of
+    /// a value are consistent.
     motion: Motion,
-    /// First acknowledgement and configuration mode after a restart.
+    /// Times of the first acknowledgement and the configuration mode after a restart.
     speaks: u64,
     ready: u64,
     mode: u8,
-    /// The mode it is changing to, and since when it has.
+    /// The mode after the present change, and the end of the change.
     next_mode: Option<(u8, u64)>,
     page: u8,
     units: u8,
@@ -72,7 +73,7 @@ pub struct Bno055 {
     temperature_source: u8,
     axes: [u8; 2],
     pointer: u8,
-    /// The next byte written is the register's number.
+    /// The next written byte is a register number.
     addressed: bool,
 }
 
@@ -102,20 +103,20 @@ impl Bno055 {
     /// Its address on the bus, seven bits.
     pub const ADDRESS: u8 = 0x28;
 
-    /// What it measures from now on.
+    /// Sets the motion that it measures.
     pub const fn measure(&mut self, motion: Motion) {
         self.newest = motion;
     }
 
-    /// The supply comes up, or the register `SYS_TRIGGER` asks for a reset: all
-    /// settings are lost and the start-up takes its time.
+    /// Power-on, or a reset by the register `SYS_TRIGGER`: all settings are lost,
+    /// and the start-up time begins.
     pub fn power_on(&mut self, now: u64) {
         self.restart();
         self.speaks = now + SILENT;
         self.ready = now + STARTUP;
     }
 
-    /// The same with the start-up behind it: it is in its configuration mode.
+    /// Restarts without start-up time, in the configuration mode.
     pub fn restart(&mut self) {
         self.mode = CONFIGURATION;
         self.next_mode = None;
@@ -130,14 +131,14 @@ impl Bno055 {
         self.ready = 0;
     }
 
-    /// Whether it acknowledges its address. If so, a transfer begins.
+    /// Whether it acknowledges its address. If so, a transfer starts.
     pub const fn select(&mut self, now: u64, to_write: bool) -> bool {
         self.addressed = to_write;
         now >= self.speaks
     }
 
-    /// A byte of the master: first the register's number, then what goes there
-    /// and after it.
+    /// Processes a byte of the master: first the register number, then the values
+    /// of that and the following registers.
     pub fn write(&mut self, now: u64, byte: u8) {
         if self.addressed {
             self.addressed = false;
@@ -147,7 +148,7 @@ impl Bno055 {
         let register = self.pointer;
         self.pointer = self.pointer.wrapping_add(1);
         self.settle(now);
-        // It hears nothing while it starts or changes its mode.
+        // Ignored during the start-up and a change of mode.
         if now < self.ready || self.next_mode.is_some() {
             return;
         }
@@ -161,7 +162,7 @@ impl Bno055 {
         match register {
             OPR_MODE => self.change_mode(now, byte & MODE),
             SYS_TRIGGER if byte & RESET != 0 => self.power_on(now),
-            // The rest is taken in the configuration mode alone.
+            // Other registers are writable only in the configuration mode.
             _ if self.mode != CONFIGURATION => {}
             UNIT_SEL => self.units = byte & 0x97,
             PWR_MODE => self.power = byte & 3,
@@ -172,8 +173,8 @@ impl Bno055 {
         }
     }
 
-    /// A byte for the master, from the register it last named or the one after
-    /// that which was read last.
+    /// A byte for the master, from the last selected register or the one after the
+    /// last read.
     pub fn read(&mut self, now: u64) -> u8 {
         let register = self.pointer;
         self.pointer = self.pointer.wrapping_add(1);
@@ -243,7 +244,7 @@ impl Bno055 {
         }
     }
 
-    /// `None` while it changes.
+    /// The mode; `None` during a change.
     const fn settled_mode(&self) -> Option<u8> {
         match self.next_mode {
             Some(_) => None,
@@ -251,7 +252,7 @@ impl Bno055 {
         }
     }
 
-    /// Whether attitude and linear acceleration are being computed.
+    /// Whether the fusion computes attitude and linear acceleration.
     const fn fuses(&self) -> bool {
         matches!(self.settled_mode(), Some(0x08..=0x0C))
     }
@@ -305,7 +306,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_that_changes_while_it_is_read_is_the_old_one_or_the_new_one() {
+    fn a_value_that_changes_during_a_read_is_consistent() {
         let mut device = Bno055::default();
         write(&mut device, READY, OPR_MODE, IMU);
         let now = READY + FROM_CONFIGURATION;
@@ -363,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_silent_then_blank_then_there() {
+    fn after_power_on_it_is_silent_then_blank_then_ready() {
         let mut device = Bno055::default();
         assert!(!device.select(SILENT - 1, true));
         assert_eq!(read(&mut device, SILENT, CHIP_ID), [0]);
@@ -372,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_mode_takes_its_time_and_gives_zeros_until_then() {
+    fn a_change_of_mode_takes_time_and_gives_zeros() {
         let mut device = Bno055::default();
         device.measure(MOTION);
         assert_eq!(words(&mut device, READY, QUATERNION), [0; 4]);
@@ -420,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_runs_on_through_the_registers_and_ends_in_zeros() {
+    fn a_burst_read_continues_through_the_registers_and_ends_in_zeros() {
         let (mut device, now) = fusing();
         let burst: [u8; 26] = read(&mut device, now, GYROSCOPE);
         assert_eq!(burst[..2], 917_i16.to_le_bytes());
@@ -441,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_by_register_starts_it_all_over() {
+    fn a_reset_by_register_restarts_it() {
         let (mut device, now) = fusing();
         write(&mut device, now, SYS_TRIGGER, RESET);
         assert!(!device.select(now + SILENT - 1, false));
@@ -458,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_during_a_change_of_mode_is_lost() {
+    fn writes_during_a_change_of_mode_are_lost() {
         let mut device = Bno055::default();
         write(&mut device, READY, OPR_MODE, IMU);
         write(&mut device, READY + 1, OPR_MODE, CONFIGURATION);

@@ -1,31 +1,31 @@
-//! The UNO's image, instruction by instruction, in a process of its own.
+//! Runs the UNO image in simavr, in a separate process.
 //!
-//! `singletrack-simavr IMAGE.elf` runs the image in simavr and is told over its
-//! standard input what happens to the board: bytes on its line, pulses of the
-//! motor, samples of the IMU. It answers over its standard output with what the
-//! board does. The simulator starts it and lets it run in step with the car.
-//! That program alone links libsimavr (which is under the GPL 3); this library is
-//! what both sides share and needs nothing but Rust. `--features simavr` builds
-//! the program, with Debian's `libsimavr-dev`.
+//! `singletrack-simavr IMAGE.elf` runs the image instruction by instruction.
+//! Requests on its standard input carry the inputs of the board: bytes on its line,
+//! pulses of the motor, samples of the IMU. Replies on its standard output carry
+//! the outputs. The simulator starts it and runs it in step with the car. Only that
+//! program links libsimavr (under the GPL 3); this library is shared by both sides
+//! and needs no C library. `--features simavr` builds the program, with Debian's
+//! `libsimavr-dev`.
 //!
-//! simavr runs the instructions; UART, two-wire interface, timer 1 and watchdog
-//! are modelled in this package after the ATmega328P's data sheet, to the cycle.
+//! simavr runs the instructions; this package models UART, two-wire interface,
+//! timer 1 and watchdog after the ATmega328P's data sheet, to the cycle.
 //!
 //! # Time
 //!
-//! Everything is dated in cycles of the board's oscillator (16 MHz) since the
-//! process started. They count on while the processor is held in reset, as it is
-//! at first.
+//! All times are cycles of the board's oscillator (16 MHz) since the start of the
+//! process. They advance even while the processor is held in reset, as it is
+//! initially.
 //!
 //! # The board
 //!
-//! | Pin       | What is there                                                   |
+//! | Pin       | Connection                                                      |
 //! |-----------|-----------------------------------------------------------------|
-//! | D0, D1    | The line to the host; what arrives during a reset is lost       |
-//! | D2, INT0  | The motor's sensor, high for 50 us from each rising edge        |
-//! | D4        | The stop switch to ground; open, the pin is left to its pull-up |
-//! | D9, OC1A  | The servo's pulses; a resistor pulls the floating pin low       |
-//! | D10, OC1B | The ESC's, likewise                                             |
+//! | D0, D1    | Line to the host; bytes that arrive during a reset are lost     |
+//! | D2, INT0  | Motor sensor, high for 50 us from each rising edge              |
+//! | D4        | Stop switch to ground; if open, the pin follows its pull-up     |
+//! | D9, OC1A  | Servo pulses; a resistor pulls the floating pin low             |
+//! | D10, OC1B | ESC pulses, likewise                                            |
 //! | A0        | Half of the battery's voltage, against AVcc = 5 V               |
 //! | A4, A5    | SDA and SCL with pull-ups, and the [`Bno055`] at 0x28           |
 

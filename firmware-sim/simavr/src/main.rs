@@ -1,37 +1,39 @@
-//! Runs the UNO's image in simavr for the simulator. See the library of this
-//! package for what is said over the standard input and output.
+//! Runs the UNO image in simavr for the simulator. The library of this package
+//! describes the protocol on standard input and output.
 
 mod uno;
 
-use std::fs::File;
-use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Write};
-use std::os::fd::AsFd;
-use std::path::PathBuf;
-use std::process::ExitCode;
+use std::{
+    fs::File,
+    io::{self, BufReader, BufWriter, ErrorKind, Read, Write},
+    os::fd::AsFd,
+    path::PathBuf,
+    process::ExitCode,
+};
 
 use singletrack_simavr::{PipeError, Request, receive, send};
 use uno::{Board, Image, ImageError};
 
 const USAGE: &str = "\
-Runs the UNO's image in simavr, instruction by instruction.
+Run the UNO image in simavr, instruction by instruction.
 
 Usage: singletrack-simavr IMAGE.elf
 
-The simulator starts this by itself (singletrack-sim --board uno). It speaks a
-binary protocol over standard input and output.
+Started by the simulator (singletrack-sim --board uno), with which it exchanges
+binary messages over standard input and output.
 ";
 
 #[derive(Debug, thiserror::Error)]
 enum Error {
-    #[error("one argument, the image (--help tells more)")]
+    #[error("expected one argument, the image (see --help)")]
     Arguments,
     #[error(transparent)]
     Image(#[from] ImageError),
-    #[error("this simavr doesn't know the ATmega328P")]
+    #[error("this simavr does not support the ATmega328P")]
     Processor,
     #[error(transparent)]
     Pipe(#[from] PipeError),
-    #[error("the standard output: {0}")]
+    #[error("standard output: {0}")]
     Output(#[source] io::Error),
 }
 
@@ -65,7 +67,7 @@ fn run() -> Result<(), Error> {
     let mut input = BufReader::new(io::stdin().lock());
     let mut output = BufWriter::new(File::from(output));
     match converse(&mut board, &mut input, &mut output) {
-        // The simulator has ended, perhaps in the middle of a message: so do we.
+        // The simulator has ended, possibly within a message.
         Err(PipeError::Io(error))
             if matches!(
                 error.kind(),

@@ -1,85 +1,84 @@
-//! What simulator and process say to each other: one [`Reply`] for every
-//! [`Request`].
+//! Messages between simulator and process: one [`Reply`] for every [`Request`].
 
 use serde::{Deserialize, Serialize};
 
 use crate::Motion;
 
-/// The UNO's oscillator.
+/// Cycles of the UNO's oscillator per µs.
 pub const CYCLES_PER_US: u64 = 16;
 
-/// What the simulator asks for.
+/// Requests of the simulator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Request {
-    /// Let time pass. Answered by [`Reply::Ran`].
+    /// Run for a time. Answered by [`Reply::Ran`].
     Run(Run),
-    /// Hold the processor in reset from now on: pins float. [`Reply::Done`].
+    /// Hold the processor in reset; the pins float. [`Reply::Done`].
     Hold,
-    /// Let go of the reset, as the bootloader leaves the processor: the reset
-    /// flags in register r2, MCUSR cleared. After a power-on the SRAM holds a
-    /// pattern instead of what was there, and the IMU has had its supply since the
-    /// processor was held. [`Reply::Done`].
+    /// Release the reset, in the state that the bootloader leaves: the reset flags
+    /// in register r2, MCUSR cleared. After a power-on the SRAM is filled with a
+    /// pattern, and the IMU has been powered since the processor was held.
+    /// [`Reply::Done`].
     Start(ResetFlags),
-    /// Stops the main program where it is. [`Reply::Done`].
+    /// Hang the main program. [`Reply::Done`].
     Hang(Hang),
-    /// Faults of the bus to the IMU, from now on. [`Reply::Done`].
+    /// Set the fault of the IMU's bus. [`Reply::Done`].
     SetBus(BusFault),
-    /// [`Reply::Figures`].
+    /// Return the cost so far. [`Reply::Figures`].
     Measure,
 }
 
-/// Why the processor starts, as the register MCUSR tells it.
+/// Cause of the processor's start, in the format of the register MCUSR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResetFlags(pub u8);
 
 impl ResetFlags {
-    /// The supply came up.
+    /// Power-on.
     pub const POWER_ON: Self = Self(1);
     /// The reset pin.
     pub const EXTERNAL: Self = Self(2);
-    /// The supply dipped.
+    /// Supply voltage too low.
     pub const BROWN_OUT: Self = Self(4);
-    /// The watchdog bit.
+    /// Watchdog timeout.
     pub const WATCHDOG: Self = Self(8);
 }
 
-/// How the main program stops. Interrupts go on in the first case; only the
+/// Ways to hang the main program. Interrupts continue in the first case; only the
 /// watchdog helps in the second. A reset ends both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Hang {
-    /// The main loop makes no more progress; interrupts are served.
+    /// The main loop stops; interrupts are served.
     MainLoop,
-    /// The same with interrupts disabled.
+    /// The main loop stops with interrupts disabled.
     Everything,
 }
 
-/// What is wrong with the bus to the IMU.
+/// Faults of the bus to the IMU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BusFault {
-    /// Nothing.
+    /// No fault.
     #[default]
     None,
-    /// No IMU: nobody acknowledges its address.
+    /// No IMU: its address is not acknowledged.
     Absent,
-    /// The IMU has lost count and holds the data line low: no start condition
-    /// succeeds, until nine clock pulses by hand have let it go.
+    /// The IMU has lost count of bits and holds the data line low: no start
+    /// condition succeeds until nine clock pulses have released it.
     Jammed,
-    /// The data line is low for good.
+    /// The data line is permanently low.
     ShortCircuit,
-    /// The IMU has restarted: it is in its configuration mode again and gives zeros.
+    /// The IMU has restarted: it is in its configuration mode and gives zeros.
     Restarted,
 }
 
-/// A span of time and what happens in it.
+/// A time span with its inputs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// Up to this cycle.
+    /// End of the span, in cycles.
     pub until: u64,
-    /// Bytes whose stop bit reaches the receiver, and when; in order.
+    /// Received bytes with the times of their stop bits, in order.
     pub received: Vec<(u64, u8)>,
-    /// Rising edges of the motor's sensor; in order.
+    /// Rising edges of the motor sensor, in order.
     pub motor_edges: Vec<u64>,
-    /// What the IMU measures from then on; in order.
+    /// Changes of the IMU's motion with their times, in order.
     pub motion: Vec<(u64, Motion)>,
     /// Voltage at the battery's terminals, in mV, from the start of the span.
     pub battery_mv: u16,
@@ -87,32 +86,32 @@ pub struct Run {
     pub stop_input_open: bool,
 }
 
-/// What the process answers.
+/// Replies of the process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Reply {
     /// To [`Request::Run`].
     Ran(Report),
-    /// To a request with nothing to tell.
+    /// To a request without a result.
     Done,
     /// To [`Request::Measure`].
     Figures(Figures),
-    /// The request can't be carried out, or the processor has crashed: when, where
-    /// and why. It stands still until the next [`Request::Start`].
+    /// The request cannot be executed, or the processor has crashed: time, address
+    /// and reason. It stands still until the next [`Request::Start`].
     Failed(String),
 }
 
-/// What the board did in a span of time.
+/// Outputs of the board in a time span.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// The cycle reached: the one asked for, or up to one instruction later.
+    /// The cycle reached: the requested one, or up to one instruction later.
     pub cycle: u64,
-    /// Bytes whose stop bit the transmitter has sent, and when; in order.
+    /// Sent bytes with the times of their stop bits, in order.
     pub transmitted: Vec<(u64, u8)>,
-    /// Pulses that ended, in the order of their ends.
+    /// Pulses that ended, in order of their ends.
     pub pulses: Vec<Pulse>,
-    /// The watchdog has reset the processor, which is held in reset since.
+    /// Time of a watchdog reset; the processor is held in reset since.
     pub watchdog_reset: Option<u64>,
-    /// Bytes that found the receiver full, since the process started.
+    /// Bytes lost by receiver overrun since the process started.
     pub bytes_overrun: u64,
 }
 
@@ -128,44 +127,44 @@ pub enum Pin {
 /// A pulse on a pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pulse {
-    /// Where.
+    /// The pin.
     pub pin: Pin,
     /// The rising edge.
     pub start: u64,
-    /// From the rising edge to the falling one, in cycles.
+    /// Width, in cycles.
     pub width: u64,
 }
 
-/// What the run has cost so far.
+/// Resource usage so far.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Cycles out of reset, and those of them that the processor slept through.
+    /// Cycles out of reset, and those of them spent sleeping.
     pub cycles: u64,
     /// See `cycles`.
     pub cycles_asleep: u64,
-    /// Bytes of SRAM below the top that have been written since power-on without a
-    /// gap: the deepest stack.
+    /// Deepest stack: contiguous bytes below the top of the SRAM that have been
+    /// written since power-on.
     pub stack_bytes: u16,
     /// Longest stretch with interrupts disabled outside an interrupt, in cycles.
     pub longest_critical_section: u32,
     /// The interrupts that were served.
     pub interrupts: Vec<Interrupt>,
-    /// Marked sections: the main program writes a number other than zero to
-    /// GPIOR0 at the beginning and zero at the end. Cycles of interrupts in
-    /// between do not count. Number, times run, fewest, most and all cycles.
+    /// Marked sections: the main program writes a number other than zero to GPIOR0
+    /// at the start and zero at the end. Cycles of interrupts in between do not
+    /// count. Number, runs, and minimum, maximum and total cycles.
     pub sections: Vec<(u8, u64, u32, u32, u64)>,
 }
 
-/// What an interrupt has cost.
+/// Cost of an interrupt.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Interrupt {
-    /// Number of its vector; 1 is INT0.
+    /// Vector number; 1 is INT0.
     pub vector: u8,
-    /// Times served.
+    /// Number of services.
     pub count: u64,
-    /// The longest one, from the vector to the return, in cycles, with the
-    /// processor's own response.
+    /// Longest service, in cycles, from the vector to the return, including the
+    /// processor's response.
     pub most_cycles: u32,
-    /// All of them together.
+    /// Total cycles.
     pub all_cycles: u64,
 }

@@ -1,36 +1,36 @@
-//! Messages over a pipe: a length of four bytes, little-endian, then postcard.
+//! Messages over a pipe: four bytes of length, little-endian, then postcard.
 
 use std::io::{self, Read, Write};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-/// More is no message of ours.
-const LONGEST: u32 = 1 << 24;
+/// Largest length of a message.
+const MAX_LENGTH: u32 = 1 << 24;
 
-/// Why a message does not pass.
+/// Errors of sending and receiving.
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {
-    /// The other side has gone, or the system does not play along.
+    /// Error of the pipe, for example after the other side has ended.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// A message longer than any.
-    #[error("a message of {0} bytes")]
+    /// The length exceeds the limit.
+    #[error("message too long: {0} bytes")]
     Length(u32),
-    /// Bytes that are not the message expected.
-    #[error("not a message: {0}")]
+    /// The bytes do not decode.
+    #[error("invalid message: {0}")]
     Codec(#[from] postcard::Error),
 }
 
-/// Sends a message at once.
+/// Sends a message and flushes the pipe.
 ///
 /// # Errors
 ///
-/// The other side does not take it.
+/// Fails if the pipe does not accept it.
 pub fn send(pipe: &mut impl Write, message: &impl Serialize) -> Result<(), PipeError> {
     let mut bytes = vec![0; 4];
     bytes = postcard::to_extend(message, bytes)?;
     let length = u32::try_from(bytes.len() - 4).unwrap_or(u32::MAX);
-    if length > LONGEST {
+    if length > MAX_LENGTH {
         return Err(PipeError::Length(length));
     }
     if let Some(prefix) = bytes.get_mut(..4) {
@@ -40,11 +40,11 @@ pub fn send(pipe: &mut impl Write, message: &impl Serialize) -> Result<(), PipeE
     Ok(pipe.flush()?)
 }
 
-/// Waits for a message; `None` when the other side has closed the pipe.
+/// Receives a message; `None` if the other side has closed the pipe.
 ///
 /// # Errors
 ///
-/// A message that is cut off, too long or not one.
+/// Fails if the message is truncated, too long or invalid.
 pub fn receive<T: DeserializeOwned>(pipe: &mut impl Read) -> Result<Option<T>, PipeError> {
     let mut prefix = [0; 4];
     let mut filled = 0;
@@ -58,7 +58,7 @@ pub fn receive<T: DeserializeOwned>(pipe: &mut impl Read) -> Result<Option<T>, P
         }
     }
     let length = u32::from_le_bytes(prefix);
-    if length > LONGEST {
+    if length > MAX_LENGTH {
         return Err(PipeError::Length(length));
     }
     let mut bytes = vec![0; length as usize];
@@ -72,7 +72,7 @@ mod tests {
     use crate::{Request, ResetFlags, Run};
 
     #[test]
-    fn messages_pass_one_after_the_other_and_then_there_are_none() {
+    fn messages_pass_in_order_until_the_end() {
         let messages = [
             Request::Start(ResetFlags::POWER_ON),
             Request::Run(Run {
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_is_cut_off_too_long_or_foreign_is_an_error() {
+    fn a_truncated_overlong_or_invalid_message_is_an_error() {
         let mut whole = Vec::new();
         send(&mut whole, &Request::Start(ResetFlags::EXTERNAL)).unwrap();
         for length in 1..whole.len() {

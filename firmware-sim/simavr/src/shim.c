@@ -1,10 +1,10 @@
 /*
- * What Rust can't reach by itself in simavr: the fields of its structures.
- * Nothing is decided here.
+ * Access to the fields of simavr's structures, which Rust cannot declare.
+ * All decisions are made in Rust.
  *
  * simavr 1.6 runs the instructions, the timers 0 and 2, the ADC and the
- * interrupt logic. Registers that are "owned" are served by Rust instead of by
- * simavr's module of that name, which stays idle: see devices.rs for why.
+ * interrupt logic. "Owned" registers are served by Rust instead of by
+ * simavr's module of that name, which stays idle; see mod.rs for the reasons.
  */
 #include <stdarg.h>
 #include <stdbool.h>
@@ -30,17 +30,17 @@ struct uno_callbacks {
 	void (*write)(void *context, uint64_t now, uint16_t address, uint8_t value);
 	void (*restart_watchdog)(void *context, uint64_t now);
 	void (*log)(void *context, int fatal, const char *text);
-	/* Set by a callback that Rust must look after at once. */
+	/* Set by a callback that Rust must process at once. */
 	const volatile bool *changed;
 };
 
 struct uno_status {
 	uint64_t cycle;
 	uint32_t pc;
-	/* Vector entered by this step, zero for none, and the cycles that took. */
+	/* Vector entered by this step, zero for none, and the cycles of the entry. */
 	uint8_t entered;
 	uint8_t response;
-	/* Interrupts being served. */
+	/* Number of interrupts in service. */
 	uint8_t depth;
 	uint8_t interrupts_enabled;
 	uint8_t asleep;
@@ -79,7 +79,7 @@ static uint8_t owned_read(avr_t *avr, avr_io_addr_t address, void *parameter)
 static void owned_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter)
 {
 	struct uno *uno = parameter;
-	/* simavr looks for the bits that enable interrupts here. */
+	/* simavr reads the interrupt enable bits here. */
 	avr->data[address] = value;
 	uno->callbacks.write(uno->callbacks.context, avr->cycle, address, value);
 }
@@ -111,7 +111,7 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
 	(void)cycles;
 }
 
-static void tell(const struct uno *uno, struct uno_status *status)
+static void report_status(const struct uno *uno, struct uno_status *status)
 {
 	const avr_t *avr = uno->avr;
 	status->cycle = avr->cycle;
@@ -122,7 +122,7 @@ static void tell(const struct uno *uno, struct uno_status *status)
 	status->crashed = avr->state != cpu_Running && avr->state != cpu_Sleeping;
 }
 
-/* Timers that are due, then an interrupt if one may be served. */
+/* Runs timers that are due, then serves an interrupt if possible. */
 static void settle(struct uno *uno, struct uno_status *status, int was_asleep)
 {
 	avr_t *avr = uno->avr;
@@ -132,7 +132,7 @@ static void settle(struct uno *uno, struct uno_status *status, int was_asleep)
 	if (avr->cycle_timers.timer && avr->cycle_timers.timer->when <= avr->cycle)
 		avr_cycle_timer_process(avr);
 	if (avr->interrupt_state) {
-		/* simavr lets two instructions pass after SEI and RETI; it is one. */
+		/* simavr delays interrupts by two instructions after SEI and RETI; the hardware by one. */
 		if (avr->interrupt_state == -1)
 			avr_service_interrupts(avr);
 		avr_service_interrupts(avr);
@@ -140,7 +140,7 @@ static void settle(struct uno *uno, struct uno_status *status, int was_asleep)
 	if (avr->interrupts.running_ptr > depth) {
 		status->entered = avr->interrupts.running[depth]->vector;
 		status->response = RESPONSE + (was_asleep ? WAKE_UP : 0);
-		/* simavr jumps to the vector in no time. */
+		/* simavr enters the vector in zero cycles. */
 		avr->cycle += status->response;
 	}
 }
@@ -179,7 +179,7 @@ struct uno *uno_new(const struct uno_callbacks *callbacks, const uint8_t *flash,
 	return uno;
 }
 
-/* The callbacks serve reads of this register. */
+/* Lets the callbacks serve reads of this register. */
 void uno_own_read(struct uno *uno, uint16_t address)
 {
 	const avr_io_addr_t io = AVR_DATA_TO_IO(address);
@@ -187,7 +187,7 @@ void uno_own_read(struct uno *uno, uint16_t address)
 	uno->avr->io[io].r.param = uno;
 }
 
-/* The callbacks serve writes of this register. */
+/* Lets the callbacks serve writes of this register. */
 void uno_own_write(struct uno *uno, uint16_t address)
 {
 	const avr_io_addr_t io = AVR_DATA_TO_IO(address);
@@ -195,7 +195,7 @@ void uno_own_write(struct uno *uno, uint16_t address)
 	uno->avr->io[io].w.param = uno;
 }
 
-/* simavr serves writes of this register, and the callbacks hear of it. */
+/* Notifies the callbacks of writes of this register, which simavr serves. */
 void uno_watch_write(struct uno *uno, uint16_t address)
 {
 	const avr_io_addr_t io = AVR_DATA_TO_IO(address);
@@ -220,13 +220,13 @@ void uno_reset(struct uno *uno, struct uno_status *status)
 	avr->run_cycle_count = 0;
 	status->entered = 0;
 	status->response = 0;
-	tell(uno, status);
+	report_status(uno, status);
 }
 
 /*
- * Instructions up to the cycle given, or until something has happened that counts:
+ * Runs instructions up to the given cycle, or until an event:
  * an interrupt begins or ends, interrupts are enabled or disabled, the processor
- * sleeps or leaves the program, a device wants attention.
+ * sleeps or leaves the program, a device needs attention.
  */
 void uno_run(struct uno *uno, uint64_t until, struct uno_status *status)
 {
@@ -244,10 +244,10 @@ void uno_run(struct uno *uno, uint64_t until, struct uno_status *status)
 	} while (avr->cycle < until && avr->state == cpu_Running && avr->pc < avr->codeend
 		 && avr->interrupts.running_ptr == depth && avr->sreg[S_I] == enabled
 		 && !*uno->callbacks.changed);
-	tell(uno, status);
+	report_status(uno, status);
 }
 
-/* No instruction, up to the cycle given or to simavr's next timer. */
+/* Advances time without instructions, up to the given cycle or simavr's next timer. */
 void uno_skip(struct uno *uno, uint64_t until, struct uno_status *status)
 {
 	avr_t *avr = uno->avr;
@@ -263,10 +263,10 @@ void uno_skip(struct uno *uno, uint64_t until, struct uno_status *status)
 			avr->cycle = next;
 	}
 	settle(uno, status, was_asleep);
-	tell(uno, status);
+	report_status(uno, status);
 }
 
-/* Passes over time in which the processor stands still. */
+/* Skips time in which the processor is halted. */
 void uno_set_cycle(struct uno *uno, uint64_t cycle)
 {
 	uno->avr->cycle = cycle;
@@ -283,19 +283,19 @@ void uno_disable_interrupts(struct uno *uno)
 	avr_sreg_set(uno->avr, S_I, 0);
 }
 
-/* Asks for an interrupt of a device of ours, or takes that back. */
-void uno_request(struct uno *uno, uint8_t number, int wanted)
+/* Sets or clears the interrupt request of a device modelled in Rust. */
+void uno_request(struct uno *uno, uint8_t number, int requested)
 {
 	avr_int_vector_t *vector = number < 32 ? uno->vectors[number] : NULL;
-	if (!vector || vector->pending == !!wanted)
+	if (!vector || vector->pending == !!requested)
 		return;
-	if (wanted)
+	if (requested)
 		avr_raise_interrupt(uno->avr, vector);
 	else
 		avr_clear_interrupt(uno->avr, vector);
 }
 
-/* The level of the pin INT0. */
+/* Sets the level of the pin INT0. */
 void uno_set_int0(struct uno *uno, int level)
 {
 	avr_irq_t *irq = avr_io_getirq(uno->avr, AVR_IOCTL_EXTINT_GETIRQ(), EXTINT_IRQ_OUT_INT0);
@@ -303,7 +303,7 @@ void uno_set_int0(struct uno *uno, int level)
 		avr_raise_irq(irq, level);
 }
 
-/* The voltage on the pin ADC0. */
+/* Sets the voltage on the pin ADC0. */
 void uno_set_adc0(struct uno *uno, uint32_t millivolts)
 {
 	avr_irq_t *irq = avr_io_getirq(uno->avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
@@ -311,14 +311,14 @@ void uno_set_adc0(struct uno *uno, uint32_t millivolts)
 		avr_raise_irq(irq, millivolts);
 }
 
-/* Registers, I/O and SRAM, and how many bytes there are. */
+/* Registers, I/O and SRAM, with their size in bytes. */
 uint8_t *uno_data(struct uno *uno, uint32_t *size)
 {
 	*size = uno->avr->ramend + 1u;
 	return uno->avr->data;
 }
 
-/* What simavr prints must not get among the messages on the standard output. */
+/* Keeps simavr's output out of the messages on standard output. */
 int uno_silence_stdout(void)
 {
 	return dup2(STDERR_FILENO, STDOUT_FILENO);

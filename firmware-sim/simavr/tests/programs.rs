@@ -1,4 +1,4 @@
-//! The process runs small programs, whose silicon behaviour is known to the cycle.
+//! Runs small programs whose behaviour on the hardware is known to the cycle.
 
 mod harness;
 
@@ -7,12 +7,12 @@ use singletrack_simavr::{
     Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Request, ResetFlags, Run,
 };
 
-/// Ten bits at 115200 baud, as 16 MHz and U2X make it.
+/// Ten bits at 115200 baud, as generated from 16 MHz with U2X.
 const BYTE: u64 = 10 * 17 * 8;
 const VECTOR_TIMER0_COMPA: u8 = 14;
 
 #[test]
-fn bytes_come_back_one_byte_time_later() {
+fn bytes_are_echoed_after_one_byte_time() {
     let mut uno = Uno::started("echo.c");
     let sent = spaced(uno.cycle() + MS, BYTE, b"hello");
     let report = uno.run(Run {
@@ -38,7 +38,7 @@ fn the_transmitter_sends_back_to_back() {
 }
 
 #[test]
-fn the_fourth_byte_that_nobody_reads_is_lost_and_told() {
+fn the_fourth_unread_byte_is_lost_and_reported() {
     let mut uno = Uno::started("deaf.c");
     let start = uno.cycle() + MS;
     let report = uno.run(Run {
@@ -46,12 +46,12 @@ fn the_fourth_byte_that_nobody_reads_is_lost_and_told() {
         ..uno.until(8 * MS)
     });
     assert_eq!(report.bytes_overrun, 2);
-    // With the first byte read after the loss.
+    // Reported with the first byte read after the loss.
     assert_eq!(bytes(&report.transmitted), [8, 1, 0, 2, 0, 3]);
 }
 
 #[test]
-fn three_bytes_wait_for_their_reader() {
+fn three_unread_bytes_are_kept() {
     let mut uno = Uno::started("deaf.c");
     let start = uno.cycle() + MS;
     let report = uno.run(Run {
@@ -77,7 +77,7 @@ fn pulses_are_exact_to_the_cycle() {
     let servo = pulses_on(&report.pulses, Pin::Servo);
     let esc = pulses_on(&report.pulses, Pin::Esc);
     assert_eq!((servo.len(), esc.len()), (10, 10));
-    // The first takes its width from what was in the registers before the timer ran.
+    // The width of the first comes from the registers before the start of the timer.
     for ((servo, servo_width), (esc, esc_width)) in servo.iter().zip(&esc) {
         assert_eq!(servo, esc);
         assert_eq!((*servo_width, *esc_width), (1_500 * 16, 2_000 * 16));
@@ -88,7 +88,7 @@ fn pulses_are_exact_to_the_cycle() {
 }
 
 #[test]
-fn a_width_written_during_a_pulse_counts_from_the_next_one_on() {
+fn a_width_written_during_a_pulse_applies_from_the_next_one() {
     let mut uno = Uno::started("pulses.c");
     let mut pulses = uno.pass(21 * MS).pulses;
     let report = uno.run(Run {
@@ -105,7 +105,7 @@ fn a_width_written_during_a_pulse_counts_from_the_next_one_on() {
 }
 
 #[test]
-fn a_reset_cuts_a_pulse_off() {
+fn a_reset_cuts_a_pulse() {
     let mut uno = Uno::started("pulses.c");
     uno.pass(20 * MS);
     let report = uno.pass(MS);
@@ -117,22 +117,22 @@ fn a_reset_cuts_a_pulse_off() {
     assert_eq!(servo.start + servo.width, held);
     assert_eq!(servo.width, esc.width);
     assert!(esc.width < 2_000 * 16);
-    // After the reset it all begins again.
+    // After the reset the program restarts.
     uno.ask(&Request::Start(ResetFlags::EXTERNAL));
     let report = uno.pass(30 * MS);
     assert_eq!(pulses_on(&report.pulses, Pin::Esc)[0].1, 2_000 * 16);
 }
 
 #[test]
-fn the_watchdog_bites_after_64_ms_and_holds_the_processor() {
+fn the_watchdog_resets_after_64_ms_and_holds_the_processor() {
     let mut uno = Uno::started("watchdog.c");
     let start = uno.cycle();
     let mut report = uno.pass(100 * MS);
-    let bite = report.watchdog_reset.unwrap();
-    let late = (bite - start).checked_sub(64 * MS).unwrap();
+    let watchdog_reset = report.watchdog_reset.unwrap();
+    let late = (watchdog_reset - start).checked_sub(64 * MS).unwrap();
     assert!(late < 3 * BYTE, "{late} cycles");
     let pulse = report.pulses.pop().unwrap();
-    assert_eq!(pulse.start + pulse.width, bite);
+    assert_eq!(pulse.start + pulse.width, watchdog_reset);
     assert_eq!(bytes(&report.transmitted), [ResetFlags::POWER_ON.0, 0]);
 
     let report = uno.pass(500 * MS);
@@ -164,7 +164,7 @@ fn edges_voltage_and_switch_reach_the_program() {
             counted,
             [0, 3, 203][usize::from(edges.min(3) / 3 + edges / 200)]
         );
-        // Half of it, against 5 V, in 1024 steps.
+        // Half of the voltage, relative to 5 V, in 1024 steps.
         let counts = u32::from(battery_mv) / 2 * 1_024 / 5_000;
         assert_eq!(u32::from(u16::from_le_bytes([low, high])), counts);
         assert_eq!(switch != 0, open);
@@ -172,7 +172,7 @@ fn edges_voltage_and_switch_reach_the_program() {
 }
 
 #[test]
-fn edges_around_a_restart_are_followed_by_no_interrupts_of_their_own() {
+fn edges_around_a_restart_cause_no_interrupts() {
     let mut uno = Uno::started("inputs.c");
     uno.pass(MS);
     assert_eq!(uno.ask(&Request::Hold), Reply::Done);
@@ -209,7 +209,7 @@ fn with_a_ready_imu() -> Uno {
 }
 
 #[test]
-fn a_transaction_gives_the_statuses_of_the_data_sheet() {
+fn a_transaction_gives_the_status_codes_of_the_data_sheet() {
     let mut uno = with_a_ready_imu();
     let answers = talk(
         &mut uno,
@@ -224,7 +224,7 @@ fn a_transaction_gives_the_statuses_of_the_data_sheet() {
 }
 
 #[test]
-fn the_imu_gives_what_the_car_feels() {
+fn the_imu_returns_the_motion_of_the_car() {
     let mut uno = with_a_ready_imu();
     let now = uno.cycle();
     uno.run(Run {
@@ -240,7 +240,7 @@ fn the_imu_gives_what_the_car_feels() {
         ],
         ..uno.until(2 * MS)
     });
-    // To the fusion without magnetometer, then the gyroscope's z.
+    // Selects the fusion without magnetometer, then reads the gyroscope's z.
     assert_eq!(
         talk(&mut uno, &[b's', b'w', WRITE, b'w', 0x3D, b'w', 0x08, b'p']),
         [0x08, 0x18, 0x28, 0x28]
@@ -267,7 +267,7 @@ fn an_absent_imu_acknowledges_nothing() {
 }
 
 #[test]
-fn nine_pulses_free_a_jammed_bus_but_no_shorted_one() {
+fn nine_pulses_free_a_jammed_bus_but_not_a_shorted_one() {
     let mut uno = with_a_ready_imu();
     uno.ask(&Request::SetBus(BusFault::Jammed));
     assert_eq!(talk(&mut uno, b"s"), [0xFF]);
@@ -300,7 +300,7 @@ fn a_hung_main_loop_still_serves_interrupts() {
     assert_eq!(bytes(&uno.pass(10 * MS).transmitted), [1; 10]);
     uno.ask(&Request::Hang(Hang::MainLoop));
     let report = uno.pass(10 * MS);
-    // The first one still tells of the time before.
+    // The first one still reports the time before the hang.
     assert_eq!(bytes(&report.transmitted)[1..], [0; 9]);
     uno.ask(&Request::Start(ResetFlags::WATCHDOG));
     uno.pass(3 * MS);
@@ -308,7 +308,7 @@ fn a_hung_main_loop_still_serves_interrupts() {
 }
 
 #[test]
-fn nothing_runs_when_everything_hangs_and_only_the_watchdog_helps() {
+fn with_interrupts_disabled_only_the_watchdog_ends_a_hang() {
     let mut uno = Uno::started("hang.c");
     uno.pass(3 * MS + MS / 2);
     uno.ask(&Request::Hang(Hang::Everything));
@@ -323,7 +323,7 @@ fn nothing_runs_when_everything_hangs_and_only_the_watchdog_helps() {
 }
 
 #[test]
-fn time_goes_on_through_resets() {
+fn time_advances_during_resets() {
     let mut uno = Uno::started("echo.c");
     let mut last = uno.cycle();
     for request in [
@@ -340,7 +340,7 @@ fn time_goes_on_through_resets() {
 }
 
 #[test]
-fn figures_are_those_of_the_program() {
+fn figures_match_the_program() {
     let mut uno = Uno::started("figures.S");
     let start = uno.cycle();
     let now = uno.pass(100 * MS).cycle;
@@ -348,7 +348,7 @@ fn figures_are_those_of_the_program() {
         panic!("no figures");
     };
     assert_eq!(figures.cycles, now - start);
-    // What main and interrupt take each millisecond is some 70 cycles.
+    // Main program and interrupt take about 70 cycles per millisecond.
     let awake = figures.cycles - figures.cycles_asleep;
     assert!((5_000..9_000).contains(&awake), "{awake}");
     // Return address, sixteen pushes, return address of the interrupt.
@@ -357,7 +357,7 @@ fn figures_are_those_of_the_program() {
     let [interrupt] = figures.interrupts.try_into().unwrap();
     assert_eq!(interrupt.vector, VECTOR_TIMER0_COMPA);
     assert!((99..=100).contains(&interrupt.count));
-    // It wakes the processor, which takes four more.
+    // Waking the processor takes four more.
     assert_eq!(interrupt.most_cycles, 36);
     assert_eq!(interrupt.all_cycles, 36 * interrupt.count);
     let [(number, count, fewest, most, all)] = figures.sections.try_into().unwrap();
@@ -365,7 +365,7 @@ fn figures_are_those_of_the_program() {
 }
 
 #[test]
-fn instructions_take_what_the_data_sheet_says() {
+fn instructions_take_the_cycles_of_the_data_sheet() {
     let mut uno = Uno::started("cycles.S");
     uno.pass(MS);
     let Reply::Figures(figures) = uno.ask(&Request::Measure) else {
@@ -387,7 +387,7 @@ fn instructions_take_what_the_data_sheet_says() {
 }
 
 #[test]
-fn a_crash_is_told_with_cycle_and_address_until_the_next_start() {
+fn a_crash_is_reported_with_cycle_and_address_until_the_next_start() {
     for (command, place) in [(b'j', "0x6000"), (b'x', "0x00")] {
         let mut uno = Uno::started("crash.c");
         assert_eq!(uno.pass(MS).transmitted, []);
@@ -408,9 +408,9 @@ fn a_crash_is_told_with_cycle_and_address_until_the_next_start() {
 }
 
 #[test]
-fn a_file_that_is_no_image_is_refused_with_its_name() {
+fn an_invalid_image_is_refused_with_its_name() {
     for (path, reason) in [
-        ("/nonexistent/uno.elf", "can't read /nonexistent/uno.elf"),
+        ("/nonexistent/uno.elf", "cannot read /nonexistent/uno.elf"),
         ("/bin/sh", "/bin/sh is not an ELF file of 32 bits"),
     ] {
         let output = harness::command().arg(path).output().unwrap();

@@ -1,5 +1,5 @@
-//! `uno-figures`: what the UNO's image takes of its processor, measured while it
-//! drives the simulated car. One line each: name, value, unit.
+//! `uno-figures`: resource usage of the UNO image, measured while it drives the
+//! simulated car. One line each: name, value, unit.
 
 use std::process::ExitCode;
 
@@ -70,13 +70,13 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         (6, "poll-with-telemetry"),
     ] {
         let &(_, _, _, most, _) = section(&codec, number)
-            .ok_or_else(|| format!("section {number} ({name}) of the codecs never ended"))?;
+            .ok_or_else(|| format!("section {number} ({name}) of the benchmark did not end"))?;
         println!("{name} {most} cycles");
     }
     Ok(())
 }
 
-/// Everything that may take more stack than a drive does.
+/// Exercises what may need more stack than driving.
 fn misuse(drive: &mut ScriptedDrive) {
     for fault in [
         BusFault::Absent,
@@ -108,7 +108,7 @@ fn figures(drive: &mut ScriptedDrive) -> Result<Figures, String> {
     }
 }
 
-/// Of the time between two measurements.
+/// Load of the processor between two measurements, in percent.
 fn busy_percent(before: &Figures, after: &Figures) -> f64 {
     let cycles = after.cycles.saturating_sub(before.cycles);
     let asleep = after.cycles_asleep.saturating_sub(before.cycles_asleep);
@@ -119,7 +119,7 @@ fn section(figures: &Figures, number: u8) -> Option<&(u8, u64, u32, u32, u64)> {
     figures.sections.iter().find(|(found, ..)| *found == number)
 }
 
-/// The ATmega328P's names, as in its data sheet.
+/// Name of an interrupt by its source in the ATmega328P.
 fn interrupt_name(vector: u8) -> String {
     match vector {
         1 => "motor-int0".to_owned(),

@@ -1,36 +1,36 @@
-//! Pulses on the pins, put together to servo frames.
+//! Assembles the pulses on the pins to servo frames.
 
 use singletrack_simavr::{CYCLES_PER_US, Pin, Pulse};
 
 use super::SERVO_FRAME_US;
 
-/// The longest pulse of a servo, and a little more: after that both are known.
-const FRAME_ENDS: u64 = 2_500 * CYCLES_PER_US;
+/// Time after which a frame is complete: a margin over the longest pulse.
+const FRAME_TIMEOUT: u64 = 2_500 * CYCLES_PER_US;
 
-/// A servo frame whose pulses are still to come, or have come; zero is none.
+/// A servo frame; a pulse that is absent or still to come is zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Frame {
     /// The first rising edge, in cycles.
     pub(super) start: u64,
     pub(super) servo_us: u16,
     pub(super) esc_us: u16,
-    /// A reset ended one of them.
+    /// A reset cut one of the pulses.
     pub(super) cut: bool,
 }
 
-/// The frame that is going on, and how regularly they come.
+/// The frame in progress, and the regularity of the frames.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     open: Option<Frame>,
-    /// The start of the frame before.
+    /// Start of the previous frame.
     last: Option<u64>,
     jitter: u64,
 }
 
 impl Frames {
-    /// Takes a pulse; returns the frame that is complete with it.
+    /// Adds a pulse; returns the frame that it completes.
     ///
-    /// A second pulse on a pin belongs to a frame of its own: it hides none.
+    /// A second pulse on a pin starts a frame of its own, so that none is hidden.
     pub(super) fn take(&mut self, pulse: &Pulse, cut: bool) -> Option<Frame> {
         let width = |frame: &mut Frame| {
             frame.cut |= cut;
@@ -40,7 +40,7 @@ impl Frames {
             }
         };
         if let Some(frame) = &mut self.open
-            && pulse.start <= frame.start + FRAME_ENDS
+            && pulse.start <= frame.start + FRAME_TIMEOUT
         {
             let complete = *frame;
             if width(frame) == 0 {
@@ -60,21 +60,22 @@ impl Frames {
         complete
     }
 
-    /// The frame that has ended by a cycle.
+    /// The frame that has ended by the given cycle.
     pub(super) fn over(&mut self, cycle: u64) -> Option<Frame> {
         self.open
-            .is_some_and(|frame| cycle > frame.start + FRAME_ENDS)
+            .is_some_and(|frame| cycle > frame.start + FRAME_TIMEOUT)
             .then(|| self.finish())
             .flatten()
     }
 
-    /// The largest deviation so far of a frame from its place, a period after
-    /// the one before, in cycles.
+    /// Largest deviation of a frame from one period after the previous one, in
+    /// cycles.
     pub(super) const fn jitter(&self) -> u64 {
         self.jitter
     }
 
-    /// The processor is held: what is open ends here, and the grid begins anew.
+    /// The processor is held in reset: the frame in progress ends, and the grid
+    /// restarts.
     pub(super) fn cut_off(&mut self) -> Option<Frame> {
         let frame = self.finish();
         self.last = None;
@@ -92,7 +93,7 @@ impl Frames {
     }
 }
 
-/// To the nearest µs, but never zero: that is no pulse.
+/// Rounded to the nearest µs, at least 1: zero means no pulse.
 pub(super) fn width_us(pulse: &Pulse) -> u16 {
     u16::try_from((pulse.width + CYCLES_PER_US / 2) / CYCLES_PER_US)
         .unwrap_or(u16::MAX)
@@ -142,14 +143,14 @@ mod tests {
     }
 
     #[test]
-    fn a_pulse_too_many_is_not_hidden_by_the_one_after_it() {
+    fn a_surplus_pulse_is_not_hidden_by_the_next_one() {
         let mut frames = Frames::default();
         let pulses = [
             pulse(Pin::Esc, 100, 1_500),
-            // Cut in two.
+            // One pulse split in two.
             pulse(Pin::Esc, 100 + PERIOD, 300),
             pulse(Pin::Esc, 100 + PERIOD + 400 * CYCLES_PER_US, 1_100),
-            // Shorter than anything that rounds to a microsecond.
+            // Rounds to zero microseconds.
             Pulse {
                 width: 3,
                 ..pulse(Pin::Esc, 100 + 2 * PERIOD, 0)
@@ -176,7 +177,7 @@ mod tests {
         assert_eq!(frames.jitter(), 5);
     }
     #[test]
-    fn a_frame_that_a_reset_cuts_is_whole_as_it_was_and_no_jitter() {
+    fn a_frame_cut_by_a_reset_is_kept_and_adds_no_jitter() {
         let mut frames = Frames::default();
         widths(&mut frames, &[pulse(Pin::Esc, 0, 1_500)]);
         let servo = pulse(Pin::Servo, PERIOD, 1_400);
@@ -190,7 +191,7 @@ mod tests {
             cut: true,
         };
         assert_eq!(frames.cut_off(), Some(cut));
-        // The next grid is another.
+        // The next grid is independent.
         widths(&mut frames, &[pulse(Pin::Esc, 9 * PERIOD + 77, 1_500)]);
         assert_eq!(frames.jitter(), 0);
     }

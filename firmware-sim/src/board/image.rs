@@ -1,4 +1,4 @@
-//! The image for the Arduino UNO on a simulated processor, in step with the car.
+//! The UNO image on a simulated processor, in step with the car.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use singletrack_simavr::{
 };
 
 use super::{
-    Surroundings, battery_mv,
+    Environment, battery_mv,
     frames::{Frame, Frames, width_us},
     local_time,
     process::Process,
@@ -19,10 +19,10 @@ use crate::{
     pulse_log::{PulseLog, PulseRecord},
 };
 
-/// Where the image and the program that runs it are.
+/// Paths of the image and of the program that runs it.
 ///
-/// `cargo uno` builds both into a folder `uno` of the target folder, where
-/// programs find it that are in the target folder themselves.
+/// `cargo uno` builds both into a folder `uno` of the target folder. Programs in
+/// the target folder find it there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Installation {
     /// The program that runs the image.
@@ -31,49 +31,49 @@ pub struct Installation {
     pub image: PathBuf,
 }
 
-/// Why there is no simulated UNO.
+/// Errors of the simulated UNO.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UnoError {
-    /// Nobody has built it.
+    /// It has not been built.
     #[error(
         "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} or above it; \
          `cargo uno` builds both, or name the folder in {VARIABLE}",
         executable.display()
     )]
     Missing {
-        /// The program that looked.
+        /// The program that searched for it.
         executable: PathBuf,
     },
-    /// The named folder is not one.
+    /// The configured folder lacks a file.
     #[error("{VARIABLE} names {}, where there is no {file}", folder.display())]
     Incomplete {
         /// The folder.
         folder: PathBuf,
-        /// What it lacks.
+        /// The missing file.
         file: &'static str,
     },
-    /// The image is none.
+    /// The image is invalid.
     #[error("cannot read the image {}: {reason}", image.display())]
     Unreadable {
         /// The image.
         image: PathBuf,
-        /// What is wrong with it.
+        /// Why it is invalid.
         reason: String,
     },
-    /// The image crashed, or the program that ran it.
+    /// The image, or the program that ran it, crashed.
     #[error("{}: {reason}", image.display())]
     Crashed {
         /// The image.
         image: PathBuf,
-        /// What happened.
+        /// Description of the crash.
         reason: String,
     },
-    /// The program does not start.
+    /// The program cannot be started.
     #[error("cannot start {}: {reason}", program.display())]
     Start {
         /// The program.
         program: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
 }
@@ -84,12 +84,12 @@ const PROGRAM: &str = "singletrack-simavr";
 const IMAGE: &str = "singletrack-uno.elf";
 
 impl Installation {
-    /// Looks in the folder that `SINGLETRACK_UNO` names, else for a folder `uno`
-    /// beside this program or above it.
+    /// Searches the folder in `SINGLETRACK_UNO`, or else a folder `uno` beside this
+    /// program or above it.
     ///
     /// # Errors
     ///
-    /// Nothing there.
+    /// Fails if a file is missing.
     pub fn find() -> Result<Self, UnoError> {
         if let Some(folder) = std::env::var_os(VARIABLE).map(PathBuf::from) {
             let installation = Self::in_folder(&folder);
@@ -112,12 +112,12 @@ impl Installation {
             .ok_or(UnoError::Missing { executable })
     }
 
-    /// Runs another image of the same folder by itself, with nothing around it,
-    /// for a time in µs, and says what that cost.
+    /// Runs another image of the same folder alone, for a time in µs, and returns
+    /// its cost.
     ///
     /// # Errors
     ///
-    /// It does not run, or not for so long.
+    /// Fails if the image does not run for that time.
     pub fn measure(&self, file: &str, time_us: u64) -> Result<Figures, UnoError> {
         let image = self.image.with_file_name(file);
         let mut process = Process::start(&self.program, &image)?;
@@ -136,7 +136,7 @@ impl Installation {
             Reply::Figures(figures) => Ok(figures),
             reply => Err(UnoError::Crashed {
                 image: image.clone(),
-                reason: format!("no figures but {reply:?}"),
+                reason: format!("expected figures, got {reply:?}"),
             }),
         }
     }
@@ -149,8 +149,8 @@ impl Installation {
     }
 }
 
-/// The processor runs in steps of this length, in µs; what happens within one is
-/// dated to the cycle, and reaches the car and the line at its end.
+/// Step of the processor, in µs. Events within a step are dated to the cycle and
+/// reach the car and the line at its end.
 const STEP_US: u64 = 1_000;
 
 /// The processor with the image.
@@ -159,7 +159,7 @@ pub(super) struct Image {
     process: Process,
     failure: Option<String>,
     next_run_us: u64,
-    /// When the processor last left its reset, in cycles.
+    /// Cycle in which the processor last left its reset.
     started: u64,
     edges: MotorPulses,
     motion: Vec<(u64, Motion)>,
@@ -201,11 +201,11 @@ impl Image {
         self.ask(&Request::SetBus(fault));
     }
 
-    /// Holds the processor in reset. What was on the pins until now reaches car
-    /// and log; of a pulse that was going on, as much as there was.
+    /// Holds the processor in reset. The pulses until now reach car and log; a
+    /// pulse in progress is cut.
     pub(super) fn hold(&mut self, clock: &SkewedClock, car: &mut Car, log: &mut PulseLog) {
         self.ask(&Request::Hold);
-        // No time passes in this run: it asks for the report alone.
+        // This run takes no time; it only fetches the report.
         if let Some(Reply::Ran(report)) = self.ask(&Request::Run(Run::default())) {
             self.take_pulses(&report, Some(report.cycle), clock, car, log);
         }
@@ -221,13 +221,13 @@ impl Image {
         }
     }
 
-    /// How far a pulse has come from its place, 20 ms after the one before, in µs.
+    /// Largest deviation of a pulse from 20 ms after the previous one, in µs.
     pub(super) fn jitter_us(&self) -> f64 {
         self.frames.jitter() as f64 / CYCLES_PER_US as f64
     }
 
     pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
-        // While the processor does not run only the last one is of interest.
+        // While the processor does not run, only the last sample matters.
         if self.motion.len() > 100 {
             self.motion.clear();
         }
@@ -260,43 +260,45 @@ impl Image {
         self.next_run_us = now_us;
     }
 
-    /// Lets the processor catch up; returns whether the watchdog has bitten.
-    pub(super) fn run(&mut self, around: &mut Surroundings<'_>) -> bool {
-        let now_us = around.now_us;
+    /// Runs the processor up to now; returns whether the watchdog has reset it.
+    pub(super) fn run(&mut self, environment: &mut Environment<'_>) -> bool {
+        let now_us = environment.now_us;
         if now_us < self.next_run_us {
             return false;
         }
         self.next_run_us = (now_us / STEP_US + 1) * STEP_US;
-        let clock = around.clock;
+        let clock = environment.clock;
         let mut received = Vec::new();
-        around.wire.board_read_timed(now_us, |arrival_us, byte| {
-            received.push((clock.cycle_at(arrival_us), byte));
-            around.monitor.hear_host(
-                byte,
-                arrival_us,
-                local_time(&clock, around.started_us, arrival_us),
-            );
-        });
+        environment
+            .wire
+            .board_read_timed(now_us, |arrival_us, byte| {
+                received.push((clock.cycle_at(arrival_us), byte));
+                environment.monitor.host_byte(
+                    byte,
+                    arrival_us,
+                    local_time(&clock, environment.started_us, arrival_us),
+                );
+            });
         let run = Run {
             until: clock.cycle_at(now_us),
             received,
-            motor_edges: self.motor_edges(around.car, &clock),
+            motor_edges: self.motor_edges(environment.car, &clock),
             motion: std::mem::take(&mut self.motion),
             battery_mv: battery_mv(
-                around.car,
-                &around.car.parameters().battery,
-                around.battery_noise,
+                environment.car,
+                &environment.car.parameters().battery,
+                environment.battery_noise,
             ),
-            stop_input_open: around.stop_input_open,
+            stop_input_open: environment.stop_input_open,
         };
         match self.ask(&Request::Run(run)) {
-            Some(Reply::Ran(report)) => self.take(&report, around),
+            Some(Reply::Ran(report)) => self.take(&report, environment),
             _ => false,
         }
     }
 
-    /// The edges since the last time: the car knows their number and the time of
-    /// the last one; it turns at about the same speed for a millisecond.
+    /// The edges since the last call. The car knows only their number and the time
+    /// of the last one; its speed is taken as constant for a millisecond.
     fn motor_edges(&mut self, car: &Car, clock: &SkewedClock) -> Vec<u64> {
         let edges = car.motor_pulses();
         let new = u64::from(edges.count.wrapping_sub(self.edges.count));
@@ -312,27 +314,29 @@ impl Image {
             .collect()
     }
 
-    /// What the board did reaches car, line and log.
-    fn take(&mut self, report: &Report, around: &mut Surroundings<'_>) -> bool {
+    /// Passes the board's outputs to car, line and log.
+    fn take(&mut self, report: &Report, environment: &mut Environment<'_>) -> bool {
         self.bytes_overrun = report.bytes_overrun;
         for &(cycle, byte) in &report.transmitted {
-            around.monitor.hear_board(byte);
-            around.wire.board_sent(around.clock.when_cycle(cycle), byte);
+            environment.monitor.board_byte(byte);
+            environment
+                .wire
+                .board_sent(environment.clock.when_cycle(cycle), byte);
         }
         self.take_pulses(
             report,
             report.watchdog_reset,
-            &around.clock,
-            around.car,
-            around.pulses,
+            &environment.clock,
+            environment.car,
+            environment.pulses,
         );
         if let Some(frame) = self.frames.over(report.cycle) {
-            self.log(&frame, &around.clock, around.pulses);
+            self.log(&frame, &environment.clock, environment.pulses);
         }
         report.watchdog_reset.is_some()
     }
 
-    /// A pulse that ends at the very cycle of a reset was cut by it.
+    /// A pulse that ends in the cycle of a reset was cut by it.
     fn take_pulses(
         &mut self,
         report: &Report,
@@ -363,7 +367,7 @@ impl Image {
         });
     }
 
-    /// Asks the process, unless it has failed.
+    /// Sends a request to the process, unless it has failed.
     fn ask(&mut self, request: &Request) -> Option<Reply> {
         if self.failure.is_some() {
             return None;

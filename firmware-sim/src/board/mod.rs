@@ -1,5 +1,5 @@
-//! The board: the real board code on a simulated Arduino, or the real image on
-//! a simulated processor.
+//! The board: the real board code on a simulated Arduino, or the real image on a
+//! simulated processor.
 
 mod frames;
 mod image;
@@ -14,9 +14,10 @@ use singletrack_protocol::{ResetCause, Telemetry};
 use singletrack_simavr::{BusFault, Figures, Hang};
 
 pub use image::{Installation, UnoError};
-pub use monitor::Heard;
+pub use monitor::ReceivedMessage;
 pub use size::ImageSize;
 
+use self::{image::Image, monitor::Monitor, native::Native};
 use crate::{
     car::{BatteryParameters, Car, ImuReading},
     clock::SkewedClock,
@@ -24,26 +25,23 @@ use crate::{
     random::{Random, Stream},
     wire::SerialWire,
 };
-use image::Image;
-use monitor::Monitor;
-use native::Native;
 
 /// Time from one servo pulse to the next, on the board's clock, in µs.
 pub const SERVO_FRAME_US: u64 = 20_000;
 
-/// What runs on the board.
+/// Implementation of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BoardKind {
     /// The board's code, compiled for this machine, with simulated pins.
     #[default]
     Native,
-    /// The image for the Arduino UNO on a simulated processor; see
+    /// The UNO image on a simulated processor; see
     /// [`Installation`].
     Uno,
 }
 
-/// A kind of board that there is not.
+/// Unknown kind of board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("choose native or uno")]
 pub struct UnknownBoard;
@@ -73,21 +71,21 @@ impl core::fmt::Display for BoardKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BoardParameters {
-    /// What runs on it.
+    /// Implementation of the board.
     pub kind: BoardKind,
-    /// What the board's clock gains, in µs per second. A UNO's resonator is
-    /// good for ± 5,000.
+    /// Rate error of the board's clock, in ppm; positive is fast. The resonator of
+    /// a UNO is within ± 5,000.
     pub clock_skew_ppm: i32,
-    /// What the board's clock shows when the board starts, in µs. The image's
-    /// starts at zero.
+    /// Reading of the board's clock at its start, in µs. The image's starts at
+    /// zero.
     pub clock_offset_us: u32,
-    /// Time between two rounds of the main loop, on the board's clock, in µs;
-    /// the image has its own.
+    /// Time between two rounds of the main loop, on the board's clock, in µs; not
+    /// used with the image.
     pub poll_period_us: u64,
-    /// Room for bytes that wait for the line; the image has its own.
+    /// Size of the transmit buffer, in bytes; not used with the image.
     pub transmit_buffer: usize,
-    /// Room for bytes that wait for the main loop, what comes on top is lost;
-    /// the image has its own.
+    /// Size of the receive buffer, in bytes; further bytes are lost. Not used with
+    /// the image.
     pub receive_buffer: usize,
     /// Start-up time after power-on, brown-out and watchdog, in µs.
     pub start_up_us: u64,
@@ -110,9 +108,9 @@ impl Default for BoardParameters {
     }
 }
 
-/// What the board is doing.
+/// Power and reset state of the board.
 #[derive(Debug)]
-enum Phase {
+enum PowerState {
     Off,
     /// In the bootloader: pins float, the line is silent.
     Starting {
@@ -124,15 +122,15 @@ enum Phase {
     },
 }
 
-/// What runs while it runs.
+/// The implementation of the board.
 #[derive(Debug)]
 enum Machine {
     Native(Box<Native>),
     Image(Box<Image>),
 }
 
-/// What surrounds the board.
-struct Surroundings<'a> {
+/// Connections of the board.
+struct Environment<'a> {
     now_us: u64,
     started_us: u64,
     clock: SkewedClock,
@@ -151,7 +149,7 @@ pub struct SimulatedBoard {
     clock: SkewedClock,
     bootloader: Random,
     battery_noise: Random,
-    phase: Phase,
+    phase: PowerState,
     machine: Machine,
     stop_input_open: bool,
     resets: u64,
@@ -169,7 +167,7 @@ impl SimulatedBoard {
             ),
             bootloader: Random::new(seed, Stream::Bootloader),
             battery_noise: Random::new(seed, Stream::Battery),
-            phase: Phase::Starting {
+            phase: PowerState::Starting {
                 until_us: parameters.start_up_us,
                 cause: ResetCause::PowerOn,
             },
@@ -186,57 +184,57 @@ impl SimulatedBoard {
         })
     }
 
-    /// Whether the board's code runs: not off, not in the bootloader.
+    /// Whether the board's code runs: the board is neither off nor in the bootloader.
     #[must_use]
     pub const fn is_running(&self) -> bool {
-        matches!(self.phase, Phase::Running { .. })
+        matches!(self.phase, PowerState::Running { .. })
     }
 
-    /// Resets since the start, power-on not counted.
+    /// Number of resets since the start, without the power-on.
     #[must_use]
     pub const fn resets(&self) -> u64 {
         self.resets
     }
 
-    /// What the board's clock shows, in µs, wrapping; `None` while it does not
-    /// run. The image's own is up to a millisecond behind.
+    /// The board's clock, in µs, wrapping; `None` while it does not run. The
+    /// image's own clock lags by up to a millisecond.
     #[must_use]
     pub fn board_time_us(&self, simulation_us: u64) -> Option<u32> {
         match self.phase {
-            Phase::Running { started_us } => {
+            PowerState::Running { started_us } => {
                 Some(local_time(&self.clock, started_us, simulation_us))
             }
             _ => None,
         }
     }
 
-    /// The native board's code, to look into; `None` while it does not run.
+    /// The native board's code, for inspection; `None` while it does not run.
     #[must_use]
     pub fn code(&self) -> Option<&Board> {
         match (&self.machine, &self.phase) {
-            (Machine::Native(native), Phase::Running { .. }) => Some(native.code()),
+            (Machine::Native(native), PowerState::Running { .. }) => Some(native.code()),
             _ => None,
         }
     }
 
-    /// The last telemetry record that the board has begun to send since it
-    /// started.
+    /// The last telemetry record that the board has started to send since its
+    /// start.
     #[must_use]
     pub const fn telemetry(&self) -> Option<&Telemetry> {
         self.monitor.telemetry()
     }
 
-    /// Of the commands that have reached the board in time since it started,
-    /// the newest one's telemetry time, from which on it lives: board time, in µs.
+    /// Telemetry time of the newest command that reached the board in time since
+    /// its start: board time, in µs. The time to live counts from it.
     #[must_use]
     pub const fn last_command_us(&self) -> Option<u32> {
         self.monitor.last_command_us()
     }
 
-    /// The next message of the host that has reached the board since it started,
-    /// oldest first. The newest 64 are kept.
-    pub fn next_heard(&mut self) -> Option<Heard> {
-        self.monitor.next_heard()
+    /// Removes the oldest message from the host that reached the board since its
+    /// start. The newest 64 are kept.
+    pub fn next_received(&mut self) -> Option<ReceivedMessage> {
+        self.monitor.next_received()
     }
 
     /// The pulses on the pins.
@@ -245,7 +243,7 @@ impl SimulatedBoard {
         &self.pulses
     }
 
-    /// Bytes that found the image's receiver full so far; zero for a native board.
+    /// Bytes lost by the image's receiver so far; zero for a native board.
     #[must_use]
     pub fn bytes_overrun(&self) -> u64 {
         match &self.machine {
@@ -254,7 +252,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Why the simulated processor has gone, if it has: the board is off then.
+    /// The error that ended the simulated processor, if any; the board is then off.
     #[must_use]
     pub fn failure(&self) -> Option<&str> {
         match &self.machine {
@@ -263,7 +261,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// What the image has cost so far; `None` for a native board.
+    /// Cost of the image so far; `None` for a native board.
     #[must_use]
     pub fn figures(&mut self) -> Option<Figures> {
         match &mut self.machine {
@@ -272,8 +270,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// How far one of the image's pulses has at most come from its place, 20 ms
-    /// after the one before, in µs; `None` for a native board.
+    /// Largest deviation of one of the image's pulses from 20 ms after the previous
+    /// one, in µs; `None` for a native board.
     #[must_use]
     pub fn pulse_jitter_us(&self) -> Option<f64> {
         match &self.machine {
@@ -282,14 +280,13 @@ impl SimulatedBoard {
         }
     }
 
-    /// Opens the stop switch or closes it.
+    /// Opens or closes the stop switch.
     pub const fn set_stop_input_open(&mut self, open: bool) {
         self.stop_input_open = open;
     }
 
-    /// Stops the main program until the next reset. A native board has no
-    /// watchdog that would bring one, and treats both kinds alike: supervising
-    /// interrupt and pulses go on.
+    /// Hangs the main program until the next reset. A native board has no watchdog
+    /// and treats both kinds alike: supervising interrupt and pulses continue.
     pub fn hang(&mut self, hang: Hang) {
         match &mut self.machine {
             Machine::Native(native) => native.hang(),
@@ -297,8 +294,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// Breaks the image's bus to the IMU, or mends it. A native board has none:
-    /// every fault but none silences its IMU.
+    /// Sets the fault of the image's IMU bus. A native board has no bus: every
+    /// fault except `None` silences its IMU.
     pub fn set_imu_bus(&mut self, fault: BusFault) {
         match &mut self.machine {
             Machine::Native(native) => native.silence_imu(fault != BusFault::None),
@@ -318,7 +315,7 @@ impl SimulatedBoard {
         self.resets += 1;
         self.leave(
             now_us,
-            Phase::Starting {
+            PowerState::Starting {
                 until_us: now_us + duration,
                 cause,
             },
@@ -328,21 +325,21 @@ impl SimulatedBoard {
 
     pub(crate) fn set_power(&mut self, now_us: u64, on: bool, car: &mut Car) {
         match (&self.phase, on) {
-            (Phase::Off, true) => {
-                self.phase = Phase::Starting {
+            (PowerState::Off, true) => {
+                self.phase = PowerState::Starting {
                     until_us: now_us + self.parameters.start_up_us,
                     cause: ResetCause::PowerOn,
                 };
             }
-            (Phase::Starting { .. } | Phase::Running { .. }, false) => {
-                self.leave(now_us, Phase::Off, car);
+            (PowerState::Starting { .. } | PowerState::Running { .. }, false) => {
+                self.leave(now_us, PowerState::Off, car);
             }
             _ => {}
         }
     }
 
-    /// The pins float from now on.
-    fn leave(&mut self, now_us: u64, phase: Phase, car: &mut Car) {
+    /// Leaves the running state; the pins float.
+    fn leave(&mut self, now_us: u64, phase: PowerState, car: &mut Car) {
         let board_time_us = self.board_time_us(now_us).unwrap_or(0);
         self.phase = phase;
         self.monitor = Monitor::default();
@@ -360,9 +357,9 @@ impl SimulatedBoard {
 
     pub(crate) fn next_event_us(&self) -> u64 {
         match self.phase {
-            Phase::Off => u64::MAX,
-            Phase::Starting { until_us, .. } => until_us,
-            Phase::Running { started_us } => match &self.machine {
+            PowerState::Off => u64::MAX,
+            PowerState::Starting { until_us, .. } => until_us,
+            PowerState::Running { started_us } => match &self.machine {
                 Machine::Native(native) => native.next_event_us(&self.clock, started_us),
                 Machine::Image(image) => image.next_event_us(),
             },
@@ -372,32 +369,32 @@ impl SimulatedBoard {
     pub(crate) fn take_imu(&mut self, now_us: u64, reading: &ImuReading) {
         match &mut self.machine {
             Machine::Native(native) => {
-                if let Phase::Running { started_us } = self.phase {
+                if let PowerState::Running { started_us } = self.phase {
                     native.take_imu(local_time(&self.clock, started_us, now_us), reading);
                 }
             }
-            // The sensor measures whether somebody listens or not.
+            // The sensor measures even if the board does not run.
             Machine::Image(image) => image.take_imu(self.clock.cycle_at(now_us), reading),
         }
     }
 
     pub(crate) fn events_at(&mut self, now_us: u64, car: &mut Car, wire: &mut SerialWire) {
-        if let Phase::Starting { until_us, cause } = self.phase
+        if let PowerState::Starting { until_us, cause } = self.phase
             && until_us <= now_us
         {
-            // What came during the bootloader is gone.
+            // Bytes received during the bootloader are lost.
             self.received.clear();
             wire.board_read(now_us, &mut self.received);
             match &mut self.machine {
                 Machine::Native(native) => native.restart(cause),
                 Machine::Image(image) => image.restart(self.clock, now_us, cause),
             }
-            self.phase = Phase::Running { started_us: now_us };
+            self.phase = PowerState::Running { started_us: now_us };
         }
-        let Phase::Running { started_us } = self.phase else {
+        let PowerState::Running { started_us } = self.phase else {
             return;
         };
-        let mut around = Surroundings {
+        let mut environment = Environment {
             now_us,
             started_us,
             clock: self.clock,
@@ -408,22 +405,22 @@ impl SimulatedBoard {
             pulses: &mut self.pulses,
             monitor: &mut self.monitor,
         };
-        let bitten = match &mut self.machine {
+        let watchdog_reset = match &mut self.machine {
             Machine::Native(native) => {
-                native.run(around);
+                native.run(environment);
                 false
             }
-            Machine::Image(image) => image.run(&mut around),
+            Machine::Image(image) => image.run(&mut environment),
         };
         if self.failure().is_some() {
-            self.leave(now_us, Phase::Off, car);
-        } else if bitten {
+            self.leave(now_us, PowerState::Off, car);
+        } else if watchdog_reset {
             self.reset(now_us, ResetCause::Watchdog, car);
         }
     }
 }
 
-/// The board's clock starts anew with the board.
+/// Board time; the clock restarts with the board.
 fn local_time(clock: &SkewedClock, started_us: u64, simulation_us: u64) -> u32 {
     clock.at(simulation_us.saturating_sub(started_us)) as u32
 }

@@ -1,24 +1,24 @@
-//! The Arduino around the real board code: clock, bytes, pins.
+//! A simulated Arduino for the real board code: clock, bytes, pins.
 
 use singletrack_board::{Board, ImuSample, Inputs, MotorPulses};
 use singletrack_protocol::ResetCause;
 
-use super::{BoardParameters, SERVO_FRAME_US, Surroundings, battery_mv, local_time};
+use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time};
 use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
 
-/// The version that the simulated board reports: this crate's.
+/// Version reported by the simulated board: this crate's.
 const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 
-/// A main loop that has been silent for longer hangs, as the image's supervisor
-/// has it.
-const PATIENCE_US: u32 = 19_000;
+/// Time after which a silent main loop counts as hung, as in the image's
+/// supervisor.
+const HANG_TIMEOUT_US: u32 = 19_000;
 
-/// The board's code and its inputs.
+/// The board's code with its inputs.
 #[derive(Debug)]
 pub(super) struct Native {
     parameters: BoardParameters,
     board: Board,
-    /// Rounds of the main loop and servo frames so far.
+    /// Numbers of main loop rounds and servo frames so far.
     polls: u64,
     frames: u64,
     inputs: Inputs,
@@ -81,8 +81,8 @@ impl Native {
         }
     }
 
-    pub(super) fn run(&mut self, around: Surroundings<'_>) {
-        let Surroundings {
+    pub(super) fn run(&mut self, environment: Environment<'_>) {
+        let Environment {
             now_us,
             started_us,
             clock,
@@ -92,7 +92,7 @@ impl Native {
             wire,
             pulses,
             monitor,
-        } = around;
+        } = environment;
         let board_time_us = local_time(&clock, started_us, now_us);
         let elapsed = clock.at(now_us - started_us) - clock.at(0);
         if self.polls * self.parameters.poll_period_us <= elapsed {
@@ -113,7 +113,7 @@ impl Native {
                 self.received.truncate(room);
                 self.inputs.bytes_overrun = self.inputs.bytes_overrun.wrapping_add(lost as u16);
                 for &byte in &self.received {
-                    monitor.hear_host(byte, now_us, board_time_us);
+                    monitor.host_byte(byte, now_us, board_time_us);
                 }
                 let room = self.parameters.transmit_buffer;
                 self.board.poll(
@@ -125,7 +125,7 @@ impl Native {
                         if fits {
                             wire.board_write(now_us, frame);
                             for &byte in frame {
-                                monitor.hear_board(byte);
+                                monitor.board_byte(byte);
                             }
                         }
                         fits
@@ -147,15 +147,15 @@ impl Native {
         }
     }
 
-    /// What the pins show, with the timer interrupt's last word: neutral once the
-    /// command has run out, and once the main loop has been silent for longer
-    /// than [`PATIENCE_US`].
+    /// The pulses on the pins, after the supervising timer interrupt: neutral once
+    /// the command has expired, and once the main loop has been silent for longer
+    /// than [`HANG_TIMEOUT_US`].
     fn pulses(&self, board_time_us: u32) -> (u16, u16) {
         let outputs = self.board.outputs();
         let expired = outputs
             .drive_deadline_us
             .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
-        let stalled = board_time_us.wrapping_sub(self.last_poll_us) > PATIENCE_US;
+        let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
         let esc_us = if expired || stalled {
             outputs.esc_neutral_us
         } else {

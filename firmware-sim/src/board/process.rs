@@ -11,7 +11,7 @@ use singletrack_simavr::{PipeError, Reply, Request, receive, send};
 
 use super::UnoError;
 
-/// The process, and the pipes to it. Dropped, it ends.
+/// The process with its pipes. Dropping it ends the process.
 #[derive(Debug)]
 pub(super) struct Process {
     child: Child,
@@ -29,7 +29,7 @@ impl Process {
             .arg(image)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            // Ctrl-C is for us: it ends when we do, and no sooner.
+            // Not interrupted by Ctrl-C: it must end after the simulator.
             .process_group(0)
             .spawn()
             .map_err(|source| error(source.to_string()))?;
@@ -43,16 +43,16 @@ impl Process {
         }
     }
 
-    /// Asks, and waits for the answer.
+    /// Sends a request and waits for the reply.
     pub(super) fn ask(&mut self, request: &Request) -> Result<Reply, String> {
         let reply = send(&mut self.requests, request).and_then(|()| receive(&mut self.replies));
         match reply {
             Ok(Some(Reply::Failed(reason))) => Err(reason),
             Ok(Some(reply)) => Ok(reply),
             Ok(None) => Err("the process that runs the image has ended".to_owned()),
-            Err(PipeError::Io(error)) => {
-                Err(format!("the process that runs the image has gone: {error}"))
-            }
+            Err(PipeError::Io(error)) => Err(format!(
+                "the process that runs the image has ended: {error}"
+            )),
             Err(error) => Err(format!("the process that runs the image: {error}")),
         }
     }
@@ -60,7 +60,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // It has nothing that it would have to save.
+        // The process has no state to save.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -71,11 +71,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ctrl_c_on_the_terminal_does_not_reach_it() {
+    fn ctrl_c_does_not_reach_the_process() {
         let process = Process::start(Path::new("/bin/cat"), Path::new("-")).unwrap();
         let pid = process.child.id();
         let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
-        // Behind the name in parentheses: state, parent, process group.
+        // After the name in parentheses: state, parent, process group.
         let (_, rest) = stat.rsplit_once(") ").unwrap();
         let group = rest.split(' ').nth(2).unwrap();
         assert_eq!(group, pid.to_string());

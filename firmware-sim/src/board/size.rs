@@ -1,4 +1,4 @@
-//! What an image takes of the ATmega328P's memories.
+//! Memory usage of an image.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use object::{Architecture, Object, ObjectSection, SectionKind};
 
 use super::UnoError;
 
-/// In the image's ELF file data addresses are those of the data memory plus this.
+/// Offset of data addresses in the ELF file.
 const DATA_SPACE: u64 = 0x80_0000;
 
-/// What an image takes of the ATmega328P's memories.
+/// Memory usage of an image on the ATmega328P.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageSize {
     /// Program, constants and initial values, in bytes.
@@ -19,11 +19,11 @@ pub struct ImageSize {
 }
 
 impl ImageSize {
-    /// Reads it from the image's file.
+    /// Reads the sizes from the image's file.
     ///
     /// # Errors
     ///
-    /// No such file, or no image.
+    /// Fails if the file is not a readable image.
     pub fn read(image: &Path) -> Result<Self, UnoError> {
         let unreadable = |reason: String| UnoError::Unreadable {
             image: image.to_owned(),
@@ -47,7 +47,7 @@ impl ImageSize {
             size.flash_bytes += if flash { section.size() } else { 0 };
             size.static_bytes += if data { section.size() } else { 0 };
         }
-        // A program for something else would give figures, too.
+        // A program for another processor would give sizes, too.
         if file.architecture() != Architecture::Avr {
             return Err(unreadable("not for an AVR processor".to_owned()));
         }

@@ -1,4 +1,4 @@
-//! The battery: it sags under load and slowly runs down.
+//! The battery: voltage drop under load, and slow discharge.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 pub struct BatteryParameters {
     /// Voltage without load at the start, in V.
     pub start_v: f64,
-    /// Voltage at which the motor's gain is as stated, in V.
+    /// Voltage for which the motor's gain is specified, in V.
     pub nominal_v: f64,
     /// Internal resistance, in Ω.
     pub resistance_ohm: f64,
     /// Current of the electronics, in A.
     pub idle_a: f64,
-    /// Motor current for each m/s² of driven acceleration, in A.
+    /// Motor current per m/s² of driven acceleration, in A.
     pub motor_a_per_m_s2: f64,
-    /// Motor current for each m/s of speed, in A.
+    /// Motor current per m/s of speed, in A.
     pub motor_a_per_m_s: f64,
-    /// Voltage lost for each ampere-hour drawn, in V.
+    /// Voltage drop per ampere-hour drawn, in V.
     pub fall_v_per_ah: f64,
     /// Standard deviation of the measured voltage, in V.
     pub noise_v: f64,
@@ -47,7 +47,7 @@ pub(crate) struct Battery {
 }
 
 impl Battery {
-    /// Draws for `seconds` what this motion needs.
+    /// Draws the charge of this motion over `seconds`.
     pub(crate) fn draw(
         &mut self,
         p: &BatteryParameters,
@@ -64,7 +64,7 @@ impl Battery {
         self.drawn_ah += self.current_a * seconds / 3600.0;
     }
 
-    /// Draws charge at once, in Ah.
+    /// Draws a charge, in Ah.
     pub(crate) fn drain(&mut self, charge_ah: f64) {
         self.drawn_ah += charge_ah;
     }

@@ -1,4 +1,4 @@
-//! The inertial measurement unit, after the BNO055 in its fusion mode without
+//! The inertial measurement unit, modelled on the BNO055 in its fusion mode without
 //! magnetometer.
 
 use serde::{Deserialize, Serialize};
@@ -18,17 +18,17 @@ pub struct ImuParameters {
     pub period_us: u64,
     /// Time of the first sample, in µs.
     pub phase_us: u64,
-    /// Time from the moment measured until the board has the sample, in µs.
+    /// Time from the measurement to the arrival at the board, in µs.
     pub latency_us: u64,
     /// Standard deviation of the angular velocity, in rad/s.
     pub gyro_noise_rad_s: f64,
-    /// Standard deviation of the constant bias drawn at start, in rad/s.
+    /// Standard deviation of the constant bias of the angular velocity, in rad/s.
     pub gyro_bias_rad_s: f64,
     /// Random walk of the bias, in rad/s per square root of a second.
     pub gyro_walk_rad_s: f64,
     /// Standard deviation of the linear acceleration, in m/s².
     pub acceleration_noise_m_s2: f64,
-    /// Standard deviation of the constant bias drawn at start, in m/s².
+    /// Standard deviation of the constant bias of the acceleration, in m/s².
     pub acceleration_bias_m_s2: f64,
     /// Standard deviation of roll, pitch and yaw, in rad.
     pub attitude_noise_rad: f64,
@@ -56,7 +56,7 @@ impl Default for ImuParameters {
 /// One sample, in the units of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImuReading {
-    /// Simulation time of the moment measured, in µs.
+    /// Simulation time of the measurement, in µs.
     pub time_us: u64,
     /// Acceleration without gravity along forward, left, up, in mm/s².
     pub linear_acceleration_mm_s2: [i16; 3],
@@ -66,33 +66,32 @@ pub struct ImuReading {
     pub attitude_q14: [i16; 4],
 }
 
-/// What is wrong with the IMU, beyond its noise and biases.
+/// Faults of the IMU, beyond its noise and biases.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImuFault {
-    /// Nothing.
+    /// No fault.
     #[default]
     None,
-    /// No sample comes any more.
+    /// No samples.
     Silent,
-    /// Samples go on coming, all with the values of the last good one.
+    /// All samples repeat the values of the last good one.
     Stuck,
-    /// A further bias: of the angular velocity about the vertical in mrad/s, and
-    /// of the acceleration forward in mm/s².
+    /// A further bias of the angular velocity about the vertical, in mrad/s, and of
+    /// the forward acceleration, in mm/s².
     Biased {
-        /// Of the angular velocity about the vertical, in mrad/s.
+        /// Bias of the angular velocity about the vertical, in mrad/s.
         yaw_rate_mrad_s: i16,
-        /// Of the acceleration forward, in mm/s².
+        /// Bias of the forward acceleration, in mm/s².
         forward_mm_s2: i16,
     },
-    /// Every value is at the end of its scale, as sensors without a notion of
-    /// "no number" tell one.
+    /// All values at full scale, which sensors without NaN use for errors.
     Saturated,
     /// Every other sample has its signs reversed.
     Erratic,
 }
 
 impl ImuFault {
-    /// The sample that the board gets of `reading`; `last` is the one before.
+    /// The sample that the board gets for `reading`; `last` is the previous one.
     pub(crate) fn falsify(
         self,
         mut reading: ImuReading,
@@ -136,7 +135,7 @@ impl ImuFault {
     }
 }
 
-/// The sensor's own state: biases and drift.
+/// The sensor with its biases and drift.
 #[derive(Clone, Debug)]
 pub(crate) struct Imu {
     parameters: ImuParameters,
@@ -165,12 +164,12 @@ impl Imu {
         }
     }
 
-    /// The constant and walked bias of the angular velocity, in rad/s.
+    /// Constant bias plus random walk of the angular velocity, in rad/s.
     pub(crate) const fn gyro_bias(&self) -> [f64; 3] {
         self.gyro_bias
     }
 
-    /// Measures; to be called once every period.
+    /// Takes a sample; call it once per period.
     pub(crate) fn sample(&mut self, truth: &Truth) -> ImuReading {
         let p = &self.parameters;
         let root_period = libm::sqrt(p.period_us as f64 * 1e-6);

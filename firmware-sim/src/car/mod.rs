@@ -1,4 +1,4 @@
-//! The car: what the pulses do to it, and what its sensors say.
+//! The car: actuators, dynamics and sensors.
 
 mod battery;
 mod imu;

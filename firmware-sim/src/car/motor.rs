@@ -2,16 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How the drive train answers the ESC's pulses.
+/// Response of the drive train to the ESC's pulses.
 ///
-/// Beyond the deadband the wheels settle at `gain · u / (1 + u / saturation)`
-/// times the battery's share of its nominal voltage, with `u` the pulse beyond
-/// deadband and breakaway: the speed loop has a curve, an offset and a drift
-/// to work against.
+/// Beyond the deadband the wheels settle at `gain · u / (1 + u / saturation)` times
+/// the ratio of battery voltage to nominal voltage, with `u` the pulse beyond
+/// deadband and breakaway. The speed loop must therefore compensate a curve, an
+/// offset and a drift.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorParameters {
-    /// Pulse at which the motor is free, in µs.
+    /// Pulse without drive or brake, in µs.
     pub neutral_us: u16,
     /// Half width of the band around neutral without drive, in µs.
     pub deadband_us: u16,
@@ -23,24 +23,24 @@ pub struct MotorParameters {
     pub saturation_us: f64,
     /// Time constant of the first-order lag, in s.
     pub lag_s: f64,
-    /// Time from the start of a pulse until the motor acts on it, in µs.
+    /// Time from the start of a pulse to the motor's response, in µs.
     pub dead_time_us: u64,
     /// Largest acceleration, in m/s².
     pub max_acceleration_m_s2: f64,
-    /// Deceleration of the rolling car, in m/s², independent of speed.
+    /// Constant deceleration of the rolling car, in m/s².
     pub coasting_m_s2: f64,
-    /// Deceleration of the rolling car in proportion to its speed, in 1/s.
+    /// Deceleration of the rolling car per speed, in 1/s.
     pub viscous_per_s: f64,
     /// Braking per µs of pulse beyond the deadband, in m/s² per µs.
     pub brake_m_s2_per_us: f64,
     /// Largest braking, in m/s².
     pub max_brake_m_s2: f64,
-    /// Whether a pulse below neutral drives backward once the wheels stand and
-    /// neutral has been seen; otherwise it only brakes.
+    /// Whether a pulse below neutral drives in reverse after standstill and
+    /// neutral; otherwise it only brakes.
     pub reverse: bool,
-    /// How long neutral must be held after power-on before the ESC drives, in µs.
+    /// Time at neutral after power-on before the ESC drives, in µs.
     pub arming_us: u64,
-    /// Time without pulses after which the ESC lets the motor go, in µs.
+    /// Time without pulses after which the ESC releases the motor, in µs.
     pub signal_loss_us: u64,
 }
 
@@ -48,7 +48,7 @@ impl Default for MotorParameters {
     fn default() -> Self {
         Self {
             neutral_us: 1500,
-            // With the breakaway: 30 µs, in which the wheels stand.
+            // With the breakaway, 30 µs in which the wheels stand.
             deadband_us: 26,
             breakaway_us: 4.0,
             gain_m_s_per_us: 0.01,
@@ -67,14 +67,14 @@ impl Default for MotorParameters {
     }
 }
 
-/// What the ESC does with the motor.
+/// Action of the ESC on the motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Drive {
-    /// The motor is free.
+    /// No drive or brake.
     Free,
-    /// Towards this wheel speed at nominal voltage, in m/s.
+    /// Drives towards this wheel speed at nominal voltage, in m/s.
     Towards(f64),
-    /// Against the motion, in m/s².
+    /// Brakes with this deceleration, in m/s².
     Brake(f64),
 }
 
@@ -108,14 +108,14 @@ impl SpeedController {
         self.armed
     }
 
-    /// The signal was lost.
+    /// Releases the motor after a loss of the signal.
     pub(crate) fn release(&mut self) {
         self.neutral_since_us = None;
         self.reverse_ready = false;
         self.drive = Drive::Free;
     }
 
-    /// One pulse, as the ESC understands it at `now_us` with the wheels at `speed`.
+    /// Processes a pulse at `now_us` with the wheels at `speed`.
     pub(crate) fn pulse(&mut self, p: &MotorParameters, pulse_us: u16, now_us: u64, speed: f64) {
         let deflection = f64::from(pulse_us) - f64::from(p.neutral_us);
         let beyond = deflection.abs() - f64::from(p.deadband_us);
@@ -146,17 +146,17 @@ impl MotorParameters {
     /// Acceleration of the wheels, in m/s²; `voltage_share` is the battery's
     /// voltage over the nominal one.
     pub(crate) fn acceleration(&self, drive: Drive, speed: f64, voltage_share: f64) -> f64 {
-        // Friction without a jump at zero, over 5 mm/s: the integrator's limit.
+        // Friction is continuous over 5 mm/s, which the integrator requires.
         let direction = (speed / 0.005).clamp(-1.0, 1.0);
         let rolling = self.coasting_m_s2 * direction + self.viscous_per_s * speed;
         match drive {
             Drive::Towards(settled) => {
-                let wanted = (settled * voltage_share - speed) / self.lag_s;
-                // A motor that is asked for less than it turns does not brake: the car rolls.
-                if settled * direction >= 0.0 && wanted * direction < -rolling.abs() {
+                let driven = (settled * voltage_share - speed) / self.lag_s;
+                // A motor that turns faster than its target does not brake: the car rolls.
+                if settled * direction >= 0.0 && driven * direction < -rolling.abs() {
                     -rolling
                 } else {
-                    wanted.clamp(-self.max_acceleration_m_s2, self.max_acceleration_m_s2)
+                    driven.clamp(-self.max_acceleration_m_s2, self.max_acceleration_m_s2)
                 }
             }
             Drive::Free => -rolling,

@@ -1,4 +1,4 @@
-//! The sensor that gives a pulse for every few millimetres of travel.
+//! The motor's pulse sensor: a pulse every few millimetres of travel.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorSensorParameters {
-    /// Distance that the car really rolls in one pulse, in µm.
+    /// True distance per pulse, in µm.
     pub pulse_distance_um: f64,
 }
 
@@ -18,29 +18,28 @@ impl Default for MotorSensorParameters {
     }
 }
 
-/// What is wrong with the motor's pulse sensor.
+/// Faults of the motor's pulse sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotorSensorFault {
-    /// Nothing.
+    /// No fault.
     #[default]
     None,
-    /// No pulse comes any more.
+    /// No pulses.
     Gone,
-    /// Every pulse comes twice.
+    /// Every pulse is doubled.
     Doubled,
     /// Every other pulse is missing.
     Halved,
-    /// As many as there should be, at uneven distances.
+    /// The right number of pulses, unevenly spaced.
     Erratic,
 }
 
 impl MotorSensorFault {
-    /// Which of fourteen half distances end with a pulse when it is erratic:
-    /// seven of them.
+    /// Erratic pulses: the seven of fourteen half distances that end with a pulse.
     const UNEVEN: u16 = 0b01_1011_0001_1100;
 
-    /// The distance from one possible pulse to the next, as a part of the real one.
+    /// Distance between possible pulses, relative to the true distance per pulse.
     const fn distance(self) -> f64 {
         match self {
             Self::None | Self::Gone => 1.0,
@@ -49,8 +48,8 @@ impl MotorSensorFault {
         }
     }
 
-    /// Whether the possible pulse with this number comes.
-    const fn comes(self, number: u64) -> bool {
+    /// Whether the possible pulse with this number is output.
+    const fn is_output(self, number: u64) -> bool {
         match self {
             Self::None | Self::Doubled | Self::Halved => true,
             Self::Gone => false,
@@ -59,7 +58,7 @@ impl MotorSensorFault {
     }
 }
 
-/// The pulses so far, as the board's counter and capture see them.
+/// The pulses so far, as counted and timed by the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MotorPulses {
     /// Number of pulses, wrapping.
@@ -68,12 +67,12 @@ pub struct MotorPulses {
     pub last_us: Option<u64>,
 }
 
-/// Turns travel into pulses.
+/// The sensor: converts travel to pulses.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MotorSensor {
     /// Travel since the last pulse, in m.
     remainder_m: f64,
-    /// Pulses that were possible so far.
+    /// Number of possible pulses so far.
     possible: u64,
     pulses: MotorPulses,
 }
@@ -83,8 +82,8 @@ impl MotorSensor {
         self.pulses
     }
 
-    /// `travel_m` of wheel travel (either direction) from `start_us` to `end_us`,
-    /// at a speed that is taken as constant.
+    /// Adds `travel_m` of wheel travel (either direction) from `start_us` to
+    /// `end_us`, at a constant speed.
     pub(crate) fn roll(
         &mut self,
         p: &MotorSensorParameters,
@@ -107,7 +106,7 @@ impl MotorSensor {
             let share = ((edge * distance - before) / travel).clamp(0.0, 1.0);
             let time_us = start_us + (share * (end_us - start_us) as f64) as u64;
             self.possible += 1;
-            if fault.comes(self.possible) {
+            if fault.is_output(self.possible) {
                 self.pulses = MotorPulses {
                     count: self.pulses.count.wrapping_add(1),
                     last_us: Some(time_us),
@@ -142,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn pulses_count_the_distance_and_have_the_time_of_their_edge() {
+    fn pulses_measure_distance_and_have_the_time_of_their_edge() {
         // 0.4 m/s for 5 s: 2 m, 666 pulses of 7.5 ms.
         let pulses = roll(MotorSensorFault::None, 0.4e-3, 5000);
         assert_eq!(pulses.count, 666);
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_double_swallow_or_disorder_the_pulses() {
+    fn faults_double_drop_or_shift_the_pulses() {
         assert_eq!(roll(MotorSensorFault::Doubled, 0.4e-3, 5000).count, 1333);
         assert_eq!(
             roll(MotorSensorFault::Gone, 0.4e-3, 5000),
@@ -167,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_of_several_pulses_in_one_step_gives_the_time() {
+    fn the_time_is_that_of_the_last_pulse_in_a_step() {
         let mut sensor = MotorSensor::default();
         sensor.roll(&SENSOR, MotorSensorFault::None, 0.010, 0, 1000);
         let pulses = sensor.pulses();

@@ -1,4 +1,4 @@
-//! The moving car.
+//! The car's dynamics.
 
 use std::collections::VecDeque;
 
@@ -14,7 +14,7 @@ use super::{
     motor_sensor::MotorSensor,
 };
 
-/// The car in numbers.
+/// Parameters of the car.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarParameters {
@@ -30,11 +30,11 @@ pub struct CarParameters {
     pub imu: ImuParameters,
     /// The battery.
     pub battery: BatteryParameters,
-    /// Where the car stands at the start.
+    /// Initial pose of the car.
     pub start: StartPose,
 }
 
-/// Where the car stands at the start.
+/// Initial pose of the car.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StartPose {
@@ -46,7 +46,7 @@ pub struct StartPose {
     pub yaw_rad: f64,
 }
 
-/// What is really so, at one moment.
+/// Ground truth at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Simulation time, in µs.
@@ -59,7 +59,7 @@ pub struct Truth {
     pub yaw: f64,
     /// Yaw rate, in rad/s.
     pub yaw_rate: f64,
-    /// Angle from the car's axis to the velocity of G, in rad.
+    /// Sideslip: the angle from the car's axis to the velocity of G, in rad.
     pub sideslip: f64,
     /// Steering angle of the front wheels, left positive, in rad.
     pub steering: f64,
@@ -89,7 +89,7 @@ impl Truth {
     }
 }
 
-/// What is integrated.
+/// The integrated state.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
     track: SingleTrackState,
@@ -114,7 +114,7 @@ impl State {
     }
 }
 
-/// A pulse on its way through an actuator's dead time.
+/// A pulse within an actuator's dead time.
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     due_us: u64,
@@ -123,11 +123,11 @@ struct Pending {
 
 /// Longest integration step, in µs.
 ///
-/// The relaxed model's fastest mode is near -1,900/s at 0.08 m/s, where RK4 is
+/// The fastest mode of the relaxed model is near -1,900/s at 0.08 m/s, where RK4 is
 /// stable up to 1.4 ms.
 const MAX_STEP_US: u64 = 1_000;
 
-/// The car: pulses in, motion and sensor signals out.
+/// The car: maps pulses to motion and sensor signals.
 #[derive(Clone, Debug)]
 pub struct Car {
     parameters: CarParameters,
@@ -146,8 +146,8 @@ pub struct Car {
 }
 
 impl Car {
-    /// The car standing at its start pose at simulation time zero, with the
-    /// wheels straight and the ESC just powered.
+    /// A car at rest at its start pose at simulation time zero, with straight
+    /// wheels and an ESC that has just been powered.
     #[must_use]
     pub fn new(parameters: CarParameters) -> Self {
         let mut car = Self {
@@ -170,13 +170,13 @@ impl Car {
         car
     }
 
-    /// What the car was built with.
+    /// The parameters.
     #[must_use]
     pub const fn parameters(&self) -> &CarParameters {
         &self.parameters
     }
 
-    /// Puts the car down at rest, wheels straight. Pulses already under way
+    /// Places the car at rest with straight wheels. Pulses within the dead times
     /// still act.
     pub fn place(&mut self, pose: StartPose) {
         self.state = State {
@@ -191,13 +191,13 @@ impl Car {
         self.servo_target = 0.0;
     }
 
-    /// Breaks or mends the motor's pulse sensor.
+    /// Sets the fault of the motor's pulse sensor.
     pub fn set_motor_sensor_fault(&mut self, fault: MotorSensorFault) {
         self.sensor_fault = fault;
     }
 
-    /// Switches the ESC's own supply: without, the motor is free, and afterwards
-    /// it has to be shown neutral for its arming time again.
+    /// Switches the ESC's supply. Without it the motor is free; afterwards the ESC
+    /// needs neutral for its arming time.
     pub fn set_esc_power(&mut self, on: bool) {
         self.esc_is_powered = on;
         if !on {
@@ -206,13 +206,13 @@ impl Car {
         }
     }
 
-    /// Draws charge from the battery, in Ah; a negative charge puts it back.
+    /// Draws charge from the battery, in Ah; a negative charge restores it.
     pub fn drain_battery(&mut self, charge_ah: f64) {
         self.battery.drain(charge_ah);
     }
 
-    /// Gives one servo frame: both pulses start at the car's present time.
-    /// Zero is no pulse.
+    /// Applies one servo frame: both pulses start at the car's present time. Zero
+    /// means no pulse.
     pub fn apply_pulses(&mut self, servo_us: u16, esc_us: u16) {
         if servo_us != 0 {
             self.servo_pending.push_back(Pending {
@@ -228,19 +228,19 @@ impl Car {
         }
     }
 
-    /// The motor's pulses so far.
+    /// The motor pulses so far.
     #[must_use]
     pub fn motor_pulses(&self) -> MotorPulses {
         self.sensor.pulses()
     }
 
-    /// Whether the ESC has seen neutral for long enough to drive.
+    /// Whether the ESC has been at neutral long enough to drive.
     #[must_use]
     pub const fn esc_is_armed(&self) -> bool {
         self.esc.is_armed()
     }
 
-    /// Moves on to `until_us`; earlier times change nothing.
+    /// Advances to `until_us`; an earlier time has no effect.
     pub fn advance_to(&mut self, until_us: u64) {
         while self.now_us < until_us {
             self.take_pulses();
@@ -249,7 +249,7 @@ impl Car {
                 .into_iter()
                 .flatten()
             {
-                // Steps end where an actuator's input changes.
+                // A step ends when an actuator's input changes.
                 end = end.min(pending.due_us);
             }
             self.step(end);
@@ -257,7 +257,7 @@ impl Car {
         self.take_pulses();
     }
 
-    /// What is so now.
+    /// The present ground truth.
     #[must_use]
     pub fn truth(&self) -> Truth {
         let State {
@@ -321,7 +321,7 @@ impl Car {
             .plus(&k4, h / 6.0);
         let stop = self.parameters.servo.stop_rad;
         next.steering = next.steering.clamp(-stop, stop);
-        // Rolling friction brings the car to rest; it cannot push it.
+        // Rolling friction stops the car; it cannot accelerate it.
         let driven = matches!(self.esc.drive(), Drive::Towards(settled) if settled != 0.0);
         if !driven && (next.wheel_speed.abs() < 1e-4 || next.wheel_speed * s.wheel_speed < 0.0) {
             next.wheel_speed = 0.0;
@@ -367,7 +367,7 @@ impl Car {
 
 /// Speed of G along its course when the wheels roll along the car.
 fn course_speed(wheel_speed: f64, sideslip: f64) -> f64 {
-    // A car that slides sideways is not moved faster by it.
+    // A large sideslip does not increase the speed.
     wheel_speed / cos(sideslip).max(0.5)
 }
 

@@ -1,4 +1,4 @@
-//! The real board code drives the simulated car.
+//! Closed loop of the real board code and the simulated car.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,7 +16,7 @@ const KIND: singletrack_sim::BoardKind = singletrack_sim::BoardKind::Native;
 
 /// The image's clock starts at zero, and wraps after 72 minutes.
 #[test]
-fn a_clock_that_wraps_in_mid_drive_disturbs_nothing() {
+fn a_wrap_of_the_clock_while_driving_has_no_effect() {
     let mut bench = ScriptedDrive::armed(SimulationConfig {
         board: BoardParameters {
             clock_offset_us: u32::MAX - 4_000_000,

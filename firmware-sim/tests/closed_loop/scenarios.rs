@@ -1,4 +1,4 @@
-//! What the board must do with the simulated car, whatever it runs on.
+//! Closed-loop scenarios, for the native board and for the image.
 
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, StopCause, ToBoard, UNSOLICITED,
@@ -28,7 +28,7 @@ pub(crate) fn armed(config: SimulationConfig) -> ScriptedDrive {
     drive
 }
 
-/// Within this of neutral the motor gets nothing, in µs.
+/// Distance from neutral within which the motor is not driven, in µs.
 const DEADBAND_US: u16 = 26;
 
 #[test]
@@ -44,7 +44,7 @@ fn a_step_to_0_4_m_s_settles_within_a_second() {
             let error = (truth.wheel_speed / 0.4 - 1.0).abs();
             fastest = fastest.max(truth.wheel_speed);
             let since = truth.time_us - start;
-            // The integral takes longer to find a weak battery's pulse.
+            // With a weak battery the integral takes longer.
             let limit = if since < 2_000_000 { within } else { 0.02 };
             assert!(
                 since < 1_000_000 || error <= limit,
@@ -58,7 +58,7 @@ fn a_step_to_0_4_m_s_settles_within_a_second() {
 }
 
 #[test]
-fn creeping_does_not_look_like_a_dead_sensor() {
+fn creeping_is_not_mistaken_for_a_dead_sensor() {
     let mut bench = armed(seeded(1));
     bench.drive(500, 80, 0, |_| {});
     assert_eq!(bench.host.mode(), Some(BoardMode::Driving));
@@ -67,7 +67,7 @@ fn creeping_does_not_look_like_a_dead_sensor() {
 }
 
 #[test]
-fn steering_commands_turn_the_wheels_by_that_angle() {
+fn the_wheels_follow_the_commanded_steering_angle() {
     let mut bench = armed(seeded(1));
     for angle in [3_000, -3_000, 0] {
         bench.drive(60, 300, angle, |_| {});
@@ -81,7 +81,7 @@ fn steering_commands_turn_the_wheels_by_that_angle() {
 }
 
 #[test]
-fn telemetry_tells_what_is_so() {
+fn telemetry_agrees_with_ground_truth() {
     let mut bench = armed(seeded(1));
     let mut fresh = 0;
     let mut turning = 0.0;
@@ -110,7 +110,7 @@ fn telemetry_tells_what_is_so() {
 }
 
 #[test]
-fn telemetry_comes_at_100_hz_of_a_clock_that_is_off() {
+fn telemetry_comes_at_100_hz_of_a_skewed_clock() {
     let mut bench = armed(seeded(1));
     let (start, records) = (bench.world.now_us(), bench.host.records);
     bench.drive(1_000, 300, 0, |_| {});
@@ -146,7 +146,7 @@ fn after_the_last_command_the_neutral_pulse_leaves_within_120_ms() {
 }
 
 #[test]
-fn a_queue_released_by_a_stuck_line_drives_nothing() {
+fn a_queue_released_by_a_stuck_line_does_not_drive() {
     let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
     bench.world.wire_mut().faults_mut().stuck = true;
@@ -240,7 +240,7 @@ fn a_hung_main_loop_is_stopped_by_the_supervisor() {
 }
 
 #[test]
-fn half_a_percent_of_damaged_bytes_is_survived_and_counted() {
+fn half_a_percent_of_corrupted_bytes_is_tolerated_and_counted() {
     let mut bench = armed(seeded(1));
     *bench.world.wire_mut().faults_mut() = WireFaults {
         corrupt: 0.005,

@@ -1,9 +1,9 @@
-//! The board's code on this machine and the image on its processor get the same
-//! minute of bytes and sensor values, and give the same frames and pulses.
+//! The native board and the image get the same minute of bytes and sensor values,
+//! and give the same frames and pulses.
 //!
-//! One control period of 10 ms of tolerance, where something changes: here the
-//! board is polled once a millisecond; the image polls it every 10 ms, at once for
-//! a frame, and asks its IMU every 5 or 10 ms.
+//! Changes are compared with a tolerance of one control period of 10 ms: here the
+//! native board is polled every millisecond; the image polls every 10 ms, at once
+//! for a frame, and reads its IMU every 5 or 10 ms.
 
 use std::{
     collections::VecDeque,
@@ -20,16 +20,16 @@ use singletrack_simavr::{Motion, Pin, Reply, Report, Request, ResetFlags, Run, r
 
 const SECONDS: u64 = 60;
 
-/// The image's first poll, from which its control periods count.
+/// The image's first poll, the origin of its control periods.
 const FIRST_POLL_MS: u64 = 5;
 
 /// A byte at 115200 baud, in ns.
 const BYTE_NS: u64 = 86_806;
 
-/// What both are given in a millisecond.
+/// Inputs of one millisecond.
 #[derive(Default)]
 struct Millisecond {
-    /// Bytes with the time of their arrival, in µs.
+    /// Bytes with their arrival times, in µs.
     bytes: Vec<(u64, u8)>,
     /// Motor edges, in µs.
     edges: Vec<u64>,
@@ -37,7 +37,7 @@ struct Millisecond {
     stop_input_open: bool,
 }
 
-/// The host and the car as a script of the time.
+/// A script of host and car.
 struct Script {
     sequence: Sequence,
     line: VecDeque<u8>,
@@ -46,7 +46,7 @@ struct Script {
 }
 
 impl Script {
-    /// When the car drives: between, it stands and is armed anew.
+    /// Driving times; in between, the car stands and is armed again.
     fn driving_ms(ms: u64) -> Option<u64> {
         (ms >= 4_000)
             .then_some(ms % 8_000)
@@ -88,7 +88,7 @@ impl Script {
                     false,
                 );
             }
-            // In mid-drive, and for good.
+            // While driving, and finally.
             (58_000, _) => {
                 self.sequence = self.sequence.next();
                 let request = self.sequence;
@@ -98,7 +98,7 @@ impl Script {
                     false,
                 );
             }
-            // The first time in vain: neutral has not lasted.
+            // The first one is refused: neutral has not lasted long enough.
             (_, 900) => {
                 self.sequence = self.sequence.next();
                 let arm = Arm {
@@ -124,7 +124,7 @@ impl Script {
                 sequence: self.sequence,
                 speed_mm_s: (400.0 + 150.0 * (1.3 * seconds).sin()) as i16,
                 steering_100urad: (3_000.0 * (2.1 * seconds).sin()) as i16,
-                // Stale now and then.
+                // Occasionally stale.
                 telemetry_time_us: telemetry_time_us.wrapping_sub(if at % 700 < 20 {
                     200_000
                 } else {
@@ -132,7 +132,7 @@ impl Script {
                 }),
                 pose_age_ms: 12,
             };
-            // Every ninth is damaged.
+            // Every ninth is corrupted.
             self.send(ms, &ToBoard::Drive(drive), (ms / 10).is_multiple_of(9));
         }
     }
@@ -140,7 +140,7 @@ impl Script {
     fn next(&mut self, ms: u64, telemetry_time_us: u32) -> Millisecond {
         self.host(ms, telemetry_time_us);
         let mut now = Millisecond::default();
-        // What arrives within this millisecond.
+        // Bytes that arrive within this millisecond.
         while !self.line.is_empty() && self.line_free_ns + BYTE_NS <= (ms + 1) * 1_000_000 {
             self.line_free_ns += BYTE_NS;
             if let Some(byte) = self.line.pop_front() {
@@ -158,9 +158,9 @@ impl Script {
             let part = (3_000.0 - before) / speed_um_ms;
             now.edges.push(ms * 1_000 + (part * 1_000.0) as u64);
         }
-        // The sensor takes a second to start and to be set up.
+        // The sensor takes a second to start and to be configured.
         if ms % 10 == 6 && ms > 1_500 {
-            // Values that the sensor's units can express.
+            // Values that the sensor's units represent exactly.
             let wave = |rate: f64, size: f64| (size * (rate * ms as f64 * 1e-3).sin()) as i16;
             now.motion = Some(Motion {
                 linear_acceleration_mm_s2: [
@@ -181,13 +181,13 @@ impl Script {
     }
 }
 
-/// Frames with the time at which they were complete, in µs.
+/// Frames with their times of completion, in µs.
 #[derive(Default)]
 struct Frames {
     decoder: Decoder,
     telemetry: Vec<Telemetry>,
     status: Vec<Status>,
-    /// Everything else, as text.
+    /// All other messages, as text.
     answers: Vec<String>,
 }
 
@@ -199,7 +199,7 @@ impl Frames {
                 ToHost::Status(status) => self.status.push(status),
                 answer => self.answers.push(format!("{answer:?}")),
             },
-            Some(Err(error)) => panic!("a damaged frame: {error}"),
+            Some(Err(error)) => panic!("a corrupted frame: {error}"),
             None => {}
         }
     }
@@ -236,7 +236,7 @@ impl NativeBoard {
         self.inputs.stop_input_open = now.stop_input_open;
         let bytes: Vec<u8> = now.bytes.iter().map(|&(_, byte)| byte).collect();
         let frames = &mut self.frames;
-        // At the end of the millisecond, when all of it has come.
+        // At the end of the millisecond, with all its inputs.
         let outputs = self.board.poll(
             ((ms + 1) * 1_000) as u32,
             &self.inputs,
@@ -337,32 +337,32 @@ fn run() -> (NativeBoard, ImageBoard) {
     };
     let mut image = ImageBoard::start();
     for ms in 0..SECONDS * 1_000 {
-        // The host has heard what had left the board 5 ms ago.
-        let heard = native
+        // The host knows what left the board 5 ms ago.
+        let telemetry_time_us = native
             .frames
             .telemetry
             .iter()
             .rev()
             .find(|telemetry| u64::from(telemetry.board_time_us) + 5_000 <= ms * 1_000)
             .map_or(0, |telemetry| telemetry.board_time_us);
-        let now = script.next(ms, heard);
+        let now = script.next(ms, telemetry_time_us);
         native.run(ms, &now);
         image.run(ms, &now);
     }
     (native, image)
 }
 
-/// The native records at an index and beside it.
+/// The native records at an index and its neighbours.
 fn around(records: &[Telemetry], index: usize) -> &[Telemetry] {
     let end = records.len().min(index + 2);
     &records[index.saturating_sub(1)..end]
 }
 
 #[test]
-fn a_minute_of_the_same_bytes_and_sensor_values_gives_the_same_frames_and_pulses() {
+fn the_same_inputs_give_the_same_frames_and_pulses() {
     let (native, image) = run();
 
-    // The script has led through everything.
+    // The script covers all modes.
     let modes = |mode| {
         native
             .frames
@@ -417,12 +417,12 @@ fn telemetry_agrees(native: &[Telemetry], image: &[Telemetry]) {
         agrees("sequence", &|other| {
             other.last_sequence == found.last_sequence
         });
-        // Once the sensor has been set up, which the native board need not.
+        // After the configuration of the sensor, which the native board does not need.
         if found.board_time_us > 2_000_000 {
             agrees("state of the IMU", &|other| other.imu == found.imu);
         }
-        // One by one: the sensor may measure anew while it is being read, and its
-        // first values may so be mixed with the zeros before.
+        // Each value on its own: the sensor may take a new sample while it is read,
+        // and its first values may be mixed with the zeros before.
         let measures = found.board_time_us > 1_600_000;
         for axis in 0..3 * usize::from(measures) {
             agrees("acceleration", &|other| {
@@ -433,7 +433,7 @@ fn telemetry_agrees(native: &[Telemetry], image: &[Telemetry]) {
                     &other.angular_velocity_mrad_s,
                     &found.angular_velocity_mrad_s,
                 );
-                // Once more rounded, by the sensor's units.
+                // Rounded once more by the sensor's units.
                 a[axis].abs_diff(b[axis]) <= 1
             });
         }
@@ -442,7 +442,7 @@ fn telemetry_agrees(native: &[Telemetry], image: &[Telemetry]) {
                 other.attitude_q14[component] == found.attitude_q14[component]
             });
         }
-        // Where these change, a tick makes a difference: between the neighbours.
+        // A tick matters where these change: compared with both neighbours.
         type Value = fn(&Telemetry) -> i32;
         let values: [(&str, Value, i32); 3] = [
             ("motor speed", |t| t.motor_speed_mm_s.into(), 4),
@@ -474,34 +474,34 @@ fn status_agrees(native: &[Status], image: &[Status]) {
         assert!(found.frames_received.abs_diff(expected.frames_received) <= 1);
         assert!(found.frames_damaged.abs_diff(expected.frames_damaged) <= 1);
         assert!(found.drives_refused.abs_diff(expected.drives_refused) <= 1);
-        // The converter has no conversion in its first moments.
+        // The first conversion of the converter takes some time.
         if found.board_time_us > 1_000_000 {
             assert!(found.battery_mv.abs_diff(7_400) <= 15, "{found:?}");
         }
     }
 }
 
-/// Each pulse shows what the native board wanted just before it began.
+/// Each pulse matches the native board's output just before its start.
 fn pulses_agree(native: &[Outputs], image: &[singletrack_simavr::Pulse]) {
     let mut counts = [0; 2];
     for pulse in image {
         assert_eq!(pulse.width % CYCLES_PER_US, 0, "a whole number of us");
         let width_us = pulse.width / CYCLES_PER_US;
         let begin_ms = (pulse.start / CYCLES_PER_US / 1_000) as usize;
-        // The image decides up to 2 ms before, on what it polled up to 10 ms before
-        // that.
+        // The image sets a pulse up to 2 ms before it, from a poll up to 10 ms
+        // earlier.
         let index = |ms: usize| ms.saturating_sub(FIRST_POLL_MS as usize).min(native.len());
         let span = &native[index(begin_ms.saturating_sub(14))..index(begin_ms + 2).max(1)];
-        let wanted = |output: &Outputs| match pulse.pin {
+        let expected_width = |output: &Outputs| match pulse.pin {
             Pin::Servo => output.servo_us.map(u64::from),
             Pin::Esc => Some(u64::from(output.esc_us)),
         };
-        let lowest = span.iter().filter_map(wanted).min().unwrap();
-        let highest = span.iter().filter_map(wanted).max().unwrap();
+        let lowest = span.iter().filter_map(expected_width).min().unwrap();
+        let highest = span.iter().filter_map(expected_width).max().unwrap();
         let neutral = u64::from(native[begin_ms].esc_neutral_us);
-        // On its way the image may be ahead by what the slew rate allows for the
-        // time since the poll before. Neutral is neutral: the rest of the ESC's
-        // tolerance is the speed loop's.
+        // While slewing, the image may be ahead by the slew rate times the time
+        // since its last poll. Neutral must match; the rest of the ESC's tolerance
+        // is for the speed loop.
         let moves = u64::from(lowest != highest);
         let configuration = default_board_configuration();
         let tolerance = match pulse.pin {
@@ -516,7 +516,7 @@ fn pulses_agree(native: &[Outputs], image: &[singletrack_simavr::Pulse]) {
         );
         counts[usize::from(pulse.pin == Pin::Esc)] += 1;
     }
-    // One each every 20 ms; the servo's from its configuration on.
+    // One every 20 ms on each pin; on the servo's from its configuration on.
     assert!((2_980..=3_000).contains(&counts[0]), "{counts:?}");
     assert!((2_995..=3_000).contains(&counts[1]), "{counts:?}");
 }

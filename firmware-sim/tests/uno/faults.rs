@@ -1,4 +1,4 @@
-//! What only the image can show: hangs, the watchdog, the bus, the receiver.
+//! Faults that need the image: hangs, the watchdog, the bus, the receiver.
 
 use proptest::prelude::*;
 use singletrack_protocol::{BoardMode, ImuState, ResetCause, StopCause, UNSOLICITED};
@@ -8,7 +8,7 @@ use super::{armed, config, driving, is_within, is_within_limits, limits, pulses_
 
 const NEUTRAL_US: u16 = 1_500;
 
-/// From a time to the first pulse from which on the motor gets nothing, in ms.
+/// Time from `since_us` to the pulse from which on the motor is not driven, in ms.
 fn neutral_after_ms(drive: &ScriptedDrive, since_us: u64) -> f64 {
     let neutral = drive
         .world
@@ -20,7 +20,7 @@ fn neutral_after_ms(drive: &ScriptedDrive, since_us: u64) -> f64 {
 }
 
 #[test]
-fn a_hung_main_loop_means_neutral_within_45_ms_and_a_reset_within_110() {
+fn a_hung_main_loop_gives_neutral_within_45_ms_and_a_reset_within_110() {
     // At every phase of the servo frame, and of the control period.
     for phase_ms in 0..20 {
         let mut drive = driving(1);
@@ -45,19 +45,19 @@ fn a_hung_main_loop_means_neutral_within_45_ms_and_a_reset_within_110() {
         let neutral = neutral_after_ms(&drive, hung_us);
         let reset = (reset_us.unwrap() - hung_us) as f64 * 1e-3;
         assert!(neutral <= 45.0, "phase {phase_ms} ms: {neutral} ms");
-        // Neutral by the supervisor, not by the reset that silences the pins.
+        // Neutral from the supervisor, not from the reset that ends the pulses.
         assert!(neutral < reset, "phase {phase_ms} ms: {neutral} {reset}");
         assert!(reset <= 110.0, "phase {phase_ms} ms: reset {reset} ms");
     }
 }
 
 #[test]
-fn after_a_watchdog_reset_the_board_says_so_and_drives_only_when_armed_again() {
+fn a_watchdog_reset_is_reported_and_requires_arming() {
     let mut drive = driving(1);
     drive.host.hellos.clear();
     drive.world.board_mut().hang(Hang::MainLoop);
     let hung_us = drive.world.now_us();
-    // The host that has not noticed goes on commanding for ten seconds.
+    // A host that has not noticed keeps sending commands for ten seconds.
     drive.drive(1_000, 400, 500, |_| {});
     assert_eq!(drive.host.hellos.first().unwrap().nonce, UNSOLICITED);
     let status = drive.host.status.unwrap();
@@ -79,7 +79,7 @@ fn after_a_watchdog_reset_the_board_says_so_and_drives_only_when_armed_again() {
 }
 
 #[test]
-fn with_interrupts_disabled_for_good_the_watchdog_alone_ends_the_drive() {
+fn with_interrupts_disabled_the_watchdog_ends_the_drive() {
     let mut drive = driving(1);
     drive.world.board_mut().hang(Hang::Everything);
     let hung_us = drive.world.now_us();
@@ -89,11 +89,11 @@ fn with_interrupts_disabled_for_good_the_watchdog_alone_ends_the_drive() {
     assert!(neutral <= 110.0, "{neutral} ms");
 }
 
-/// The simulator looks at the image every millisecond, and dates resets with that.
-const SEEN_AFTER_US: u64 = 1_000;
+/// Resolution of the times of resets: the image runs in steps of a millisecond.
+const RESET_RESOLUTION_US: u64 = 1_000;
 
-/// Checks every pulse by itself: whether it is marked as cut decides nothing.
-/// Returns how many were outside the limits.
+/// Checks every pulse independently of its mark as cut. Returns the number of
+/// pulses outside the limits.
 fn cut_by_resets(drive: &ScriptedDrive) -> usize {
     let pulses: Vec<PulseRecord> = drive.world.board().pulses().iter().copied().collect();
     let mut outside = 0;
@@ -106,14 +106,14 @@ fn cut_by_resets(drive: &ScriptedDrive) -> usize {
             }
             outside += 1;
             assert!(width_us < limits[0], "{pulse:?}");
-            // Nothing comes after it but the silence of the reset.
+            // The next record is the end of the pulses by the reset.
             let reset = pulses[place + 1];
             assert_eq!((reset.servo_us, reset.esc_us), (0, 0), "{pulse:?}");
             let end_us = pulse.time_us + u64::from(width_us);
             // Both times are rounded up to a microsecond.
             assert!(end_us <= reset.time_us + 2, "{pulse:?} {reset:?}");
             assert!(
-                end_us + 2 + SEEN_AFTER_US >= reset.time_us,
+                end_us + 2 + RESET_RESOLUTION_US >= reset.time_us,
                 "{pulse:?} {reset:?}"
             );
         }
@@ -122,7 +122,7 @@ fn cut_by_resets(drive: &ScriptedDrive) -> usize {
 }
 
 #[test]
-fn every_pulse_outside_the_limits_is_one_that_a_reset_cuts() {
+fn only_resets_cut_pulses_below_the_limits() {
     let (mut cut_by_line, mut cut_by_watchdog) = (0, 0);
     for phase_ms in 0..20 {
         let mut drive = driving(1);
@@ -141,14 +141,14 @@ fn every_pulse_outside_the_limits_is_one_that_a_reset_cuts() {
         cut_by_watchdog += cut_by_resets(&drive);
         assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
     }
-    // A pulse lasts a thirteenth of the frame, and each frame has two.
+    // A pulse takes a thirteenth of the frame, and each frame has two.
     assert!((1..=4).contains(&cut_by_line), "{cut_by_line}");
     assert!(cut_by_watchdog <= 40, "{cut_by_watchdog}");
 }
 
 #[test]
-fn after_the_last_command_the_neutral_pulse_is_seen_within_120_ms_at_every_phase() {
-    // Of the servo frame: the drive before is the same each time.
+fn the_neutral_pulse_ends_within_120_ms_of_the_last_command_at_every_phase() {
+    // Phases of the servo frame; the drive before is always the same.
     for phase_ms in 0..20 {
         let mut drive = driving(1);
         drive.run_ms(phase_ms);
@@ -157,9 +157,9 @@ fn after_the_last_command_the_neutral_pulse_is_seen_within_120_ms_at_every_phase
         let sent_us = drive.world.now_us();
         drive.run_ms(300);
         let neutral = neutral_after_ms(&drive, sent_us);
-        // It is seen when it ends.
-        let seen = neutral + f64::from(NEUTRAL_US) * 1e-3;
-        assert!((60.0..=120.0).contains(&seen), "{phase_ms}: {seen}");
+        // A pulse is known at its end.
+        let end_ms = neutral + f64::from(NEUTRAL_US) * 1e-3;
+        assert!((60.0..=120.0).contains(&end_ms), "{phase_ms}: {end_ms}");
         assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
         drive.run_ms(3_000);
         drive.arm();
@@ -169,7 +169,7 @@ fn after_the_last_command_the_neutral_pulse_is_seen_within_120_ms_at_every_phase
 }
 
 #[test]
-fn the_imu_comes_back_after_every_fault_of_its_bus_and_the_drive_goes_on() {
+fn the_imu_recovers_from_every_bus_fault_while_driving() {
     for fault in [BusFault::Absent, BusFault::Jammed, BusFault::Restarted] {
         let mut drive = driving(1);
         assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Fresh);
@@ -180,7 +180,7 @@ fn the_imu_comes_back_after_every_fault_of_its_bus_and_the_drive_goes_on() {
             silent |= drive.host.telemetry.unwrap().imu == ImuState::Silent;
         });
         assert!(silent || fault == BusFault::Jammed, "{fault:?}");
-        // A jammed bus the board has to free by itself.
+        // The board must free a jammed bus by itself.
         if fault != BusFault::Jammed {
             drive.world.board_mut().set_imu_bus(BusFault::None);
         }
@@ -201,7 +201,7 @@ fn the_imu_comes_back_after_every_fault_of_its_bus_and_the_drive_goes_on() {
 }
 
 #[test]
-fn a_bus_that_is_short_circuited_for_good_costs_only_the_imu() {
+fn a_short_circuited_bus_loses_only_the_imu() {
     let mut drive = armed(config(1));
     drive.world.board_mut().set_imu_bus(BusFault::ShortCircuit);
     drive.drive(500, 400, 500, |_| {});
@@ -232,9 +232,9 @@ fn values_of_the_imu_arrive_with_unit_sign_and_axis() {
     assert!(((norm as f64).sqrt() / 16_384.0 - 1.0).abs() < 0.001);
 }
 
-/// Pulses that a drive at 0.4 m/s, always at the same angle, has no use for.
+/// Pulses that do not belong to a drive at 0.4 m/s with a constant angle.
 fn wrong_pulses(pulses: &[PulseRecord]) -> Vec<PulseRecord> {
-    // It begins with 1,599 us and needs less from then on; nobody asks it to reverse.
+    // The drive starts with 1,599 us and needs less afterwards, and never reverses.
     let is_right = |pulse: &PulseRecord| {
         (NEUTRAL_US..=1_610).contains(&pulse.esc_us)
             && (pulse.servo_us == 0 || pulse.servo_us.abs_diff(1_460) <= 40)
@@ -244,11 +244,11 @@ fn wrong_pulses(pulses: &[PulseRecord]) -> Vec<PulseRecord> {
 }
 
 #[test]
-fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
+fn one_percent_of_bit_errors_gives_no_wrong_pulse_and_no_reset() {
     let mut drive = driving(1);
-    // 1 % of all data bits, both ways: 8 % of the bytes have one flipped. Of the
-    // commands a third gets through; of the telemetry so little that most of those
-    // are too old, and the car stands most of the time.
+    // 1 % of all data bits in both directions: 8 % of the bytes have a flipped bit.
+    // A third of the commands arrive; most of them are too old because little of
+    // the telemetry arrives, and the car stands most of the time.
     let begin_us = drive.world.now_us();
     *drive.world.wire_mut().faults_mut() = WireFaults {
         corrupt: 0.08,
@@ -256,7 +256,7 @@ fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
     };
     for _ in 0..20 {
         drive.drive(300, 400, 500, |_| {});
-        // The host arms again and again, as a person would.
+        // The host arms repeatedly, as an operator would.
         for _ in 0..10 {
             drive.arm();
         }
@@ -265,7 +265,7 @@ fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
     *drive.world.wire_mut().faults_mut() = WireFaults::default();
     let end_us = drive.world.now_us();
     assert!(end_us - begin_us >= 60_000_000);
-    // The link is whole again within 100 ms, both ways.
+    // The link recovers within 100 ms in both directions.
     let (records, answers) = (drive.host.records, drive.host.answers);
     drive.drive(5, 400, 500, |_| {});
     drive.arm();
@@ -279,7 +279,7 @@ fn one_percent_of_bit_errors_for_a_minute_give_no_wrong_pulse_and_no_reset() {
 }
 
 #[test]
-fn one_percent_of_bit_errors_in_the_commands_of_a_drive_give_no_wrong_pulse() {
+fn one_percent_of_bit_errors_in_the_commands_gives_no_wrong_pulse() {
     let mut drive = driving(1);
     let begin_us = drive.world.now_us();
     let mut random = 1_u64;
@@ -307,19 +307,19 @@ fn one_percent_of_bit_errors_in_the_commands_of_a_drive_give_no_wrong_pulse() {
     }
     let status = drive.host.status.unwrap();
     assert!(status.frames_damaged > 3_000, "{status:?}");
-    // Now and then so many are lost in a row that it stops and is armed again.
+    // Occasionally enough commands are lost in a row to stop the car.
     assert!(driven > 3_000, "{driven}");
     assert_eq!(wrong_pulses(&pulses_since(&drive, begin_us)), []);
     assert_eq!(drive.world.board().resets(), 0);
 }
 
 #[test]
-fn a_flood_of_garbage_at_the_full_baud_rate_overruns_nothing_and_stops_the_car() {
+fn random_bytes_at_the_full_baud_rate_cause_no_overrun_and_stop_the_car() {
     let mut drive = driving(1);
     let flood_us = drive.world.now_us();
     let mut byte = 1_u8;
     for _ in 0..100 {
-        // 115 bytes are all that the line carries in 10 ms.
+        // The line carries 115 bytes in 10 ms.
         let garbage: Vec<u8> = (0..115)
             .map(|_| {
                 byte = byte.wrapping_mul(181).wrapping_add(59);
@@ -342,7 +342,7 @@ fn a_flood_of_garbage_at_the_full_baud_rate_overruns_nothing_and_stops_the_car()
 }
 
 #[test]
-fn a_hung_board_counts_what_its_receiver_loses() {
+fn a_hung_board_counts_lost_bytes() {
     let mut drive = driving(1);
     drive.world.board_mut().hang(Hang::Everything);
     drive.world.host_write(&[0; 50]);
@@ -353,7 +353,7 @@ fn a_hung_board_counts_what_its_receiver_loses() {
 }
 
 #[test]
-fn the_stop_switch_is_heard_when_configured_and_neutral_comes_at_once() {
+fn a_configured_stop_switch_gives_neutral_at_once() {
     let mut drive = ScriptedDrive::new(config(1)).unwrap();
     drive.configuration.stop_input = true;
     drive.run_ms(200);
@@ -369,7 +369,7 @@ fn the_stop_switch_is_heard_when_configured_and_neutral_comes_at_once() {
 }
 
 #[test]
-fn every_reset_cause_is_told() {
+fn every_reset_cause_is_reported() {
     for cause in [
         ResetCause::External,
         ResetCause::BrownOut,
@@ -385,10 +385,10 @@ fn every_reset_cause_is_told() {
     }
 }
 
-/// The first pulse after a start is a whole one, at neutral, and every one has
-/// the length that was asked for to the cycle.
+/// The first pulse after a start is complete and neutral, and every pulse has the
+/// commanded width to the cycle.
 #[test]
-fn both_pulses_have_exactly_the_width_that_telemetry_tells_every_20_ms() {
+fn both_pulses_have_exactly_the_width_in_telemetry_every_20_ms() {
     let mut drive = driving(1);
     drive.drive(200, 400, -700, |_| {});
     let telemetry = drive.host.telemetry.unwrap();
@@ -408,7 +408,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
     #[test]
-    fn no_bytes_give_a_pulse_that_the_motor_would_feel(
+    fn random_bytes_do_not_drive_the_motor(
         writes in prop::collection::vec((0_u64..30, prop::collection::vec(any::<u8>(), 0..200)), 0..40),
     ) {
         let mut drive = ScriptedDrive::new(config(1)).unwrap();
@@ -421,7 +421,7 @@ proptest! {
         let felt = |pulse: &PulseRecord| pulse.esc_us != 0 && pulse.esc_us != NEUTRAL_US;
         prop_assert!(!drive.world.board().pulses().iter().any(felt));
         prop_assert_eq!(drive.world.board().resets(), 0);
-        // Telemetry still comes.
+        // Telemetry continues.
         let records = drive.host.records;
         drive.run_ms(100);
         prop_assert!(drive.host.records >= records + 9);

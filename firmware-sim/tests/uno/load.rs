@@ -1,4 +1,4 @@
-//! What the image may take of processor, memory and line.
+//! Limits on the image's use of processor, memory and line.
 
 use singletrack_protocol::BoardMode;
 use singletrack_sim::{ImageSize, Installation};
@@ -13,7 +13,7 @@ fn a_drive_at_100_hz_leaves_85_percent_of_the_processor_and_600_bytes_of_memory(
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
     let after = drive.world.board_mut().figures().unwrap();
     let cycles = after.cycles - before.cycles;
-    // Ten seconds, of an oscillator that is up to 0.5 % off.
+    // Ten seconds with an oscillator error of up to 0.5 %.
     assert!(cycles.abs_diff(160_000_000) < 1_000_000, "{cycles}");
     let busy = 1.0 - (after.cycles_asleep - before.cycles_asleep) as f64 / cycles as f64;
     assert!((0.01..=0.15).contains(&busy), "{busy}");
@@ -21,7 +21,7 @@ fn a_drive_at_100_hz_leaves_85_percent_of_the_processor_and_600_bytes_of_memory(
     assert!(size.flash_bytes <= 16 * 1_024, "{size:?}");
     let memory = size.static_bytes + u64::from(after.stack_bytes);
     assert!((200..=1_400).contains(&memory), "{size:?} {after:?}");
-    // A byte takes 1,360 cycles: none is lost behind the longest wait.
+    // A byte takes 1,360 cycles: the longest delay loses none.
     let longest = |vector| {
         after
             .interrupts
@@ -39,7 +39,7 @@ fn a_drive_at_100_hz_leaves_85_percent_of_the_processor_and_600_bytes_of_memory(
 }
 
 #[test]
-fn both_ways_the_line_is_loaded_to_less_than_40_percent() {
+fn the_line_is_loaded_below_40_percent_in_both_directions() {
     let mut drive = armed(config(1));
     let mut received = 0;
     let mut sent = 0;

@@ -1,5 +1,5 @@
-//! The image for the Arduino UNO, instruction by instruction, drives the
-//! simulated car. `cargo uno` builds what these tests run.
+//! Closed loop of the UNO image, simulated instruction by instruction, and the
+//! simulated car. `cargo uno` builds the programs that these tests run.
 
 #![allow(
     clippy::unwrap_used,
@@ -38,8 +38,8 @@ fn pulses_since(drive: &ScriptedDrive, time_us: u64) -> Vec<PulseRecord> {
         .collect()
 }
 
-/// No pulse at all, or one within the configured limits; one that a reset cut may
-/// be shorter.
+/// Whether there is no pulse, or one within the configured limits; a pulse cut by a
+/// reset may be shorter.
 fn is_within_limits(pulse: &PulseRecord) -> bool {
     let longest_only = |[min_us, max_us]: [u16; 2]| [if pulse.cut { 0 } else { min_us }, max_us];
     let [servo, esc] = limits().map(longest_only);

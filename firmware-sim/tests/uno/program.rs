@@ -6,16 +6,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Calls until there is something.
+/// Polls until `look` returns a value.
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
         if let Some(found) = look() {
             return found;
         }
-        assert!(start.elapsed() < PATIENCE, "no {what} in {PATIENCE:?}");
+        assert!(start.elapsed() < TIMEOUT, "no {what} in {TIMEOUT:?}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -28,25 +28,25 @@ fn child_of(parent: u32) -> Option<u32> {
         .find_map(|entry| {
             let pid = entry.file_name().to_str()?.parse().ok()?;
             let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
-            // Behind the name in parentheses: state, parent.
+            // After the name in parentheses: state, parent.
             let (_, rest) = stat.rsplit_once(") ")?;
             (rest.split(' ').nth(1)? == parent.to_string()).then_some(pid)
         })
 }
 
-/// Ends the simulator whatever becomes of the test.
+/// Ends the simulator even if the test fails.
 struct Simulator(Child);
 
 impl Drop for Simulator {
     fn drop(&mut self) {
-        // It may have ended.
+        // It may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 #[test]
-fn when_the_process_that_runs_the_image_dies_the_program_says_so_and_ends() {
+fn the_program_reports_a_dead_image_process_and_ends() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("board");
     let program = Command::new(env!("CARGO_BIN_EXE_singletrack-sim"))
@@ -70,10 +70,13 @@ fn when_the_process_that_runs_the_image_dies_the_program_says_so_and_ends() {
     let status = wait_for("end", || simulator.0.try_wait().unwrap());
     assert!(since.elapsed() < Duration::from_secs(2), "{since:?}");
     assert_eq!(status.code(), Some(1));
-    let mut said = String::new();
+    let mut message = String::new();
     let mut errors = simulator.0.stderr.take().unwrap();
-    errors.read_to_string(&mut said).unwrap();
-    assert!(said.contains("the board failed"), "{said}");
-    assert!(said.contains("the process that runs the image"), "{said}");
+    errors.read_to_string(&mut message).unwrap();
+    assert!(message.contains("the board failed"), "{message}");
+    assert!(
+        message.contains("the process that runs the image"),
+        "{message}"
+    );
     assert!(!link.exists());
 }

@@ -1,4 +1,4 @@
-//! The parts of the board, and the order in which a poll visits them.
+//! The board: its parts, and the order of their work in a poll.
 
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, Refusal, RefusalReason,
@@ -6,20 +6,22 @@ use singletrack_protocol::{
     Telemetry, ToBoard,
 };
 
-use crate::clock::{Ticker, age_us};
-use crate::esc::{Esc, NEUTRAL_AT_BOOT_US};
-use crate::imu::Imu;
-use crate::io::{Inputs, Outputs};
-use crate::link::Link;
-use crate::odometer::Odometer;
-use crate::safety::{Safety, Situation};
-use crate::steering::Steering;
+use crate::{
+    clock::{Ticker, age_us},
+    esc::{Esc, NEUTRAL_AT_BOOT_US},
+    imu::Imu,
+    io::{Inputs, Outputs},
+    link::Link,
+    odometer::Odometer,
+    safety::{ArmingConditions, Safety},
+    steering::Steering,
+};
 
-/// The speed loop runs in step with telemetry, just before it: a record shows
-/// what the loop has just done.
+/// The speed loop runs in step with telemetry, just before it, so that a record
+/// contains the loop's latest output.
 const CONTROL_PERIOD_US: u32 = TELEMETRY_PERIOD_US;
 
-/// The board: give it time, inputs and bytes; do what it puts out.
+/// The board: maps time, inputs and received bytes to outputs.
 #[derive(Debug)]
 pub struct Board {
     last_poll_us: Option<u32>,
@@ -65,22 +67,21 @@ impl Board {
         }
     }
 
-    /// Why the board started, for one that was made before that could be known.
+    /// Sets the cause of the reset, for a board constructed before it was known.
     pub const fn set_reset_cause(&mut self, reset_cause: ResetCause) {
         self.reset_cause = reset_cause;
     }
 
-    /// Everything the board does.
+    /// Runs the firmware once.
     ///
     /// Call it at least every 10 ms, and when a frame has ended or the stop switch
-    /// has changed; called later it does the same things, later. `now_us` is the
-    /// board's clock, which never goes backwards but wraps. `received` holds the
-    /// bytes that have arrived since the last poll. `transmit` takes one whole frame
-    /// (or, after a start, a zero before the first), or none of it, and tells which;
-    /// it may be called several times in a poll. The outputs are in force until the
-    /// next poll.
+    /// has changed; later calls delay the same actions. `now_us` is the board's
+    /// clock, which never runs backwards but wraps. `received` holds the bytes
+    /// since the last poll. `transmit` accepts one whole frame (or, after a start,
+    /// a zero before the first) or none of it, and returns which; it may be called
+    /// several times in a poll. The outputs are valid until the next poll.
     ///
-    /// Before the first poll the pins must show what [`Board::outputs`] says.
+    /// Before the first poll the pins must follow [`Board::outputs`].
     pub fn poll(
         &mut self,
         now_us: u32,
@@ -88,7 +89,7 @@ impl Board {
         received: &[u8],
         transmit: &mut impl FnMut(&[u8]) -> bool,
     ) -> Outputs {
-        // A clock that went backwards is taken to stand still.
+        // A clock that runs backwards counts as standing still.
         let elapsed_us = self
             .last_poll_us
             .and_then(|last_us| age_us(now_us, last_us))
@@ -109,7 +110,7 @@ impl Board {
         self.outputs()
     }
 
-    /// What the pins have to show now.
+    /// The present outputs for the pins.
     #[must_use]
     pub fn outputs(&self) -> Outputs {
         Outputs {
@@ -120,20 +121,20 @@ impl Board {
         }
     }
 
-    /// The state of the safety machine.
+    /// State of the safety state machine.
     #[must_use]
     pub const fn mode(&self) -> BoardMode {
         self.safety.mode()
     }
 
-    /// Why the board last went to neutral.
+    /// Cause of the last stop.
     #[must_use]
     pub const fn stop_cause(&self) -> StopCause {
         self.safety.cause()
     }
 
-    /// The last [`singletrack_protocol::Drive`] that was accepted; zero before
-    /// the first.
+    /// Sequence number of the last accepted [`singletrack_protocol::Drive`]; zero
+    /// before the first.
     #[must_use]
     pub const fn last_sequence(&self) -> Sequence {
         self.safety.last_sequence()
@@ -175,7 +176,7 @@ impl Board {
             })
     }
 
-    /// Time and inputs, before anything received is looked at.
+    /// Processes time and inputs, before any received byte.
     fn observe(&mut self, now_us: u32, elapsed_us: u32, inputs: &Inputs) {
         let driven = self
             .configuration()
@@ -216,13 +217,13 @@ impl Board {
                 self.answer(Request::Configure, configure.request, outcome, transmit);
             }
             ToBoard::Arm(arm) => {
-                let situation = Situation {
+                let conditions = ArmingConditions {
                     configuration_hash: self.active.as_ref().map(|active| active.hash),
                     version_differs: self.link.version_differs(),
                     moving: self.odometer.is_moving(),
                     stop_input_open: self.has_stop_input() && inputs.stop_input_open,
                 };
-                let outcome = self.safety.arm(now_us, arm, situation);
+                let outcome = self.safety.arm(now_us, arm, conditions);
                 self.answer(Request::Arm, arm.request, outcome, transmit);
             }
             ToBoard::Disarm(disarm) => {
@@ -280,7 +281,7 @@ impl Board {
         Ok(())
     }
 
-    /// Lets the ESC stop the car when the safety machine has just decided so.
+    /// Stops the ESC if the safety state machine has just ended driving.
     fn stop_if(&mut self, was_driving: bool) {
         if was_driving && !self.is_driving() {
             self.stop();
@@ -316,20 +317,20 @@ impl Board {
         match outcome {
             Ok(()) => {
                 let configuration_hash = self.hash();
-                let yes = Acknowledgement {
+                let acknowledgement = Acknowledgement {
                     request,
                     sequence,
                     configuration_hash,
                 };
-                self.link.send(&yes, transmit);
+                self.link.send(&acknowledgement, transmit);
             }
             Err(reason) => {
-                let no = Refusal {
+                let refusal = Refusal {
                     request,
                     sequence,
                     reason,
                 };
-                self.link.send(&no, transmit);
+                self.link.send(&refusal, transmit);
             }
         }
     }
@@ -345,13 +346,13 @@ impl Board {
         let moving = self.odometer.is_moving();
         match self.safety.command() {
             Some(command) => {
-                let wanted = command.speed_mm_s;
+                let target_mm_s = command.speed_mm_s;
                 if control_due {
                     self.esc
-                        .control(configuration, wanted, self.odometer.speed_mm_s());
+                        .control(configuration, target_mm_s, self.odometer.speed_mm_s());
                 }
                 self.esc
-                    .advance_driving(&configuration.esc, elapsed_us, wanted, moving);
+                    .advance_driving(&configuration.esc, elapsed_us, target_mm_s, moving);
             }
             None => self.esc.advance_stopped(elapsed_us, moving),
         }

@@ -1,40 +1,42 @@
-//! From speed to ESC pulse, and the way into reverse and back.
+//! ESC pulse from the commanded speed, with the change to reverse and back.
 //!
-//! A car's ESC takes the first pulse below neutral, after driving forward, for
-//! the brake, and only a second one, after neutral, for reverse. Into reverse
-//! the board therefore brakes for [`BRAKE_US`] and on until the wheels stand
-//! still, but no longer than [`LONGEST_BRAKE_US`]; shows neutral for [`PAUSE_US`]
-//! and on until the wheels stand still; and then drives. Back to forward it
-//! shows neutral until the wheels stand still.
+//! After driving forward, a car's ESC interprets the first pulse below neutral as
+//! brake, and only a second one, after neutral, as reverse. To change to reverse,
+//! the board therefore brakes for at least [`BRAKE_US`] until the wheels stand
+//! still, but no longer than [`MAX_BRAKE_US`]; then gives neutral for at least
+//! [`PAUSE_US`] until the wheels stand still; and then drives. To change to
+//! forward, it gives neutral until the wheels stand still.
 //!
-//! The braking pulse is given only while it brakes, that is, after driving
-//! forward: to an ESC that has just braked it means reverse, at full length.
+//! The brake pulse is given only where it brakes, that is, after driving forward.
+//! An ESC that has just braked would interpret it as full reverse.
 
 use singletrack_protocol::{Configuration, EscCalibration, FailsafeAction};
 
-use crate::clock::Stopwatch;
-use crate::slew::SlewLimiter;
-use crate::speed::{Room, SpeedController};
+use crate::{
+    clock::Stopwatch,
+    slew::SlewLimiter,
+    speed::{Room, SpeedController},
+};
 
-/// Neutral of nearly every ESC, in µs: what it is given before the board is told.
+/// ESC pulse before the configuration, in µs: neutral for nearly every ESC.
 pub(crate) const NEUTRAL_AT_BOOT_US: u16 = 1_500;
 
-/// Shortest braking on the way into reverse.
+/// Shortest braking before reverse.
 pub(crate) const BRAKE_US: u32 = 200_000;
 
-/// Neutral between brake and reverse.
+/// Shortest neutral between brake and reverse.
 pub(crate) const PAUSE_US: u32 = 200_000;
 
-/// Longest braking, on the way into reverse and when the board stops the car.
-pub(crate) const LONGEST_BRAKE_US: u32 = 500_000;
+/// Longest braking, before reverse and when the board stops the car.
+pub(crate) const MAX_BRAKE_US: u32 = 500_000;
 
-/// The direction in which the board drives, and the way into reverse.
+/// Direction of travel, with the phases before reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Gear {
     Forward,
-    /// On the way into reverse.
+    /// Braking before reverse.
     Braking,
-    /// On the way into reverse, in neutral.
+    /// Neutral before reverse.
     Pausing,
     Reverse,
 }
@@ -44,12 +46,12 @@ enum Gear {
 pub(crate) struct Esc {
     gear: Gear,
     in_gear: Stopwatch,
-    /// Whether the ESC takes a pulse below neutral for the brake: it was
-    /// driven forward, and has not been braked since.
+    /// Whether a pulse below neutral brakes: the ESC was driven forward and has not
+    /// been braked since.
     can_brake: bool,
-    /// Braking because the board stops the car by itself.
+    /// Time since the start of a braking stop.
     stopping: Option<Stopwatch>,
-    /// Of the pulse from neutral, in µs: what is shown, and what it slews to.
+    /// Present pulse and target of the slew limiter, relative to neutral, in µs.
     offset_us: i16,
     target_us: i16,
     slew: SlewLimiter,
@@ -70,8 +72,8 @@ impl Esc {
         }
     }
 
-    /// Uses a configuration from now on; a stop that brakes goes on braking
-    /// unless it says to coast.
+    /// Applies a configuration. A braking stop continues unless the configuration
+    /// coasts.
     pub(crate) fn configure(&mut self, configuration: &Configuration) {
         self.slew = SlewLimiter::new(configuration.esc.slew_us_per_20ms);
         if configuration.failsafe == FailsafeAction::Coast {
@@ -79,20 +81,20 @@ impl Esc {
         }
     }
 
-    /// Neutral from now on, without braking.
+    /// Goes to neutral without braking.
     pub(crate) fn release(&mut self) {
         self.stopping = None;
         self.neutral();
         if self.gear == Gear::Braking {
             self.can_brake = false;
         }
-        // Reverse is kept: the ESC keeps it too.
+        // The ESC stays in reverse, so the gear does too.
         if self.gear != Gear::Reverse {
             self.gear = Gear::Forward;
         }
     }
 
-    /// Neutral from now on, after braking if that is configured and helps.
+    /// Goes to neutral, after braking if configured and possible.
     pub(crate) fn stop(&mut self, action: FailsafeAction) {
         let brakes = action == FailsafeAction::Brake && self.can_brake;
         self.release();
@@ -108,14 +110,13 @@ impl Esc {
         self.speed.reset();
     }
 
-    /// Whether the car was last driven in reverse.
+    /// Whether the ESC is in reverse.
     pub(crate) fn is_reverse(&self) -> bool {
         self.gear == Gear::Reverse
     }
 
-    /// Whether the pulse is such that the motor has to turn: beyond the deadband,
-    /// or resting at its very edge, where a deadband that was measured too wide
-    /// drives the car.
+    /// Whether the pulse must turn the motor: beyond the deadband, or resting at
+    /// its edge, which drives the car if the configured deadband is too wide.
     pub(crate) const fn is_driving(&self, calibration: &EscCalibration) -> bool {
         match self.gear {
             Gear::Forward | Gear::Reverse => {
@@ -127,34 +128,35 @@ impl Esc {
         }
     }
 
-    /// Time goes by while stopped.
+    /// Advances time while stopped.
     pub(crate) fn advance_stopped(&mut self, elapsed_us: u32, moving: bool) {
         if let Some(braking) = &mut self.stopping {
             braking.advance(elapsed_us);
-            if !moving || braking.elapsed_us() >= LONGEST_BRAKE_US {
+            if !moving || braking.elapsed_us() >= MAX_BRAKE_US {
                 self.stopping = None;
             }
         }
     }
 
-    /// Time goes by while driving at the speed `wanted_mm_s`.
+    /// Advances time while driving at `target_mm_s`.
     pub(crate) fn advance_driving(
         &mut self,
         calibration: &EscCalibration,
         elapsed_us: u32,
-        wanted_mm_s: i16,
+        target_mm_s: i16,
         moving: bool,
     ) {
         self.stopping = None;
         self.in_gear.advance(elapsed_us);
-        self.shift(wanted_mm_s, moving);
+        self.shift(target_mm_s, moving);
         if self.gear == Gear::Braking {
             self.target_us = offset_us(calibration.brake_us, calibration);
-        } else if !self.gear.drives(wanted_mm_s) {
+        } else if !self.gear.drives(target_mm_s) {
             self.neutral();
         }
-        // Towards neutral at once, away from it slowly. Never across: every
-        // change of direction begins with neutral, see `shift`.
+        // Changes towards neutral are immediate, away from it limited. The pulse
+        // never crosses neutral: every change of direction starts with neutral, see
+        // `shift`.
         if self.target_us.unsigned_abs() < self.offset_us.unsigned_abs() {
             self.offset_us = self.target_us;
         }
@@ -166,15 +168,15 @@ impl Esc {
         }
     }
 
-    /// One control period of the speed loop.
+    /// Runs one control period of the speed loop.
     #[inline(never)]
     pub(crate) fn control(
         &mut self,
         configuration: &Configuration,
-        wanted_mm_s: i16,
+        target_mm_s: i16,
         measured_mm_s: i16,
     ) {
-        if !self.gear.drives(wanted_mm_s) {
+        if !self.gear.drives(target_mm_s) {
             return;
         }
         let calibration = &configuration.esc;
@@ -189,11 +191,11 @@ impl Esc {
         };
         let beyond_us = self.speed.update(
             &configuration.speed,
-            i32::from(wanted_mm_s).abs(),
+            i32::from(target_mm_s).abs(),
             measured_mm_s.into(),
             room,
         );
-        // Too fast is neutral, not the brake.
+        // A car that is too fast gets neutral, not the brake.
         let pulse_us = (deadband_us + beyond_us).min(limit_us.into()).max(0) as i16;
         self.target_us = match self.gear {
             Gear::Reverse => -pulse_us,
@@ -201,17 +203,17 @@ impl Esc {
         };
     }
 
-    fn shift(&mut self, wanted_mm_s: i16, moving: bool) {
-        let backward = wanted_mm_s < 0;
+    fn shift(&mut self, target_mm_s: i16, moving: bool) {
+        let backward = target_mm_s < 0;
         let time_us = self.in_gear.elapsed_us();
         let gear = match self.gear {
             Gear::Forward if backward && self.can_brake => Gear::Braking,
             Gear::Forward if backward => Gear::Pausing,
             Gear::Braking | Gear::Pausing if !backward => Gear::Forward,
-            Gear::Braking if time_us >= LONGEST_BRAKE_US => Gear::Pausing,
+            Gear::Braking if time_us >= MAX_BRAKE_US => Gear::Pausing,
             Gear::Braking if time_us >= BRAKE_US && !moving => Gear::Pausing,
             Gear::Pausing if time_us >= PAUSE_US && !moving => Gear::Reverse,
-            Gear::Reverse if wanted_mm_s > 0 && !moving => Gear::Forward,
+            Gear::Reverse if target_mm_s > 0 && !moving => Gear::Forward,
             unchanged => unchanged,
         };
         if gear != self.gear {
@@ -224,7 +226,7 @@ impl Esc {
         }
     }
 
-    /// The pulse, in µs, between the limits whatever happened.
+    /// The pulse, in µs, always within the limits.
     pub(crate) fn pulse_us(&self, calibration: &EscCalibration) -> u16 {
         if self.stopping.is_some() {
             return calibration.brake_us;
@@ -238,10 +240,10 @@ impl Esc {
 }
 
 impl Gear {
-    fn drives(self, wanted_mm_s: i16) -> bool {
+    fn drives(self, target_mm_s: i16) -> bool {
         match self {
-            Self::Forward => wanted_mm_s > 0,
-            Self::Reverse => wanted_mm_s < 0,
+            Self::Forward => target_mm_s > 0,
+            Self::Reverse => target_mm_s < 0,
             Self::Braking | Self::Pausing => false,
         }
     }

@@ -1,20 +1,22 @@
-//! The newest IMU sample, and whether the host has it.
+//! The newest IMU sample, and whether it has been sent.
 
 use singletrack_protocol::ImuState;
 
-use crate::clock::{Stopwatch, age_us};
-use crate::io::ImuSample;
+use crate::{
+    clock::{Stopwatch, age_us},
+    io::ImuSample,
+};
 
-/// Without a sample for so long the IMU is silent.
+/// Time without a sample after which the IMU counts as silent.
 pub(crate) const SILENCE_US: u32 = 50_000;
 
 #[derive(Debug)]
 pub(crate) struct Imu {
-    /// Zeros before the first.
+    /// The newest sample; zeros before the first.
     sample: ImuSample,
     has_sample: bool,
     since_sample: Stopwatch,
-    /// No record that was sent has carried it.
+    /// The sample has not been sent yet.
     unsent: bool,
 }
 
@@ -60,14 +62,14 @@ impl Imu {
         }
     }
 
-    /// In units of 100 µs, saturating.
+    /// Age of the sample in units of 100 µs, saturating.
     pub(crate) fn age_100us(&self) -> u8 {
         let limit_us = u16::from(u8::MAX) * 100;
         let age_us = u16::try_from(self.since_sample.elapsed_us()).unwrap_or(u16::MAX);
         (age_us.min(limit_us) / 100) as u8
     }
 
-    /// A record with the newest sample has been sent.
+    /// Notes that the newest sample has been sent.
     pub(crate) const fn sent(&mut self) {
         self.unsent = false;
     }

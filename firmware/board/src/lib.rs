@@ -1,20 +1,20 @@
-//! What the Arduino does, without the Arduino.
+//! The board's firmware without hardware access.
 //!
-//! [`Board::poll`] is the whole firmware as one function of time, inputs and
-//! received bytes. The simulator and the image for the Arduino UNO call the same
-//! one; around it the image has nothing but pins, timers and interrupts.
+//! [`Board::poll`] is the complete firmware as a function of time, inputs and
+//! received bytes. The simulator and the UNO image call the same function; the
+//! image adds only pins, timers and interrupts.
 //!
-//! The board has the last word on the car. It obeys a [`Drive`] only after an
-//! explicit [`Arm`], only while command and pose are young enough by its own
-//! clock, and only within the limits of its [`Configuration`]; in every other
-//! case the motor is in neutral.
+//! The board has final authority over the car. It follows a [`Drive`] only after an
+//! explicit [`Arm`], only while command and pose are recent enough by its own
+//! clock, and only within the limits of its [`Configuration`]. In every other case
+//! the motor is in neutral.
 //!
 //! # For an 8-bit processor
 //!
-//! No floating point; nothing formats text. No division of more than 32 bits,
-//! and those of 32 bits once per control period, not per poll. No checked,
-//! saturating or overflowing multiplication of `i32`, which is miscompiled on
-//! AVR: factors are bounded by [`Configuration::validate`] instead.
+//! No floating point and no text formatting. No division wider than 32 bits;
+//! divisions of 32 bits once per control period, not per poll. No checked,
+//! saturating or overflowing multiplication of `i32`, which is miscompiled on AVR:
+//! [`Configuration::validate`] bounds the factors instead.
 //!
 //! [`Arm`]: singletrack_protocol::Arm
 //! [`Drive`]: singletrack_protocol::Drive

@@ -1,14 +1,14 @@
-//! The board's end of the line: what comes in, and what has to be answered.
+//! The board's end of the serial line.
 
 use singletrack_protocol::{Decoder, Frame, Hello, Message, ToBoard, ToHost, UNSOLICITED, VERSION};
 
-/// The receiver, its counters, and the greeting that waits for its turn.
+/// Receiver, counters, and pending greetings.
 #[derive(Debug)]
 pub(crate) struct Link {
     decoder: Decoder,
     software_version: [u8; 3],
     session: Option<Session>,
-    /// Nonces of greetings to be sent: that of the start, that of an answer.
+    /// Nonces of pending greetings: the announcement of the start, and an answer.
     announcement: Option<u32>,
     greeting: Option<u32>,
     pub(crate) frames_received: u16,
@@ -16,7 +16,7 @@ pub(crate) struct Link {
     pub(crate) frames_dropped: u16,
 }
 
-/// The host that greeted last.
+/// The last greeting of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Session {
     nonce: u32,
@@ -37,10 +37,10 @@ impl Link {
         }
     }
 
-    /// The message that ends with this byte.
+    /// Processes a byte; returns the message that it completes.
     #[inline(always)]
     pub(crate) fn receive(&mut self, byte: u8) -> Option<ToBoard> {
-        // Nearly all bytes are of this kind, and cost a few cycles each.
+        // Fast path of a few cycles for nearly all bytes.
         if !self.decoder.push_data(byte) {
             return self.end_of_frame();
         }
@@ -62,11 +62,10 @@ impl Link {
         }
     }
 
-    /// Notes who greets, to be answered. Returns whether it is another session
-    /// than the one before.
+    /// Notes a greeting, to be answered. Returns whether it starts another session.
     pub(crate) fn greeted(&mut self, hello: &Hello) -> bool {
         if hello.nonce == UNSOLICITED {
-            // No host sends that: our own start, echoed by the line.
+            // The board's own announcement, echoed by the line; no host sends this nonce.
             return false;
         }
         let session = Some(Session {
@@ -85,7 +84,7 @@ impl Link {
             .is_some_and(|session| session.version != VERSION)
     }
 
-    /// Sends the greetings that are due; one that does not fit waits.
+    /// Sends pending greetings; one that does not fit stays pending.
     pub(crate) fn greet(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
         if self.announcement.is_some() || self.greeting.is_some() {
             self.greet_now(transmit);
@@ -94,22 +93,22 @@ impl Link {
 
     #[inline(never)]
     fn greet_now(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
-        // Ends what the board was saying when it was reset, or the host would
-        // take that and the announcement for one damaged frame.
+        // The zero ends a frame that a reset cut off. Otherwise the host would
+        // decode that frame and the announcement as one corrupted frame.
         if self.announcement.is_some() && !transmit(&[0]) {
             return;
         }
         for due in [&mut self.announcement, &mut self.greeting] {
             let Some(nonce) = *due else { continue };
-            if !say_hello(self.software_version, nonce, transmit) {
+            if !send_hello(self.software_version, nonce, transmit) {
                 return;
             }
             *due = None;
         }
     }
 
-    /// Sends a message, or drops and counts it when the line is full: answers
-    /// are asked for again, records follow one another.
+    /// Sends a message, or drops and counts it if the line is full: the host
+    /// repeats its requests, and records are periodic.
     pub(crate) fn send<M: Message + Into<ToHost>>(
         &mut self,
         message: &M,
@@ -126,7 +125,7 @@ impl Link {
 }
 
 #[inline(never)]
-fn say_hello(
+fn send_hello(
     software_version: [u8; 3],
     nonce: u32,
     transmit: &mut impl FnMut(&[u8]) -> bool,

@@ -1,32 +1,34 @@
-//! Speed from the pulses of the motor.
+//! Speed from the motor pulses.
 
-use crate::clock::{Stopwatch, age_us};
-use crate::io::MotorPulses;
+use crate::{
+    clock::{Stopwatch, age_us},
+    io::MotorPulses,
+};
 
-/// The wheels stand still when no pulse has come for so long.
+/// Time without a pulse after which the wheels count as standing still.
 pub(crate) const STANDSTILL_US: u32 = 150_000;
 
-/// Driven for so long without a pulse, the sensor has failed: a loop closed on
-/// a dead sensor would go on to full throttle.
-pub(crate) const SENSOR_PATIENCE_US: u32 = 150_000;
+/// Driving time without a pulse after which the sensor has failed: with a dead
+/// sensor, the speed loop would go to full throttle.
+pub(crate) const SENSOR_TIMEOUT_US: u32 = 150_000;
 
-/// After so long without a pulse the speed is zero, and the next pulse says
-/// nothing about the speed: it only begins a new interval.
-const FORGET_US: u32 = 500_000;
+/// Time without a pulse after which the speed is zero. The next pulse only starts a
+/// new interval.
+const INTERVAL_TIMEOUT_US: u32 = 500_000;
 
-/// More pulses than this are halved, together with their time, so that the
-/// product with the distance keeps within 32 bits: 2^16 · 1000 · 64 < 2^32.
-const MOST_PULSES: u32 = 64;
+/// Larger numbers of pulses are halved, together with their time, so that the
+/// product with the distance fits in 32 bits: 2^16 · 1000 · 64 < 2^32.
+const MAX_PULSES: u32 = 64;
 
-/// What the motor pulses tell.
+/// Speed and state of the motor sensor.
 #[derive(Debug)]
 pub(crate) struct Odometer {
     /// The newest pulse; `None` before the first poll.
     newest: Option<MotorPulses>,
-    /// The pulse at which the interval now measured began.
+    /// First pulse of the current interval.
     reference: Option<MotorPulses>,
     since_pulse: Stopwatch,
-    /// Driven since the last pulse, short pauses left out.
+    /// Driving time since the last pulse, without short pauses.
     driven: Stopwatch,
     not_driven: Stopwatch,
     speed_mm_s: i16,
@@ -44,8 +46,8 @@ impl Odometer {
         }
     }
 
-    /// Takes in the pulses at every poll. `driven`: whether the pulse to the
-    /// ESC was beyond the deadband in the time before.
+    /// Updates the pulses in every poll. `driven` says whether the ESC pulse was
+    /// beyond the deadband since the last poll.
     pub(crate) fn observe(
         &mut self,
         now_us: u32,
@@ -59,16 +61,16 @@ impl Odometer {
             self.not_driven = Stopwatch::started();
         } else {
             self.not_driven.advance(elapsed_us);
-            // A shorter pause does not clear a sensor of suspicion, or driving
-            // in bursts would never find it dead.
-            if self.not_driven.elapsed_us() >= SENSOR_PATIENCE_US {
+            // A shorter pause does not reset the time, so that driving in bursts
+            // cannot hide a dead sensor.
+            if self.not_driven.elapsed_us() >= SENSOR_TIMEOUT_US {
                 self.driven = Stopwatch::started();
             }
         }
         let newest = *self.newest.get_or_insert(pulses);
         if newest.count != pulses.count {
             self.newest = Some(pulses);
-            // An edge after `now` was read is an edge now.
+            // An edge later than `now_us` counts as an edge now.
             let age = age_us(now_us, pulses.last_edge_us).unwrap_or(0);
             self.since_pulse = Stopwatch::started_ago(age);
             self.driven = Stopwatch::started();
@@ -81,14 +83,15 @@ impl Odometer {
 
     /// Whether the motor has been driven for too long without a pulse.
     pub(crate) const fn has_failed(&self) -> bool {
-        self.driven.elapsed_us() >= SENSOR_PATIENCE_US
-            && self.since_pulse.elapsed_us() >= SENSOR_PATIENCE_US
+        self.driven.elapsed_us() >= SENSOR_TIMEOUT_US
+            && self.since_pulse.elapsed_us() >= SENSOR_TIMEOUT_US
     }
 
-    /// Measures the speed anew; called once per control period.
+    /// Measures the speed; called once per control period.
     ///
-    /// The pulses since the last call over the time between the first and the
-    /// last of them; without any, no more than one pulse in the time since.
+    /// The speed is the number of pulses since the last call over the time between
+    /// the first and the last of them. Without pulses, it is limited to one pulse
+    /// in the time since the last one.
     #[inline(never)]
     pub(crate) fn measure(&mut self, pulse_distance_um: u16) {
         let Some(newest) = self.newest else { return };
@@ -101,24 +104,24 @@ impl Odometer {
                 let span_us = newest.last_edge_us.wrapping_sub(reference.last_edge_us);
                 speed_mm_s(pulse_distance_um, new_pulses.into(), span_us)
             }
-            _ if waited_us >= FORGET_US => 0,
+            _ if waited_us >= INTERVAL_TIMEOUT_US => 0,
             _ => self
                 .speed_mm_s
                 .min(speed_mm_s(pulse_distance_um, 1, waited_us)),
         };
-        self.reference = (waited_us < FORGET_US).then_some(newest);
+        self.reference = (waited_us < INTERVAL_TIMEOUT_US).then_some(newest);
     }
 
-    /// The speed without its sign, in mm/s.
+    /// Magnitude of the speed, in mm/s.
     pub(crate) const fn speed_mm_s(&self) -> i16 {
         self.speed_mm_s
     }
 }
 
-/// `pulses` pulses in `span_us`, in mm/s, saturating.
+/// Speed of `pulses` pulses in `span_us`, in mm/s, saturating.
 #[inline(never)]
 fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 {
-    while pulses > MOST_PULSES {
+    while pulses > MAX_PULSES {
         pulses /= 2;
         span_us /= 2;
     }
@@ -131,14 +134,15 @@ fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 
 
 #[cfg(test)]
 mod tests {
+    use std::vec::Vec;
+
     use super::Odometer;
     use crate::io::MotorPulses;
-    use std::vec::Vec;
 
     const PULSE_UM: u16 = 5_000;
 
-    /// Pulses at a constant rate, polled every millisecond, measured every ten;
-    /// returns every speed measured.
+    /// Pulses at a constant rate, polled every millisecond, measured every 10 ms;
+    /// returns all measured speeds.
     fn run(odometer: &mut Odometer, from_us: u32, period_us: u32, total_us: u32) -> Vec<i16> {
         let mut speeds = Vec::new();
         for elapsed in (0..=total_us).step_by(1_000) {
@@ -161,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_rate_gives_the_constant_speed_at_any_rate_and_across_both_wraps() {
+    fn a_constant_rate_gives_a_constant_speed_across_both_wraps() {
         for period_us in [150, 500, 2_500, 10_000, 33_000, 140_000] {
             let speeds = run(&mut Odometer::new(), u32::MAX - 300_000, period_us, 600_000);
             let exact = f64::from(PULSE_UM) * 1_000.0 / f64::from(period_us);
@@ -177,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn without_pulses_the_speed_falls_as_fast_as_is_known_and_ends_at_zero() {
+    fn without_pulses_the_speed_falls_to_zero() {
         let mut odometer = Odometer::new();
         run(&mut odometer, 0, 5_000, 100_000);
         let start = odometer.speed_mm_s();
@@ -218,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_pulse_after_a_reading_of_zero_gives_no_speed_to_the_microsecond() {
+    fn the_interval_ends_exactly_at_its_timeout() {
         for (silent_us, silent_mm_s, next_mm_s) in
             [(499_999, 10, 9), (500_000, 0, 0), (500_001, 0, 0)]
         {
@@ -257,12 +261,12 @@ mod tests {
                 odometer.speed_mm_s()
             };
             measure(7, 0);
-            // The very first pulse only begins the interval.
+            // The first pulse only starts the interval.
             measure(8, 1_000);
             let measured = measure(8_u16.wrapping_add(pulses), 1_000 + span_us);
             let exact = f64::from(PULSE_UM) * 1_000.0 * f64::from(pulses) / f64::from(span_us);
             let error = exact - f64::from(measured);
-            // 64 pulses are what the product has room for without halving.
+            // Up to 64 pulses are not halved.
             let tolerance = if pulses <= 64 { 1.0 } else { exact / 50.0 };
             assert!(error.abs() < tolerance, "{pulses}: {measured} for {exact}");
         }

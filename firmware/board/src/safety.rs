@@ -1,17 +1,17 @@
-//! The safety machine: who may drive, and until when.
+//! The safety state machine: permission to drive, and its end.
 //!
 //! ```text
 //! Boot --2 s of neutral--> Neutral --Arm--> Armed --Drive--> Driving
 //!                             ^               |                 |
 //!                             +----Disarm-----+-----------------+
-//! Failsafe          from Armed and Driving, by itself; Arm leaves it
-//! EmergencyStopped  from everywhere; only a reset leaves it
+//! Failsafe          from Armed and Driving; left by Arm
+//! EmergencyStopped  from every state; left only by a reset
 //! ```
 //!
-//! A command is in force until its own time to live or the age of the pose
-//! behind it ends, whichever is first. Both are measured on the board's clock
-//! from the telemetry that the host had seen, so that no command gains time by
-//! waiting in a line.
+//! A command is in force until its own time to live or the age limit of its pose
+//! ends, whichever is first. Both are measured on the board's clock from the
+//! telemetry that the host had received, so that a delay on the line does not
+//! prolong a command.
 
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Drive, RefusalReason, Sequence,
@@ -20,12 +20,12 @@ use singletrack_protocol::{
 
 use crate::clock::{Stopwatch, age_us};
 
-/// ESCs arm after they have seen neutral for a second or more.
+/// Time at neutral before arming; ESCs arm after a second or more.
 pub(crate) const NEUTRAL_HOLD_US: u32 = 2_000_000;
 
-/// What a request to arm is judged by, beside the machine's own state.
+/// Conditions for arming, besides the state of the machine.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Situation {
+pub(crate) struct ArmingConditions {
     pub(crate) configuration_hash: Option<u32>,
     pub(crate) version_differs: bool,
     pub(crate) moving: bool,
@@ -40,12 +40,13 @@ pub(crate) struct Command {
     pub(crate) steering_100urad: i16,
     /// Board time of the telemetry behind it.
     telemetry_time_us: u32,
-    /// How long after that its pose reaches the configured limit.
+    /// Time after that until its pose reaches the configured age.
     pose_time_to_live_us: u32,
 }
 
 impl Command {
-    /// How long after `telemetry_time_us` it is in force, and what ends it.
+    /// Time after `telemetry_time_us` for which it is in force, and the cause of its
+    /// end.
     const fn time_to_live(&self) -> (u32, StopCause) {
         if self.pose_time_to_live_us < COMMAND_TIME_TO_LIVE_US {
             (self.pose_time_to_live_us, StopCause::PoseTooOld)
@@ -63,16 +64,16 @@ impl Command {
 pub(crate) struct Safety {
     mode: BoardMode,
     cause: StopCause,
-    /// Since when the ESC has been shown the present neutral pulse.
+    /// Time since the present neutral pulse was first output.
     neutral: Stopwatch,
-    /// Since when the car is stopped by [`Safety::fail`].
+    /// Time since the last [`Safety::fail`].
     failed: Stopwatch,
-    /// The request that armed last: sent again, it does not arm again.
+    /// The last request that armed; repeated, it does not arm again.
     arm_request: Option<Sequence>,
-    /// In force; while driving.
+    /// The command in force; only while driving.
     command: Option<Command>,
     last_sequence: Sequence,
-    /// Only a switch that has been seen closed can open.
+    /// The switch was closed once; only then can it open.
     stop_input_closed: bool,
 }
 
@@ -115,8 +116,8 @@ impl Safety {
         matches!(self.mode, BoardMode::Armed | BoardMode::Driving)
     }
 
-    /// Time goes by, before anything received is looked at: what has expired
-    /// is not revived by what arrives late.
+    /// Advances time. Runs before received bytes are processed, so that a late
+    /// command does not revive an expired one.
     pub(crate) fn advance(&mut self, now_us: u32, elapsed_us: u32) {
         self.neutral.advance(elapsed_us);
         self.failed.advance(elapsed_us);
@@ -132,7 +133,7 @@ impl Safety {
         }
     }
 
-    /// The level of a stop input that is configured.
+    /// Processes the level of a configured stop input.
     pub(crate) const fn observe_stop_input(&mut self, open: bool) {
         if !open {
             self.stop_input_closed = true;
@@ -141,7 +142,7 @@ impl Safety {
         }
     }
 
-    /// Another configuration is in force.
+    /// Notes a new configuration.
     pub(crate) const fn configured(&mut self, neutral_changed: bool) {
         self.stop_input_closed = false;
         if neutral_changed {
@@ -152,7 +153,7 @@ impl Safety {
         }
     }
 
-    /// Whether a configuration may be taken over now.
+    /// Whether a configuration is accepted in this state.
     pub(crate) const fn may_configure(&self) -> Result<(), RefusalReason> {
         match self.mode {
             BoardMode::Boot | BoardMode::Neutral | BoardMode::Failsafe => Ok(()),
@@ -165,26 +166,26 @@ impl Safety {
         &mut self,
         now_us: u32,
         arm: &Arm,
-        situation: Situation,
+        conditions: ArmingConditions,
     ) -> Result<(), RefusalReason> {
         if self.is_armed() {
-            // Asked again because the answer was lost: nothing to be done.
+            // Repeated because the answer was lost.
             return if self.arm_request == Some(arm.request) {
                 Ok(())
             } else {
                 Err(RefusalReason::Busy)
             };
         }
-        if situation.stop_input_open {
+        if conditions.stop_input_open {
             return Err(RefusalReason::StopInputOpen);
         }
         if self.mode == BoardMode::EmergencyStopped {
             return Err(RefusalReason::EmergencyStopLatched);
         }
-        if situation.version_differs {
+        if conditions.version_differs {
             return Err(RefusalReason::VersionDiffers);
         }
-        match situation.configuration_hash {
+        match conditions.configuration_hash {
             None => return Err(RefusalReason::NotConfigured),
             Some(hash) if hash != arm.configuration_hash => {
                 return Err(RefusalReason::ConfigurationDiffers);
@@ -193,17 +194,17 @@ impl Safety {
         }
         let age = fresh_age_us(now_us, arm.telemetry_time_us)?;
         if age > self.failed.elapsed_us() {
-            // Whoever asked did not know yet that the board has stopped the car.
+            // The host sent it before it knew of the stop.
             return Err(RefusalReason::Stale);
         }
         if self.arm_request == Some(arm.request) {
-            // It armed once, and the board has stopped the car since.
+            // It armed once; the board has stopped the car since.
             return Err(RefusalReason::OutOfSequence);
         }
         if self.mode == BoardMode::Boot || self.neutral.elapsed_us() < NEUTRAL_HOLD_US {
             return Err(RefusalReason::NotYetNeutral);
         }
-        if situation.moving {
+        if conditions.moving {
             return Err(RefusalReason::Moving);
         }
         self.mode = BoardMode::Armed;
@@ -254,7 +255,7 @@ impl Safety {
         Ok(command)
     }
 
-    /// The host wants no more.
+    /// Ends driving at the request of the host.
     pub(crate) const fn disarm(&mut self) {
         if self.is_armed() {
             self.mode = BoardMode::Neutral;
@@ -263,13 +264,13 @@ impl Safety {
         }
     }
 
-    /// Another host, or the same one anew: it knows nothing of what it armed.
+    /// Stops: a new session does not know what was armed.
     pub(crate) const fn host_restarted(&mut self) {
         self.fail(StopCause::HostRestarted);
         self.arm_request = None;
     }
 
-    /// Stops until armed again; has no effect unless armed.
+    /// Stops until armed again; no effect unless armed.
     pub(crate) const fn fail(&mut self, cause: StopCause) {
         if self.is_armed() {
             self.mode = BoardMode::Failsafe;
@@ -279,7 +280,7 @@ impl Safety {
         }
     }
 
-    /// Stops until reset. The first cause stands.
+    /// Stops until reset. The first cause is kept.
     pub(crate) const fn latch(&mut self, cause: StopCause) {
         if !matches!(self.mode, BoardMode::EmergencyStopped) {
             self.mode = BoardMode::EmergencyStopped;
@@ -289,7 +290,7 @@ impl Safety {
     }
 }
 
-/// The age of the telemetry behind a request, if it is fresh enough to act on.
+/// Age of the telemetry behind a request, if within the time to live.
 fn fresh_age_us(now_us: u32, telemetry_time_us: u32) -> Result<u32, RefusalReason> {
     age_us(now_us, telemetry_time_us)
         .filter(|&age| age <= COMMAND_TIME_TO_LIVE_US)

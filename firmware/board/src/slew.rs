@@ -1,27 +1,27 @@
-//! Limits how fast a pulse changes: from one moment to a later one by no more than
-//! the rate allows for the time between them and the one poll before.
+//! Limits the rate of change of a pulse: between two times, at most the rate allows
+//! for the time between them plus one poll.
 
-/// A stall of the main loop gives no more change than one servo frame.
-const LONGEST_STEP_US: u16 = 20_000;
+/// A stall of the main loop allows at most the change of one servo frame.
+const MAX_STEP_US: u16 = 20_000;
 
-/// Fractional bits of the change that is allowed in a microsecond.
+/// Fractional bits of the allowed change per microsecond.
 ///
-/// As many as fit: the highest rate (1400 µs in 20 ms) and the longest step need
-/// 16 bits each. No division, and no multiplication of more than those, which on
-/// the AVR would take their time at every poll.
+/// The largest number that fits: the highest rate (1400 µs in 20 ms) and the
+/// longest step need 16 bits each. There is no division and no wider
+/// multiplication, which would be slow on the AVR in every poll.
 const FRACTION_BITS: u32 = 19;
 
-/// A rate of change, and what is left of it from one poll to the next.
+/// A rate of change, with the remainder between polls.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SlewLimiter {
-    /// µs of pulse per µs of time.
+    /// µs of pulse per µs of time, in fixed point.
     rate: u16,
-    /// Less than one µs of pulse.
+    /// Fraction of a µs of pulse.
     remainder: u32,
 }
 
 impl SlewLimiter {
-    /// Rounded down: never faster than stated, by less than 2 % slower.
+    /// Rounds down: never faster than configured, and less than 2 % slower.
     pub(crate) const fn new(us_per_20ms: u16) -> Self {
         Self {
             rate: (((us_per_20ms as u32) << FRACTION_BITS) / 20_000) as u16,
@@ -29,18 +29,17 @@ impl SlewLimiter {
         }
     }
 
-    /// The pulse after `elapsed_us` on the way from `current` to `target`.
+    /// The pulse after moving from `current` towards `target` for `elapsed_us`.
     #[inline(never)]
     pub(crate) fn approach(&mut self, current: i16, target: i16, elapsed_us: u32) -> i16 {
         if current == target {
             self.remainder = 0;
             return target;
         }
-        let elapsed_us =
-            u16::try_from(elapsed_us).map_or(LONGEST_STEP_US, |us| us.min(LONGEST_STEP_US));
+        let elapsed_us = u16::try_from(elapsed_us).map_or(MAX_STEP_US, |us| us.min(MAX_STEP_US));
         let allowed = self.remainder + u32::from(self.rate) * u32::from(elapsed_us);
         self.remainder = allowed & ((1 << FRACTION_BITS) - 1);
-        // At most 1401, see FRACTION_BITS.
+        // At most 1401; see `FRACTION_BITS`.
         let allowed = (allowed >> FRACTION_BITS) as i16;
         if current < target {
             current.saturating_add(allowed).min(target)
@@ -86,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn waiting_saves_nothing_up() {
+    fn waiting_at_the_target_accumulates_nothing() {
         let mut slew = SlewLimiter::new(100);
         for _ in 0..100 {
             slew.approach(1_500, 1_500, 999);

@@ -1,31 +1,31 @@
-//! The speed loop: feed-forward, proportional, and a limited integral.
+//! The speed controller: feed-forward, proportional, and a limited integral.
 
 use singletrack_protocol::SpeedLoop;
 
-/// A gain of 1 µs per m/s times a speed of 1 mm/s.
+/// Products of a gain in µs per m/s and a speed in mm/s, per µs.
 const UNITS_PER_US: i32 = 1_000;
 
-/// The integral counts finer units, by a power of two: on the AVR a shift costs a
+/// The integral has finer units, by a power of two: on the AVR a shift costs a
 /// tenth of a division.
 const INTEGRAL_SHIFT: u32 = 7;
 const INTEGRAL_UNITS_PER_US: i32 = UNITS_PER_US << INTEGRAL_SHIFT;
 
-/// An integral gain of 1 µs/m times an error of 1 mm/s over one control period of
-/// 10 ms, in units of the integral: 1.28, here 1311 / 1024.
+/// Integral per control period of 10 ms and 1 mm/s of error, for a gain in µs/m:
+/// 1.28 units, approximated by 1311 / 1024.
 const fn integral_gain(us_per_m: u16) -> i32 {
     ((us_per_m as u32 * 1_311) >> 10) as i32
 }
 
-/// Where the pulse can go, in µs beyond the deadband, in the direction driven.
+/// Limits of the pulse, in µs beyond the deadband, in the direction of travel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Room {
-    /// The highest that the limits allow.
+    /// Largest allowed pulse.
     pub(crate) highest: i32,
-    /// Whether the pulse is still slewing up to what was asked last.
+    /// Whether the pulse is still slewing to its last target.
     pub(crate) lagging: bool,
 }
 
-/// The loop's memory. Speeds and pulses are counted in the direction driven.
+/// The controller. Speeds and pulses are in the direction of travel.
 #[derive(Debug)]
 pub(crate) struct SpeedController {
     integral: i32,
@@ -40,24 +40,24 @@ impl SpeedController {
         self.integral = 0;
     }
 
-    /// The pulse beyond the deadband for the next control period, in µs; the
-    /// caller limits it to the room. The error of now enters the integral of
-    /// the next period.
+    /// The pulse beyond the deadband for the next control period, in µs; the caller
+    /// applies the limits. The present error enters the integral of the next
+    /// period.
     ///
     /// With validated gains (5000 at most) and 16-bit speeds every product is
     /// below 2^29.
     pub(crate) fn update(
         &mut self,
         gains: &SpeedLoop,
-        wanted_mm_s: i32,
+        target_mm_s: i32,
         measured_mm_s: i32,
         room: Room,
     ) -> i32 {
-        let error = wanted_mm_s - measured_mm_s;
-        let direct = i32::from(gains.feed_forward_us_per_m_s) * wanted_mm_s
+        let error = target_mm_s - measured_mm_s;
+        let direct = i32::from(gains.feed_forward_us_per_m_s) * target_mm_s
             + i32::from(gains.proportional_us_per_m_s) * error;
         let pulse = (direct + (self.integral >> INTEGRAL_SHIFT)) / UNITS_PER_US;
-        // Anti-windup: what the pulse cannot follow is not integrated.
+        // Anti-windup: a saturated pulse stops the integration.
         let too_high = pulse >= room.highest || room.lagging;
         let too_low = pulse <= 0;
         if !(error > 0 && too_high || error < 0 && too_low) {
@@ -71,8 +71,9 @@ impl SpeedController {
 
 #[cfg(test)]
 mod tests {
-    use super::{Room, SpeedController};
     use singletrack_protocol::SpeedLoop;
+
+    use super::{Room, SpeedController};
 
     const GAINS: SpeedLoop = SpeedLoop {
         pulse_distance_um: 5_000,
@@ -112,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_pulse_cannot_follow_is_not_integrated() {
+    fn a_saturated_pulse_stops_the_integration() {
         for room in [
             Room {
                 highest: 120,
@@ -150,9 +151,9 @@ mod tests {
             highest: i32::MAX,
             lagging: false,
         };
-        for (wanted, measured) in [(20_000, 0), (0, 32_767), (20_000, 32_767)] {
+        for (target, measured) in [(20_000, 0), (0, 32_767), (20_000, 32_767)] {
             for _ in 0..100 {
-                controller.update(&gains, wanted, measured, free);
+                controller.update(&gains, target, measured, free);
             }
         }
     }

@@ -1,11 +1,11 @@
-//! From steering angle to servo pulse.
+//! Servo pulse from the steering angle.
 
 use singletrack_protocol::ServoCalibration;
 
 use crate::slew::SlewLimiter;
 
-/// The servo: silent until it is configured, then always on its way to the
-/// last angle that was asked for.
+/// The servo: silent until it is configured, then slewing to the last commanded
+/// angle.
 #[derive(Debug)]
 pub(crate) struct Steering {
     angle_100urad: i16,
@@ -27,8 +27,8 @@ impl Steering {
         }
     }
 
-    /// Uses a calibration from now on. A silent servo goes straight to its
-    /// pulse: where it stands is not known. Another one slews there.
+    /// Applies a calibration. A silent servo goes to its pulse at once, because its
+    /// position is not known; otherwise the pulse slews.
     pub(crate) fn configure(&mut self, calibration: &ServoCalibration) {
         let target_us = pulse_us(calibration, self.angle_100urad);
         let pulse_us = self
@@ -42,7 +42,7 @@ impl Steering {
         });
     }
 
-    /// Steers to an angle, left positive, in units of 100 µrad.
+    /// Sets the target angle, left positive, in units of 100 µrad.
     pub(crate) fn steer(&mut self, calibration: &ServoCalibration, angle_100urad: i16) {
         self.angle_100urad = angle_100urad;
         if let Some(servo) = &mut self.servo {
@@ -68,19 +68,19 @@ impl Steering {
 
 #[inline(never)]
 fn pulse_us(calibration: &ServoCalibration, angle_100urad: i16) -> i16 {
-    // From µs per 10,000 units of angle to µs per 2^14: times 1.6384, here
-    // 26844 / 2^14. Two shifts instead of a division, which on the AVR would take
-    // three times as long, and off by no more than 1/6 µs.
+    // Converts µs per 10,000 units of angle to µs per 2^14 units: a factor of
+    // 1.6384, approximated by 26844 / 2^14. Two shifts replace a division, which
+    // takes three times as long on the AVR; the error is at most 1/6 µs.
     const SHIFT: u32 = 14;
     const HALF: i32 = 1 << (SHIFT - 1);
     let gain = (i32::from(calibration.gain_us_per_rad) * 26_844 + HALF) >> SHIFT;
-    // A validated gain then has 14 bits at most: no overflow.
+    // A validated gain has at most 14 bits here: no overflow.
     let change = (gain * i32::from(angle_100urad) + HALF) >> SHIFT;
     clamp(calibration, i32::from(calibration.centre_us) + change)
 }
 
-/// Between the limits, which are those of a validated configuration: at most
-/// 2200 µs, so that it fits.
+/// Clamps to the limits of a validated configuration, at most 2200 µs, so that it
+/// fits.
 fn clamp(calibration: &ServoCalibration, pulse_us: i32) -> i16 {
     pulse_us
         .min(calibration.max_us.into())
@@ -89,8 +89,9 @@ fn clamp(calibration: &ServoCalibration, pulse_us: i32) -> i16 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Steering, pulse_us};
     use singletrack_protocol::ServoCalibration;
+
+    use super::{Steering, pulse_us};
 
     const CALIBRATION: ServoCalibration = ServoCalibration {
         centre_us: 1_490,
@@ -101,7 +102,7 @@ mod tests {
     };
 
     #[test]
-    fn trim_and_gain_map_the_angle_and_the_limits_hold() {
+    fn angles_are_mapped_by_trim_and_gain_within_the_limits() {
         for (angle_100urad, pulse) in [
             (0, 1_490),
             (1_000, 1_410),
@@ -135,7 +136,7 @@ mod tests {
                     1_500.0 + f64::from(gain_us_per_rad) * f64::from(angle_100urad) / 10_000.0;
                 let error =
                     f64::from(pulse_us(&calibration, angle_100urad)) - exact.clamp(800.0, 2_200.0);
-                // Half a microsecond of rounding, and the scaled gain's own.
+                // Half a microsecond of rounding, and the error of the scaled gain.
                 assert!(
                     error.abs() <= 0.5 + 1.0,
                     "{gain_us_per_rad}, {angle_100urad}: {error}"

@@ -1,4 +1,4 @@
-//! What the servo and the ESC are given while driving.
+//! Servo and ESC pulses while driving.
 
 mod rig;
 
@@ -6,7 +6,7 @@ use rig::{MS, NEUTRAL, Rig, configuration};
 use singletrack_protocol::BoardMode;
 
 #[test]
-fn the_servo_slews_to_the_angle_at_the_configured_rate_whatever_the_poll_rate() {
+fn the_servo_slews_at_the_configured_rate_for_any_poll_rate() {
     for poll_us in [100, 333, 1_000, 4_000, 10_000] {
         let mut rig = Rig::armed_with(configuration());
         rig.poll_us = poll_us;
@@ -27,7 +27,7 @@ fn the_servo_slews_to_the_angle_at_the_configured_rate_whatever_the_poll_rate() 
 }
 
 #[test]
-fn steering_beyond_the_limits_of_the_servo_ends_at_them() {
+fn steering_is_clamped_to_the_limits_of_the_servo() {
     let mut rig = Rig::armed_with(configuration());
     rig.drive_for(500 * MS, 0, i16::MAX);
     assert_eq!(rig.outputs.servo_us, Some(1_900));
@@ -36,7 +36,7 @@ fn steering_beyond_the_limits_of_the_servo_ends_at_them() {
 }
 
 #[test]
-fn the_throttle_slews_up_and_falls_at_once() {
+fn the_throttle_slews_up_and_falls_immediately() {
     let mut rig = Rig::armed_with(configuration());
     rig.pulse_period_us = Some(5_000);
     let mut pulse = NEUTRAL;
@@ -52,20 +52,20 @@ fn the_throttle_slews_up_and_falls_at_once() {
         pulse = rig.outputs.esc_us;
     }
     assert!(pulse > NEUTRAL + 200);
-    // Slower: the next control step goes straight to the lower pulse.
+    // A lower speed: the next control step goes to the lower pulse at once.
     rig.drive(1_000, 0);
     rig.run(10 * MS);
     assert!(rig.outputs.esc_us < pulse - 50);
-    // Standing: at once, and exactly neutral.
+    // Zero speed: exactly neutral at once.
     rig.drive(0, 0);
     assert_eq!(rig.outputs.esc_us, NEUTRAL);
     assert_eq!(rig.board.mode(), BoardMode::Driving);
 }
 
 #[test]
-fn a_speed_of_zero_forgets_the_integral() {
+fn a_speed_of_zero_resets_the_integral() {
     let mut rig = Rig::driving_with(configuration());
-    // Too slow for long: the integral fills.
+    // Too slow for a long time: the integral fills.
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(3_000 * MS, 1_000, 0);
     let filled = rig.outputs.esc_us;
@@ -77,13 +77,13 @@ fn a_speed_of_zero_forgets_the_integral() {
 }
 
 #[test]
-fn the_integral_waits_for_a_throttle_that_still_slews() {
+fn the_integral_stops_while_the_throttle_slews() {
     let mut slow = configuration();
     slow.esc.slew_us_per_20ms = 5;
     let mut rig = Rig::armed_with(slow);
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(500 * MS, 1_000, 0);
-    // At the commanded speed, before the throttle has come up.
+    // At the commanded speed before the throttle has slewed up.
     rig.pulse_period_us = Some(5_000);
     rig.drive_for(200 * MS, 1_000, 0);
     let beyond_deadband = rig.outputs.esc_us - NEUTRAL - 20;
@@ -91,15 +91,15 @@ fn the_integral_waits_for_a_throttle_that_still_slews() {
 }
 
 #[test]
-fn the_integral_waits_for_a_throttle_at_its_limit() {
+fn the_integral_stops_at_the_limit_of_the_throttle() {
     let mut narrow = configuration();
     narrow.esc.max_us = NEUTRAL + 20 + 120;
     let mut rig = Rig::armed_with(narrow);
-    // Too slow for long: 100 us of feed-forward and 25 us for the error end at the limit.
+    // Too slow for a long time: 100 us of feed-forward and 25 us for the error end at the limit.
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(3_000 * MS, 1_000, 0);
     assert_eq!(rig.outputs.esc_us, narrow.esc.max_us);
-    // At the commanded speed nothing that was saved up keeps the throttle open.
+    // At the commanded speed no accumulated integral keeps the throttle open.
     rig.pulse_period_us = Some(5_000);
     rig.drive_for(100 * MS, 1_000, 0);
     let beyond_deadband = rig.outputs.esc_us - NEUTRAL - 20;
@@ -115,13 +115,13 @@ fn faster_commands_are_clamped_to_the_configured_speed() {
         rig.outputs.esc_us
     };
     assert_eq!(settled(i16::MAX), settled(2_000));
-    // The wheels turn at 2 m/s: nothing but the feed-forward is left.
+    // The wheels turn at 2 m/s: only the feed-forward is left.
     let beyond_deadband = settled(2_000) - NEUTRAL - 20;
     assert!(beyond_deadband.abs_diff(200) <= 1, "{beyond_deadband}");
 }
 
 #[test]
-fn too_fast_is_neutral_and_never_the_brake() {
+fn a_car_that_is_too_fast_gets_neutral_not_the_brake() {
     let mut rig = Rig::driving_with(configuration());
     rig.pulse_period_us = Some(500);
     for _ in 0..100 {
@@ -132,7 +132,7 @@ fn too_fast_is_neutral_and_never_the_brake() {
 }
 
 #[test]
-fn the_loop_brings_a_car_to_the_commanded_speed() {
+fn the_loop_reaches_the_commanded_speed() {
     // A motor that needs a third more than the feed-forward, with a lag of 0.2 s.
     let mut rig = Rig::armed_with(configuration());
     let mut speed_m_s = 0.0_f64;
@@ -159,7 +159,7 @@ fn the_loop_brings_a_car_to_the_commanded_speed() {
 }
 
 #[test]
-fn telemetry_shows_the_pulses_that_are_put_out() {
+fn telemetry_contains_the_output_pulses() {
     let mut rig = Rig::driving_with(configuration());
     rig.drive_for(500 * MS, 1_200, -900);
     let telemetry = rig.telemetry();

@@ -1,4 +1,4 @@
-//! What it takes to be allowed to drive.
+//! Conditions for arming.
 
 mod rig;
 
@@ -59,7 +59,7 @@ fn neutral_is_held_for_two_seconds_before_the_board_arms() {
 }
 
 #[test]
-fn another_neutral_pulse_is_held_for_two_seconds_too() {
+fn a_new_neutral_pulse_is_held_for_two_seconds() {
     let mut rig = Rig::new();
     rig.run(3_000 * MS);
     assert_eq!(rig.board.mode(), BoardMode::Neutral);
@@ -82,7 +82,7 @@ fn another_neutral_pulse_is_held_for_two_seconds_too() {
 }
 
 #[test]
-fn another_neutral_pulse_after_a_failsafe_is_held_for_two_seconds_too() {
+fn a_new_neutral_pulse_after_a_failsafe_is_held_for_two_seconds() {
     let mut rig = Rig::armed_with(configuration());
     rig.drive(0, 0);
     rig.run(TTL + 1);
@@ -97,7 +97,7 @@ fn another_neutral_pulse_after_a_failsafe_is_held_for_two_seconds_too() {
 }
 
 #[test]
-fn arming_names_the_configuration_that_is_in_force() {
+fn an_arm_request_must_name_the_configuration_in_force() {
     let mut rig = Rig::ready_with(configuration());
     let right = rig.arm_request();
     let wrong = Arm {
@@ -111,13 +111,13 @@ fn arming_names_the_configuration_that_is_in_force() {
 }
 
 #[test]
-fn a_request_that_waited_in_the_line_does_not_arm() {
+fn a_delayed_request_does_not_arm() {
     for (age, outcome) in [
         (TTL - 1, Ok(())),
         (TTL, Ok(())),
         (TTL + 1, Err(RefusalReason::Stale)),
         (10_000 * MS, Err(RefusalReason::Stale)),
-        // From the future.
+        // In the future.
         (u32::MAX, Err(RefusalReason::Stale)),
     ] {
         let mut rig = Rig::ready_with(configuration());
@@ -148,7 +148,7 @@ fn the_board_does_not_arm_while_the_wheels_turn() {
 }
 
 #[test]
-fn the_same_request_sent_again_is_acknowledged_again_but_does_not_rearm() {
+fn a_repeated_request_is_acknowledged_but_does_not_rearm() {
     let mut rig = Rig::ready_with(configuration());
     let arm = rig.arm_request();
     assert_eq!(rig.arm_as(arm), Ok(()));
@@ -169,7 +169,7 @@ fn the_same_request_sent_again_is_acknowledged_again_but_does_not_rearm() {
 }
 
 #[test]
-fn a_new_host_may_use_the_request_number_of_the_one_before() {
+fn a_new_session_may_reuse_a_request_number() {
     let mut rig = Rig::ready_with(configuration());
     let arm = rig.arm_request();
     assert_eq!(rig.arm_as(arm), Ok(()));
@@ -183,7 +183,7 @@ fn a_new_host_may_use_the_request_number_of_the_one_before() {
 }
 
 #[test]
-fn a_request_made_before_the_board_stopped_the_car_does_not_arm() {
+fn a_request_sent_before_a_stop_does_not_arm() {
     for (before, outcome) in [(1, Err(RefusalReason::Stale)), (0, Ok(()))] {
         let mut rig = Rig::armed_with(configuration());
         rig.drive(0, 0);
@@ -201,7 +201,7 @@ fn a_request_made_before_the_board_stopped_the_car_does_not_arm() {
 }
 
 #[test]
-fn after_a_failsafe_only_arming_lets_the_car_drive() {
+fn after_a_failsafe_driving_requires_arming() {
     let mut rig = Rig::driving_with(configuration());
     rig.pulse_period_us = None;
     rig.run(300 * MS);
@@ -240,7 +240,7 @@ fn the_board_is_not_configured_while_armed_or_driving() {
 }
 
 #[test]
-fn a_configuration_beyond_the_limits_is_refused_and_the_one_before_stays() {
+fn an_invalid_configuration_is_refused_and_the_old_one_kept() {
     let mut rig = Rig::ready_with(configuration());
     let wrong = Configuration {
         max_pose_age_ms: 1_001,
@@ -262,7 +262,7 @@ fn a_configuration_beyond_the_limits_is_refused_and_the_one_before_stays() {
 }
 
 #[test]
-fn a_host_of_another_version_may_stop_the_car_but_neither_configure_nor_arm() {
+fn a_host_of_another_version_can_stop_but_not_configure_or_arm() {
     let mut rig = Rig::driving_with(configuration());
     rig.send(Hello {
         protocol_version: 2,
@@ -282,7 +282,7 @@ fn a_host_of_another_version_may_stop_the_car_but_neither_configure_nor_arm() {
 }
 
 #[test]
-fn arming_begins_the_sequence_anew() {
+fn arming_restarts_the_sequence() {
     let mut rig = Rig::driving_with(configuration());
     let last = rig.board.last_sequence();
     rig.pulse_period_us = None;

@@ -1,4 +1,4 @@
-//! Which commands are obeyed, and for how long.
+//! Acceptance and lifetime of commands.
 
 mod rig;
 
@@ -7,7 +7,7 @@ use singletrack_protocol::{
     BoardMode, Configuration, Drive, RefusalReason, Sequence, StopCause, ToBoard,
 };
 
-/// The pulse that begins at each multiple of 20 ms is the one the ESC sees.
+/// The ESC receives the pulse that begins at each multiple of 20 ms.
 const SERVO_FRAME_US: u32 = 20_000;
 
 #[test]
@@ -30,7 +30,7 @@ fn the_neutral_pulse_comes_within_120_ms_of_the_last_valid_command() {
 }
 
 #[test]
-fn a_command_is_in_force_to_the_end_of_its_time_to_live_and_no_longer() {
+fn a_command_is_in_force_exactly_for_its_time_to_live() {
     for (after, driving) in [(TTL - 1, true), (TTL, true), (TTL + 1, false)] {
         let mut rig = Rig::driving_with(configuration());
         rig.drive(1_000, 0);
@@ -46,7 +46,7 @@ fn a_command_is_in_force_to_the_end_of_its_time_to_live_and_no_longer() {
 }
 
 #[test]
-fn time_spent_on_the_way_is_taken_from_the_time_to_live() {
+fn the_transmission_delay_counts_towards_the_time_to_live() {
     for (age, left) in [(0, TTL), (60 * MS, TTL - 60 * MS), (TTL, 0)] {
         let mut rig = Rig::driving_with(configuration());
         let mut command = rig.command(1_000, 0);
@@ -60,7 +60,7 @@ fn time_spent_on_the_way_is_taken_from_the_time_to_live() {
 }
 
 #[test]
-fn a_command_older_than_its_time_to_live_or_from_the_future_is_refused() {
+fn an_expired_command_or_one_in_the_future_is_refused() {
     for (age, accepted) in [
         (0, true),
         (TTL - 1, true),
@@ -84,14 +84,14 @@ fn a_command_older_than_its_time_to_live_or_from_the_future_is_refused() {
 }
 
 #[test]
-fn commands_queued_by_a_stuck_line_and_released_at_once_drive_nothing() {
+fn commands_released_by_a_stuck_line_do_not_drive() {
     let mut rig = Rig::armed_with(configuration());
     let mut queue = Vec::new();
     for _ in 0..976 {
         rig.run(10 * MS);
         queue.push(rig.command(1_000, 800));
     }
-    // The newest of them have waited for as long as a command may live.
+    // The newest of them are as old as the time to live.
     rig.run(TTL + 1);
     for command in &queue {
         rig.send(*command);
@@ -109,7 +109,7 @@ fn commands_queued_by_a_stuck_line_and_released_at_once_drive_nothing() {
 }
 
 #[test]
-fn a_stuck_line_stops_the_car_and_its_queue_does_not_start_it_again() {
+fn a_stuck_line_stops_the_car_and_its_queue_does_not_restart_it() {
     let mut rig = Rig::driving_with(configuration());
     let mut bytes = Vec::new();
     for _ in 0..976 {
@@ -129,7 +129,7 @@ fn a_stuck_line_stops_the_car_and_its_queue_does_not_start_it_again() {
 }
 
 #[test]
-fn a_command_from_too_old_a_pose_is_refused() {
+fn a_command_with_an_old_pose_is_refused() {
     for (pose_age_ms, waited_us, accepted) in [
         (900, 0, true),
         (901, 0, false),
@@ -157,7 +157,7 @@ fn a_command_from_too_old_a_pose_is_refused() {
 }
 
 #[test]
-fn the_pose_goes_on_ageing_behind_an_accepted_command() {
+fn the_pose_ages_behind_an_accepted_command() {
     for (after, driving) in [(49_999, true), (50_000, true), (50_001, false)] {
         let mut rig = Rig::driving_with(configuration());
         let mut command = rig.command(1_000, 0);
@@ -174,7 +174,7 @@ fn the_pose_goes_on_ageing_behind_an_accepted_command() {
 }
 
 #[test]
-fn whichever_ends_first_is_told_and_both_at_once_are_a_late_command() {
+fn the_first_expiry_is_the_cause_and_a_tie_is_a_command_timeout() {
     let ttl_ms = (TTL / MS) as u16;
     for (pose_left_ms, cause) in [
         (ttl_ms - 1, StopCause::PoseTooOld),
@@ -191,7 +191,7 @@ fn whichever_ends_first_is_told_and_both_at_once_are_a_late_command() {
 }
 
 #[test]
-fn a_host_that_goes_on_commanding_from_one_old_pose_is_stopped_at_the_limit() {
+fn repeated_commands_with_one_old_pose_stop_at_the_limit() {
     for limit_ms in [1, 50, 200, 900, 1_000] {
         let configuration = Configuration {
             max_pose_age_ms: limit_ms,
@@ -272,7 +272,7 @@ fn a_duplicate_does_not_prolong_a_command() {
 }
 
 #[test]
-fn a_late_poll_does_not_revive_what_has_expired() {
+fn a_late_poll_does_not_revive_an_expired_command() {
     let mut rig = Rig::driving_with(configuration());
     rig.now += TTL + 1;
     rig.drive(1_000, 0);
@@ -283,8 +283,8 @@ fn a_late_poll_does_not_revive_what_has_expired() {
 }
 
 #[test]
-fn the_wrap_of_the_clock_is_not_noticed() {
-    // The wrap falls before, into and after every phase of the drive.
+fn the_wrap_of_the_clock_has_no_effect() {
+    // The wrap falls before, in and after every phase of the drive.
     for offset in (0..4_000).step_by(151) {
         let mut rig = Rig::starting_at(u32::MAX - offset * MS);
         rig.poll(&[]);
@@ -304,7 +304,7 @@ fn the_wrap_of_the_clock_is_not_noticed() {
 }
 
 #[test]
-fn two_hours_of_standing_still_change_nothing() {
+fn two_hours_of_standing_still_have_no_effect() {
     let mut rig = Rig::ready_with(configuration());
     rig.poll_us = 100 * MS;
     rig.run(u32::MAX / 4 * 3);

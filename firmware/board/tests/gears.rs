@@ -1,4 +1,4 @@
-//! The way into reverse and back.
+//! Changes between forward and reverse.
 
 mod rig;
 
@@ -16,10 +16,10 @@ fn with_reverse() -> Configuration {
     }
 }
 
-/// Rolling backwards at 0.3 m/s, as commanded.
+/// Driving in reverse at 0.3 m/s, as commanded.
 fn reversing_with(configuration: Configuration) -> Rig {
     let mut rig = Rig::armed_with(configuration);
-    // From a standing start: neutral for 200 ms, then reverse.
+    // From standstill: neutral for 200 ms, then reverse.
     rig.drive_for(230 * MS, -300, 0);
     rig.pulse_period_us = Some(16_667);
     rig.drive_for(300 * MS, -300, 0);
@@ -28,8 +28,8 @@ fn reversing_with(configuration: Configuration) -> Rig {
     rig
 }
 
-/// The distinct pulses of the ESC with how long each kind was shown, in ms:
-/// -1 for a pulse beyond the deadband below neutral, 0 within, 1 above.
+/// The phases of the ESC pulse with their durations, in ms: -1 for a pulse beyond
+/// the deadband below neutral, 0 within, 1 above.
 fn phases(rig: &mut Rig, duration_ms: u32, speed_mm_s: i16) -> Vec<(i8, u32)> {
     let mut phases: Vec<(i8, u32)> = Vec::new();
     for ms in 0..duration_ms {
@@ -51,9 +51,9 @@ fn phases(rig: &mut Rig, duration_ms: u32, speed_mm_s: i16) -> Vec<(i8, u32)> {
 }
 
 #[test]
-fn into_reverse_goes_by_brake_standstill_and_neutral() {
+fn reverse_requires_brake_standstill_and_neutral() {
     let mut rig = Rig::driving_with(with_reverse());
-    // The wheels stop soon after the brake is on.
+    // The wheels stop soon after braking starts.
     let rolling = phases(&mut rig, 100, -300);
     rig.pulse_period_us = None;
     let standing = phases(&mut rig, 420, -300);
@@ -67,7 +67,7 @@ fn into_reverse_goes_by_brake_standstill_and_neutral() {
     assert!(paused >= 200, "{standing:?}");
     assert_eq!(reversing.last().map(|phase| phase.0), Some(-1));
     assert!(rig.telemetry().motor_speed_mm_s < -250);
-    // And back: neutral while it rolls backwards, then forward.
+    // Back to forward: neutral while it rolls backwards, then forward.
     let rolling = phases(&mut rig, 200, 300);
     assert!(matches!(rolling[..], [(0, _)]), "{rolling:?}");
     rig.pulse_period_us = None;
@@ -78,9 +78,9 @@ fn into_reverse_goes_by_brake_standstill_and_neutral() {
 }
 
 #[test]
-fn braking_on_the_way_into_reverse_is_limited_too() {
+fn braking_before_reverse_is_limited() {
     let mut rig = Rig::driving_with(with_reverse());
-    // The wheels never stop, as they would if the brake pulse drove backwards.
+    // The wheels never stop, as if the brake pulse drove in reverse.
     let all = phases(&mut rig, 3_000, -300);
     let braked: u32 = all
         .iter()
@@ -92,7 +92,7 @@ fn braking_on_the_way_into_reverse_is_limited_too() {
 }
 
 #[test]
-fn an_esc_that_has_just_braked_is_not_given_the_brake_pulse_again() {
+fn the_brake_pulse_is_not_repeated_after_braking() {
     for braked_ms in [50, 300] {
         let mut rig = Rig::driving_with(with_reverse());
         phases(&mut rig, braked_ms, -300);
@@ -106,7 +106,7 @@ fn an_esc_that_has_just_braked_is_not_given_the_brake_pulse_again() {
 }
 
 #[test]
-fn from_a_standing_start_the_brake_pulse_is_not_given() {
+fn no_brake_pulse_from_standstill() {
     let mut rig = Rig::armed_with(with_reverse());
     let start = phases(&mut rig, 190, -300);
     assert!(matches!(start[..], [(0, 190)]), "{start:?}");
@@ -124,8 +124,8 @@ fn a_speed_of_zero_neither_brakes_nor_changes_gear() {
 }
 
 #[test]
-fn a_change_of_mind_on_the_way_into_reverse_drives_forward_without_delay() {
-    // While it brakes, and in the neutral after that.
+fn a_forward_command_before_reverse_drives_without_delay() {
+    // While braking, and in the neutral after it.
     for (reverse_ms, now) in [(100, -1), (300, 0)] {
         let mut rig = Rig::driving_with(with_reverse());
         rig.pulse_period_us = None;
@@ -137,7 +137,7 @@ fn a_change_of_mind_on_the_way_into_reverse_drives_forward_without_delay() {
 }
 
 #[test]
-fn a_stop_on_the_way_into_reverse_goes_on_braking() {
+fn a_stop_before_reverse_continues_braking() {
     let mut rig = Rig::driving_with(Configuration {
         failsafe: FailsafeAction::Brake,
         ..with_reverse()
@@ -150,7 +150,7 @@ fn a_stop_on_the_way_into_reverse_goes_on_braking() {
 }
 
 #[test]
-fn reverse_outlasts_a_standstill() {
+fn the_gear_stays_in_reverse_at_standstill() {
     let mut rig = reversing_with(with_reverse());
     rig.pulse_period_us = None;
     for _ in 0..50 {
@@ -162,7 +162,7 @@ fn reverse_outlasts_a_standstill() {
 }
 
 #[test]
-fn reverse_outlasts_disarming_and_so_does_the_sign_of_the_speed() {
+fn the_gear_and_the_sign_of_the_speed_stay_in_reverse_after_disarming() {
     let mut rig = reversing_with(with_reverse());
     rig.disarm();
     rig.run(100 * MS);
@@ -175,7 +175,7 @@ fn reverse_outlasts_disarming_and_so_does_the_sign_of_the_speed() {
 }
 
 #[test]
-fn the_throttle_in_reverse_ends_at_the_limit_of_reverse() {
+fn the_throttle_in_reverse_is_clamped_to_its_limit() {
     for (min_us, max_us) in [(1_460, 1_800), (1_400, 1_540)] {
         let mut configuration = with_reverse();
         configuration.esc = EscCalibration {
@@ -186,7 +186,7 @@ fn the_throttle_in_reverse_ends_at_the_limit_of_reverse() {
         };
         let mut rig = Rig::armed_with(configuration);
         rig.drive_for(230 * MS, -500, 0);
-        // Hardly moving: the loop asks for more than there is.
+        // Hardly moving: the loop saturates.
         rig.pulse_period_us = Some(100_000);
         rig.drive_for(3_000 * MS, -500, 0);
         assert_eq!(rig.outputs.esc_us, min_us);

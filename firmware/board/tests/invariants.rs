@@ -1,5 +1,4 @@
-//! What holds whatever comes over the line, whatever the pins show, and
-//! whenever the board is polled.
+//! Invariants under random bytes, inputs and poll times.
 
 mod rig;
 
@@ -37,7 +36,7 @@ enum Step {
         steering_100urad: i16,
         pose_age_ms: u16,
     },
-    /// A good host for a while.
+    /// A correct host for a while.
     DriveWell {
         commands: u32,
         speed_mm_s: i16,
@@ -66,9 +65,9 @@ fn age() -> impl Strategy<Value = u32> {
 }
 
 proptest! {
-    /// A board that refused them would be tested for nothing but refusing.
+    /// Otherwise the tests would cover only refusals.
     #[test]
-    fn the_configurations_tried_are_ones_that_a_board_takes(configuration in any_configuration()) {
+    fn the_generated_configurations_are_valid(configuration in any_configuration()) {
         prop_assert_eq!(configuration.validate(), Ok(()));
     }
 }
@@ -111,7 +110,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             slew_us_per_20ms: servo.3,
         },
         esc: EscCalibration {
-            // A neutral that the start pulse meets, or it would be refused.
+            // The start pulse must lie in the deadband, or the board refuses it.
             neutral_us: (1_500 + i32::from(esc.1) * esc.0 / 1_000) as u16,
             deadband_us: esc.1,
             min_us: esc.2,
@@ -171,13 +170,13 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// What must have been seen before, for what is seen now to be right.
+/// History that the checks need.
 struct Watch {
     mode: BoardMode,
     outputs: Outputs,
     configuration: Option<Configuration>,
     time_us: u32,
-    /// Time with the ESC at the braking pulse of a stop.
+    /// Time at the brake pulse of a stop.
     braked_us: u32,
     drove: bool,
     braked: bool,
@@ -242,7 +241,7 @@ impl Watch {
                 assert!(esc_us >= esc.neutral_us, "reverse");
             }
         } else if esc_us != esc.neutral_us {
-            // A stop that brakes: once, after driving, for half a second at most.
+            // A stop brakes once, after driving, for at most half a second.
             self.braked = true;
             assert_eq!(esc_us, esc.brake_us);
             assert!(matches!(
@@ -266,7 +265,7 @@ impl Watch {
     }
 }
 
-/// Whether one poll may lead from one mode to another.
+/// Whether one poll may change the mode in this way.
 fn may_follow(before: BoardMode, after: BoardMode) -> bool {
     use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral};
     before == after
@@ -278,13 +277,13 @@ fn may_follow(before: BoardMode, after: BoardMode) -> bool {
                 | (Armed, Neutral | Driving | Failsafe)
                 | (Driving, Neutral | Failsafe)
                 | (Failsafe, Armed)
-                // The board stops the car; the request seen in the same poll
-                // claims to know that.
+                // The board stops the car; the arm request in the same poll claims
+                // to know that.
                 | (Driving, Armed)
         )
 }
 
-/// Takes one step, checking after every poll.
+/// Runs one step, checking after every poll.
 fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
     match step {
         Step::Wait { polls, poll_us } => {
@@ -438,7 +437,7 @@ proptest! {
     })]
 
     #[test]
-    fn no_course_of_events_breaks_a_promise(
+    fn invariants_hold_for_any_sequence_of_steps(
         start in start(),
         ready: bool,
         steps in proptest::collection::vec(step(), 1..60),
@@ -447,7 +446,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_in_any_pieces_move_nothing(
+    fn random_bytes_do_not_move_the_car(
         start in start(),
         pieces in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..70), 0..50),
     ) {
@@ -461,8 +460,8 @@ proptest! {
 }
 
 #[test]
-fn the_courses_tried_do_drive_and_do_brake() {
-    // A property that is never put to the test proves nothing.
+fn the_generated_sequences_drive_and_brake() {
+    // Otherwise the invariants would not be exercised.
     let watch = run(
         0,
         true,

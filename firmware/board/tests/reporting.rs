@@ -1,4 +1,4 @@
-//! What the host hears.
+//! Messages to the host.
 
 mod rig;
 
@@ -10,7 +10,7 @@ use singletrack_protocol::{
 };
 
 fn hellos(rig: &Rig) -> Vec<Hello> {
-    rig.heard
+    rig.messages
         .iter()
         .filter_map(|(_, message)| match message {
             ToHost::Hello(hello) => Some(*hello),
@@ -19,16 +19,16 @@ fn hellos(rig: &Rig) -> Vec<Hello> {
         .collect()
 }
 
-fn times(rig: &Rig, wanted: fn(&ToHost) -> bool) -> Vec<u32> {
-    rig.heard
+fn times(rig: &Rig, filter: fn(&ToHost) -> bool) -> Vec<u32> {
+    rig.messages
         .iter()
-        .filter(|(_, message)| wanted(message))
+        .filter(|(_, message)| filter(message))
         .map(|(time, _)| *time)
         .collect()
 }
 
 #[test]
-fn a_board_that_was_reset_in_the_middle_of_a_frame_is_heard_at_once() {
+fn the_announcement_after_a_reset_within_a_frame_is_received() {
     let mut before = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
     let mut cut = Vec::new();
     before.poll(0, &Inputs::default(), &[], &mut |bytes: &[u8]| {
@@ -37,10 +37,10 @@ fn a_board_that_was_reset_in_the_middle_of_a_frame_is_heard_at_once() {
     });
     cut.pop();
     let mut decoder = Decoder::new();
-    let heard = cut
+    let decoded = cut
         .iter()
         .filter_map(|&byte| decoder.push(byte).map(|_| ()));
-    assert!(heard.count() >= 1);
+    assert!(decoded.count() >= 1);
 
     let mut after = Board::new(ResetCause::Watchdog, SOFTWARE_VERSION);
     let mut hellos = Vec::new();
@@ -58,7 +58,7 @@ fn a_board_that_was_reset_in_the_middle_of_a_frame_is_heard_at_once() {
 }
 
 #[test]
-fn the_board_announces_its_start_once_and_first() {
+fn the_board_announces_its_start_once_before_other_messages() {
     let mut rig = Rig::new();
     rig.line_open = false;
     rig.run(50 * MS);
@@ -71,17 +71,17 @@ fn the_board_announces_its_start_once_and_first() {
     };
     assert_eq!(hellos(&rig), [announcement]);
     assert_eq!(
-        rig.heard.first().map(|heard| heard.1),
+        rig.messages.first().map(|message| message.1),
         Some(announcement.into())
     );
 }
 
 #[test]
-fn a_greeting_is_answered_with_its_nonce_whatever_its_version() {
+fn a_greeting_of_any_version_is_answered_with_its_nonce() {
     for protocol_version in [VERSION, 0, 0xFFFF] {
         let mut rig = Rig::new();
         rig.poll(&[]);
-        rig.heard.clear();
+        rig.messages.clear();
         rig.send(Hello {
             protocol_version,
             software_version: [0; 3],
@@ -94,16 +94,16 @@ fn a_greeting_is_answered_with_its_nonce_whatever_its_version() {
 }
 
 #[test]
-fn our_own_announcement_echoed_by_the_line_is_not_answered() {
+fn an_echoed_announcement_is_not_answered() {
     let mut rig = Rig::new();
     rig.poll(&[]);
-    rig.heard.clear();
+    rig.messages.clear();
     rig.greet(UNSOLICITED);
     assert_eq!(hellos(&rig), []);
 }
 
 #[test]
-fn telemetry_comes_every_10_ms_and_status_every_200_ms_whatever_the_poll_rate() {
+fn telemetry_every_10_ms_and_status_every_200_ms_for_any_poll_rate() {
     for poll_us in [100, 700, 1_000, 3_000] {
         let mut rig = Rig::starting_at(u32::MAX - 500 * MS);
         rig.poll_us = poll_us;
@@ -145,7 +145,7 @@ fn every_request_is_answered_with_its_number_and_the_hash_in_force() {
         request: Sequence(99),
     });
     let answered = rig
-        .heard
+        .messages
         .iter()
         .rev()
         .find_map(|(_, message)| match message {
@@ -171,10 +171,10 @@ fn an_imu_sample_is_fresh_once_then_repeated_then_silent() {
         attitude_q14: [7, 8, 9, 10],
     };
     rig.inputs.imu = Some(sample);
-    rig.heard.clear();
+    rig.messages.clear();
     rig.run(70 * MS);
     let records: Vec<_> = rig
-        .heard
+        .messages
         .iter()
         .filter_map(|(_, message)| match message {
             ToHost::Telemetry(telemetry) => Some(*telemetry),
@@ -195,8 +195,8 @@ fn an_imu_sample_is_fresh_once_then_repeated_then_silent() {
 }
 
 #[test]
-fn every_new_sample_is_fresh_and_takes_the_place_of_the_one_before() {
-    // The first one was taken at time zero, which tells it from no other.
+fn every_new_sample_is_fresh_and_replaces_the_one_before() {
+    // The first sample has time zero, the value before any sample.
     let mut rig = Rig::starting_at(0);
     for time_us in [0, 40_000, 80_000] {
         rig.inputs.imu = Some(ImuSample {
@@ -221,14 +221,14 @@ fn every_new_sample_is_fresh_and_takes_the_place_of_the_one_before() {
 }
 
 #[test]
-fn a_cause_of_the_reset_that_became_known_late_is_reported() {
+fn a_reset_cause_set_late_is_reported() {
     let mut rig = Rig::new();
     rig.board.set_reset_cause(ResetCause::BrownOut);
     assert_eq!(rig.status().reset_cause, ResetCause::BrownOut);
 }
 
 #[test]
-fn a_sample_in_a_record_that_the_line_did_not_take_stays_fresh() {
+fn a_sample_in_a_dropped_record_stays_fresh() {
     let mut rig = Rig::new();
     rig.run(100 * MS);
     rig.inputs.imu = Some(ImuSample {
@@ -243,7 +243,7 @@ fn a_sample_in_a_record_that_the_line_did_not_take_stays_fresh() {
 }
 
 #[test]
-fn status_passes_on_what_the_pins_and_the_line_tell() {
+fn status_reports_inputs_and_counters() {
     let mut rig = Rig::ready_with(configuration());
     rig.inputs.battery_mv = 7_400;
     rig.inputs.bytes_overrun = 3;
@@ -257,7 +257,7 @@ fn status_passes_on_what_the_pins_and_the_line_tell() {
     .to_vec();
     damaged[2] ^= 0x10;
     rig.poll(&damaged);
-    // A good frame of a type that only the board sends.
+    // A valid frame of a type that only the board sends.
     let echo = ToHost::from(singletrack_protocol::Refusal {
         request: Request::Arm,
         sequence: Sequence(1),

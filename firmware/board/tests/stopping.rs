@@ -1,4 +1,4 @@
-//! Everything that stops the car, and how it stops.
+//! Stop causes, and the behaviour of a stop.
 
 mod rig;
 
@@ -54,7 +54,7 @@ fn a_braking_stop_brakes_until_the_wheels_stand_still() {
     assert_eq!(rig.outputs.esc_us, BRAKE);
     rig.run(1);
     assert_eq!(rig.outputs.esc_us, NEUTRAL);
-    // Pushed by hand afterwards, it does not brake again.
+    // Pushed by hand, it does not brake again.
     rig.pulse_period_us = Some(5_000);
     rig.run(1_000 * MS);
     assert_eq!(rig.outputs.esc_us, NEUTRAL);
@@ -84,7 +84,7 @@ fn a_stop_at_standstill_does_not_brake() {
 }
 
 #[test]
-fn a_stop_in_reverse_does_not_brake_because_the_pulse_would_drive() {
+fn a_stop_in_reverse_does_not_brake() {
     let mut configuration = braking();
     configuration.speed.max_reverse_mm_s = 500;
     let mut rig = Rig::armed_with(configuration);
@@ -97,7 +97,7 @@ fn a_stop_in_reverse_does_not_brake_because_the_pulse_would_drive() {
 }
 
 #[test]
-fn disarming_coasts_to_neutral_mode() {
+fn disarming_coasts_and_ends_in_neutral_mode() {
     let mut rig = Rig::driving_with(braking());
     rig.disarm();
     assert_eq!(
@@ -151,7 +151,7 @@ fn an_emergency_stop_brakes_if_so_configured() {
 }
 
 #[test]
-fn an_opened_stop_switch_is_an_emergency_stop() {
+fn opening_the_stop_switch_is_an_emergency_stop() {
     let mut rig = Rig::driving_with(with_stop_input());
     rig.inputs.stop_input_open = true;
     rig.run(1);
@@ -168,7 +168,7 @@ fn an_opened_stop_switch_is_an_emergency_stop() {
 }
 
 #[test]
-fn a_switch_that_was_never_closed_forbids_arming_and_latches_nothing() {
+fn a_switch_that_was_never_closed_prevents_arming_without_latching() {
     let mut rig = Rig::new();
     rig.inputs.stop_input_open = true;
     rig.poll(&[]);
@@ -185,7 +185,7 @@ fn a_switch_that_was_never_closed_forbids_arming_and_latches_nothing() {
 }
 
 #[test]
-fn a_switch_must_be_seen_closed_under_every_configuration_anew() {
+fn a_new_configuration_requires_a_closed_switch_again() {
     let mut rig = Rig::ready_with(with_stop_input());
     assert_eq!(rig.configure(configuration()), Ok(()));
     rig.inputs.stop_input_open = true;
@@ -197,7 +197,7 @@ fn a_switch_must_be_seen_closed_under_every_configuration_anew() {
 }
 
 #[test]
-fn a_stop_input_that_is_not_configured_is_ignored() {
+fn an_unconfigured_stop_input_is_ignored() {
     let mut rig = Rig::driving_with(configuration());
     rig.inputs.stop_input_open = true;
     rig.drive_for(300 * MS, 1_000, 0);
@@ -242,7 +242,7 @@ fn driving_in_bursts_does_not_hide_a_dead_sensor() {
 }
 
 #[test]
-fn a_pulse_that_rests_at_the_edge_of_the_deadband_does_not_hide_a_dead_sensor() {
+fn a_pulse_at_the_edge_of_the_deadband_does_not_hide_a_dead_sensor() {
     let mut configuration = configuration();
     configuration.speed.feed_forward_us_per_m_s = 0;
     configuration.speed.proportional_us_per_m_s = 0;
@@ -277,14 +277,14 @@ fn pulses_that_stop_while_driving_are_a_failed_sensor_too() {
 }
 
 #[test]
-fn standing_still_on_purpose_is_no_failed_sensor() {
+fn a_commanded_standstill_is_not_a_failed_sensor() {
     let mut rig = Rig::armed_with(configuration());
     rig.drive_for(2_000 * MS, 0, 0);
     assert_eq!(rig.board.mode(), BoardMode::Driving);
 }
 
 #[test]
-fn a_host_that_restarted_stops_the_car_and_a_repeated_greeting_does_not() {
+fn a_new_session_stops_the_car_and_a_repeated_greeting_does_not() {
     let mut rig = Rig::driving_with(configuration());
     rig.greet(77);
     assert_eq!(rig.board.mode(), BoardMode::Driving);
@@ -300,7 +300,7 @@ fn a_host_that_restarted_stops_the_car_and_a_repeated_greeting_does_not() {
 }
 
 #[test]
-fn a_stop_is_reported_with_its_cause_and_the_first_latched_cause_stands() {
+fn a_stop_reports_its_cause_and_the_first_latched_cause_is_kept() {
     let mut rig = Rig::driving_with(with_stop_input());
     rig.emergency_stop();
     rig.inputs.stop_input_open = true;

@@ -1,8 +1,8 @@
-//! The battery's voltage (A0), behind a divider by two.
+//! Battery voltage (A0), behind a divider by two.
 
 use crate::registers::{ADCH, ADCL, ADCSRA, ADMUX, DIDR0};
 
-/// Rounds between two measurements, 100 ms.
+/// Rounds between two measurements: 100 ms.
 const PERIOD: u8 = 20;
 
 /// `AVcc` is the reference, ADC0 the input.
@@ -13,9 +13,9 @@ const ADSC: u8 = 1 << 6;
 /// Prescaler 128: 125 kHz, 104 µs for a conversion.
 const ADPS: u8 = 0b111;
 
-/// Measures now and then.
+/// Periodic measurement of the battery voltage.
 pub(crate) struct Battery {
-    waited: u8,
+    rounds: u8,
     millivolts: u16,
 }
 
@@ -28,18 +28,18 @@ pub(crate) fn start() {
 impl Battery {
     pub(crate) const fn new() -> Self {
         Self {
-            waited: 0,
+            rounds: 0,
             millivolts: 0,
         }
     }
 
-    /// To be called in every round: the newest measurement, in mV.
+    /// Call in every round; returns the newest measurement, in mV.
     pub(crate) fn poll(&mut self) -> u16 {
-        self.waited += 1;
-        if self.waited == PERIOD {
-            self.waited = 0;
-            // Started one period ago, ended long since. Low byte first: it
-            // holds the high one.
+        self.rounds += 1;
+        if self.rounds == PERIOD {
+            self.rounds = 0;
+            // Started one period ago, so it is complete. Reading the low byte
+            // latches the high one.
             let low = ADCL.read();
             let reading = u16::from_le_bytes([low, ADCH.read()]);
             self.millivolts = millivolts(reading);
@@ -49,7 +49,7 @@ impl Battery {
     }
 }
 
-/// 1024 is 5 V at the pin, 10 V at the battery.
+/// A reading of 1024 is 5 V at the pin and 10 V at the battery.
 fn millivolts(reading: u16) -> u16 {
     (u32::from(reading) * 10_000 / 1_024) as u16
 }

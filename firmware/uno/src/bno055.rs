@@ -1,19 +1,21 @@
-//! The IMU, a BNO055 in its fusion mode without magnetometer (IMUPLUS).
+//! The IMU: a BNO055 in its fusion mode without magnetometer (IMUPLUS).
 //!
-//! It makes a sample every 10 ms of its own clock. It is asked as often, in the
-//! round before a record of telemetry, and twice as often when there was nothing
-//! new, and now and then. A sample counts as new when any of its bytes has
-//! changed: so none is missed or given twice, and a sensor that is stuck is a
-//! silent one.
+//! The sensor produces a sample every 10 ms of its own clock. It is polled every 10
+//! ms, in the round before a telemetry record; a second time in the next round if
+//! there was no new sample; and occasionally once more. A sample counts as new if
+//! any of its bytes has changed. No sample is therefore missed or repeated, and a
+//! stuck sensor looks silent.
 //!
-//! A sensor that does not answer, or has restarted, is set up anew, and looked
-//! for as long as it takes.
+//! A sensor that does not answer, or has restarted, is configured again. The search
+//! for it has no time limit.
 
 use singletrack_board::ImuSample;
 use singletrack_protocol::TELEMETRY_PERIOD_US;
 
-use crate::ROUND_MS;
-use crate::twi::{self, Progress};
+use crate::{
+    ROUND_MS,
+    twi::{self, Progress},
+};
 
 const ADDRESS: u8 = 0x28;
 
@@ -38,36 +40,35 @@ const AXES: [u8; 2] = [0x24, 0x00];
 
 /// One sample: gyro, Euler angles, quaternion and linear acceleration.
 const SAMPLE_LENGTH: usize = 26;
-const _: () = assert!(SAMPLE_LENGTH <= twi::LONGEST_READ);
-// Where they are in it, in words; the gyro's come first.
+const _: () = assert!(SAMPLE_LENGTH <= twi::MAX_READ);
+// Offsets in a sample, in words; the gyro's words come first.
 const QUATERNION: usize = 6;
 const LINEAR_ACCELERATION: usize = 10;
 
-/// Times are counted in rounds of the main loop.
+/// Number of rounds of the main loop in `ms`, rounded up.
 const fn rounds(ms: u8) -> u8 {
     ms.div_ceil(ROUND_MS)
 }
 
-/// A transfer of a sample takes less than 1 ms, if the sensor does not stretch it.
+/// A transfer of a sample takes less than 1 ms without clock stretching.
 const TRANSFER_TIME_OUT: u8 = rounds(5);
 const SAMPLE_PERIOD: u8 = rounds(10);
-/// Samples asked for between two looks at the mode, 100 ms apart.
+/// Number of samples between two checks of the mode, 100 ms apart.
 const SAMPLES_PER_CHECK: u8 = 10;
-/// After this one of them the next is asked for in the next round: a sensor whose
-/// clock is faster than the board's would else run away, up to a sample that is
-/// missed.
-const EARLY_ONE: u8 = 5;
+/// After this sample the next poll follows in the next round. Without it, a sensor
+/// with a fast clock would drift ahead until a sample is missed.
+const EARLY_SAMPLE: u8 = 5;
 const RETRY_AFTER: u8 = rounds(100);
-/// The data sheet's times to change the mode (19 ms into the configuration
-/// mode, 7 ms out of it), with a margin.
+/// Times to change the mode from the data sheet (19 ms to enter the configuration
+/// mode, 7 ms to leave it), with a margin.
 const ENTER_CONFIGURATION: u8 = rounds(25);
 const LEAVE_CONFIGURATION: u8 = rounds(20);
 const SETTLE: u8 = rounds(2);
 
-/// So many failures in a row mean that the sensor is lost.
-const PATIENCE: u8 = 3;
+/// Number of consecutive failures after which the sensor is set up again.
+const MAX_FAILURES: u8 = 3;
 
-/// What is asked next, or was asked last.
+/// The next transfer, or the one in progress.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stage {
     Identify,
@@ -81,15 +82,15 @@ enum Stage {
     CheckMode,
 }
 
-/// The sensor and what is known about it.
+/// The sensor's driver.
 pub(crate) struct Bno055 {
     stage: Stage,
-    asked: bool,
-    /// Rounds until the next thing is asked, counted from the last one.
+    in_transfer: bool,
+    /// Rounds between the last transfer and the next one.
     wait: u8,
-    /// Rounds since the last thing was asked.
+    /// Rounds since the start of the last transfer.
     waited: u8,
-    asked_at_us: u32,
+    transfer_time_us: u32,
     samples_since_check: u8,
     failures: u8,
     errors: u16,
@@ -100,10 +101,10 @@ impl Bno055 {
     pub(crate) const fn new() -> Self {
         Self {
             stage: Stage::Identify,
-            asked: false,
+            in_transfer: false,
             wait: 0,
             waited: 0,
-            asked_at_us: 0,
+            transfer_time_us: 0,
             samples_since_check: 0,
             failures: 0,
             errors: 0,
@@ -116,11 +117,11 @@ impl Bno055 {
         self.errors
     }
 
-    /// To be called in every round: keeps `sample` at the newest one.
+    /// Call in every round; keeps `sample` at the newest one.
     pub(crate) fn poll(&mut self, now_us: u32, sample: &mut Option<ImuSample>) {
-        // No wait is as long as this counter.
+        // Every wait is shorter than the range of this counter.
         self.waited = self.waited.wrapping_add(1);
-        if self.asked {
+        if self.in_transfer {
             match twi::progress() {
                 Progress::Busy if self.waited < TRANSFER_TIME_OUT => return,
                 Progress::Busy => {
@@ -130,18 +131,18 @@ impl Bno055 {
                 Progress::Failed => self.failed(),
                 Progress::Done => self.answered(now_us, sample),
             }
-            self.asked = false;
+            self.in_transfer = false;
         }
         if self.waited >= self.wait {
-            self.ask();
-            self.asked = true;
+            self.start_transfer();
+            self.in_transfer = true;
             self.waited = 0;
-            self.asked_at_us = now_us;
+            self.transfer_time_us = now_us;
         }
     }
 
     #[inline(never)]
-    fn ask(&mut self) {
+    fn start_transfer(&mut self) {
         let write = |bytes: &[u8]| twi::begin(ADDRESS, bytes, 0);
         let read = |register, length| twi::begin(ADDRESS, &[register], length);
         match self.stage {
@@ -164,7 +165,7 @@ impl Bno055 {
             Stage::Identify if twi::first_byte() == BNO055 => {
                 self.next(Stage::EnterConfiguration, 0);
             }
-            // It answers before it is ready.
+            // It acknowledges before it is ready.
             Stage::Identify => self.wait = RETRY_AFTER,
             Stage::EnterConfiguration => self.next(Stage::SelectPage, ENTER_CONFIGURATION),
             Stage::SelectPage => self.next(Stage::SetPower, SETTLE),
@@ -181,14 +182,14 @@ impl Bno055 {
                 if self.samples_since_check >= SAMPLES_PER_CHECK {
                     self.samples_since_check = 0;
                     self.next(Stage::CheckMode, 0);
-                } else if new && self.samples_since_check != EARLY_ONE {
+                } else if new && self.samples_since_check != EARLY_SAMPLE {
                     self.wait = SAMPLE_PERIOD;
                 } else {
                     self.wait = 0;
                 }
             }
             Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
-                // Into step again, if rounds were missed.
+                // Synchronises again if rounds were missed.
                 let wait = self.wait_for_slot(now_us);
                 self.next(Stage::Sample, wait);
             }
@@ -200,8 +201,8 @@ impl Bno055 {
         }
     }
 
-    /// The wait, counted from the last question, until the round before a record
-    /// of telemetry. Records begin with the first round.
+    /// Rounds from the last transfer to the round before a telemetry record. The
+    /// first round has a record.
     fn wait_for_slot(&self, now_us: u32) -> u8 {
         let reports_now = now_us % TELEMETRY_PERIOD_US >= TELEMETRY_PERIOD_US / 2;
         self.waited + u8::from(reports_now)
@@ -216,23 +217,23 @@ impl Bno055 {
         self.errors = self.errors.wrapping_add(1);
         self.failures = self.failures.saturating_add(1);
         let measures = matches!(self.stage, Stage::Sample | Stage::CheckMode);
-        if !measures || self.failures >= PATIENCE {
+        if !measures || self.failures >= MAX_FAILURES {
             self.next(Stage::Identify, RETRY_AFTER);
         }
     }
 
-    /// Takes over the sample that was read, if it is a new one.
+    /// Stores the sample that was read; returns false if it is not new.
     #[inline(never)]
     fn sampled(&mut self, sample: &mut Option<ImuSample>) -> bool {
         let changed = twi::take(&mut self.newest);
         let (words, _) = self.newest.as_chunks();
         let attitude = words.get(QUATERNION..).unwrap_or_default();
-        // A quaternion of length zero is no attitude: the sensor has restarted.
+        // A quaternion of length zero means that the sensor has restarted.
         if !changed || attitude.iter().take(4).all(|&word| word == [0; 2]) {
             return false;
         }
         let sample = sample.get_or_insert_default();
-        sample.time_us = self.asked_at_us;
+        sample.time_us = self.transfer_time_us;
         for (value, &word) in sample.angular_velocity_mrad_s.iter_mut().zip(words) {
             *value = angular_velocity_mrad_s(i16::from_le_bytes(word));
         }
@@ -251,14 +252,15 @@ impl Bno055 {
     }
 }
 
-/// From units of 0.01 m/s², saturating.
+/// Converts from units of 0.01 m/s², saturating.
 fn linear_acceleration_mm_s2(raw: i16) -> i16 {
     const LARGEST: i16 = i16::MAX / 10;
     raw.clamp(-LARGEST, LARGEST) * 10
 }
 
-/// From units of 1/900 rad/s, to the nearest, saturating: 10/9 is 1 + 1/9, and
-/// 1/9 is 29127 / 2^18, near enough for every 16-bit number.
+/// Converts from units of 1/900 rad/s, rounded to nearest, saturating. The factor
+/// 10/9 is 1 + 1/9, and 1/9 is approximated by 29127 / 2^18, which is exact enough
+/// for all 16-bit numbers.
 fn angular_velocity_mrad_s(raw: i16) -> i16 {
     let ninth = (i32::from(raw) * 29_127 + (1 << 17)) >> 18;
     raw.saturating_add(ninth as i16)

@@ -1,10 +1,12 @@
 //! The board's clock: microseconds since the start, wrapping.
 //!
-//! Timer 0 counts 4 µs, 250 of them to a tick of 1 ms; the interrupt at the
-//! end of a tick belongs to the [`crate::supervisor`].
+//! Timer 0 counts steps of 4 µs, 250 of them in a tick of 1 ms. The supervisor's
+//! interrupt handles the end of a tick.
 
-use crate::interrupts::{Masked, Shared, SharedByte, masked};
-use crate::registers::{OCR0A, TCCR0A, TCCR0B, TCNT0, TIFR0, TIMSK0};
+use crate::{
+    interrupts::{Masked, Shared, SharedByte, masked},
+    registers::{OCR0A, TCCR0A, TCCR0B, TCNT0, TIFR0, TIMSK0},
+};
 
 /// Time between two ticks, in µs.
 pub(crate) const TICK_US: u32 = 1_000;
@@ -29,13 +31,13 @@ pub(crate) fn start() {
     TCCR0B.write(CS01_CS00);
 }
 
-/// One tick later.
+/// Advances the clock by one tick.
 #[inline(always)]
 pub(crate) fn tick(masked: Masked) {
     TICK_AT_US.set(masked, TICK_AT_US.get(masked).wrapping_add(TICK_US));
 }
 
-/// What the clock is made of, as an interrupt can catch it in few cycles.
+/// The raw clock, which an interrupt can read in few cycles.
 #[derive(Clone, Copy)]
 pub(crate) struct Instant {
     /// The lower half of the time of the last tick.
@@ -50,21 +52,21 @@ impl Instant {
         Self {
             tick_at_us: TICK_AT_US.get(masked) as u16,
             counts: TCNT0.read(),
-            // After the counter: a tick that ends in between is then known
-            // from the counter's being near its end.
+            // Read after the counter: if a tick ends in between, the counter shows
+            // it by being near its end.
             flags: TIFR0.read(),
         }
     }
 
-    /// Since the last tick that had been served, in µs.
+    /// Time since the last processed tick, in µs.
     fn since_tick_us(self) -> u16 {
         let ended = self.flags & OCF0A != 0 && self.counts < COUNTS_PER_TICK / 2;
         let tick_us = if ended { TICK_US as u16 } else { 0 };
         u16::from(self.counts) * u16::from(COUNT_US) + tick_us
     }
 
-    /// The board's time, in µs, for an instant in the 65 ms up to `now_us`, or
-    /// in the millisecond after it.
+    /// Board time, in µs, of an instant in the 65 ms before `now_us` or the
+    /// millisecond after it.
     pub(crate) fn near(self, now_us: u32) -> u32 {
         const FUTURE_US: u16 = TICK_US as u16;
         let us = self.tick_at_us.wrapping_add(self.since_tick_us());
@@ -75,8 +77,8 @@ impl Instant {
     }
 }
 
-/// An instant that an interrupt shares with the main loop. (Not one structure:
-/// the compiler would put it together with 32-bit shifts.)
+/// An instant shared by an interrupt and the main loop. (Separate fields, because
+/// the compiler would assemble one structure with 32-bit shifts.)
 pub(crate) struct SharedInstant {
     tick_at_us: Shared<u16>,
     counts: SharedByte,
@@ -109,13 +111,13 @@ impl SharedInstant {
     }
 }
 
-/// The board's time at the last tick, in µs: for what goes by ticks, which a fine
-/// clock would let be a few µs early now and then, and so a whole round late.
+/// Board time of the last tick, in µs, for work that follows ticks: a finer clock
+/// would sometimes be a few µs early and delay the work by a whole round.
 pub(crate) fn tick_us() -> u32 {
     masked(|masked| TICK_AT_US.get(masked))
 }
 
-/// The board's time, in µs.
+/// Board time, in µs.
 pub(crate) fn now_us() -> u32 {
     let (tick_at_us, now) = masked(|masked| (TICK_AT_US.get(masked), Instant::now(masked)));
     tick_at_us.wrapping_add(now.since_tick_us().into())

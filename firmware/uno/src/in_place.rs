@@ -1,15 +1,15 @@
-//! A value of the main loop at a fixed address.
+//! Values of the main loop at fixed addresses.
 //!
-//! The processor reaches 64 bytes from a pointer, and everything at an address
-//! that is known: the same code on the stack's frame is four times as large.
-//! And what is known when the image is compiled needs no code to put it there.
+//! The processor addresses 64 bytes relative to a pointer, and any known address
+//! directly: the same code with a stack frame is four times as large. Values known
+//! at compile time need no initialisation code.
 #![allow(unsafe_code)]
 
 use core::cell::UnsafeCell;
 
 pub(crate) struct InPlace<T>(UnsafeCell<T>);
 
-// SAFETY: only whoever called `take` has access, and there is one processor.
+// SAFETY: only the caller of `take` has access, and there is one processor.
 unsafe impl<T> Sync for InPlace<T> {}
 
 impl<T> InPlace<T> {
@@ -17,11 +17,11 @@ impl<T> InPlace<T> {
         Self(UnsafeCell::new(value))
     }
 
-    /// The value.
+    /// Returns the only reference to the value.
     ///
     /// # Safety
     ///
-    /// To be called once.
+    /// Must be called only once.
     #[inline(always)]
     #[expect(clippy::mut_from_ref, reason = "the first and only reference")]
     pub(crate) unsafe fn take(&'static self) -> &'static mut T {

@@ -1,24 +1,22 @@
-//! What the main loop and the interrupts share, and how they keep out of each
-//! other's way.
+//! Data shared by the main loop and the interrupts, and critical sections.
 //!
-//! A byte goes into a [`SharedByte`]: the processor reads or writes it in one
-//! instruction. A longer value goes into a [`Shared`], which asks for the proof
-//! that no interrupt can come between its bytes.
+//! A byte is stored in a [`SharedByte`]: the processor accesses it in one
+//! instruction. A longer value is stored in a [`Shared`], which requires a proof
+//! that interrupts are masked.
 #![allow(unsafe_code)]
 
-use core::arch::asm;
-use core::cell::UnsafeCell;
+use core::{arch::asm, cell::UnsafeCell};
 
 /// Proof that interrupts are masked.
 #[derive(Clone, Copy)]
 pub(crate) struct Masked(());
 
 impl Masked {
-    /// The proof, for a handler.
+    /// The proof for an interrupt handler.
     ///
     /// # Safety
     ///
-    /// Only where interrupts are masked, such as in an interrupt handler.
+    /// Interrupts must be masked, as in an interrupt handler.
     pub(crate) const unsafe fn assume() -> Self {
         Self(())
     }
@@ -26,7 +24,8 @@ impl Masked {
 
 /// Runs `action` with interrupts masked, and restores the mask.
 ///
-/// Keep it short: every interrupt waits, and a byte on the line waits 87 µs at most.
+/// Keep it short: it delays all interrupts, and a byte on the line is lost after
+/// 87 µs.
 #[inline(always)]
 pub(crate) fn masked<R>(action: impl FnOnce(Masked) -> R) -> R {
     let status: u8;
@@ -39,31 +38,31 @@ pub(crate) fn masked<R>(action: impl FnOnce(Masked) -> R) -> R {
     result
 }
 
-/// Lets interrupts come from now on.
+/// Enables interrupts.
 pub(crate) fn enable() {
-    // SAFETY: everything shared is in a `SharedByte` or a `Shared`.
+    // SAFETY: all shared data is in a `SharedByte` or a `Shared`.
     unsafe { asm!("sei") };
 }
 
-/// Masks interrupts for good.
+/// Disables interrupts.
 pub(crate) fn disable() {
     // SAFETY: masking interrupts is always sound.
     unsafe { asm!("cli") };
 }
 
-/// Lets interrupts come and sleeps until one has.
+/// Enables interrupts and sleeps until one occurs.
 ///
-/// The instruction after `sei` is executed before any interrupt: one that
-/// came since the mask was set still ends the sleep. (simavr serves it an
-/// instruction later than the processor does: the `nop`, lest it be masked again.)
+/// The instruction after `sei` is executed before any interrupt, so a pending
+/// interrupt still ends the sleep. (simavr serves it one instruction later than the
+/// processor; the `nop` prevents that it is masked again.)
 pub(crate) fn enable_and_sleep() {
     // SAFETY: as for `enable`.
     unsafe { asm!("sei", "sleep", "nop") };
 }
 
-/// A byte, shared between main loop and interrupts.
+/// A byte shared by the main loop and interrupts.
 ///
-/// (`AtomicU8` would do, but masks interrupts around every access.)
+/// (`AtomicU8` would mask interrupts around every access.)
 pub(crate) struct SharedByte(UnsafeCell<u8>);
 
 // SAFETY: there is one processor, and it reads or writes a byte in one instruction.
@@ -76,8 +75,8 @@ impl SharedByte {
 
     #[inline(always)]
     pub(crate) fn get(&self) -> u8 {
-        // SAFETY: see `Sync`; no reference ever leaves. Volatile: read and
-        // written when the program says so, in that order.
+        // SAFETY: see `Sync`; no reference escapes. Volatile: read and
+        // written exactly in program order.
         unsafe { self.0.get().read_volatile() }
     }
 
@@ -88,11 +87,11 @@ impl SharedByte {
     }
 }
 
-/// A value of several bytes, shared between main loop and interrupts.
+/// A value of several bytes shared by the main loop and interrupts.
 pub(crate) struct Shared<T>(UnsafeCell<T>);
 
-// SAFETY: there is one processor, and every access holds the proof that
-// nothing interrupts it.
+// SAFETY: there is one processor, and every access holds a proof that interrupts
+// are masked.
 unsafe impl<T: Copy> Sync for Shared<T> {}
 
 impl<T: Copy> Shared<T> {
@@ -102,13 +101,13 @@ impl<T: Copy> Shared<T> {
 
     #[inline(always)]
     pub(crate) fn get(&self, _: Masked) -> T {
-        // SAFETY: see `Sync`; no reference ever leaves.
+        // SAFETY: see `Sync`; no reference escapes.
         unsafe { self.0.get().read() }
     }
 
     #[inline(always)]
     pub(crate) fn set(&self, _: Masked, value: T) {
-        // SAFETY: see `Sync`; no reference ever leaves.
+        // SAFETY: see `Sync`; no reference escapes.
         unsafe { self.0.get().write(value) };
     }
 }

@@ -1,9 +1,9 @@
 //! The Arduino UNO's image.
 //!
-//! What the board does is in [`singletrack_board`]; here are the pins, timers
-//! and interrupts of the ATmega328P, and the loop that brings both together.
+//! The firmware's logic is in [`singletrack_board`]. This crate contains the
+//! drivers for the ATmega328P's pins, timers and interrupts, and the main loop.
 //!
-//! | Pin | What |
+//! | Pin | Function |
 //! |---|---|
 //! | D0, D1 | line to the host |
 //! | D2 | pulses of the motor |
@@ -39,24 +39,26 @@ mod watchdog;
 use singletrack_board::{Board, Inputs, MotorPulses};
 use singletrack_protocol::ResetCause;
 
-use crate::battery::Battery;
-use crate::bno055::Bno055;
-use crate::in_place::InPlace;
-use crate::motor::Motor;
-use crate::registers::{ACSR, SMCR};
-use crate::supervisor::Pace;
-use crate::uart::Receiver;
+use crate::{
+    battery::Battery,
+    bno055::Bno055,
+    in_place::InPlace,
+    motor::Motor,
+    registers::{ACSR, SMCR},
+    supervisor::Pace,
+    uart::Receiver,
+};
 
-/// Time between two rounds of the main loop, in ms: ticks of the supervisor. Every
-/// other one polls the board, which does everything that needs time in steps of
-/// 10 ms; a frame from the host, or the stop switch, makes it do so at once.
+/// Time between two rounds of the main loop, in ms, which are ticks of the
+/// supervisor. Every second round polls the board, which works in steps of 10 ms; a
+/// frame from the host or a change of the stop switch polls it at once.
 const ROUND_MS: u8 = 5;
 
-/// Bytes taken in per poll. More are waiting only after a delay, and then the work
-/// is spread over a few polls.
+/// Maximum number of received bytes per poll. More are waiting only after a delay,
+/// and are then spread over several polls.
 const RECEIVED_PER_POLL: usize = 64;
 
-/// The number of the section around a poll, see [`sections`].
+/// Number of the section around a poll; see [`sections`].
 const POLL: u8 = 1;
 
 const VERSION: [u8; 3] = [
@@ -65,22 +67,22 @@ const VERSION: [u8; 3] = [
     number(env!("CARGO_PKG_VERSION_PATCH")),
 ];
 
-/// What the main loop keeps from one round to the next, beside the board.
-/// (Apart, because it begins as zeros: those take no room in the flash.)
-struct Surroundings {
+/// State of the main loop, besides the board. (Separate, because it is initialised
+/// to zeros, which take no flash.)
+struct MainLoop {
     inputs: Inputs,
     motor: Motor,
     battery: Battery,
     imu: Bno055,
     receiver: Receiver,
     buffer: [u8; RECEIVED_PER_POLL],
-    /// Whether the next round in time polls the board.
+    /// Whether the next periodic round polls the board.
     polls_next: bool,
 }
 
 static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION));
 
-static SURROUNDINGS: InPlace<Surroundings> = InPlace::new(Surroundings {
+static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
     inputs: Inputs {
         motor: MotorPulses {
             count: 0,
@@ -106,28 +108,28 @@ static SURROUNDINGS: InPlace<Surroundings> = InPlace::new(Surroundings {
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     start_peripherals();
-    // SAFETY: nobody calls `main` again.
-    let (board, surroundings) = unsafe { (BOARD.take(), SURROUNDINGS.take()) };
+    // SAFETY: `main` is called only once.
+    let (board, main_loop) = unsafe { (BOARD.take(), MAIN_LOOP.take()) };
     board.set_reset_cause(reset::cause());
     interrupts::enable();
     let mut pace = Pace::new();
     loop {
-        if !pace.wait(ROUND_MS, || surroundings.has_news()) || surroundings.round() {
-            surroundings.poll(board);
+        if !pace.wait(ROUND_MS, || main_loop.has_news()) || main_loop.round() {
+            main_loop.poll(board);
             watchdog::feed();
         }
     }
 }
 
-impl Surroundings {
-    /// Something that does not wait for the next round.
+impl MainLoop {
+    /// Whether there is work that must not wait for the next round.
     fn has_news(&self) -> bool {
         uart::has_frame()
             || uart::is_filling()
             || stop_input::is_open() != self.inputs.stop_input_open
     }
 
-    /// What has a pace of its own; returns whether it is the board's turn.
+    /// Runs the periodic drivers; returns whether this round polls the board.
     fn round(&mut self) -> bool {
         self.imu.poll(clock::tick_us(), &mut self.inputs.imu);
         self.inputs.imu_errors = self.imu.errors();
@@ -153,7 +155,7 @@ fn start_peripherals() {
     const SLEEP_IN_IDLE: u8 = 1;
     const COMPARATOR_OFF: u8 = 1 << 7;
 
-    // First, that the ESC hears from the board as early as possible.
+    // First, so that the ESC gets pulses as early as possible.
     supervisor::start();
     uart::start();
     motor::start();
@@ -164,7 +166,7 @@ fn start_peripherals() {
     SMCR.write(SLEEP_IN_IDLE);
 }
 
-/// A decimal number below 256, when the image is compiled.
+/// Parses a decimal number below 256, at compile time.
 const fn number(digits: &str) -> u8 {
     let mut value = 0;
     let mut rest = digits.as_bytes();

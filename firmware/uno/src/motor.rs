@@ -1,18 +1,20 @@
-//! The pulses of the motor's sensor (D2): counted, the newest one dated.
+//! Pulses of the motor sensor (D2): their number, and the time of the newest.
 #![allow(unsafe_code)]
 
 use singletrack_board::MotorPulses;
 
-use crate::clock::{Instant, SharedInstant};
-use crate::interrupts::{Masked, Shared, masked};
-use crate::registers::{EICRA, EIFR, EIMSK, PORTD};
+use crate::{
+    clock::{Instant, SharedInstant},
+    interrupts::{Masked, Shared, masked},
+    registers::{EICRA, EIFR, EIMSK, PORTD},
+};
 
 /// Port D, bit 2.
 const INT0: u8 = 1 << 2;
 const INT0_RISES: u8 = 0b11;
 const INT0_ENABLED: u8 = 1 << 0;
 
-// As the interrupt catches it; what it means is worked out by the main loop.
+// Raw values from the interrupt; the main loop converts them.
 static COUNT: Shared<u16> = Shared::new(0);
 static NEWEST: SharedInstant = SharedInstant::new();
 
@@ -25,7 +27,7 @@ pub(crate) fn start() {
     // Hall sensors have an open collector.
     PORTD.set(INT0);
     EICRA.write(INT0_RISES);
-    // The pull-up may just have made an edge.
+    // Enabling the pull-up may have caused an edge.
     EIFR.write(INT0_ENABLED);
     EIMSK.write(INT0_ENABLED);
 }
@@ -40,8 +42,7 @@ impl Motor {
         }
     }
 
-    /// To be called at every poll, less than 65 ms after the one before: the
-    /// pulses so far.
+    /// Call in every poll, at most 65 ms apart; returns the pulses so far.
     pub(crate) fn poll(&mut self, now_us: u32) -> MotorPulses {
         if masked(|masked| COUNT.get(masked)) != self.pulses.count {
             let (count, newest) = masked(|masked| (COUNT.get(masked), NEWEST.get(masked)));

@@ -1,11 +1,10 @@
-//! Nothing here can panic as far as is known; if it does, the car stops.
+//! Panic handler. No panic is known to be possible; if one occurs, the car stops.
 
 use core::panic::PanicInfo;
 
-use crate::interrupts;
-use crate::pulses;
+use crate::{interrupts, pulses};
 
-/// Ends the pulses, without which servo and ESC let go, and waits for the watchdog.
+/// Ends the pulses, which makes servo and ESC let go, and waits for the watchdog.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     interrupts::masked(pulses::stop);

@@ -1,4 +1,4 @@
-//! The registers of the ATmega328P that are used, at their data addresses.
+//! The used registers of the ATmega328P, at their data addresses.
 #![allow(unsafe_code)]
 
 use crate::interrupts::Masked;
@@ -15,20 +15,20 @@ impl Register {
 
     #[inline(always)]
     pub(crate) fn write(&self, value: u8) {
-        // SAFETY: the address is that of a register, see below, and none of
-        // them makes the processor write to memory.
+        // SAFETY: the address is that of a register, see below, and none of them
+        // makes the processor write to memory.
         unsafe { (self.0 as *mut u8).write_volatile(value) };
     }
 
-    /// Sets bits and leaves the others. An interrupt that writes the same
-    /// register must not come in between.
+    /// Sets bits and keeps the others. An interrupt that writes the same register
+    /// must not come between read and write.
     #[inline(always)]
     pub(crate) fn set(&self, bits: u8) {
         self.write(self.read() | bits);
     }
 
-    /// Clears bits and leaves the others. An interrupt that writes the same
-    /// register must not come in between.
+    /// Clears bits and keeps the others. An interrupt that writes the same register
+    /// must not come between read and write.
     #[inline(always)]
     pub(crate) fn clear(&self, bits: u8) {
         self.write(self.read() & !bits);
@@ -42,8 +42,8 @@ impl Register {
 
 /// A register of two bytes of a 16-bit timer.
 ///
-/// The high byte passes through a latch that all of them share: two accesses
-/// must not interleave.
+/// The high byte passes through a latch shared by all of them: two accesses must
+/// not interleave.
 pub(crate) struct WideRegister(usize);
 
 impl WideRegister {
@@ -56,7 +56,7 @@ impl WideRegister {
 
     #[inline(always)]
     pub(crate) fn write(&self, _: Masked, value: u16) {
-        // Writing the low byte takes the high one out of the latch.
+        // Writing the low byte also writes the high one from the latch.
         let [low, high] = value.to_le_bytes();
         Register(self.0 + 1).write(high);
         Register(self.0).write(low);

@@ -1,4 +1,4 @@
-//! Why the processor started.
+//! Cause of the processor's start.
 #![allow(unsafe_code)]
 
 use core::arch::global_asm;
@@ -7,13 +7,13 @@ use singletrack_protocol::ResetCause;
 
 use crate::registers::GPIOR1;
 
-// Runs before memory is initialised (r1 is zero by then, the rest of the
-// registers is untouched) and leaves the flags in GPIOR1.
+// Runs before memory is initialised (r1 is zero; the other registers are unchanged)
+// and leaves the flags in GPIOR1.
 //
-// The bootloader (Optiboot) clears MCUSR and passes what was there in r2.
+// The bootloader (Optiboot) clears MCUSR and passes its value in r2.
 //
-// After a watchdog reset the watchdog goes on with 16 ms until WDRF is cleared;
-// it is set to 64 ms: WDE and WDP1, within four cycles of WDCE.
+// After a watchdog reset the watchdog keeps running with 16 ms until WDRF is
+// cleared; it is set to 64 ms: WDE and WDP1, within four cycles of WDCE.
 global_asm!(
     ".section .init3, \"ax\", @progbits",
     "wdr",
@@ -36,11 +36,12 @@ const BORF: u8 = 1 << 2;
 const WDRF: u8 = 1 << 3;
 const NO_FLAGS: u8 = !(PORF | EXTRF | BORF | WDRF);
 
-/// Why the processor started. Where several flags are set, a later reset came
-/// on top of the first: the bootloader leaves by its watchdog after an external one.
+/// Cause of the processor's start. If several flags are set, the later resets
+/// followed from the first: the bootloader exits by its watchdog after an external
+/// reset.
 pub(crate) fn cause() -> ResetCause {
     match GPIOR1.read() {
-        // Not flags: a bootloader that passes nothing.
+        // Not flags: the bootloader passes nothing.
         flags if flags & NO_FLAGS != 0 => ResetCause::Unknown,
         flags if flags & PORF != 0 => ResetCause::PowerOn,
         flags if flags & BORF != 0 => ResetCause::BrownOut,

@@ -1,10 +1,10 @@
-//! A queue of bytes between the main loop and one interrupt.
+//! A byte queue between the main loop and one interrupt.
 
 use crate::interrupts::SharedByte;
 
-/// One side only puts, the other only takes. All of `N` bytes can be used.
+/// A ring buffer with one producer and one consumer. All `N` bytes are usable.
 ///
-/// The counters run freely and wrap at 256, of which `N` is a divisor.
+/// The counters run freely and wrap at 256, which is a multiple of `N`.
 pub(crate) struct Ring<const N: usize> {
     bytes: [SharedByte; N],
     put: SharedByte,
@@ -23,17 +23,17 @@ impl<const N: usize> Ring<N> {
 
     #[inline(always)]
     fn slot(&self, counter: u8) -> &SharedByte {
-        // The compiler sees that the index is in range.
+        // The compiler can prove that the index is in range.
         &self.bytes[usize::from(counter) % N]
     }
 
-    /// Bytes that wait to be taken.
+    /// Number of bytes in the queue.
     #[inline(always)]
     pub(crate) fn used(&self) -> u8 {
         self.put.get().wrapping_sub(self.taken.get())
     }
 
-    /// Puts one byte; `false` if there is no room.
+    /// Appends one byte; `false` if there is no room.
     #[inline(always)]
     pub(crate) fn put(&self, byte: u8) -> bool {
         let put = self.put.get();
@@ -41,12 +41,12 @@ impl<const N: usize> Ring<N> {
             return false;
         }
         self.slot(put).set(byte);
-        // The byte before the counter that tells of it: both are volatile.
+        // The byte before the counter that publishes it: both are volatile.
         self.put.set(put.wrapping_add(1));
         true
     }
 
-    /// Puts all of `bytes`, or none; `false` if there is no room.
+    /// Appends all of `bytes`, or none and returns `false` if there is no room.
     #[inline(always)]
     pub(crate) fn put_all(&self, bytes: &[u8]) -> bool {
         let put = self.put.get();
@@ -54,7 +54,7 @@ impl<const N: usize> Ring<N> {
         if bytes.len() + usize::from(used) > N {
             return false;
         }
-        // In two runs, up to the end of the buffer and from its beginning.
+        // In two parts: up to the end of the buffer, and from its beginning.
         let (beginning, end) = self.bytes.split_at(usize::from(put) % N);
         for (slot, &byte) in end.iter().zip(bytes) {
             slot.set(byte);
@@ -67,7 +67,7 @@ impl<const N: usize> Ring<N> {
         true
     }
 
-    /// Takes the oldest byte.
+    /// Removes the oldest byte.
     #[inline(always)]
     pub(crate) fn take(&self) -> Option<u8> {
         let taken = self.taken.get();
@@ -79,8 +79,8 @@ impl<const N: usize> Ring<N> {
         Some(byte)
     }
 
-    /// Takes the oldest byte, if there is one, to `sink`. Returns whether there
-    /// are more.
+    /// Passes the oldest byte to `sink`, if there is one. Returns whether more
+    /// bytes follow.
     #[inline(always)]
     pub(crate) fn take_with(&self, sink: impl FnOnce(u8)) -> bool {
         let (taken, put) = (self.taken.get(), self.put.get());

@@ -1,5 +1,5 @@
-//! The stop switch: normally closed, from D4 to ground. A wire that breaks
-//! looks like a switch that opens.
+//! The stop switch: normally closed, from D4 to ground. A broken wire acts like an
+//! open switch.
 
 use crate::registers::{PIND, PORTD};
 

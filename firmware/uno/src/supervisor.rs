@@ -1,42 +1,44 @@
-//! The last word on the pulses, spoken by the 1 kHz interrupt.
+//! The supervisor: a 1 kHz interrupt with final authority over the pulses.
 //!
-//! The main loop says what it wants and until when; only the interrupt writes
-//! it to the timer. It puts the ESC to neutral by itself when the time is up,
-//! and when the main loop has not said anything for [`PATIENCE_TICKS`].
+//! The main loop publishes the pulses and their deadline; only the interrupt writes
+//! them to the timer. It sets the ESC to neutral when the deadline has passed, and
+//! when the main loop has published nothing for [`TIMEOUT_TICKS`].
 #![allow(unsafe_code)]
 
 use singletrack_board::Outputs;
 
-use crate::clock;
-use crate::interrupts::{self, Masked, Shared, SharedByte, masked};
-use crate::pulses::{self, Width};
+use crate::{
+    clock,
+    interrupts::{self, Masked, Shared, SharedByte, masked},
+    pulses::{self, Width},
+};
 
-/// A main loop that has been silent for more ticks hangs. (With a servo period
-/// of 20 ms on top, the neutral pulse is out within 45 ms.)
-const PATIENCE_TICKS: u8 = 19;
+/// Number of ticks after which a silent main loop counts as hung. (With one servo
+/// period of 20 ms, the neutral pulse is out within 45 ms.)
+const TIMEOUT_TICKS: u8 = 19;
 
-/// What every ESC takes for neutral: shown until the board says something.
+/// Neutral pulse of every ESC, used until the board publishes one.
 const NEUTRAL_AT_START: Width = Width::from_us(1_500);
 
-// What the main loop wants. (Not one structure: the compiler would pick it to
-// pieces with 64-bit shifts.)
+// Published by the main loop. (Separate statics, because the compiler would
+// disassemble one structure with 64-bit shifts.)
 static SERVO: Shared<Option<Width>> = Shared::new(None);
 static ESC: Shared<Width> = Shared::new(NEUTRAL_AT_START);
 static NEUTRAL: Shared<Width> = Shared::new(NEUTRAL_AT_START);
-/// Ticks for which `ESC` may be shown without hearing from the main loop.
-static PATIENCE: SharedByte = SharedByte::new(0);
+/// Ticks for which `ESC` is valid without another publication.
+static VALID_TICKS: SharedByte = SharedByte::new(0);
 
-/// Ticks since the main loop last said what it wants; stops at 255.
+/// Ticks since the last publication; saturates at 255.
 static SILENT_TICKS: SharedByte = SharedByte::new(0);
 
-/// Ticks so far, wrapping: the pace of the main loop.
+/// Ticks so far, wrapping; the time base of the main loop.
 static TICKS: SharedByte = SharedByte::new(0);
 
-/// Not zero: the main loop should look what there is to do. Most interrupts end
-/// the processor's sleep for nothing.
+/// Not zero: the main loop must wake. Most interrupts end the processor's sleep
+/// without work for it.
 static WAKE: SharedByte = SharedByte::new(0);
 
-/// Ends the main loop's [`Pace::wait`] for a look around.
+/// Wakes the main loop in [`Pace::wait`].
 #[inline(always)]
 pub(crate) fn wake() {
     WAKE.set(1);
@@ -48,41 +50,41 @@ pub(crate) fn start() {
     clock::start();
 }
 
-/// Takes over what the main loop wants, as it was worked out at `now_us`.
+/// Publishes the outputs that the main loop computed at `now_us`.
 pub(crate) fn publish(now_us: u32, outputs: &Outputs) {
     let servo = outputs.servo_us.map(Width::from_us);
     let esc = Width::from_us(outputs.esc_us);
     let neutral = Width::from_us(outputs.esc_neutral_us);
-    let patience = patience(now_us, outputs.drive_deadline_us);
+    let valid_ticks = valid_ticks(now_us, outputs.drive_deadline_us);
     masked(|masked| {
         SERVO.set(masked, servo);
         ESC.set(masked, esc);
         NEUTRAL.set(masked, neutral);
-        PATIENCE.set(patience);
+        VALID_TICKS.set(valid_ticks);
         SILENT_TICKS.set(0);
     });
 }
 
-/// How many ticks may follow without another plan: until the command's
-/// deadline has passed or the main loop must be taken to hang.
-fn patience(now_us: u32, deadline_us: Option<u32>) -> u8 {
+/// Number of ticks until the command's deadline has passed or the main loop counts
+/// as hung.
+fn valid_ticks(now_us: u32, deadline_us: Option<u32>) -> u8 {
     let Some(deadline_us) = deadline_us else {
-        return PATIENCE_TICKS;
+        return TIMEOUT_TICKS;
     };
     let left_us = deadline_us.wrapping_sub(now_us);
-    if left_us >= u32::from(PATIENCE_TICKS) * clock::TICK_US {
-        // A deadline that has passed is a long way off on a clock that wraps.
+    if left_us >= u32::from(TIMEOUT_TICKS) * clock::TICK_US {
+        // A deadline in the past appears far in the future on a wrapping clock.
         return if left_us > u32::MAX / 2 {
             0
         } else {
-            PATIENCE_TICKS
+            TIMEOUT_TICKS
         };
     }
-    // 16 bits: a division of 32 takes three times as long.
+    // 16 bits: a division of 32 bits takes three times as long.
     (left_us as u16 / clock::TICK_US as u16) as u8
 }
 
-/// A steady pace for the main loop, however long a round takes.
+/// A steady period for the main loop, independent of the time of a round.
 pub(crate) struct Pace {
     last: u8,
 }
@@ -92,10 +94,9 @@ impl Pace {
         Self { last: 0 }
     }
 
-    /// Sleeps until a number of ticks have passed since the last time that this
-    /// returned `true`, or until there is something to do `sooner`, about which
-    /// it asks after a tick and after a [`wake`]; then it returns `false`. What
-    /// was missed is not made up for.
+    /// Sleeps until `ticks` ticks have passed since it last returned `true`, and
+    /// returns `true`; or until `sooner`, which is called after a tick and after a
+    /// [`wake`], is true, and returns `false`. Missed periods are not made up for.
     pub(crate) fn wait(&mut self, ticks: u8, sooner: impl Fn() -> bool) -> bool {
         loop {
             sleep_until_woken();
@@ -139,11 +140,11 @@ extern "avr-interrupt" fn __vector_14() {
         SILENT_TICKS.set(silent_ticks);
     }
     if pulses::are_due(masked) {
-        if silent_ticks > PATIENCE.get() {
-            pulses::show_esc(masked, NEUTRAL.get(masked));
+        if silent_ticks > VALID_TICKS.get() {
+            pulses::set_esc(masked, NEUTRAL.get(masked));
         } else {
-            pulses::show_esc(masked, ESC.get(masked));
+            pulses::set_esc(masked, ESC.get(masked));
         }
-        pulses::show_servo(masked, SERVO.get(masked));
+        pulses::set_servo(masked, SERVO.get(masked));
     }
 }

@@ -1,18 +1,20 @@
-//! The bus to the IMU (SDA A4, SCL A5): a master at 400 kHz, by interrupt.
+//! I²C bus to the IMU (SDA A4, SCL A5): an interrupt-driven master at 400 kHz.
 //!
 //! One transfer at a time: some bytes are written, then some are read after a
-//! repeated start. The main loop begins it and looks again later; a transfer
-//! that is not over in time it gives up, and frees the bus by hand.
+//! repeated start. The main loop starts a transfer and polls for its end. It aborts
+//! a transfer that takes too long, and frees the bus in software.
 #![allow(unsafe_code)]
 
 use core::arch::asm;
 
-use crate::interrupts::SharedByte;
-use crate::registers::{DDRC, PORTC, TWBR, TWCR, TWDR, TWSR};
+use crate::{
+    interrupts::SharedByte,
+    registers::{DDRC, PORTC, TWBR, TWCR, TWDR, TWSR},
+};
 
-/// Most bytes written, and read, in one transfer.
-pub(crate) const LONGEST_WRITE: usize = 3;
-pub(crate) const LONGEST_READ: usize = 26;
+/// Maximum number of bytes written, and read, in one transfer.
+pub(crate) const MAX_WRITE: usize = 3;
+pub(crate) const MAX_READ: usize = 26;
 
 /// 16 MHz / (16 + 2 * 12) = 400 kHz.
 const DIVISOR: u8 = 12;
@@ -26,7 +28,7 @@ const TWEN: u8 = 1 << 2;
 const TWIE: u8 = 1 << 0;
 const GO: u8 = TWINT | TWEN | TWIE;
 
-/// What the bus reports (TWSR) when it has done what it was told.
+/// Status codes of the bus (TWSR) after an operation.
 mod status {
     pub(super) const MASK: u8 = 0xF8;
     pub(super) const STARTED: u8 = 0x08;
@@ -42,7 +44,7 @@ mod status {
 const SDA: u8 = 1 << 4;
 const SCL: u8 = 1 << 5;
 
-/// What the bus has been told to do: the interrupt comes when it is done.
+/// The current operation of the bus; the interrupt follows its end.
 mod phase {
     pub(super) const DONE: u8 = 0;
     pub(super) const FAILED: u8 = 1;
@@ -56,40 +58,40 @@ mod phase {
 static PHASE: SharedByte = SharedByte::new(phase::DONE);
 /// Address in the upper seven bits.
 static ADDRESS: SharedByte = SharedByte::new(0);
-static TO_WRITE: [SharedByte; LONGEST_WRITE] = [const { SharedByte::new(0) }; LONGEST_WRITE];
+static TO_WRITE: [SharedByte; MAX_WRITE] = [const { SharedByte::new(0) }; MAX_WRITE];
 static TO_WRITE_LENGTH: SharedByte = SharedByte::new(0);
-static READ: [SharedByte; LONGEST_READ] = [const { SharedByte::new(0) }; LONGEST_READ];
+static READ: [SharedByte; MAX_READ] = [const { SharedByte::new(0) }; MAX_READ];
 /// Bytes still to be read.
 static LEFT: SharedByte = SharedByte::new(0);
 /// Bytes written or read so far.
 static POSITION: SharedByte = SharedByte::new(0);
 
-/// How the transfer is getting on.
+/// State of the transfer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Progress {
     Busy,
     Done,
-    /// Nobody acknowledged, or something else spoke.
+    /// No acknowledgement, or a bus error.
     Failed,
 }
 
 pub(crate) fn start() {
-    // The processor's weak pull-ups, beside the sensor's own: without a sensor
-    // the lines must not float.
+    // The processor's weak pull-ups, besides the sensor's own: without a sensor the
+    // lines must not float.
     PORTC.set(SDA | SCL);
     TWBR.write(DIVISOR);
     TWSR.write(0);
     TWCR.write(TWEN);
 }
 
-/// Begins a transfer; there must not be one going on.
+/// Starts a transfer; none may be in progress.
 pub(crate) fn begin(address: u8, write: &[u8], read_length: u8) {
     ADDRESS.set(address << 1);
     for (slot, &byte) in TO_WRITE.iter().zip(write) {
         slot.set(byte);
     }
-    TO_WRITE_LENGTH.set(write.len().min(LONGEST_WRITE) as u8);
-    LEFT.set(read_length.min(LONGEST_READ as u8));
+    TO_WRITE_LENGTH.set(write.len().min(MAX_WRITE) as u8);
+    LEFT.set(read_length.min(MAX_READ as u8));
     POSITION.set(0);
     PHASE.set(phase::START);
     TWCR.write(GO | TWSTA);
@@ -103,7 +105,7 @@ pub(crate) fn progress() -> Progress {
     }
 }
 
-/// Copies what was read; returns whether it differs from what was there.
+/// Copies the read bytes; returns whether the buffer has changed.
 pub(crate) fn take(buffer: &mut [u8]) -> bool {
     let mut changed = false;
     for (known, byte) in buffer.iter_mut().zip(&READ) {
@@ -119,9 +121,8 @@ pub(crate) fn first_byte() -> u8 {
     READ[0].get()
 }
 
-/// Gives up the transfer, and frees a bus that is held by a sensor that has
-/// lost count: after nine clock pulses it has sent whatever it wanted to send.
-/// Takes 0.1 ms.
+/// Aborts the transfer, and frees a bus held by a sensor that has lost count of
+/// bits: nine clock pulses let it finish its byte. Takes 0.1 ms.
 pub(crate) fn free() {
     TWCR.write(0);
     PHASE.set(phase::FAILED);
@@ -143,7 +144,7 @@ pub(crate) fn free() {
     TWCR.write(TWEN);
 }
 
-/// Open drain: low, or left to the pull-ups, but never driven high.
+/// Open drain: driven low, or released to the pull-ups; never driven high.
 fn pull_down(line: u8) {
     PORTC.clear(line);
     DDRC.set(line);
@@ -162,13 +163,13 @@ fn half_period() {
     }
 }
 
-/// The bus has done what it was told, or could not.
+/// End of a bus operation.
 // SAFETY: the name is that of the vector, and nothing else has it.
 #[unsafe(no_mangle)]
 extern "avr-interrupt" fn __vector_24() {
     let status = TWSR.read() & status::MASK;
-    // Nearly all of them are of this kind: a jump table or a chain of
-    // comparisons would cost each of them a fifth of its time.
+    // Fast path for nearly all interrupts: a jump table or a chain of comparisons
+    // would take a fifth more time.
     if status == status::BYTE_READ && PHASE.get() == phase::READ {
         store();
         let left = LEFT.get() - 1;
@@ -220,7 +221,7 @@ extern "avr-interrupt" fn __vector_24() {
     }
 }
 
-/// Keeps the byte that was read.
+/// Stores the byte that was read.
 #[inline(always)]
 fn store() {
     let position = POSITION.get();

@@ -1,12 +1,14 @@
-//! The line to the host: 115200 baud, 8 data bits, no parity, one stop bit.
+//! Serial line to the host: 115200 baud, 8 data bits, no parity, one stop bit.
 #![allow(unsafe_code)]
 
 use singletrack_protocol::{MAX_FRAME_LENGTH, RECEIVE_BUFFER_LENGTH};
 
-use crate::interrupts::SharedByte;
-use crate::registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0};
-use crate::ring::Ring;
-use crate::supervisor;
+use crate::{
+    interrupts::SharedByte,
+    registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0},
+    ring::Ring,
+    supervisor,
+};
 
 /// 16 MHz / 8 / (16 + 1) = 117,647 baud: 2.1 % fast, as on every UNO.
 const DIVISOR: u8 = 16;
@@ -30,9 +32,9 @@ const UCSZ01_UCSZ00: u8 = 0b11 << 1;
 
 static RECEIVED: Ring<RECEIVE_BUFFER_LENGTH> = Ring::new();
 static TO_SEND: Ring<TRANSMIT_BUFFER_LENGTH> = Ring::new();
-/// Not zero: a frame has ended that the main loop has not taken.
+/// Not zero: a frame has ended that the main loop has not fetched.
 static FRAME_ENDED: SharedByte = SharedByte::new(0);
-/// Wraps; the main loop looks at it often enough.
+/// Lost bytes, wrapping; the main loop reads it often enough.
 static LOST: SharedByte = SharedByte::new(0);
 
 pub(crate) fn start() {
@@ -43,12 +45,12 @@ pub(crate) fn start() {
     UCSR0B.write(LISTENING);
 }
 
-/// Whether the end of a frame has come since the last [`Receiver::receive`].
+/// Whether a frame has ended since the last [`Receiver::receive`].
 pub(crate) fn has_frame() -> bool {
     FRAME_ENDED.get() != 0
 }
 
-/// Whether many bytes are waiting: then nobody keeps to frames.
+/// Whether at least the longest frame is waiting: the bytes may not be frames.
 pub(crate) fn is_filling() -> bool {
     RECEIVED.used() >= MAX_FRAME_LENGTH as u8
 }
@@ -63,12 +65,12 @@ impl Receiver {
         Self { lost: 0 }
     }
 
-    /// Fills `buffer` with received bytes and returns those; what does not fit
-    /// stays for the next call.
+    /// Moves received bytes to `buffer` and returns them; the rest stays for the
+    /// next call.
     pub(crate) fn receive<'a>(&mut self, buffer: &'a mut [u8]) -> &'a [u8] {
         let new = LOST.get().wrapping_sub(self.lost as u8);
         self.lost = self.lost.wrapping_add(new.into());
-        // First, so that one that ends from now on is not forgotten.
+        // First, so that a frame that ends from now on is noticed.
         FRAME_ENDED.set(0);
         let mut length = 0;
         for slot in buffer.iter_mut() {
@@ -79,20 +81,20 @@ impl Receiver {
         buffer.get(..length).unwrap_or_default()
     }
 
-    /// Bytes lost since the start, wrapping: the receiver or the buffer was
-    /// full, or there was no stop bit.
+    /// Bytes lost since the start, wrapping: receiver or buffer overrun, or no stop
+    /// bit.
     pub(crate) const fn bytes_lost(&self) -> u16 {
         self.lost
     }
 }
 
-/// Sends a whole frame, or none of it if there is no room.
+/// Queues a whole frame, or nothing and returns `false` if there is no room.
 #[inline(never)]
 pub(crate) fn transmit(frame: &[u8]) -> bool {
     if !TO_SEND.put_all(frame) {
         return false;
     }
-    // Written whole, not modified: the interrupt changes the same bit.
+    // Written, not modified: the interrupt changes the same bit.
     UCSR0B.write(SENDING);
     true
 }
@@ -101,14 +103,14 @@ pub(crate) fn transmit(frame: &[u8]) -> bool {
 // SAFETY: the name is that of the vector, and nothing else has it.
 #[unsafe(no_mangle)]
 extern "avr-interrupt" fn __vector_18() {
-    // The status first: reading the byte makes way for the next one's.
+    // The status first: reading the byte replaces it by the next one's.
     let status = UCSR0A.read();
     let byte = UDR0.read();
     if byte == 0 {
         FRAME_ENDED.set(1);
         supervisor::wake();
     }
-    // DOR0: at least one byte between the one before and this was lost.
+    // DOR0: at least one byte before this one was lost.
     if status & DOR0 != 0 {
         LOST.set(LOST.get().wrapping_add(1));
     }

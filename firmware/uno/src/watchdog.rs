@@ -1,13 +1,13 @@
-//! Resets the processor when the main loop has not come round for 64 ms.
+//! Resets the processor if the main loop hangs for 64 ms.
 //!
-//! It is started by the first instructions, see [`crate::reset`], so that it
-//! also watches the way to the main loop.
+//! The first instructions start it, see [`crate::reset`], so that it also covers
+//! the initialisation.
 #![allow(unsafe_code)]
 
 use core::arch::asm;
 
-/// To be called by the main loop, once per completed poll, and by nobody else.
+/// Only the main loop calls this, once per completed poll.
 pub(crate) fn feed() {
-    // SAFETY: resets the watchdog's counter, nothing else.
+    // SAFETY: only resets the watchdog's counter.
     unsafe { asm!("wdr", options(nomem, nostack, preserves_flags)) };
 }

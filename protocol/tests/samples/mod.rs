@@ -1,4 +1,4 @@
-//! One message of every type, with values that all differ.
+//! One message of every type, with distinct values.
 
 #![allow(dead_code, reason = "each test and bench uses its own part")]
 
@@ -18,10 +18,10 @@ pub(crate) enum Either {
     ToHost(ToHost),
 }
 
-/// A message with a name for the test's output.
+/// A message with a name for test output.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sample {
-    /// Its type, and its direction where that is not plain.
+    /// Type, and direction where it is ambiguous.
     pub(crate) name: &'static str,
     /// The message.
     pub(crate) message: Either,
@@ -36,8 +36,8 @@ impl Sample {
         }
     }
 
-    /// What the receiver of this message makes of a packet.
-    pub(crate) fn same_direction(&self, packet: Packet<'_>) -> Result<Either, DecodeError> {
+    /// Decodes a packet in the direction of this message.
+    pub(crate) fn decode_same_direction(&self, packet: Packet<'_>) -> Result<Either, DecodeError> {
         match self.message {
             Either::ToBoard(_) => ToBoard::decode(packet).map(Either::ToBoard),
             Either::ToHost(_) => ToHost::decode(packet).map(Either::ToHost),

@@ -1,4 +1,4 @@
-//! Many schedules on all cores.
+//! Runs many schedules on all cores.
 
 use std::{
     any::Any,
@@ -17,50 +17,50 @@ use crate::{
     DriveOutcome, SetupError, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper,
 };
 
-/// What is done.
+/// The schedules to run.
 #[derive(Clone, Copy, Debug)]
 pub struct Campaign {
-    /// The first seed; the others follow it.
+    /// First seed; the others follow consecutively.
     pub first_seed: u64,
-    /// How many seeds.
+    /// Number of seeds.
     pub count: u64,
-    /// What runs on the board.
+    /// Implementation of the board.
     pub board: BoardKind,
-    /// On how many threads. It makes no difference to the outcome.
+    /// Number of threads. It does not affect the outcome.
     pub threads: usize,
 }
 
-/// A schedule that broke something.
+/// A schedule that violated an invariant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Failure {
-    /// The schedule.
+    /// The failing schedule.
     pub schedule: Schedule,
-    /// What it broke.
+    /// The first violation.
     pub violation: Violation,
 }
 
-/// What a campaign came to.
+/// Results of a campaign.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CampaignOutcome {
-    /// What broke something, in order of seeds.
+    /// The failures, in order of seeds.
     pub failures: Vec<Failure>,
-    /// For how long the car was driven in all of them, in s.
+    /// Total time with a driving ESC pulse, in s.
     pub driven_s: f64,
-    /// For how long they lasted, in s of their own time.
+    /// Total simulated time, in s.
     pub simulated_s: f64,
-    /// In how many of them each of the host's reasons not to drive came up.
+    /// Number of schedules in which each of the host's reasons not to drive occurred.
     pub reasons: BTreeMap<&'static str, u64>,
 }
 
-/// Every so many schedules one is driven twice: both must be the same.
-const REPEATED: u64 = 50;
+/// Every seed divisible by this is run twice; both digests must be equal.
+const REPEAT_INTERVAL: u64 = 50;
 
 impl Campaign {
-    /// Runs it; `progress` is called after every schedule, from any thread.
+    /// Runs all schedules; calls `progress` after each, from any thread.
     ///
     /// # Errors
     ///
-    /// What can't be set up.
+    /// Fails if a schedule cannot be set up.
     pub fn run(&self, progress: &(impl Fn() + Sync)) -> Result<CampaignOutcome, SetupError> {
         let next = AtomicU64::new(0);
         let results = Mutex::new(Vec::new());
@@ -72,7 +72,7 @@ impl Campaign {
                         if number >= self.count {
                             return;
                         }
-                        let result = self.one(self.first_seed.wrapping_add(number));
+                        let result = self.run_seed(self.first_seed.wrapping_add(number));
                         let failed = result.is_err();
                         results
                             .lock()
@@ -80,7 +80,7 @@ impl Campaign {
                             .push((number, result));
                         progress();
                         if failed {
-                            // It would be the same for all others.
+                            // The other schedules would fail in the same way.
                             next.store(self.count, Ordering::Relaxed);
                         }
                     }
@@ -97,10 +97,10 @@ impl Campaign {
         Ok(outcome)
     }
 
-    fn one(&self, seed: u64) -> Result<(Schedule, DriveOutcome), SetupError> {
+    fn run_seed(&self, seed: u64) -> Result<(Schedule, DriveOutcome), SetupError> {
         let schedule = Schedule::generate(seed, self.board);
         let mut drive_outcome = attempt(&schedule, &mut Untampered)?;
-        if drive_outcome.violation.is_none() && seed.is_multiple_of(REPEATED) {
+        if drive_outcome.violation.is_none() && seed.is_multiple_of(REPEAT_INTERVAL) {
             let again = attempt(&schedule, &mut Untampered)?;
             if again.digest != drive_outcome.digest {
                 drive_outcome.violation = Some(Violation {
@@ -115,7 +115,7 @@ impl Campaign {
 }
 
 impl CampaignOutcome {
-    /// Adds what a schedule came to.
+    /// Adds the outcome of one schedule.
     pub fn add(&mut self, schedule: Schedule, drive_outcome: DriveOutcome) {
         self.driven_s += f64::from(drive_outcome.driven_ms) * 1e-3;
         self.simulated_s += f64::from(schedule.end_ms) * 1e-3;
@@ -130,11 +130,11 @@ impl CampaignOutcome {
     }
 }
 
-/// Drives a schedule; a panic is a violation of the invariant `panic`.
+/// Runs a schedule; a panic counts as a violation of the invariant `panic`.
 ///
 /// # Errors
 ///
-/// What can't be set up.
+/// Fails if a schedule cannot be set up.
 pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
     panic::catch_unwind(AssertUnwindSafe(|| drive(schedule, tamper))).unwrap_or_else(|payload| {
         Ok(DriveOutcome {

@@ -1,4 +1,4 @@
-//! A number that names everything that happened in a drive.
+//! A hash of the events of a drive.
 
 use crate::observation::Observation;
 
@@ -24,14 +24,14 @@ impl Digest {
         }
     }
 
-    /// Takes in what was new in a step.
+    /// Hashes the events of a step.
     pub(crate) fn add(&mut self, observation: &Observation<'_>) {
         for pulse in observation.pulses {
             self.word(pulse.time_us);
             self.word(u64::from(pulse.servo_us) << 16 | u64::from(pulse.esc_us));
         }
-        for heard in observation.heard {
-            self.word(heard.time_us);
+        for received in observation.board_received {
+            self.word(received.time_us);
         }
         if let Some(tick) = observation.tick {
             self.word(observation.now_us);

@@ -7,7 +7,7 @@ use singletrack_core::config::Config;
 use singletrack_pilot::{Reason, Request};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{BoardKind, Heard, PulseRecord, World};
+use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
 
 use crate::{
     SetupError,
@@ -123,7 +123,7 @@ struct Drive<'a> {
 #[derive(Default)]
 struct Buffers {
     bytes: Vec<u8>,
-    heard: Vec<Heard>,
+    heard: Vec<ReceivedMessage>,
     pulses: Vec<PulseRecord>,
     written: Vec<ToBoard>,
 }
@@ -228,7 +228,7 @@ impl<'a> Drive<'a> {
             self.faults.remove(index);
             changed = true;
             stage::end(&mut self.world, &fault);
-            self.network.changes(fault.kind);
+            self.network.note_change(fault.kind);
             if fault.kind == FaultKind::CameraServerRestart {
                 self.network.restart_server(&self.world);
             }
@@ -238,7 +238,7 @@ impl<'a> Drive<'a> {
             if us(fault.at_ms) == now_us {
                 changed = true;
                 stage::begin(&mut self.world, fault);
-                self.network.changes(fault.kind);
+                self.network.note_change(fault.kind);
                 if fault.kind == FaultKind::BoardHang && self.world.board().is_running() {
                     self.bites_us.get_or_insert(now_us + WATCHDOG_US);
                 }
@@ -462,7 +462,7 @@ impl<'a> Drive<'a> {
         } = &mut self.buffers;
         let board = self.world.board_mut();
         heard.clear();
-        heard.extend(core::iter::from_fn(|| board.next_heard()));
+        heard.extend(core::iter::from_fn(|| board.next_received()));
         let is_running = board.is_running();
         if board.resets() != self.resets || is_running != self.was_running {
             self.resets = board.resets();
@@ -487,7 +487,7 @@ impl<'a> Drive<'a> {
             spec: &self.spec,
             truth: self.world.truth(),
             pulses,
-            heard,
+            board_received: heard,
             board_since_us: self.board_since_us,
             board_mode: self.world.board().telemetry().map(|record| record.mode),
             tick: tick.as_ref(),

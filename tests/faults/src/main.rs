@@ -1,4 +1,4 @@
-//! `cargo faults`: see the library's documentation.
+//! The command `cargo faults`; the library's documentation describes it.
 
 use std::{
     io::{self, Write},
@@ -16,46 +16,46 @@ use singletrack_faults::{
 };
 use singletrack_sim::BoardKind;
 
-/// Random schedules of faults, in virtual time, against everything that drives the car.
+/// Run random fault schedules against the complete control chain, in virtual time.
 #[derive(Debug, Parser)]
 #[command(name = "cargo faults", disable_version_flag = true)]
 struct Options {
-    /// The first seed
+    /// First seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     first_seed: u64,
 
-    /// How many seeds, from the first on
+    /// Number of consecutive seeds
     #[arg(long, value_name = "M", default_value_t = 100)]
     count: u64,
 
-    /// What runs on the board: its code, or the Arduino's image on a simulated processor
+    /// Board to simulate: the board's code, or the UNO image on a simulated processor
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     board: BoardKind,
 
-    /// On how many threads; makes no difference to the outcome [default: one a core]
+    /// Number of threads; does not affect the results [default: one per core]
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
 
-    /// Drives this one schedule instead: a file, or its text with ";" between the entries
+    /// Run only this schedule: a file, or its text with ";" between the entries
     #[arg(long, value_name = "SCHEDULE")]
     replay: Option<String>,
 
-    /// Leaves the records of the daemons in this folder, as seed-N.mcap, for
-    /// `singletrack replay` and `singletrack plot`; a schedule at a time
+    /// Write the records of the daemons to this folder, as seed-N.mcap, for
+    /// `singletrack replay` and `singletrack plot`; runs on one thread
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
 
-    /// Prints the schedules without driving them
+    /// Print the schedules without running them
     #[arg(long)]
     print: bool,
 
-    /// Leaves schedules that fail as they are
+    /// Do not shrink failing schedules
     #[arg(long)]
     no_shrink: bool,
 }
 
-/// Shrinking takes its time: of many failures the first ones are looked at.
-const SHRUNK: usize = 5;
+/// Number of failures that are shrunk: shrinking is slow.
+const MAX_SHRUNK: usize = 5;
 
 #[derive(Debug, thiserror::Error)]
 enum Error {
@@ -91,23 +91,23 @@ fn run(options: &Options) -> Result<bool, Error> {
         }
         return Ok(true);
     }
-    // What a drive panics with is told with its schedule.
+    // The report of a violation contains the panic message.
     std::panic::set_hook(Box::new(|_| {}));
     let (count, outcome) = match &options.replay {
         Some(text) => {
             let mut outcome = CampaignOutcome::default();
-            one(read(text)?, options, &mut outcome)?;
+            run_recorded(read_schedule(text)?, options, &mut outcome)?;
             (1, outcome)
         }
-        None if options.record.is_some() => (options.count, recorded(options)?),
+        None if options.record.is_some() => (options.count, record_all(options)?),
         None => (options.count, campaign(options)?),
     };
     for (index, failure) in outcome.failures.iter().enumerate() {
-        tell(out, failure)?;
-        if index < SHRUNK && !options.no_shrink && options.replay.is_none() {
+        print_failure(out, failure)?;
+        if index < MAX_SHRUNK && !options.no_shrink && options.replay.is_none() {
             let (schedule, violation) =
                 shrink(&failure.schedule, &failure.violation, || Untampered)?;
-            writeln!(out, "shrunk, it still breaks {}:", violation.invariant)?;
+            writeln!(out, "shrunk, it still violates {}:", violation.invariant)?;
             writeln!(out, "{schedule}")?;
             writeln!(
                 out,
@@ -141,14 +141,14 @@ fn run(options: &Options) -> Result<bool, Error> {
     Ok(outcome.failures.is_empty())
 }
 
-fn tell(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
+fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
     let Failure {
         schedule,
         violation,
     } = failure;
     writeln!(
         out,
-        "seed {} breaks {} at {} ms: {}",
+        "seed {} violates {} at {} ms: {}",
         schedule.seed,
         violation.invariant,
         violation.time_us / 1_000,
@@ -167,7 +167,7 @@ fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
     let threads = options
         .threads
         .or_else(|| thread::available_parallelism().ok().map(usize::from));
-    // Hidden when standard error is no terminal.
+    // Hidden unless standard error is a terminal.
     let bar = ProgressBar::new(options.count);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} schedules, {eta} left") {
         bar.set_style(style);
@@ -183,8 +183,8 @@ fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
     outcome
 }
 
-/// The schedule in a file, or in the text itself.
-fn read(text: &str) -> Result<Schedule, Error> {
+/// Parses a schedule from a file of that name, or else from the text itself.
+fn read_schedule(text: &str) -> Result<Schedule, Error> {
     let text = if Path::new(text).exists() {
         std::fs::read_to_string(text).map_err(|source| Error::Read {
             path: text.to_owned(),
@@ -196,11 +196,11 @@ fn read(text: &str) -> Result<Schedule, Error> {
     Ok(text.parse()?)
 }
 
-fn recorded(options: &Options) -> Result<CampaignOutcome, Error> {
+fn record_all(options: &Options) -> Result<CampaignOutcome, Error> {
     let mut outcome = CampaignOutcome::default();
     for number in 0..options.count {
         let seed = options.first_seed.wrapping_add(number);
-        one(
+        run_recorded(
             Schedule::generate(seed, options.board),
             options,
             &mut outcome,
@@ -209,7 +209,11 @@ fn recorded(options: &Options) -> Result<CampaignOutcome, Error> {
     Ok(outcome)
 }
 
-fn one(schedule: Schedule, options: &Options, outcome: &mut CampaignOutcome) -> Result<(), Error> {
+fn run_recorded(
+    schedule: Schedule,
+    options: &Options,
+    outcome: &mut CampaignOutcome,
+) -> Result<(), Error> {
     let mut recording = Recording::default();
     let drive_outcome = attempt(&schedule, &mut recording)?;
     if let Some(folder) = &options.record {

@@ -1,5 +1,4 @@
-//! The network between the cameras' server and the host, and what it does to
-//! datagrams.
+//! The network between the camera server and the host, with its faults.
 
 use std::{
     cmp::Reverse,
@@ -23,31 +22,31 @@ use crate::{
     stage,
 };
 
-/// The server, as the daemon is configured.
+/// The server's address in the daemon's configuration.
 const SERVER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_510);
 
-/// Somebody else.
+/// An address that is not the server's.
 const STRANGER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(127, 0, 0, 66)), 1_510);
 
-/// What the kernel keeps for a socket that nobody reads: 208 KiB, in which a small
-/// datagram takes about a kilobyte. What comes on top is lost.
-const UNREAD: usize = 208;
+/// Capacity of the socket's queue: 208 KiB, in which a small datagram takes about a
+/// kilobyte. What exceeds it is lost.
+const MAX_UNREAD: usize = 208;
 
-/// The clock of the server is mapped by echoes, 700 ms apart: a step may be felt
-/// for so long, with one of them lost, in µs.
+/// Time for which a step of the server's clock may affect poses, in µs: the host
+/// maps the clock by echoes 700 ms apart, of which one may be lost.
 const CLOCK_MEMORY_US: u64 = 3_000_000;
 
-/// An id that no body has.
-const NOBODY: i32 = 99;
+/// A streaming id without a body.
+const UNUSED_ID: i32 = 99;
 
-/// A pose of the car that was sent, true or not.
+/// A pose of the car that the server sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Exposure {
     /// Simulation time of mid-exposure, in µs.
     pub(crate) exposed_us: u64,
-    /// Whether the frame's clock can be believed.
+    /// False while a clock step may affect the frame's time.
     pub(crate) clock_trusted: bool,
-    /// Whether the pose is another than the car's.
+    /// Whether the pose differs from the car's true one.
     pub(crate) falsified: bool,
 }
 
@@ -59,7 +58,7 @@ pub(crate) struct Packet {
     pub(crate) exposure: Option<Exposure>,
 }
 
-/// A frame while it is being falsified.
+/// A frame while faults are applied to it.
 struct Content {
     number: i32,
     ticks: CameraTicks,
@@ -79,19 +78,19 @@ pub(crate) struct Network {
     under_way: BinaryHeap<Reverse<(u64, u64)>>,
     packets: BTreeMap<u64, Packet>,
     sent: u64,
-    /// Arrived, and not read by the daemon yet.
+    /// Arrived, not yet read by the daemon.
     unread: VecDeque<Packet>,
     newest_read: Option<Exposure>,
-    /// The car's last pose that was not falsified.
+    /// The car's last true pose.
     last_car: Option<RigidBody>,
-    /// What a server that was restarted counts from.
+    /// Frame number and clock at the last restart of the server.
     first_number: i32,
     first_ticks: u64,
-    /// Until when a step of the server's clock may be felt.
+    /// End of the time in which a clock step may affect poses.
     clock_suspect_until_us: u64,
-    /// The next frame says that the models changed.
+    /// The next frame announces a change of the models.
     announce: bool,
-    /// The other body has had the car's name: who has heard of it may hold to it.
+    /// The other body has carried the car's name: the host may still track its id.
     renamed: bool,
     buffer: Vec<u8>,
 }
@@ -116,15 +115,15 @@ impl Network {
         }
     }
 
-    /// A fault begins or ends.
-    pub(crate) const fn changes(&mut self, kind: FaultKind) {
+    /// Notes that a fault begins or ends.
+    pub(crate) const fn note_change(&mut self, kind: FaultKind) {
         if matches!(kind, FaultKind::CameraRenamed) {
             self.announce = true;
             self.renamed = true;
         }
     }
 
-    /// The server has come back, with clock and numbers from the beginning.
+    /// Restarts the server's clock and frame numbers.
     pub(crate) fn restart_server(&mut self, world: &World) {
         let now_us = world.now_us();
         self.first_ticks = world
@@ -135,7 +134,7 @@ impl Network {
         self.clock_suspect_until_us = now_us + CLOCK_MEMORY_US;
     }
 
-    /// Takes what the server sends to `client`.
+    /// Takes the datagrams that the server sends to `client`.
     pub(crate) fn take(&mut self, world: &mut World, client: Option<SocketAddr>, faults: &[Fault]) {
         let now_us = world.now_us();
         while let Some(frame) = world.poll_camera_frame() {
@@ -160,13 +159,13 @@ impl Network {
                 );
             }
         }
-        // None of these will be asked for any more.
+        // Frames this old are not needed again.
         while self.frames.len() > 64 {
             self.frames.pop_first();
         }
     }
 
-    /// Lets arrive what is due; without a daemon nobody listens.
+    /// Delivers the datagrams that are due; they are dropped if no socket is open.
     pub(crate) fn deliver(&mut self, now_us: u64, is_open: bool) {
         while let Some(&Reverse((due_us, number))) = self.under_way.peek()
             && due_us <= now_us
@@ -174,7 +173,7 @@ impl Network {
             self.under_way.pop();
             if let Some(packet) = self.packets.remove(&number)
                 && is_open
-                && self.unread.len() < UNREAD
+                && self.unread.len() < MAX_UNREAD
             {
                 self.unread.push_back(packet);
             }
@@ -226,7 +225,7 @@ impl Network {
         ticks
     }
 
-    /// What is not a frame.
+    /// Falsifies an answer of the server, which is any datagram but a frame.
     fn answer(&mut self, world: &World, datagram: &Datagram, faults: &[Fault]) -> Vec<u8> {
         let version = BitstreamVersion::V4_1;
         let encoded = match ServerMessage::decode(&datagram.bytes, version) {
@@ -250,7 +249,8 @@ impl Network {
                         offset_m: [0.0; 3],
                     })
                 };
-                let other = other.map_or(("other", NOBODY), |body| (body.name.as_str(), body.id));
+                let other =
+                    other.map_or(("other", UNUSED_ID), |body| (body.name.as_str(), body.id));
                 let swapped = [body(&car.name, other.1), body(other.0, car.id)];
                 encode::model_definitions(version, &swapped, &mut self.buffer).ok()
             }
@@ -338,7 +338,7 @@ impl Network {
             FaultKind::CameraSilent => content.lost |= self.random.happens(s),
             FaultKind::CameraHidden => {
                 if let Some(car) = &mut content.car {
-                    car.id = NOBODY;
+                    car.id = UNUSED_ID;
                 }
             }
             FaultKind::CameraFrozen => {
@@ -374,7 +374,7 @@ impl Network {
                 if let Some(bytes) = self.encode(content) {
                     let later_us = u64::from(self.random.between(0, s * 1_000));
                     let due_us = now_us + content.delay_us + later_us;
-                    // It may be there before the first, when that is late.
+                    // It may arrive before the original.
                     let exposure = self.shows_a_car(content).then_some(content.exposure);
                     self.send_as(SERVER, due_us, bytes, exposure);
                 }
@@ -433,7 +433,7 @@ impl Network {
         for fault in faults {
             if fault.kind == FaultKind::CameraMalformed && self.random.happens(fault.severity) {
                 self.damage(&mut bytes);
-                // It may still say something.
+                // It may still decode.
                 exposure = exposure.map(|exposure| Exposure {
                     clock_trusted: false,
                     falsified: true,
@@ -461,8 +461,8 @@ impl Network {
         );
     }
 
-    /// Whether a client may find a pose of the car in it: of exactly one body with
-    /// an id that the car has, or that it was said to have.
+    /// Whether a client may find a pose of the car in it: of exactly one valid body
+    /// with one of the car's ids, or with the id that carried the car's name.
     fn shows_a_car(&self, content: &Content) -> bool {
         let bodies = || content.bodies.iter().chain(&content.car);
         bodies().any(|body| {
@@ -476,7 +476,7 @@ impl Network {
         })
     }
 
-    /// Cuts it short, or changes some bytes.
+    /// Truncates a datagram, or flips bits in up to four bytes.
     fn damage(&mut self, bytes: &mut Vec<u8>) {
         let last = u32::try_from(bytes.len()).unwrap_or(0).saturating_sub(1);
         if self.random.happens(500) {
@@ -503,7 +503,7 @@ fn move_by(body: &mut Option<RigidBody>, metres: f32) {
     }
 }
 
-/// Turns a body about the vertical, which is y on the wire.
+/// Rotates a body about the vertical, which is y on the wire.
 fn turn_by(body: &mut Option<RigidBody>, angle: f32) {
     if let Some(body) = body {
         let (sin, cos) = (f64::from(angle) / 2.0).sin_cos();

@@ -1,24 +1,24 @@
-//! What an invariant may look at: the world as it really is, and what the host
-//! did.
+//! What an invariant is given in each step: ground truth, and the outputs of the
+//! host.
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, Request};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{Heard, PulseRecord, Truth};
+use singletrack_sim::{PulseRecord, ReceivedMessage, Truth};
 
 use crate::{
     network::Exposure,
     schedule::{Fault, FaultKind, Situation},
 };
 
-/// What the configuration promises, in the units of the invariants.
+/// The limits that the configuration promises, in the units of the invariants.
 #[derive(Clone, Debug)]
 pub(crate) struct Spec {
     pub(crate) situation: Situation,
     pub(crate) board: Configuration,
     pub(crate) hold_us: u64,
-    /// A pose this old ends even slowing down.
+    /// Pose age that ends even a controlled stop.
     pub(crate) blind_us: u64,
     pub(crate) imu_silence_us: u64,
     pub(crate) stuck_samples: u32,
@@ -27,7 +27,7 @@ pub(crate) struct Spec {
     pub(crate) max_reverse_speed: f64,
     pub(crate) max_acceleration: f64,
     pub(crate) stop_deceleration: f64,
-    /// What the fence counts on, m/s².
+    /// Deceleration that the geofence assumes, in m/s².
     pub(crate) braking: f64,
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
@@ -68,9 +68,9 @@ impl Spec {
         })
     }
 
-    /// Whether the ESC's pulse drives the motor: neither neutral, nor absent, nor
-    /// the brake of a board that brakes by itself. What a reset cut short drives
-    /// only if it is longer than neutral all the same.
+    /// Whether the ESC pulse drives the motor: not neutral, not absent, and not the
+    /// brake pulse of a board that brakes by itself. A pulse cut by a reset drives
+    /// only if it is longer than neutral.
     pub(crate) fn drives(&self, pulse: &PulseRecord) -> bool {
         let esc = &self.board.esc;
         let brakes = self.situation.brake && pulse.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US;
@@ -82,10 +82,10 @@ impl Spec {
     }
 }
 
-/// What the width of a pulse may be off by, in µs: the rounding of a measured one.
+/// Tolerance of a pulse width, in µs: the rounding of a measured one.
 pub(crate) const TOLERANCE_US: u16 = 1;
 
-/// A pose that has reached the daemon.
+/// A pose that the daemon has received.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReceivedPose {
     pub(crate) exposure: Exposure,
@@ -93,7 +93,8 @@ pub(crate) struct ReceivedPose {
 }
 
 impl ReceivedPose {
-    /// Since when it is at least as old as the daemon can know.
+    /// Time from which its age counts: the arrival, if the server's clock is not
+    /// trusted.
     pub(crate) const fn since_us(&self) -> u64 {
         if self.exposure.clock_trusted {
             self.exposure.exposed_us
@@ -109,34 +110,35 @@ pub(crate) struct Observation<'a> {
     /// Simulation time, in µs.
     pub(crate) now_us: u64,
     pub(crate) spec: &'a Spec,
-    /// What is really so.
+    /// Ground truth of the vehicle.
     pub(crate) truth: Truth,
-    /// The pulses that were new.
+    /// Pulses since the last step.
     pub(crate) pulses: &'a [PulseRecord],
-    /// What has reached the board.
-    pub(crate) heard: &'a [Heard],
-    /// When the board's code began to run; none while it does not.
+    /// Messages that reached the board in this step.
+    pub(crate) board_received: &'a [ReceivedMessage],
+    /// Start time of the board's code; none while the board is not running.
     pub(crate) board_since_us: Option<u64>,
-    /// What the board last said of itself.
+    /// Mode in the board's last telemetry.
     pub(crate) board_mode: Option<BoardMode>,
-    /// The daemon's tick, if there was one.
+    /// The daemon's tick in this step, if any.
     pub(crate) tick: Option<&'a TickRecord>,
-    /// Whether what it decided must follow from what it was told.
+    /// Whether the tick's output must follow from its inputs; see
+    /// [`crate::Tamper::is_replayed`].
     pub(crate) is_replayed: bool,
-    /// What the daemon wrote.
+    /// Messages that the daemon wrote in this step.
     pub(crate) written: &'a [ToBoard],
-    /// Whether the daemon has read bytes of the board.
+    /// Whether the daemon read bytes from the board in this step.
     pub(crate) has_read: bool,
-    /// When the daemon that runs was started.
+    /// Start time of the running daemon.
     pub(crate) daemon_since_us: Option<u64>,
-    /// The newest pose that has reached it.
+    /// The newest pose that the daemon has received.
     pub(crate) newest_pose: Option<ReceivedPose>,
-    /// The faults in force.
+    /// Active faults, in order of onset.
     pub(crate) faults: &'a [Fault],
-    /// Those that have just begun.
+    /// Faults that began in this step.
     pub(crate) new_faults: &'a [Fault],
-    /// The requests that were taken since the last tick but one: this one must
-    /// know of them.
+    /// Requests accepted since the last tick: the tick of this step must contain
+    /// them.
     pub(crate) pending_requests: &'a [Request],
     /// The configuration that has just come into force, with its number: 1 for that of a
     /// daemon that was started.
@@ -150,8 +152,8 @@ impl Observation<'_> {
         self.faults.iter().any(|fault| fault.kind == kind)
     }
 
-    /// Whether it is in force: of faults with the same subject the one that began
-    /// last is.
+    /// Whether the fault is in effect: of several faults with the same subject,
+    /// only the latest is.
     pub(crate) fn is_effective(&self, kind: FaultKind) -> bool {
         let mut rivals = self.faults.iter().rev();
         rivals
@@ -160,8 +162,8 @@ impl Observation<'_> {
     }
 }
 
-/// Sights made up for the tests of invariants that no planted bug reaches: others
-/// find what would lead there before.
+/// Observations for tests of invariants that no planted bug reaches, because
+/// another invariant fails first.
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 pub(crate) mod scene {
@@ -170,7 +172,7 @@ pub(crate) mod scene {
     use super::{Exposure, Observation, ReceivedPose, Situation, Spec, Truth};
     use crate::setting::{self, ConfigurationFile};
 
-    /// A moment in which a car is driven as it should be.
+    /// A step in which a car drives without faults.
     pub(crate) struct Scene {
         pub(crate) spec: Spec,
         pub(crate) pulses: Vec<PulseRecord>,
@@ -194,7 +196,7 @@ pub(crate) mod scene {
             }
         }
 
-        /// With a pose that is so old.
+        /// The step with a pose of the given age.
         pub(crate) fn observation(&self, pose_age_us: u64) -> Observation<'_> {
             let now_us = 5_000_000;
             Observation {
@@ -202,7 +204,7 @@ pub(crate) mod scene {
                 spec: &self.spec,
                 truth: self.truth,
                 pulses: &self.pulses,
-                heard: &[],
+                board_received: &[],
                 board_since_us: Some(65_000),
                 board_mode: None,
                 tick: None,

@@ -1,10 +1,11 @@
-//! Random numbers from a seed, the same on every machine.
+//! Seeded random numbers, the same on every machine.
 
 /// One stream of random numbers (the `SplitMix64` generator).
 #[derive(Clone, Debug)]
 pub(crate) struct Random(u64);
 
-/// Who draws from a stream of its own: one fault draws nothing from another's.
+/// Consumers with a stream of their own, so that one's draws do not shift
+/// another's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stream {
     Schedule = 1,
@@ -16,12 +17,12 @@ impl Random {
     /// The stream of a seed.
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         let mut random = Self(seed ^ (stream as u64).wrapping_mul(0xd6e8_feb8_6659_fd93));
-        // Seeds that differ in one bit are next to each other at first.
+        // The first output of seeds that differ in one bit is similar.
         random.next();
         random
     }
 
-    /// Any number.
+    /// A uniform 64-bit number.
     pub(crate) fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -30,13 +31,13 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// A whole number from `least` to `most`, both included.
+    /// A uniform integer from `least` to `most`, inclusive.
     pub(crate) fn between(&mut self, least: u32, most: u32) -> u32 {
         let span = u64::from(most.saturating_sub(least)) + 1;
         least + (((self.next() >> 32) * span) >> 32) as u32
     }
 
-    /// The same, small ones more often: every octave alike.
+    /// An integer from `least` to `most`, with equal probability per octave.
     pub(crate) fn spread(&mut self, least: u32, most: u32) -> u32 {
         let least = least.max(1);
         let octaves = most.max(least).ilog2() - least.ilog2();
@@ -44,12 +45,12 @@ impl Random {
         self.between(low.min(most), low.saturating_mul(2).min(most))
     }
 
-    /// Whether an event of this probability in a thousand happens.
+    /// True with a probability of `permille` / 1000.
     pub(crate) fn happens(&mut self, permille: u32) -> bool {
         self.between(0, 999) < permille
     }
 
-    /// One of several.
+    /// One of the choices, with equal probability.
     pub(crate) fn choose<T: Copy>(&mut self, first: T, others: &[T]) -> T {
         let index = self.between(0, others.len() as u32) as usize;
         if index == 0 {

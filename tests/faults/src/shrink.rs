@@ -1,4 +1,4 @@
-//! From a schedule that breaks something to a small one that breaks the same.
+//! Reduces a failing schedule to a small one that violates the same invariant.
 
 use crate::{
     SetupError, Violation,
@@ -7,14 +7,15 @@ use crate::{
     tamper::Tamper,
 };
 
-/// So many drives at most are tried.
-const MOST_DRIVES: u32 = 400;
+/// Maximum number of drives.
+const MAX_DRIVES: u32 = 400;
 
-/// The smallest schedule that was found to break the same invariant, and how.
+/// Returns the smallest schedule found that violates the same invariant, and the
+/// violation.
 ///
 /// # Errors
 ///
-/// What can't be set up.
+/// Fails if a schedule cannot be set up.
 pub fn shrink<T: Tamper>(
     schedule: &Schedule,
     violation: &Violation,
@@ -27,14 +28,14 @@ pub fn shrink<T: Tamper>(
         tamper,
     };
     shrinker.cut_the_end()?;
-    // What could not be left out at first may be once others are gone.
+    // An entry may become removable once others are gone.
     loop {
         let before = shrinker.best.clone();
         shrinker.drop_entries()?;
         shrinker.simplify_situation()?;
         shrinker.weaken()?;
         shrinker.cut_the_end()?;
-        if shrinker.best == before || shrinker.drives >= MOST_DRIVES {
+        if shrinker.best == before || shrinker.drives >= MAX_DRIVES {
             return Ok((shrinker.best, shrinker.violation));
         }
     }
@@ -48,9 +49,9 @@ struct Shrinker<F> {
 }
 
 impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
-    /// Takes over a smaller schedule if it breaks the same invariant.
+    /// Adopts a smaller schedule if it violates the same invariant.
     fn attempt(&mut self, smaller: Schedule) -> Result<bool, SetupError> {
-        if smaller == self.best || self.drives >= MOST_DRIVES {
+        if smaller == self.best || self.drives >= MAX_DRIVES {
             return Ok(false);
         }
         self.drives += 1;
@@ -65,7 +66,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
         }
     }
 
-    /// Nothing after the violation matters.
+    /// Removes everything after the violation.
     fn cut_the_end(&mut self) -> Result<(), SetupError> {
         let end_ms = u32::try_from(self.violation.time_us / 1_000 + 1).unwrap_or(u32::MAX);
         let mut smaller = self.best.clone();
@@ -95,36 +96,36 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
         Ok(())
     }
 
-    /// Everything that can be as usual.
+    /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
-        let usual = Situation::default();
+        let default = Situation::default();
         let changes: [fn(&mut Situation, &Situation); 10] = [
-            |s, usual| s.reference = usual.reference,
-            |s, usual| s.speed_mm_s = usual.speed_mm_s,
-            |s, usual| s.fence_mm = usual.fence_mm,
-            |s, usual| s.coast = usual.coast,
-            |s, usual| s.brake = usual.brake,
-            |s, usual| s.stop_input = usual.stop_input,
-            |s, usual| s.reset_on_open = usual.reset_on_open,
-            |s, usual| s.queue_shows = usual.queue_shows,
-            |s, usual| {
-                s.camera_latency_ms = usual.camera_latency_ms;
-                s.serial_delay_us = usual.serial_delay_us;
+            |s, default| s.reference = default.reference,
+            |s, default| s.speed_mm_s = default.speed_mm_s,
+            |s, default| s.fence_mm = default.fence_mm,
+            |s, default| s.coast = default.coast,
+            |s, default| s.brake = default.brake,
+            |s, default| s.stop_input = default.stop_input,
+            |s, default| s.reset_on_open = default.reset_on_open,
+            |s, default| s.queue_shows = default.queue_shows,
+            |s, default| {
+                s.camera_latency_ms = default.camera_latency_ms;
+                s.serial_delay_us = default.serial_delay_us;
             },
-            |s, usual| {
-                s.board_skew_ppm = usual.board_skew_ppm;
-                s.board_clock_ms = usual.board_clock_ms;
+            |s, default| {
+                s.board_skew_ppm = default.board_skew_ppm;
+                s.board_clock_ms = default.board_clock_ms;
             },
         ];
         for change in changes {
             let mut smaller = self.best.clone();
-            change(&mut smaller.situation, &usual);
+            change(&mut smaller.situation, &default);
             self.attempt(smaller)?;
         }
         Ok(())
     }
 
-    /// Shorter and milder faults.
+    /// Shortens and weakens the faults.
     fn weaken(&mut self) -> Result<(), SetupError> {
         for index in 0..self.best.faults.len() {
             self.halve(index, |fault| &mut fault.for_ms)?;

@@ -1,4 +1,4 @@
-//! What the faults do to the world itself: line, board, sensors, supply.
+//! Effects of faults on the simulated world: line, board, sensors, supply.
 
 use singletrack_protocol::ResetCause;
 use singletrack_sim::{Hang, ImuFault, MotorSensorFault, NatNetServer, WireFaults, World};
@@ -8,15 +8,15 @@ use crate::{
     setting,
 };
 
-/// The car's own streaming id, and another one.
+/// The car's streaming id, and the one it gets by [`FaultKind::CameraModelChange`].
 pub(crate) const CAR_IDS: [i32; 2] = [CAR_ID, OTHER_CAR_ID];
 const CAR_ID: i32 = 11;
 const OTHER_CAR_ID: i32 = 12;
 
-/// Charge that takes a volt off the battery, in Ah: see its parameters.
+/// Charge that lowers the battery voltage by 1 V, in Ah; see `BatteryParameters`.
 const AH_PER_VOLT: f64 = 2.0;
 
-/// A fault begins.
+/// Applies the onset of a fault.
 pub(crate) fn begin(world: &mut World, fault: &Fault) {
     match fault.kind {
         FaultKind::BoardPowerOn => world.reset_board(ResetCause::PowerOn),
@@ -32,7 +32,7 @@ pub(crate) fn begin(world: &mut World, fault: &Fault) {
     }
 }
 
-/// A fault ends.
+/// Reverts a fault at its end.
 pub(crate) fn end(world: &mut World, fault: &Fault) {
     match fault.kind {
         FaultKind::CameraModelChange => world.set_car_body_id(CAR_ID),
@@ -49,10 +49,10 @@ fn charge_ah(fault: &Fault) -> f64 {
     AH_PER_VOLT * f64::from(fault.severity) / 250.0
 }
 
-/// What lasts, with these faults in force. Of two that break the same thing in
-/// two ways, the one that began last has it.
+/// Sets the continuous effects of the active faults. Of several faults on one
+/// subject, the latest wins.
 pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
-    let is = |kind| faults.iter().any(|fault| fault.kind == kind);
+    let is_active = |kind| faults.iter().any(|fault| fault.kind == kind);
     let mut wire = setting::wire_faults(situation);
     let mut imu = ImuFault::None;
     let mut motor = MotorSensorFault::None;
@@ -87,12 +87,12 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
         }
     }
     *world.wire_mut().faults_mut() = wire;
-    world.set_wire_connected(!is(FaultKind::LineUnplugged));
-    world.set_board_power(!is(FaultKind::BoardOff));
+    world.set_wire_connected(!is_active(FaultKind::LineUnplugged));
+    world.set_board_power(!is_active(FaultKind::BoardOff));
     world.set_imu_fault(imu);
     world.car_mut().set_motor_sensor_fault(motor);
-    world.car_mut().set_esc_power(!is(FaultKind::EscOff));
+    world.car_mut().set_esc_power(!is_active(FaultKind::EscOff));
     world
         .board_mut()
-        .set_stop_input_open(is(FaultKind::StopInputOpen));
+        .set_stop_input_open(is_active(FaultKind::StopInputOpen));
 }

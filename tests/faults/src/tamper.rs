@@ -1,12 +1,12 @@
-//! Planted bugs: what shows that a violation would be found.
+//! Planted bugs, which show that the invariants find violations.
 
 use singletrack_core::config::Config;
 use singletrack_record::TickRecord;
 use singletrack_sim::PulseRecord;
 
-/// Changes what the parts do, behind their backs. Does nothing by itself.
+/// Hooks that change inputs and outputs of a drive. The default does nothing.
 pub trait Tamper {
-    /// What the host sends to the board at `now_us`.
+    /// Changes the bytes that the host sends to the board at `now_us`.
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         let _ = (now_us, bytes);
     }
@@ -17,24 +17,24 @@ pub trait Tamper {
         let _ = (number, config);
     }
 
-    /// A frame of pulses as the invariants see it.
+    /// Changes a pulse before the invariants see it.
     fn pulse(&mut self, pulse: &mut PulseRecord) {
         let _ = pulse;
     }
 
-    /// A tick as the invariants see it.
+    /// Changes a tick before the invariants see it.
     fn tick(&mut self, tick: &mut TickRecord) {
         let _ = tick;
     }
 
-    /// Whether what a tick decides must follow from what it was told: not if
-    /// [`Tamper::tick`] stands for a pilot that decides otherwise.
+    /// Whether the output of a tick must follow from its inputs. False if
+    /// [`Tamper::tick`] stands in for a faulty pilot.
     fn is_replayed(&self) -> bool {
         true
     }
 }
 
-/// Nobody tampers.
+/// No planted bug.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Untampered;
 

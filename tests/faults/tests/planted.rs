@@ -1,4 +1,4 @@
-//! Planted bugs are found, named, shrunk, and found again.
+//! Planted bugs are found, named, shrunk and reproduced.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,9 +16,9 @@ use singletrack_sim::{PulseRecord, default_board_configuration};
 
 const NEUTRAL_US: u16 = 1_500;
 
-/// A drive round the circle; what goes wrong is added.
-fn schedule(more: &str) -> Schedule {
-    format!("seed 5; end_ms 9000; ask arm at 3200; {more}")
+/// A drive along the circle, with additional entries.
+fn schedule(entries: &str) -> Schedule {
+    format!("seed 5; end_ms 9000; ask arm at 3200; {entries}")
         .parse()
         .unwrap()
 }
@@ -30,8 +30,8 @@ fn violation(more: &str, mut tamper: impl Tamper) -> Violation {
         .unwrap_or_else(|| panic!("nothing was violated: {more}"))
 }
 
-/// Nothing is violated without the bug.
-fn is_sound(more: &str) {
+/// Asserts that nothing is violated without the bug.
+fn assert_no_violation(more: &str) {
     struct Sound;
     impl Tamper for Sound {}
     let outcome = attempt(&schedule(more), &mut Sound).unwrap();
@@ -48,7 +48,7 @@ impl<F: FnMut(&mut PulseRecord)> Tamper for Pulses<F> {
     }
 }
 
-/// Has the pilot do something else.
+/// Stands in for a faulty pilot.
 struct Ticks<F>(F);
 
 impl<F: FnMut(&mut TickRecord)> Tamper for Ticks<F> {
@@ -61,7 +61,7 @@ impl<F: FnMut(&mut TickRecord)> Tamper for Ticks<F> {
     }
 }
 
-/// Changes what is recorded of ticks.
+/// Changes the record of ticks.
 struct Records<F>(F);
 
 impl<F: FnMut(&mut TickRecord)> Tamper for Records<F> {
@@ -70,8 +70,8 @@ impl<F: FnMut(&mut TickRecord)> Tamper for Records<F> {
     }
 }
 
-/// A board whose pulses outlive their reason by `longer_us`.
-fn outliving(longer_us: u64) -> impl Tamper {
+/// A board whose driving pulses continue `longer_us` too long.
+fn prolonged(longer_us: u64) -> impl Tamper {
     let mut last = (0, NEUTRAL_US);
     Pulses(move |pulse: &mut PulseRecord| {
         let (driven_us, esc_us) = last;
@@ -83,7 +83,7 @@ fn outliving(longer_us: u64) -> impl Tamper {
     })
 }
 
-/// From 6 s on.
+/// Changes pulses from 6 s on.
 fn from_6_s(mut change: impl FnMut(&mut PulseRecord)) -> impl Tamper {
     Pulses(move |pulse: &mut PulseRecord| {
         if pulse.time_us > 6_000_000 {
@@ -92,7 +92,7 @@ fn from_6_s(mut change: impl FnMut(&mut PulseRecord)) -> impl Tamper {
     })
 }
 
-/// Ticks that drive, from 6 s on (a tick every 10 ms).
+/// Changes driving ticks from 6 s on (one every 10 ms).
 fn driving_from_6_s(mut change: impl FnMut(&mut TickRecord)) -> impl Tamper {
     Ticks(move |tick: &mut TickRecord| {
         if tick.index > 600 && tick.output.mode.commands() {
@@ -114,7 +114,7 @@ fn pulses_beyond_limits_and_slew_are_found() {
 }
 
 #[test]
-fn a_board_that_drives_before_the_esc_is_armed_or_without_being_asked_is_found() {
+fn a_board_that_drives_before_the_esc_is_armed_or_without_an_arm_request_is_found() {
     let creeping = |from_us: u64| {
         let mut esc_us = NEUTRAL_US;
         Pulses(move |pulse: &mut PulseRecord| {
@@ -132,29 +132,29 @@ fn a_board_that_drives_before_the_esc_is_armed_or_without_being_asked_is_found()
 }
 
 #[test]
-fn a_longer_time_to_live_is_found_and_shrunk_to_what_shows_it() {
-    // Of these, one silences the host.
+fn a_longer_time_to_live_is_found_and_shrunk() {
+    // One of these faults silences the host.
     let more = "speed_mm_s 800; fault imu-biased at 3500 for 300 severity 40; \
                 fault battery-low at 4000 for 900 severity 20; \
                 fault daemon-paused at 6000 for 900 severity 500; \
                 fault camera-duplicated at 6500 for 900 severity 100; ask arm at 8500";
-    is_sound(more);
+    assert_no_violation(more);
     let schedule = schedule(more);
-    let found = violation(more, outliving(60_000));
+    let found = violation(more, prolonged(60_000));
     assert_eq!(found.invariant, "command-age");
-    let (small, again) = shrink(&schedule, &found, || outliving(60_000)).unwrap();
+    let (small, again) = shrink(&schedule, &found, || prolonged(60_000)).unwrap();
     assert_eq!(again.invariant, found.invariant);
     assert_eq!(small.faults.len(), 1, "{small}");
     assert!(small.faults[0].for_ms < 200, "{small}");
     assert_eq!(small.requests.len(), 1, "{small}");
     assert_eq!(small.situation.speed_mm_s, 500, "{small}");
-    // From its text it does the same.
+    // Its text reproduces the violation.
     let read: Schedule = small.in_one_line().parse().unwrap();
-    let replayed = attempt(&read, &mut outliving(60_000)).unwrap();
+    let replayed = attempt(&read, &mut prolonged(60_000)).unwrap();
     assert_eq!(replayed.violation, Some(again));
 }
 
-/// A line that says the last command again and again, with a younger age.
+/// A line that repeats the last command with a younger age.
 #[derive(Default)]
 struct Repeats {
     decoder: Decoder,
@@ -182,16 +182,16 @@ impl Tamper for Repeats {
 }
 
 #[test]
-fn an_old_command_that_is_said_again_as_a_new_one_is_found() {
+fn an_old_command_repeated_as_a_new_one_is_found() {
     let more = "fault daemon-killed at 6000 for 1500 severity 1";
-    is_sound(more);
+    assert_no_violation(more);
     assert_eq!(
         violation(more, Repeats::default()).invariant,
         "host-silence"
     );
 }
 
-/// A line that arms and drives by itself.
+/// A line that sends arm requests and commands by itself.
 struct Eager {
     since_us: u64,
     sequence: u8,
@@ -199,7 +199,7 @@ struct Eager {
 
 impl Tamper for Eager {
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
-        // A native board's clock is 0.3 % fast, and started 65 ms after the rest.
+        // A native board's clock is 0.3 % fast and starts at 65 ms.
         let since_start = now_us.saturating_sub(65_000);
         let telemetry_time_us =
             ((since_start + since_start * 3 / 1_000) as u32).wrapping_sub(5_000);
@@ -234,15 +234,15 @@ fn a_line_that_arms_and_drives_by_itself_is_found() {
     };
     let found = violation("", eager);
     assert_eq!(found.invariant, "host-silence");
-    // Before anybody asked.
+    // Before the first arm request.
     assert!(found.time_us < 3_200_000, "{found:?}");
 }
 
-/// A line that loses requests to stop.
+/// A line that loses emergency stop requests.
 #[derive(Default)]
-struct Deaf;
+struct LosesStops;
 
-impl Tamper for Deaf {
+impl Tamper for LosesStops {
     fn to_board(&mut self, _: u64, bytes: &mut Vec<u8>) {
         let frames = bytes.split_inclusive(|&byte| byte == 0);
         let kept = frames.filter(|frame| {
@@ -259,16 +259,16 @@ impl Tamper for Deaf {
 }
 
 #[test]
-fn an_emergency_stop_that_does_not_get_through_is_found() {
-    is_sound("ask stop at 6000");
+fn a_lost_emergency_stop_is_found() {
+    assert_no_violation("ask stop at 6000");
     assert_eq!(
-        violation("ask stop at 6000", Deaf).invariant,
+        violation("ask stop at 6000", LosesStops).invariant,
         "emergency-stop"
     );
 }
 
 #[test]
-fn a_board_that_drives_on_after_its_stop_its_hang_or_without_pulses_is_found() {
+fn a_board_that_keeps_driving_after_a_stop_or_a_hang_or_without_pulses_is_found() {
     for (more, longer_us, invariant) in [
         ("ask stop at 6000", 41_000, "latched-stop"),
         (
@@ -287,21 +287,21 @@ fn a_board_that_drives_on_after_its_stop_its_hang_or_without_pulses_is_found() {
             "motor-pulses",
         ),
     ] {
-        is_sound(more);
-        let found = violation(more, outliving(longer_us));
+        assert_no_violation(more);
+        let found = violation(more, prolonged(longer_us));
         assert_eq!(found.invariant, invariant, "{more}: {}", found.details);
     }
 }
 
 #[test]
-fn a_pilot_that_sets_out_or_goes_on_by_itself_is_found() {
-    let sets_out = Ticks(|tick: &mut TickRecord| {
+fn a_pilot_that_starts_or_continues_by_itself_is_found() {
+    let starts = Ticks(|tick: &mut TickRecord| {
         if tick.index > 280 && tick.output.mode == Mode::Ready {
             tick.output.mode = Mode::Arming;
         }
     });
-    assert_eq!(violation("", sets_out).invariant, "unasked-drive");
-    let goes_on = || {
+    assert_eq!(violation("", starts).invariant, "unasked-drive");
+    let continues = || {
         driving_from_6_s(|tick| {
             tick.output.mode = Mode::Driving;
             tick.output.reason = None;
@@ -316,14 +316,14 @@ fn a_pilot_that_sets_out_or_goes_on_by_itself_is_found() {
         ("fault imu-silent at 6500 for 900 severity 1", "imu-silence"),
         ("fault imu-stuck at 6500 for 900 severity 1", "imu-stuck"),
     ] {
-        is_sound(more);
-        let found = violation(more, goes_on());
+        assert_no_violation(more);
+        let found = violation(more, continues());
         assert_eq!(found.invariant, invariant, "{more}: {}", found.details);
     }
 }
 
 #[test]
-fn a_pilot_that_jumps_contradicts_itself_or_has_no_numbers_is_found() {
+fn a_pilot_with_jumps_contradictions_or_nan_is_found() {
     let jumps = driving_from_6_s(|tick| {
         if tick.index == 650 {
             tick.output.actuation.steering += 0.1;
@@ -332,8 +332,8 @@ fn a_pilot_that_jumps_contradicts_itself_or_has_no_numbers_is_found() {
     assert_eq!(violation("", jumps).invariant, "command-rate");
     let contradicts = driving_from_6_s(|tick| tick.output.mode = Mode::Stopping);
     assert_eq!(violation("", contradicts).invariant, "mode-and-reason");
-    let no_number = driving_from_6_s(|tick| tick.output.drive_time = Some(f64::NAN));
-    assert_eq!(violation("", no_number).invariant, "finite");
+    let not_a_number = driving_from_6_s(|tick| tick.output.drive_time = Some(f64::NAN));
+    assert_eq!(violation("", not_a_number).invariant, "finite");
 }
 
 /// A host that takes over another configuration than the one it was given.
@@ -354,7 +354,7 @@ const RELOADED: &str = "ask reload at 2000; ask disarm at 6000";
 
 #[test]
 fn a_configuration_that_is_taken_over_by_halves_is_found() {
-    is_sound(RELOADED);
+    assert_no_violation(RELOADED);
     // The board got the new one, the pilot kept the old.
     let slower = |number, config: &mut Config| {
         if number == 2 {
@@ -381,7 +381,7 @@ fn a_configuration_that_is_taken_over_by_halves_is_found() {
 #[test]
 fn a_configuration_that_comes_into_force_during_a_drive_is_found() {
     // Refused by the host.
-    is_sound("ask reload at 5000");
+    assert_no_violation("ask reload at 5000");
     let underway = driving_from_6_s(|tick| {
         if tick.index == 650 {
             let _ = tick.events.push(Event::Reconfigured(2));
@@ -397,7 +397,7 @@ fn a_configuration_that_comes_into_force_during_a_drive_is_found() {
 fn a_pilot_that_drives_on_by_old_setpoints_is_found() {
     for fault in ["setpoints-gone", "setpoints-nan"] {
         let more = format!("reference external; fault {fault} at 6500 for 900 severity 1");
-        is_sound(&more);
+        assert_no_violation(&more);
         let goes_on = driving_from_6_s(|tick| {
             tick.output.mode = Mode::Driving;
             tick.output.reason = None;
@@ -435,7 +435,7 @@ fn a_panic_is_a_violation_with_its_message() {
 }
 
 #[test]
-fn an_output_that_is_another_bit_than_decided_is_found() {
+fn a_flipped_bit_in_a_recorded_output_is_found() {
     let found = violation(
         "",
         Records(|tick: &mut TickRecord| {
@@ -455,7 +455,7 @@ fn an_output_that_is_another_bit_than_decided_is_found() {
 }
 
 #[test]
-fn an_input_that_is_another_bit_than_told_is_found() {
+fn a_flipped_bit_in_a_recorded_input_is_found() {
     let mut flipped = false;
     let found = violation(
         "",

@@ -1,4 +1,4 @@
-//! Schedules: from seeds, as text, and driven again.
+//! Schedules: generation, text form, and repeatability.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -11,14 +11,14 @@ use singletrack_sim::BoardKind;
 
 proptest! {
     #[test]
-    fn a_schedule_is_read_as_it_is_written(seed: u64) {
+    fn a_schedule_round_trips_through_its_text(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
         prop_assert_eq!(&schedule.to_string().parse::<Schedule>().unwrap(), &schedule);
         prop_assert_eq!(&schedule.in_one_line().parse::<Schedule>().unwrap(), &schedule);
     }
 
     #[test]
-    fn a_schedule_keeps_to_its_bounds(seed: u64) {
+    fn a_generated_schedule_is_within_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
         prop_assert!((1..=6).contains(&schedule.faults.len()));
         prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
@@ -31,7 +31,7 @@ proptest! {
 }
 
 #[test]
-fn every_kind_of_fault_comes_up_within_a_thousand_seeds() {
+fn every_kind_of_fault_occurs_within_a_thousand_seeds() {
     let seeds = 0..1_000;
     let schedules: Vec<_> = seeds
         .map(|seed| Schedule::generate(seed, BoardKind::Native))
@@ -44,7 +44,7 @@ fn every_kind_of_fault_comes_up_within_a_thousand_seeds() {
 }
 
 #[test]
-fn what_is_no_entry_is_named_with_what_could_be() {
+fn an_invalid_entry_is_reported_with_the_accepted_forms() {
     let error = |text: &str| text.parse::<Schedule>().unwrap_err().to_string();
     for bad in [
         "fault camera-lost at 5 for 5 severity 5",
@@ -62,7 +62,7 @@ fn what_is_no_entry_is_named_with_what_could_be() {
 }
 
 #[test]
-fn the_same_schedule_gives_the_same_bits_and_another_seed_others() {
+fn the_same_schedule_gives_the_same_bits_and_another_seed_differs() {
     let digest = |seed| {
         let mut schedule = Schedule::generate(seed, BoardKind::Native);
         schedule.end_ms = schedule.end_ms.min(6_000);
@@ -75,7 +75,7 @@ fn the_same_schedule_gives_the_same_bits_and_another_seed_others() {
 }
 
 #[test]
-fn the_wall_clock_is_noticed_by_nobody() {
+fn the_wall_clock_has_no_effect() {
     let text = "seed 7; end_ms 8000; ask arm at 3200";
     let plain: Schedule = text.parse().unwrap();
     let stepped = format!("{text}; fault wall-clock-step at 4000 for 2000 severity 1000");
@@ -86,7 +86,7 @@ fn the_wall_clock_is_noticed_by_nobody() {
 }
 
 #[test]
-fn the_number_of_threads_makes_no_difference_and_nothing_is_violated() {
+fn the_number_of_threads_has_no_effect_and_nothing_is_violated() {
     let campaign = |threads| Campaign {
         first_seed: 500,
         count: 6,

@@ -1,6 +1,7 @@
-//! How late the shipped daemon's ticks are, beside what the machine can do: while
-//! it drives the simulated car, rounds of its own figures and of cyclictest
-//! (Debian: rt-tests) take turns, one processor loaded. Ratios count, not times.
+//! Lateness of the shipped daemon's ticks relative to the machine's own: while the
+//! daemon drives the simulated car, rounds of its figures and of cyclictest
+//! (Debian: rt-tests) alternate, with one processor loaded. The ratios count, not
+//! the times.
 //!
 //! ```sh
 //! cargo run --release -p singletrack-hil --bin lateness -- --rounds 4 --seconds 30
@@ -20,26 +21,26 @@ use singletrack_hil::{
 use singletrack_sim::BoardKind;
 use singletrack_statistics::Distribution;
 
-/// Lateness of the shipped daemon's ticks against cyclictest's.
+/// Compare the lateness of the shipped daemon's ticks with cyclictest.
 #[derive(Debug, Parser)]
 #[command(disable_version_flag = true)]
 struct Options {
-    /// Rounds of each of the two
+    /// Number of rounds of each
     #[arg(long, value_name = "N", default_value_t = 4)]
     rounds: u32,
 
-    /// How long a round lasts
+    /// Duration of a round
     #[arg(long, value_name = "S", default_value_t = 30)]
     seconds: u64,
 
-    /// Leaves both processors to the rest of the system
+    /// Do not load a processor
     #[arg(long)]
     no_load: bool,
 }
 
-/// The daemon's priority, and cyclictest's.
+/// Priority of the daemon and of cyclictest.
 const PRIORITY: &str = "40";
-/// Both wake up every so often, in us.
+/// Period of both, in us.
 const PERIOD_US: &str = "10000";
 /// Buckets of cyclictest's histogram, of 1 us.
 const BUCKETS: &str = "100000";
@@ -72,7 +73,7 @@ fn measure(options: &Options) -> Outcome {
         eprintln!("round {round} of {}: daemon", options.rounds);
         drive(&mut bench, options.seconds, &mut ours, &mut latency)?;
         eprintln!("round {round} of {}: cyclictest", options.rounds);
-        // The same machine, doing the same.
+        // The same load for both.
         bench.start_driving()?;
         theirs.extend(cyclictest(options.seconds)?);
         finish(&mut bench)?;
@@ -112,7 +113,7 @@ fn measure(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Drives for a while, and takes down how late every tick was, in us.
+/// Drives for a round, and records the lateness of every tick, in us.
 fn drive(
     bench: &mut Bench,
     seconds: u64,
@@ -127,7 +128,7 @@ fn drive(
             ticks.next_of(["lateness_ns", "held", "capture_to_command_ns"])?;
         let late_ns = late_ns.ok_or_else(|| Failure::new("a tick without lateness"))?;
         lateness.push(late_ns.max(0.0) * 1e-3);
-        // An old pose's age is no latency.
+        // The age of a held pose is not a latency.
         if held != Some(1.0) {
             latency.extend(captured_ns.map(|ns| ns * 1e-3));
         }
@@ -141,7 +142,7 @@ fn finish(bench: &mut Bench) -> Outcome {
     bench.wait_until_standing()
 }
 
-/// A round of cyclictest: how late it woke up, in us.
+/// A round of cyclictest: its latencies, in us.
 fn cyclictest(seconds: u64) -> Outcome<Vec<f64>> {
     let output = Command::new("cyclictest")
         .args(["--quiet", "--mlockall", "--threads=1"])
@@ -163,7 +164,7 @@ fn cyclictest(seconds: u64) -> Outcome<Vec<f64>> {
             words.next().map(str::parse::<u32>),
             words.next().map(str::parse::<usize>),
         ) {
-            // It rounds down.
+            // cyclictest rounds down.
             values.extend(std::iter::repeat_n(f64::from(us) + 0.5, count));
         }
     }
@@ -171,7 +172,7 @@ fn cyclictest(seconds: u64) -> Outcome<Vec<f64>> {
     Ok(values)
 }
 
-/// A program that keeps one processor busy. Dropped, it ends.
+/// A program that keeps one processor busy. Dropping it ends the program.
 struct Load(Child);
 
 impl Load {

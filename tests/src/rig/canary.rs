@@ -1,4 +1,4 @@
-//! How late the system delivers what is written to a pseudo-terminal.
+//! Latency of the system's pseudo-terminals.
 
 use std::{
     fs::{File, OpenOptions},
@@ -19,12 +19,12 @@ use crate::{Failure, Outcome};
 /// Time between two bytes.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// A pseudo-terminal of its own, through which a byte goes every 10 ms.
+/// A separate pseudo-terminal, through which a byte is sent every 10 ms.
 ///
-/// Bytes get from one end of a pseudo-terminal to the other by the kernel's
-/// worker threads, which share the processors with everybody else: on a machine
-/// that compiles, telemetry was seen to wait there for 200 ms while simulator
-/// and daemon were in time. What this one suffers, the board's line suffers too.
+/// The kernel's worker threads move bytes between the ends of a pseudo-terminal and
+/// share the processors with all programs: on a machine that compiles, telemetry
+/// was delayed there by 200 ms while simulator and daemon were in time. The delay
+/// measured here applies to the board's line too.
 #[derive(Debug)]
 pub(super) struct Canary {
     late_us: Arc<AtomicU64>,
@@ -46,7 +46,7 @@ impl Canary {
             .name("canary".to_owned())
             .spawn(move || {
                 be_punctual();
-                sing(&pty, far_end, &worst_us, &stopped);
+                measure(&pty, far_end, &worst_us, &stopped);
             })
             .map_err(Failure::system("cannot start a thread"))?;
         Ok(Self {
@@ -56,7 +56,7 @@ impl Canary {
         })
     }
 
-    /// The longest that a byte has taken.
+    /// Longest delay of a byte.
     pub(super) fn lateness(&self) -> Duration {
         Duration::from_micros(self.late_us.load(Ordering::Relaxed))
     }
@@ -66,13 +66,13 @@ impl Drop for Canary {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It has nothing to say any more.
+            // Its result is no longer needed.
             let _ = thread.join();
         }
     }
 }
 
-fn sing(pty: &Pty, mut far_end: File, worst_us: &AtomicU64, stop: &AtomicBool) {
+fn measure(pty: &Pty, mut far_end: File, worst_us: &AtomicU64, stop: &AtomicBool) {
     let mut byte = [0];
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(PERIOD);

@@ -1,4 +1,4 @@
-//! What the daemon is connected to.
+//! The rig that the daemon is connected to.
 
 mod canary;
 mod physical;
@@ -17,94 +17,94 @@ pub(crate) use simulated::lacks as simulated_lacks;
 
 use crate::{Failure, Outcome, Trace};
 
-/// A board, a car and cameras, with switches for what can go wrong.
+/// A board, a car and cameras, with switches for faults.
 pub trait Rig: Send {
     /// The daemon's serial port.
     fn port(&self) -> &Path;
 
-    /// Where the cameras take commands.
+    /// Command address of the cameras.
     fn cameras(&self) -> SocketAddrV4;
 
-    /// Pulls the serial line out.
+    /// Unplugs the serial line.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn unplug(&self) -> Outcome;
 
-    /// Plugs it in again.
+    /// Plugs the serial line in.
     ///
     /// # Errors
     ///
-    /// When there is no pseudo-terminal to be had.
+    /// Fails if no pseudo-terminal can be opened.
     fn plug(&self) -> Outcome;
 
-    /// Damages the line from now on, both ways.
+    /// Sets the faults of the line, in both directions.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn set_line(&self, line: LineFaults) -> Outcome;
 
-    /// Hides the markers from the cameras, or shows them again.
+    /// Hides the markers from the cameras, or restores them.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn set_markers(&self, loss: Option<LossKind>) -> Outcome;
 
-    /// What the simulated car really does.
+    /// Ground truth of the simulated car.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn truth(&self) -> Outcome<Truth>;
 
     /// The pulses since the start.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn trace(&self) -> Outcome<Trace>;
 
-    /// The board's clock; none while it does not run.
+    /// Board time; `None` while the board does not run.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn board_time_us(&self) -> Outcome<Option<u32>>;
 
-    /// Why the board last went to neutral; none while it does not run.
+    /// Cause of the board's last stop; `None` while the board does not run.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn stop_cause(&self) -> Outcome<Option<StopCause>>;
 
-    /// Waits until no command is in force any more, and returns a board time
-    /// that is not later than the last command's arrival.
+    /// Waits until no command is in force, and returns a board time that is not
+    /// later than the arrival of the last command.
     ///
     /// # Errors
     ///
-    /// [`Failure::Void`] when the rig has missed it.
+    /// [`Failure::Void`] if the rig has missed it.
     fn last_command_us(&self) -> Outcome<u32>;
 
-    /// How late the rig itself has been, the pseudo-terminal included: what
-    /// takes longer than it should because the machine is busy.
+    /// Largest lateness of the rig itself, including the pseudo-terminal, caused by
+    /// a busy machine.
     ///
     /// # Errors
     ///
-    /// When the rig has stopped.
+    /// Fails if the rig has stopped.
     fn lateness(&self) -> Outcome<Duration>;
 
-    /// What this rig does not have, and why.
+    /// Reason why this rig lacks something, if it does.
     fn lacks(&self, need: Need) -> Option<&'static str>;
 
     /// Resets the board.
     ///
     /// # Errors
     ///
-    /// When the rig lacks [`Need::Reset`].
+    /// Fails if the rig lacks [`Need::Reset`].
     fn reset(&self, _cause: ResetCause) -> Outcome {
         Err(self.without(Need::Reset))
     }
@@ -113,7 +113,7 @@ pub trait Rig: Send {
     ///
     /// # Errors
     ///
-    /// When the rig lacks [`Need::MotorSensor`].
+    /// Fails if the rig lacks [`Need::MotorSensor`].
     fn cut_motor_sensor(&self) -> Outcome {
         Err(self.without(Need::MotorSensor))
     }
@@ -122,39 +122,39 @@ pub trait Rig: Send {
     ///
     /// # Errors
     ///
-    /// When the rig lacks [`Need::StopSwitch`].
+    /// Fails if the rig lacks [`Need::StopSwitch`].
     fn open_stop_switch(&self) -> Outcome {
         Err(self.without(Need::StopSwitch))
     }
 
-    /// Stops the board's main program.
+    /// Hangs the board's main program.
     ///
     /// # Errors
     ///
-    /// When the rig lacks [`Need::Image`].
+    /// Fails if the rig lacks [`Need::Image`].
     fn hang(&self, _hang: Hang) -> Outcome {
         Err(self.without(Need::Image))
     }
 
-    /// Breaks the board's bus to the IMU, or mends it.
+    /// Sets the fault of the board's IMU bus.
     ///
     /// # Errors
     ///
-    /// When the rig lacks [`Need::Image`].
+    /// Fails if the rig lacks [`Need::Image`].
     fn break_imu_bus(&self, _fault: BusFault) -> Outcome {
         Err(self.without(Need::Image))
     }
 
-    /// The failure of a test that did not say what it needs.
+    /// The failure of a test that does not declare its needs.
     fn without(&self, need: Need) -> Failure {
-        Failure::new(self.lacks(need).unwrap_or("the rig can't do this"))
+        Failure::new(self.lacks(need).unwrap_or("the rig does not support this"))
     }
 }
 
-/// What only some rigs have.
+/// Features of only some rigs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// A line to reset the board by, for different causes.
+    /// A reset line, for different causes.
     Reset,
     /// A motor sensor that can be cut.
     MotorSensor,
@@ -162,15 +162,15 @@ pub enum Need {
     StopSwitch,
     /// A board that has just been started.
     FreshBoard,
-    /// The real image, on a processor that can be made to fail.
+    /// The real image, on a processor with faults.
     Image,
 }
 
-/// What is wrong with the line, both ways.
+/// Faults of the line, in both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineFaults {
     /// Probability that one bit of a byte is flipped.
     pub corrupt: f64,
-    /// Nothing passes; what is sent waits, and goes on when this ends.
+    /// Nothing passes; sent bytes wait until this ends.
     pub stuck: bool,
 }

@@ -1,4 +1,4 @@
-//! A physical UNO, with the harness between it and the daemon.
+//! Rig with a physical UNO, with the harness between it and the daemon.
 
 use std::{
     io::{Read, Write},
@@ -24,20 +24,19 @@ use super::{
 };
 use crate::{Failure, Outcome, Pulses, Trace, settings, wait};
 
-/// The firmware's rate.
+/// Baud rate of the firmware.
 const BAUD: u32 = 115_200;
-/// How long the harness waits for bytes from the UNO before it looks at those
-/// of the daemon.
+/// Timeout of a read from the UNO, after which the harness reads from the daemon.
 const READ_TIMEOUT: Duration = Duration::from_millis(1);
 
-/// The bootloader of a UNO that opening the port has reset, and two seconds of
-/// neutral for the ESC.
+/// Limit for the start: the bootloader after the reset by opening the port, and two
+/// seconds of neutral for the ESC.
 const START: Duration = Duration::from_secs(10);
 
-/// A physical UNO, with the harness between it and the daemon.
+/// Rig with a physical UNO, with the harness between it and the daemon.
 ///
-/// Its car and cameras are the simulator's, whose board is switched off: the
-/// pulses that the UNO reports move the car.
+/// The simulator provides the car and the cameras, with its own board switched off:
+/// the pulses reported by the UNO move the car.
 #[derive(Debug)]
 pub struct PhysicalRig {
     link: PathBuf,
@@ -50,17 +49,17 @@ pub struct PhysicalRig {
     fresh: bool,
 }
 
-/// What the line's thread and the test both see.
+/// State shared by the line's thread and the test.
 #[derive(Debug)]
 struct Shared {
     pty: Option<Pty>,
     line: LineFaults,
     trace: Vec<Pulses>,
     newest: Option<(Telemetry, Instant)>,
-    /// The record before the one that showed a new command for the last time.
+    /// The record before the last one with a new command.
     last_command_us: u32,
     max_lateness: Duration,
-    /// Why the line's thread has given up.
+    /// The error that ended the line's thread.
     broken: Option<String>,
 }
 
@@ -69,7 +68,7 @@ impl PhysicalRig {
     ///
     /// # Errors
     ///
-    /// No such port, no pseudo-terminal, or no simulator.
+    /// Fails if the port, the pseudo-terminal or the simulator cannot be opened.
     pub fn start(port: &Path, link: PathBuf, seed: u64) -> Outcome<Self> {
         let uno = serialport::new(port.to_string_lossy(), BAUD)
             .timeout(READ_TIMEOUT)
@@ -80,7 +79,7 @@ impl PhysicalRig {
                     port.display()
                 ))
             })?;
-        // What waits there is from before.
+        // Discards bytes from before.
         let _ = uno.clear(serialport::ClearBuffer::All);
         let car = simulated::start(RealTimeConfig {
             simulation: settings::simulation(seed),
@@ -125,17 +124,17 @@ impl PhysicalRig {
             thread: Some(thread),
         };
         rig.wait_until_at_rest()?;
-        // The board's clock starts with the board.
+        // The board's clock restarts with the board.
         rig.fresh = rig
             .newest()?
             .is_some_and(|telemetry| u128::from(telemetry.board_time_us) < START.as_micros());
         Ok(rig)
     }
 
-    /// Waits for the UNO to start, for the wheels to stand, and for the
-    /// simulated ESC to have seen neutral for long enough.
+    /// Waits until the UNO runs, the wheels stand still, and the simulated ESC has
+    /// been at neutral long enough.
     fn wait_until_at_rest(&self) -> Outcome {
-        let mut last = "it says nothing".to_owned();
+        let mut last = "no telemetry".to_owned();
         wait::until("a UNO at rest", START, || {
             let Some(telemetry) = self.newest()? else {
                 return Ok(None);
@@ -161,11 +160,11 @@ impl PhysicalRig {
     }
 
     fn newest(&self) -> Outcome<Option<Telemetry>> {
-        // A board that reports no more is not running, as far as can be seen.
+        // A board without telemetry counts as not running.
         Ok(self
             .shared()?
             .newest
-            .filter(|(_, seen)| seen.elapsed() < Duration::from_millis(100))
+            .filter(|(_, time)| time.elapsed() < Duration::from_millis(100))
             .map(|(telemetry, _)| telemetry))
     }
 }
@@ -174,7 +173,7 @@ impl Drop for PhysicalRig {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It has nothing to say any more.
+            // Its result is no longer needed.
             let _ = thread.join();
         }
     }
@@ -235,13 +234,13 @@ impl Rig for PhysicalRig {
         Ok(self.newest()?.map(|telemetry| telemetry.stop_cause))
     }
 
-    /// Telemetry tells which command was the last, to one record's time: the
-    /// record before is the one that is not too late.
+    /// Telemetry reports the last command, to the time of one record: the record
+    /// before it is not too late.
     fn last_command_us(&self) -> Outcome<u32> {
         let mut last = self.shared()?.last_command_us;
         let mut since = Instant::now();
         let start = Instant::now();
-        // Nothing for longer than a command lives.
+        // No command for longer than the time to live.
         while since.elapsed() < Duration::from_millis(150) {
             thread::sleep(READ_TIMEOUT);
             let now = self.shared()?.last_command_us;
@@ -261,26 +260,27 @@ impl Rig for PhysicalRig {
 
     fn lacks(&self, need: Need) -> Option<&'static str> {
         match need {
-            Need::FreshBoard => (!self.fresh)
-                .then_some("opening the port did not reset the board: it is not as after a start"),
+            Need::FreshBoard => (!self.fresh).then_some(
+                "opening the port did not reset the board, so it is not in its initial state",
+            ),
             _ => lacks(need),
         }
     }
 }
 
-/// What no physical car has, and why.
+/// Reason why a physical car lacks something, if it does.
 #[must_use]
 pub(crate) fn lacks(need: Need) -> Option<&'static str> {
     match need {
-        Need::Reset => Some("a physical UNO has no reset line that the harness could pull"),
-        Need::MotorSensor => Some("the motor of a physical car can't be silenced from here"),
-        Need::StopSwitch => Some("the stop switch of a physical car can't be opened from here"),
-        Need::Image => Some("the processor of a physical UNO can't be made to fail from here"),
+        Need::Reset => Some("the harness has no reset line to a physical UNO"),
+        Need::MotorSensor => Some("the harness cannot cut the motor sensor of a physical car"),
+        Need::StopSwitch => Some("the harness cannot open the stop switch of a physical car"),
+        Need::Image => Some("the harness cannot make the processor of a physical UNO fail"),
         Need::FreshBoard => None,
     }
 }
 
-/// Everything on the line's thread.
+/// State of the line's thread.
 struct Line {
     uno: TTYPort,
     car: Arc<RealTimeSimulator>,
@@ -315,7 +315,7 @@ impl Line {
             if rounds.is_multiple_of(100) {
                 pty.clear_exclusive();
             }
-            // Into a stuck line the host's writes pile up in its own driver.
+            // While the line is stuck, the host's writes stay in its driver.
             if !line.stuck {
                 let mut buffer = [0; 1024];
                 while let Ok(count @ 1..) = pty.read(&mut buffer) {
@@ -323,7 +323,7 @@ impl Line {
                         .extend_from_slice(buffer.get(..count).unwrap_or(&[]));
                 }
                 self.damage.apply(&mut self.to_host, line.corrupt);
-                // What the daemon does not fetch is lost.
+                // Bytes that the daemon does not read are lost.
                 let _ = pty.write(&self.to_host);
                 self.to_host.clear();
             }
@@ -361,7 +361,7 @@ impl Line {
                     Ok(truth) => replace_motion(telemetry, &truth),
                     Err(_) => stopped = true,
                 }
-                lock(shared).saw(telemetry);
+                lock(shared).process(telemetry);
             },
         );
         if stopped {
@@ -372,7 +372,7 @@ impl Line {
 }
 
 impl Shared {
-    fn saw(&mut self, telemetry: &Telemetry) {
+    fn process(&mut self, telemetry: &Telemetry) {
         if let Some((before, _)) = &self.newest
             && before.last_sequence != telemetry.last_sequence
         {

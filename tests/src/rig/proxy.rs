@@ -1,10 +1,10 @@
-//! The pieces of a line with a harness in the middle.
+//! Parts of a line with the harness in the middle.
 
 use singletrack_protocol::{Decoder, ImuState, Telemetry, ToHost};
 use singletrack_sim::Truth;
 
-/// Cuts the bytes from the board into frames, and hands on what it does not
-/// understand unchanged.
+/// Splits the bytes from the board into frames, and passes undecodable bytes
+/// unchanged.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     decoder: Decoder,
@@ -12,8 +12,8 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// Takes bytes from the board and appends to `out` what the host gets:
-    /// the same, but for the telemetry, which `replace` may change.
+    /// Processes bytes from the board and appends to `out` the bytes for the host:
+    /// the same, except for telemetry, which `replace` may change.
     pub(super) fn pass(
         &mut self,
         bytes: &[u8],
@@ -37,8 +37,8 @@ impl Frames {
     }
 }
 
-/// Puts the simulated car's motion in the place of the measured one: the car on
-/// the stand does not turn.
+/// Replaces the measured motion by the simulated car's: the car on the stand does
+/// not move.
 pub(super) fn replace_motion(telemetry: &mut Telemetry, truth: &Truth) {
     let milli = |value: f64| (value * 1_000.0).round() as i16;
     telemetry.imu = ImuState::Fresh;
@@ -54,7 +54,7 @@ pub(super) fn replace_motion(telemetry: &mut Telemetry, truth: &Truth) {
     telemetry.attitude_q14 = [q14(cosine), 0, 0, q14(sine)];
 }
 
-/// Flips bits, the same ones every time.
+/// Flips bits, reproducibly.
 #[derive(Debug)]
 pub(super) struct Damage(u64);
 
@@ -74,7 +74,7 @@ impl Damage {
         }
     }
 
-    /// The generator named `SplitMix64`.
+    /// The `SplitMix64` generator.
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;

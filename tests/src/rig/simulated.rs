@@ -1,4 +1,4 @@
-//! Board, car and cameras in the simulator.
+//! Rig with simulated board, car and cameras.
 
 use std::{
     net::SocketAddrV4,
@@ -15,7 +15,7 @@ use singletrack_sim::{
 use super::{LineFaults, Need, Rig, canary::Canary};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
 
-/// Board, car and cameras in the simulator.
+/// Rig with simulated board, car and cameras.
 #[derive(Debug)]
 pub struct SimulatedRig {
     simulator: RealTimeSimulator,
@@ -28,7 +28,7 @@ impl SimulatedRig {
     ///
     /// # Errors
     ///
-    /// What the simulator does not start for.
+    /// Fails if the simulator does not start.
     pub fn start(link: PathBuf, seed: u64, board: BoardKind) -> Outcome<Self> {
         let mut simulation = settings::simulation(seed);
         simulation.board.kind = board;
@@ -45,14 +45,14 @@ impl SimulatedRig {
     }
 }
 
-/// What a simulated board does not have, and why.
+/// Reason why a simulated board lacks something, if it does.
 #[must_use]
 pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
     (board == BoardKind::Native && need == Need::Image)
         .then_some("only the image has a watchdog and a bus: --board uno")
 }
 
-/// Starts the simulator with a punctual thread.
+/// Starts the simulator on a thread with raised priority.
 pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
     thread::spawn(move || {
         be_punctual();
@@ -63,10 +63,10 @@ pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
     .map_err(Failure::from)
 }
 
-/// Puts this thread, and those that it starts, first in line: they stand for
-/// hardware, which has no processor to share.
+/// Raises the priority of this thread and of those that it starts: they stand for
+/// hardware, which shares no processor.
 pub(super) fn be_punctual() {
-    // Without the permission to, the rig is late more often, and says so.
+    // Without permission, the rig is late more often, which it reports.
     let _ = rustix::process::setpriority_process(None, -20);
 }
 
@@ -135,7 +135,7 @@ impl Rig for SimulatedRig {
         })?)
     }
 
-    /// A command lives from the telemetry on that its sender had seen.
+    /// The time to live of a command starts at the telemetry behind it.
     fn last_command_us(&self) -> Outcome<u32> {
         let start = Instant::now();
         loop {

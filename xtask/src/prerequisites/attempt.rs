@@ -1,4 +1,4 @@
-//! How each prerequisite is tried: what was found in working order, or why not.
+//! Tests of the prerequisites: each returns a description, or the reason of failure.
 
 use std::path::{Path, PathBuf};
 
@@ -7,13 +7,13 @@ use crate::{
     machine::{Answer, Machine, Scratch, answer},
 };
 
-/// Whether a component of the toolchain that runs this is there.
+/// Tests a component of the present toolchain.
 pub(super) fn of_this_toolchain(machine: &Machine, command: &str) -> Result<String, String> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     runs(machine, &cargo, [command, "--version"])
 }
 
-/// The first line that a program prints, if it succeeds.
+/// The first line of a program's output, if it succeeds.
 pub(super) fn runs<const N: usize>(
     machine: &Machine,
     program: impl AsRef<std::ffi::OsStr>,
@@ -33,7 +33,7 @@ pub(super) fn runs<const N: usize>(
     }
 }
 
-/// Clippy's minor release is rustc's.
+/// Tests that clippy and rustc have the same minor release.
 pub(super) fn clippy(machine: &Machine) -> Result<String, String> {
     let found = of_this_toolchain(machine, "clippy")?;
     let minor = |text: &str, prefix: &str| {
@@ -46,7 +46,7 @@ pub(super) fn clippy(machine: &Machine) -> Result<String, String> {
     if minor(&found, "clippy 0.1.") == minor(&rustc, "rustc 1.") {
         Ok(found)
     } else {
-        Err(format!("{found}, not that of {rustc}"))
+        Err(format!("{found} does not match {rustc}"))
     }
 }
 
@@ -57,8 +57,8 @@ pub(super) fn rust(machine: &Machine, target: Target) -> Result<String, String> 
 }
 
 pub(super) fn image_clippy(machine: &Machine) -> Result<String, String> {
-    let compiler = compiler::find(machine, AVR)
-        .map_err(|_| "no compiler for the Arduino to belong to".to_owned())?;
+    let compiler =
+        compiler::find(machine, AVR).map_err(|_| "no compiler for the Arduino".to_owned())?;
     let driver = compiler.clippy(machine)?;
     Ok(driver.display().to_string())
 }
@@ -76,7 +76,7 @@ fn link(
     let name = words.next().unwrap_or_default();
     let file = scratch
         .file("probe.c", source)
-        .map_err(|error| format!("cannot write a file to compile: {error}"))?;
+        .map_err(|error| format!("cannot write a test file: {error}"))?;
     let program = scratch.path().join("probe");
     let linked = answer(
         machine
@@ -101,12 +101,12 @@ fn link(
     }
 }
 
-/// A folder for a probe's files.
+/// A temporary folder for a probe.
 fn scratch(name: &str) -> Result<Scratch, String> {
-    Scratch::new(name).map_err(|error| format!("cannot make a folder for a probe: {error}"))
+    Scratch::new(name).map_err(|error| format!("cannot create a folder for a probe: {error}"))
 }
 
-/// cc, or the one that the environment names, with a wrapper perhaps.
+/// cc, or the compiler in `CC`, possibly with a wrapper.
 fn cc() -> String {
     std::env::var("CC").unwrap_or_else(|_| "cc".to_owned())
 }
@@ -148,15 +148,15 @@ pub(super) fn simavr(machine: &Machine) -> Result<String, String> {
         "#include <sim_avr.h>\n\
          int main(void) { return avr_make_mcu_by_name(\"atmega328p\") ? 0 : 1; }\n",
         &["-I/usr/include/simavr"],
-        // As the simulator does: the static library.
+        // The static library, as in the simulator.
         &["-l:libsimavr.a", "-lelf"],
     )?;
     runs(machine, &program, [])
-        .map_err(|why| format!("a program that makes an ATmega328P: {why}"))?;
-    Ok("makes an ATmega328P".to_owned())
+        .map_err(|why| format!("a program that creates an ATmega328P: {why}"))?;
+    Ok("creates an ATmega328P".to_owned())
 }
 
-/// What the program for the emulator exits with.
+/// Exit code of the program for the emulator.
 const ANSWER: i32 = 42;
 
 fn link_for_odroid(machine: &Machine, scratch: &Scratch) -> Result<PathBuf, String> {
@@ -175,44 +175,45 @@ pub(super) fn odroid_linker(machine: &Machine) -> Result<String, String> {
     runs(machine, "arm-linux-gnueabihf-gcc", ["--version"])
 }
 
+/// Runs programs for the Odroid on this machine, with Debian's C library for them.
+pub(crate) const QEMU: &str = "qemu-arm-static";
+pub(crate) const QEMU_OPTIONS: [&str; 2] = ["-L", "/usr/arm-linux-gnueabihf"];
+
 pub(super) fn emulator(machine: &Machine) -> Result<String, String> {
     let scratch = scratch("qemu")?;
     let program =
         link_for_odroid(machine, &scratch).map_err(|why| format!("no program to run: {why}"))?;
     let status = machine
-        .command(crate::odroid::EMULATOR)
-        .args(crate::odroid::EMULATOR_OPTIONS)
+        .command(QEMU)
+        .args(QEMU_OPTIONS)
         .arg(program)
         .status()
-        .map_err(|_| format!("no {}", crate::odroid::EMULATOR))?;
+        .map_err(|_| format!("no {QEMU}"))?;
     if status.code() != Some(ANSWER) {
-        return Err(format!(
-            "{} does not run a program: {status}",
-            crate::odroid::EMULATOR
-        ));
+        return Err(format!("{QEMU} does not run a program: {status}"));
     }
-    runs(machine, crate::odroid::EMULATOR, ["--version"])
+    runs(machine, QEMU, ["--version"])
 }
 
 pub(super) fn systemd(machine: &Machine) -> Result<String, String> {
     const OLDEST: u32 = 250;
-    let said = runs(machine, "systemd-analyze", ["--version"])?;
-    let version: Option<u32> = said.split_whitespace().nth(1).and_then(|word| {
+    let first_line = runs(machine, "systemd-analyze", ["--version"])?;
+    let version: Option<u32> = first_line.split_whitespace().nth(1).and_then(|word| {
         let digits: String = word.chars().take_while(char::is_ascii_digit).collect();
         digits.parse().ok()
     });
     if version.is_none_or(|version| version < OLDEST) {
-        return Err(format!("{said}, not {OLDEST} or later"));
+        return Err(format!("{first_line}, not {OLDEST} or later"));
     }
-    // The unit reloads the daemon with it.
+    // The unit uses it to reload the daemon.
     if !Path::new("/bin/kill").exists() {
-        return Err("no /bin/kill, which the unit calls".to_owned());
+        return Err("no /bin/kill, which the unit uses".to_owned());
     }
-    Ok(said)
+    Ok(first_line)
 }
 
-/// A Python that makes environments: the one in the path, else Debian's, which keeps what
-/// that takes in a package of its own.
+/// A Python that can create environments: the one in the path, or else Debian's,
+/// which has that in a separate package.
 pub(crate) fn python(machine: &Machine) -> Result<PathBuf, String> {
     const NEEDED: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))";
     let mut found = Vec::new();

@@ -1,4 +1,4 @@
-//! The prerequisites, one by one.
+//! The list of prerequisites.
 
 use super::{
     Part, Prerequisite,
@@ -52,7 +52,7 @@ pub(crate) const IMAGE_COMPILER: Prerequisite = Prerequisite {
 
 pub(crate) const IMAGE_CLIPPY: Prerequisite = Prerequisite {
     name: "clippy for the Arduino",
-    needed: "the clippy-driver of the very rustc that builds the image",
+    needed: "the clippy-driver of the rustc that builds the image",
     packages: &["rust-web-clippy"],
     otherwise: "rustup component add clippy --toolchain nightly",
     part: Some(Part::Uno),
@@ -70,7 +70,7 @@ pub(crate) const IMAGE_LINKER: Prerequisite = Prerequisite {
 
 pub(crate) const SIMULATOR: Prerequisite = Prerequisite {
     name: "simavr",
-    needed: "a program linked with simavr makes an ATmega328P",
+    needed: "a program linked with simavr creates an ATmega328P",
     packages: &["libsimavr-dev", "libelf-dev"],
     otherwise: "",
     part: Some(Part::Uno),
@@ -111,7 +111,7 @@ pub(crate) const EMULATOR: Prerequisite = Prerequisite {
 
 pub(crate) const SYSTEMD: Prerequisite = Prerequisite {
     name: "systemd-analyze",
-    needed: "systemd 250 or later, which judges units that are not installed; and /bin/kill",
+    needed: "systemd 250 or later, which verifies units that are not installed; and /bin/kill",
     packages: &["systemd", "procps"],
     otherwise: "",
     part: Some(Part::Units),
@@ -120,7 +120,7 @@ pub(crate) const SYSTEMD: Prerequisite = Prerequisite {
 
 pub(crate) const PYTHON: Prerequisite = Prerequisite {
     name: "Python",
-    needed: "Python 3.11 or later that makes virtual environments",
+    needed: "Python 3.11 or later that creates virtual environments",
     packages: &["python3", "python3-venv"],
     otherwise: "",
     part: Some(Part::Readers),
@@ -129,23 +129,23 @@ pub(crate) const PYTHON: Prerequisite = Prerequisite {
 
 pub(crate) const PROGRAMMER: Prerequisite = Prerequisite {
     name: "avrdude",
-    needed: "avrdude, which writes the image into the Arduino",
+    needed: "avrdude, which writes the image to the Arduino",
     packages: &["avrdude"],
     otherwise: "",
     part: Some(Part::Uno),
     attempt: |machine| runs(machine, "avrdude", ["-?"]),
 };
 
-/// Of every check.
+/// Prerequisites of every check.
 pub(crate) const BASIC: [Prerequisite; 3] = [FORMATTER, CLIPPY, C_COMPILER];
 
-/// What `cargo uno` and all that runs the image need.
+/// Prerequisites of `cargo uno` and of everything that runs the image.
 pub(crate) const IMAGE: [Prerequisite; 3] = [IMAGE_COMPILER, IMAGE_LINKER, SIMULATOR];
 
-/// What `cargo odroid` needs.
+/// Prerequisites of `cargo odroid`.
 pub(crate) const ODROID: [Prerequisite; 2] = [ODROID_COMPILER, ODROID_LINKER];
 
-/// All that the checks with these parts need.
+/// Prerequisites of the checks with these parts.
 pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
     BASIC
         .into_iter()

@@ -1,6 +1,5 @@
-//! What the checks need of a machine. Each prerequisite is judged by trying it: a package
-//! that is installed may be too old, and what a package has elsewhere may have come
-//! without one.
+//! Prerequisites of the checks. Each is tested by using it: an installed package
+//! may be too old, and a program may have been installed without a package.
 
 mod attempt;
 mod catalogue;
@@ -16,12 +15,12 @@ use crate::{
     process::Failure,
 };
 
-pub(crate) use attempt::python;
+pub(crate) use attempt::{QEMU, QEMU_OPTIONS, python};
 pub(crate) use catalogue::{IMAGE, ODROID, PROGRAMMER, of_parts};
 
 use catalogue::{IMAGE_CLIPPY, IMAGE_COMPILER, ODROID_COMPILER};
 
-/// A part of the checks that can be left out, with all that it needs.
+/// An optional part of the checks, with its prerequisites.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
     /// The Arduino's image, and the simulated Arduino that runs it.
@@ -30,7 +29,7 @@ pub(crate) enum Part {
     Odroid,
     /// The Python readers of records.
     Readers,
-    /// systemd's judgement of the service.
+    /// systemd's verification of the service.
     Units,
 }
 
@@ -47,19 +46,19 @@ impl Part {
     }
 }
 
-/// One thing that a machine must be able to do.
+/// A capability that a machine must have.
 #[derive(Clone, Copy)]
 pub(crate) struct Prerequisite {
     name: &'static str,
-    /// What it must do, for the message.
+    /// Description for the message.
     needed: &'static str,
-    /// Debian 12's packages of it.
+    /// Its packages in Debian 12.
     packages: &'static [&'static str],
-    /// How to get it where there is no such package.
+    /// How to get it without such a package.
     otherwise: &'static str,
-    /// The part that needs it; `None`: every check does.
+    /// The part that needs it; `None` if every check does.
     part: Option<Part>,
-    /// What was found: in working order, or why not.
+    /// The test: a description of what was found, or the reason of failure.
     attempt: fn(&Machine) -> Result<String, String>,
 }
 
@@ -69,34 +68,40 @@ struct Shortfall {
     found: String,
 }
 
-/// Tries all of them, installs or upgrades what falls short, tries again, and refuses in
-/// one message what still falls short. What was found goes to `report`.
+/// Tests all prerequisites, installs or upgrades packages for the failed ones, and
+/// tests those again. Fails with one message about all that remain. Descriptions
+/// are passed to `report`.
 pub(crate) fn ensure(
     machine: &Machine,
-    wanted: &[Prerequisite],
+    required: &[Prerequisite],
     report: &mut dyn FnMut(&str),
 ) -> Result<(), Failure> {
     let mut tried = Vec::new();
-    let short = shortfalls(machine, wanted, &mut |_| {});
+    let short = shortfalls(machine, required, &mut |_| {});
     if !packages(machine, &short).is_empty() {
         match Apt::find(machine) {
-            Ok(mut apt) => tried = install(machine, wanted, &mut apt, &short),
+            Ok(mut apt) => tried = install(machine, required, &mut apt, &short),
             Err(why) => tried.push(why),
         }
     }
-    // Nothing that was installed is believed.
-    let short = shortfalls(machine, wanted, report);
+    // Installed packages are tested again.
+    let short = shortfalls(machine, required, report);
     if short.is_empty() {
         return Ok(());
     }
-    Err(Failure::new(message(machine, wanted.len(), &short, &tried)))
+    Err(Failure::new(message(
+        machine,
+        required.len(),
+        &short,
+        &tried,
+    )))
 }
 
-/// Installs the packages of what falls short; if it still does, once more with the newest
-/// lists. Returns what went wrong.
+/// Installs the packages of failed prerequisites; if they still fail, once more
+/// with refreshed lists. Returns the errors.
 fn install(
     machine: &Machine,
-    wanted: &[Prerequisite],
+    required: &[Prerequisite],
     apt: &mut Apt<'_>,
     short: &[Shortfall],
 ) -> Vec<String> {
@@ -106,7 +111,7 @@ fn install(
     let missing = packages(machine, short);
     eprintln!("Installing Debian packages: {}", missing.join(" "));
     let mut result = apt.install(&missing);
-    let left = shortfalls(machine, wanted, &mut |_| {});
+    let left = shortfalls(machine, required, &mut |_| {});
     let missing = packages(machine, &left);
     if !missing.is_empty() && !apt.was_refreshed() {
         apt.refresh();
@@ -115,7 +120,7 @@ fn install(
     if let Err(failure) = &result
         && failure.to_string().contains("Unable to locate package")
     {
-        // One that this distribution lacks must not keep the others from coming.
+        // A package that this distribution lacks must not prevent the others.
         for one in &left {
             let some = packages(machine, std::slice::from_ref(one));
             if !some.is_empty() {
@@ -132,10 +137,10 @@ fn install(
 
 fn shortfalls(
     machine: &Machine,
-    wanted: &[Prerequisite],
+    required: &[Prerequisite],
     report: &mut dyn FnMut(&str),
 ) -> Vec<Shortfall> {
-    wanted
+    required
         .iter()
         .filter_map(|one| match (one.attempt)(machine) {
             Ok(found) => {
@@ -150,7 +155,7 @@ fn shortfalls(
         .collect()
 }
 
-/// The packages that would help, each once.
+/// The distinct packages that would help.
 fn packages(machine: &Machine, short: &[Shortfall]) -> Vec<&'static str> {
     let mut packages = Vec::new();
     for one in short {
@@ -167,7 +172,7 @@ fn packages(machine: &Machine, short: &[Shortfall]) -> Vec<&'static str> {
 }
 
 impl Prerequisite {
-    /// Whether Debian's packages of it help on this machine.
+    /// Whether its Debian packages help on this machine.
     fn comes_with_packages(&self, machine: &Machine) -> bool {
         let is = |others: &[Self]| others.iter().any(|other| other.name == self.name);
         // A named compiler is not replaced by another.
@@ -175,7 +180,7 @@ impl Prerequisite {
         {
             return false;
         }
-        // Debian's clippy is of no other compiler than Debian's.
+        // Debian's clippy works only with Debian's compiler.
         if is(&[IMAGE_CLIPPY])
             && compiler::find(machine, AVR).is_ok_and(|found| !found.is_debians())
         {
@@ -185,9 +190,9 @@ impl Prerequisite {
     }
 }
 
-/// What was found, what is needed, how to get it.
-fn message(machine: &Machine, wanted: usize, short: &[Shortfall], tried: &[String]) -> String {
-    let mut text = format!("{} of {wanted} prerequisites fall short\n", short.len());
+/// The message: what was found, what is needed, how to get it.
+fn message(machine: &Machine, required: usize, short: &[Shortfall], tried: &[String]) -> String {
+    let mut text = format!("{} of {required} prerequisites are not met\n", short.len());
     let indented = |text: &str| text.replace('\n', "\n             ");
     for Shortfall {
         prerequisite,
@@ -224,12 +229,12 @@ fn message(machine: &Machine, wanted: usize, short: &[Shortfall], tried: &[Strin
         .map(Part::name)
         .collect();
     text.push_str(
-        "\npackaging/Containerfile describes a Debian 12 that has all of it, and how to use it.\n",
+        "\npackaging/Containerfile describes a Debian 12 image with all of them, and its use.\n",
     );
     if !parts.is_empty() {
         let _ = writeln!(
             text,
-            "Checks that need it can be left out: cargo verify --without {}",
+            "To skip the checks that need them: cargo verify --without {}",
             parts.join(",")
         );
     }

@@ -1,4 +1,4 @@
-//! Against stand-ins for the programs of a machine.
+//! Tests with stand-ins for the programs of a machine.
 
 use std::fs;
 
@@ -8,18 +8,18 @@ use crate::{
     machine::stand_in::Bare,
 };
 
-/// Tries the compiler of the image alone.
+/// Tests only the compiler of the image.
 fn ensure_compiler(machine: &Bare) -> (Result<(), Failure>, Vec<String>) {
     let mut found = Vec::new();
-    let wanted = [IMAGE_COMPILER, IMAGE_CLIPPY];
-    let result = ensure(&machine.machine, &wanted, &mut |line| {
+    let required = [IMAGE_COMPILER, IMAGE_CLIPPY];
+    let result = ensure(&machine.machine, &required, &mut |line| {
         found.push(line.to_owned());
     });
     (result, found)
 }
 
-/// An apt-get that brings Debian's compiler of a release with it, and one that has
-/// nothing until its lists are refreshed.
+/// An apt-get that installs Debian's compiler of a release, or finds nothing until
+/// its lists are refreshed.
 fn add_apt(machine: &Bare, release: &str, needs_update: bool) {
     let debian = machine.folder.join("debian");
     let stamp = machine.folder.join("updated");
@@ -44,7 +44,7 @@ fn add_apt(machine: &Bare, release: &str, needs_update: bool) {
     fs::create_dir(debian.join("bin")).unwrap();
 }
 
-/// Lists that were fetched just now.
+/// Package lists that were just fetched.
 fn add_lists(machine: &Bare) {
     fs::write(machine.machine.package_lists.join("main_Packages"), "").unwrap();
 }
@@ -64,7 +64,7 @@ fn apt_calls(machine: &Bare) -> Vec<String> {
 const INSTALL: &str = "install --yes --no-install-recommends --no-remove";
 
 #[test]
-fn what_is_in_working_order_is_left_alone() {
+fn met_prerequisites_are_not_installed() {
     let machine = Bare::new("order");
     machine.program("apt-get", &machine.logged("apt-get"));
     add_debians(&machine, "1.96.0", "avr-none");
@@ -78,7 +78,7 @@ fn what_is_in_working_order_is_left_alone() {
 }
 
 #[test]
-fn a_compiler_that_is_too_old_is_upgraded_after_old_lists_are_refreshed() {
+fn an_old_compiler_is_upgraded_from_refreshed_lists() {
     let machine = Bare::new("too-old");
     add_apt(&machine, "1.96.0", false);
     add_debians(&machine, "1.85.0", "avr-none");
@@ -95,7 +95,7 @@ fn a_compiler_that_is_too_old_is_upgraded_after_old_lists_are_refreshed() {
 }
 
 #[test]
-fn lists_of_today_that_have_only_the_old_compiler_are_refreshed_too() {
+fn recent_lists_with_an_old_compiler_are_refreshed() {
     let machine = Bare::new("stale-today");
     add_apt(&machine, "1.96.0", true);
     add_lists(&machine);
@@ -109,7 +109,7 @@ fn lists_of_today_that_have_only_the_old_compiler_are_refreshed_too() {
 }
 
 #[test]
-fn what_still_falls_short_is_refused_with_what_was_found_and_how_to_get_it() {
+fn unmet_prerequisites_are_reported_with_a_fix() {
     let machine = Bare::new("still-short");
     add_apt(&machine, "1.85.0", false);
     machine.program(
@@ -119,7 +119,7 @@ fn what_still_falls_short_is_refused_with_what_was_found_and_how_to_get_it() {
     let (result, _) = ensure_compiler(&machine);
     let why = result.unwrap_err().to_string();
     for part in [
-        "2 of 2 prerequisites fall short",
+        "2 of 2 prerequisites are not met",
         "rustc 1.85.0 (Debian's rustc-web), is older than 1.95",
         "needed   a rustc 1.95 or later that compiles for avr-none",
         "packages rustc-web 1.85.0+dfsg3, not rust-web-src",
@@ -133,7 +133,7 @@ fn what_still_falls_short_is_refused_with_what_was_found_and_how_to_get_it() {
 }
 
 #[test]
-fn offline_the_message_says_that_nothing_could_be_fetched() {
+fn the_message_reports_a_failed_download() {
     let machine = Bare::new("offline-all");
     machine.program(
         "apt-get",
@@ -150,7 +150,7 @@ fn offline_the_message_says_that_nothing_could_be_fetched() {
 }
 
 #[test]
-fn lists_that_cannot_be_refreshed_are_told_even_if_packages_come_from_old_ones() {
+fn a_failed_refresh_is_reported_even_if_packages_are_installed() {
     let machine = Bare::new("half-offline");
     machine.program(
         "apt-get",
@@ -171,7 +171,7 @@ fn lists_that_cannot_be_refreshed_are_told_even_if_packages_come_from_old_ones()
 }
 
 #[test]
-fn a_package_that_a_distribution_lacks_does_not_keep_the_others_away() {
+fn a_missing_package_does_not_prevent_the_others() {
     let machine = Bare::new("ubuntu");
     machine.program(
         "apt-get",
@@ -183,15 +183,15 @@ fn a_package_that_a_distribution_lacks_does_not_keep_the_others_away() {
         ),
     );
     add_lists(&machine);
-    let wanted = [IMAGE_COMPILER, IMAGE_LINKER];
-    let result = ensure(&machine.machine, &wanted, &mut |_| {});
+    let required = [IMAGE_COMPILER, IMAGE_LINKER];
+    let result = ensure(&machine.machine, &required, &mut |_| {});
     assert!(result.unwrap_err().to_string().contains("Unable to locate"));
     let last = apt_calls(&machine).pop().unwrap();
     assert_eq!(last, format!("{INSTALL} gcc-avr avr-libc binutils-avr"));
 }
 
 #[test]
-fn without_apt_the_message_names_what_is_missing_and_the_container() {
+fn without_apt_the_message_lists_prerequisites_and_the_container() {
     let machine = Bare::new("no-apt");
     add_nightly(&machine, "1.99.0-nightly", &[]);
     let (result, _) = ensure_compiler(&machine);
@@ -214,7 +214,7 @@ fn a_named_compiler_is_not_replaced_by_a_package() {
 }
 
 #[test]
-fn a_nightly_without_clippy_is_not_given_debians() {
+fn a_nightly_without_clippy_does_not_get_debians() {
     let machine = Bare::new("nightly-clippy");
     add_apt(&machine, "1.96.0", false);
     add_nightly(&machine, "1.99.0-nightly", &["core"]);
@@ -229,7 +229,7 @@ fn a_nightly_without_clippy_is_not_given_debians() {
 }
 
 #[test]
-fn programs_that_are_missing_or_too_old_fall_short() {
+fn missing_or_old_programs_do_not_meet_prerequisites() {
     let machine = Bare::new("programs");
     let attempt = |one: Prerequisite| (one.attempt)(&machine.machine);
     assert_eq!(attempt(SYSTEMD), Err("no systemd-analyze".to_owned()));
@@ -269,7 +269,7 @@ fn programs_that_are_missing_or_too_old_fall_short() {
 }
 
 #[test]
-fn only_the_parts_that_run_are_asked_for() {
+fn only_the_selected_parts_have_prerequisites() {
     let names =
         |parts: &[Part]| -> Vec<&str> { of_parts(parts).into_iter().map(|one| one.name).collect() };
     assert_eq!(names(&[]), ["rustfmt", "clippy", "C compiler"]);

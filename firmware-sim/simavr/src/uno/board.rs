@@ -1,17 +1,19 @@
-//! Carries out requests.
+//! Executes requests.
 
 use std::collections::VecDeque;
 
 use singletrack_simavr::{BusFault, Hang, Motion, Reply, Report, Request, ResetFlags, Run};
 
-use super::elf::Image;
-use super::figures::{Meter, PATTERN, Span};
-use super::machine::Machine;
+use super::{
+    elf::Image,
+    figures::{Meter, PATTERN, Span},
+    machine::Machine,
+};
 
 const SRAM: usize = 0x100;
 const ADC_COUNTS: u32 = 1_024;
 const SUPPLY_MV: u32 = 5_000;
-/// How long the motor's sensor stays high, unless the next edge comes before.
+/// Time for which the motor sensor stays high, unless the next edge is earlier.
 const SENSOR_HIGH: u64 = 16 * 50;
 
 /// The board with an image in its flash, held in reset.
@@ -20,16 +22,16 @@ pub(crate) struct Board {
     code_end: u32,
     static_end: usize,
     meter: Meter,
-    /// Since when the processor has been held in reset.
+    /// Time since which the processor is held in reset.
     held: Option<u64>,
     hang: Option<Hang>,
-    /// Why the processor has crashed.
+    /// Reason of a crash of the processor.
     crash: Option<String>,
     sensor_falls: Option<u64>,
     watchdog_reset: Option<u64>,
 }
 
-/// What comes from outside during a run.
+/// Pending inputs of a run.
 struct Inputs {
     received: VecDeque<(u64, u8)>,
     edges: VecDeque<u64>,
@@ -37,7 +39,7 @@ struct Inputs {
 }
 
 impl Board {
-    /// `None`: this simavr doesn't know the processor.
+    /// `None` if this simavr does not support the processor.
     pub(crate) fn new(image: &Image) -> Option<Self> {
         let mut machine = Machine::new(&image.flash)?;
         machine.set_cycle(0);
@@ -119,7 +121,7 @@ impl Board {
     fn run(&mut self, run: Run) -> Reply {
         let pin_mv = u32::from(run.battery_mv) / 2;
         let counts = (pin_mv * ADC_COUNTS / SUPPLY_MV).min(ADC_COUNTS - 1);
-        // simavr multiplies by 1023 where the converter has 1024 steps.
+        // simavr multiplies by 1023; the converter has 1024 steps.
         self.machine
             .set_adc0((counts * SUPPLY_MV).div_ceil(ADC_COUNTS - 1));
         self.machine.devices().stop_input_open = run.stop_input_open;
@@ -132,7 +134,7 @@ impl Board {
             let next_input = self.take_inputs(&mut inputs);
             self.pass_time(run.until.min(next_input));
         }
-        // What came exactly at the end.
+        // Inputs exactly at the end.
         self.take_inputs(&mut inputs);
         let devices = self.machine.devices();
         let report = Report {
@@ -148,7 +150,7 @@ impl Board {
         }
     }
 
-    /// Takes what is due and tells when the next is.
+    /// Applies the inputs that are due; returns the time of the next one.
     fn take_inputs(&mut self, inputs: &mut Inputs) -> u64 {
         let now = self.now();
         while let Some((_, motion)) = inputs.motion.pop_front_if(|(at, _)| *at <= now) {
@@ -184,7 +186,7 @@ impl Board {
         .unwrap_or(u64::MAX)
     }
 
-    /// Up to `until`, or to one instruction later.
+    /// Runs up to `until`, or one instruction longer.
     fn pass_time(&mut self, until: u64) {
         loop {
             if self.held.is_some() || self.crash.is_some() {
@@ -196,8 +198,8 @@ impl Board {
             if devices.changed || devices.next() <= now {
                 devices.advance(now);
                 devices.changed = false;
-                if let Some(at) = devices.bite {
-                    self.bite(at);
+                if let Some(at) = devices.watchdog_reset {
+                    self.watchdog_reset(at);
                     continue;
                 }
                 self.machine.pass_requests();
@@ -207,16 +209,16 @@ impl Board {
             }
             let until = until.min(self.machine.devices().next());
             self.proceed(until);
-            self.look_for_crash();
+            self.check_for_crash();
         }
     }
 
-    /// At most up to `until`, or to one instruction later.
+    /// Runs at most up to `until`, or one instruction longer.
     fn proceed(&mut self, until: u64) {
         let before = self.machine.status;
         let hangs = match self.hang {
             Some(Hang::Everything) => true,
-            // It leaves a critical section before it hangs.
+            // The program leaves a critical section before it hangs.
             Some(Hang::MainLoop) => before.depth == 0 && before.interrupts_enabled(),
             None => false,
         };
@@ -232,7 +234,7 @@ impl Board {
             was_asleep: before.asleep(),
             entered: (status.entered != 0).then_some((status.entered, status.response)),
             depth: usize::from(status.depth),
-            // A hang is no critical section.
+            // A hang does not count as a critical section.
             interrupts_enabled: status.interrupts_enabled() || self.hang.is_some(),
         });
         let devices = self.machine.devices();
@@ -247,13 +249,13 @@ impl Board {
         }
     }
 
-    fn bite(&mut self, at: u64) {
-        // Nothing happens between the bite and the end of the instruction it cut off.
+    fn watchdog_reset(&mut self, at: u64) {
+        // No device acts between the timeout and the end of the interrupted instruction.
         self.hold(at);
         self.watchdog_reset = Some(at);
     }
 
-    fn look_for_crash(&mut self) {
+    fn check_for_crash(&mut self) {
         let status = self.machine.status;
         let code_end = self.code_end;
         let words = self.machine.devices().fatal.take();

@@ -1,12 +1,8 @@
-//! The devices that Rust serves, behind the addresses of their registers, and the
-//! pins.
+//! The devices modelled in Rust, by register address, and the pins.
 
 use singletrack_simavr::{Pin, Pulse};
 
-use super::timer1::Timer1;
-use super::twi::Twi;
-use super::uart::Uart;
-use super::watchdog::Watchdog;
+use super::{timer1::Timer1, twi::Twi, uart::Uart, watchdog::Watchdog};
 
 const PINB: u16 = 0x23;
 const DDRB: u16 = 0x24;
@@ -35,7 +31,7 @@ const UBRR0L: u16 = 0xC4;
 const UBRR0H: u16 = 0xC5;
 const UDR0: u16 = 0xC6;
 
-/// Registers served here alone.
+/// Registers that are served only here.
 pub(crate) const OWNED: &[std::ops::RangeInclusive<u16>] = &[
     TIFR1..=TIFR1,
     WDTCSR..=WDTCSR,
@@ -44,20 +40,20 @@ pub(crate) const OWNED: &[std::ops::RangeInclusive<u16>] = &[
     TWBR..=TWAMR,
     UCSR0A..=UDR0,
 ];
-/// Registers of which only reads are served here.
+/// Registers of which only the reads are served here.
 pub(crate) const READ: &[u16] = &[PINB, PINC, PIND];
-/// Registers of simavr's whose writes are of interest.
+/// Registers of simavr whose writes are observed.
 pub(crate) const WATCHED: &[u16] = &[DDRB, PORTB, DDRC, PORTC, DDRD, PORTD, GPIOR0];
 
 /// A port's direction and output registers.
-#[derive(Debug, Default, Clone, Copy)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Port {
     direction: u8,
     output: u8,
 }
 
 impl Port {
-    /// The pins, given the levels that the world puts on some of them.
+    /// The levels of the pins, of which `driven` are driven externally to `levels`.
     const fn pins(self, driven: u8, levels: u8) -> u8 {
         let outside = driven & levels | !driven & self.output;
         self.direction & self.output | !self.direction & outside
@@ -71,19 +67,19 @@ pub(crate) struct Devices {
     pub(crate) watchdog: Watchdog,
     pub(crate) timer1: Timer1,
     ports: [Port; 3],
-    /// Since when the pins D9 and D10 have been high.
+    /// Times of the rising edges of D9 and D10 while high.
     high_since: [Option<u64>; 2],
     pub(crate) pulses: Vec<Pulse>,
     pub(crate) motor_level: bool,
     pub(crate) stop_input_open: bool,
-    /// What was last written to GPIOR0 and not looked at yet.
+    /// Last unprocessed write to GPIOR0.
     pub(crate) mark: Option<u8>,
-    /// What simavr thinks serious, in its words.
+    /// Last fatal message of simavr.
     pub(crate) fatal: Option<String>,
     warnings: Vec<String>,
-    /// Interrupts and the next event may be different from before.
+    /// Interrupt requests and the next event may have changed.
     pub(crate) changed: bool,
-    pub(crate) bite: Option<u64>,
+    pub(crate) watchdog_reset: Option<u64>,
     next: u64,
 }
 
@@ -103,12 +99,12 @@ impl Devices {
             fatal: None,
             warnings: Vec::new(),
             changed: true,
-            bite: None,
+            watchdog_reset: None,
             next: u64::MAX,
         }
     }
 
-    /// Resets what the processor's reset resets; its pins float.
+    /// Applies a reset of the processor; the pins float.
     pub(crate) fn reset(&mut self, now: u64) {
         self.ports = [Port::default(); 3];
         self.timer1 = Timer1::new();
@@ -118,11 +114,11 @@ impl Devices {
         self.watchdog = Watchdog::default();
         self.mark = None;
         self.fatal = None;
-        self.bite = None;
+        self.watchdog_reset = None;
         self.changed = true;
     }
 
-    /// When a device does something next by itself.
+    /// Time of the next event of a device.
     pub(crate) const fn next(&self) -> u64 {
         self.next
     }
@@ -136,14 +132,14 @@ impl Devices {
             .min(self.watchdog.next());
     }
 
-    /// Lets everything happen up to now.
+    /// Processes all events up to now.
     pub(crate) fn advance(&mut self, now: u64) {
         self.changed = true;
         self.uart.advance(now);
         self.twi.advance(now);
         self.advance_timer1(now);
         if let Some(at) = self.watchdog.advance(now) {
-            self.bite = Some(at);
+            self.watchdog_reset = Some(at);
         }
         self.find_next();
     }
@@ -159,7 +155,7 @@ impl Devices {
         }
     }
 
-    /// The vectors of the devices here and whether each is asked for.
+    /// The interrupt vectors of these devices, and whether each is requested.
     pub(crate) fn requests(&self) -> [(u8, bool); 9] {
         let [capture, match_a, match_b, overflow] = self.timer1.requests();
         let [received, empty, sent] = self.uart.requests();
@@ -176,7 +172,7 @@ impl Devices {
         ]
     }
 
-    /// The processor jumps to a vector.
+    /// The processor serves a vector.
     pub(crate) fn served(&mut self, vector: u8) {
         match vector {
             6 => self.watchdog.served(),
@@ -188,10 +184,10 @@ impl Devices {
         self.changed = true;
     }
 
-    /// Receives what the simulator's logger says.
+    /// Processes a message of simavr's logger.
     pub(crate) fn log(&mut self, fatal: bool, text: &str) {
         let text = text.trim();
-        // Said of a compare register that is written before its timer runs.
+        // Caused by a write to a compare register before its timer runs.
         if text.ends_with("mode 0 UNSUPPORTED") {
             return;
         }
@@ -207,7 +203,7 @@ impl Devices {
     fn update_pins(&mut self, now: u64) {
         for (index, (channel, bit)) in [(0, 1), (1, 2)].into_iter().enumerate() {
             let port = self.ports[0];
-            // A floating pin is pulled down by the resistor at the ESC.
+            // The resistor at the ESC pulls a floating pin low.
             let high = port.direction & 1 << bit != 0
                 && self
                     .timer1
@@ -252,7 +248,7 @@ impl Devices {
             }
             PINC => {
                 let [_, port, _] = self.ports;
-                // Both lines of the bus have pull-ups of their own.
+                // Both lines of the bus have external pull-ups.
                 let pins = port.pins(0x30, 0x30);
                 if self.twi.data_held_low() {
                     pins & !0x10
@@ -262,8 +258,8 @@ impl Devices {
             }
             PIND => {
                 let [.., port] = self.ports;
-                // The line from the host idles high. The stop switch, when open,
-                // leaves its pin to the pull-up, if there is one.
+                // The line from the host idles high. With an open stop switch, the
+                // pin follows its pull-up, if enabled.
                 let switch = if self.stop_input_open { 0 } else { 0x10 };
                 let motor = if self.motor_level { 0x04 } else { 0 };
                 port.pins(0x05 | switch, 0x01 | motor)
@@ -297,9 +293,9 @@ impl Devices {
     }
 
     pub(crate) fn write(&mut self, now: u64, address: u16, value: u8) {
-        // The write ends with the instruction, a cycle later.
+        // The write takes effect at the end of the instruction, a cycle later.
         let now = now + 1;
-        // What the timer does in that very cycle it does before it is changed.
+        // Events of the timer in that cycle precede the write.
         self.advance_timer1(now);
         match address {
             PORTB => self.ports[0].output = value,
@@ -369,12 +365,12 @@ mod tests {
     }
 
     #[test]
-    fn a_write_in_the_cycle_of_a_match_does_not_swallow_it() {
+    fn a_write_in_the_cycle_of_a_match_does_not_suppress_it() {
         let (rises, falls) = (1 + 80, 1 + 80 + 32);
         for at in falls - 2..=falls + 2 {
             let mut devices = pulsing();
             devices.advance(rises);
-            // A write ends one cycle after it has begun.
+            // A write takes effect one cycle after its start.
             devices.write(at - 1, TCCR1A, 0x82);
             devices.advance(200);
             let [pulse, ..] = devices.pulses[..] else {

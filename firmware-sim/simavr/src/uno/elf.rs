@@ -1,7 +1,9 @@
 //! Reads the image's ELF file: the bytes of the flash and the end of the static data.
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use object::{
     LittleEndian,
@@ -29,7 +31,7 @@ pub(crate) struct Image {
 /// Why a file is not a program for the board.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ImageError {
-    #[error("can't read {0}: {1}")]
+    #[error("cannot read {0}: {1}")]
     Read(PathBuf, #[source] io::Error),
     #[error("{0} is not an ELF file of 32 bits, little-endian")]
     NotElf(PathBuf),
@@ -37,11 +39,11 @@ pub(crate) enum ImageError {
     NotAvr(PathBuf, u16),
     #[error("{0} is for the processors avr{1}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)")]
     OtherFamily(PathBuf, u32),
-    #[error("{0} is cut off or damaged")]
+    #[error("{0} is truncated or corrupted")]
     Damaged(PathBuf),
-    #[error("{0} needs {1} bytes of flash, there are {FLASH_BYTES}")]
+    #[error("{0} needs {1} bytes of flash, but there are {FLASH_BYTES}")]
     TooLarge(PathBuf, usize),
-    #[error("{0} holds nothing for the flash")]
+    #[error("{0} has no contents for the flash")]
     Empty(PathBuf),
 }
 
@@ -161,17 +163,17 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_image_for_the_board_is_told_apart() {
+    fn files_that_are_not_images_have_distinct_errors() {
         let other = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
         assert!(other(b"#!/bin/sh").contains("not an ELF file"));
         assert!(other(&file(62, 5, 0)).contains("for machine 62"));
         assert!(other(&file(EM_AVR, 6, 0)).contains("for the processors avr6"));
         assert!(other(&file(EM_AVR, 5, 32_765)).contains("needs 32769 bytes"));
-        assert!(other(&file(EM_AVR, 5, 0x81_0000)).contains("nothing for the flash"));
+        assert!(other(&file(EM_AVR, 5, 0x81_0000)).contains("no contents for the flash"));
     }
 
     #[test]
-    fn a_file_cut_off_anywhere_is_refused() {
+    fn a_file_truncated_anywhere_is_refused() {
         let whole = file(EM_AVR, 5, 0);
         for length in 0..whole.len() {
             assert!(parse(&whole[..length]).is_err(), "{length}");

@@ -1,15 +1,15 @@
-//! Counts what the run costs, step by step.
+//! Measures resource usage, step by step.
 
 use std::collections::BTreeMap;
 
 use singletrack_simavr::{CYCLES_PER_US, Figures, Interrupt};
 
-/// A critical section of the initialisation harms nobody.
+/// Critical sections within this time after the start do not count.
 const SETTLING: u64 = 5_000 * CYCLES_PER_US;
 
-/// What is in SRAM where nobody has written since power-on.
+/// Contents of SRAM that has not been written since power-on.
 pub(crate) const PATTERN: u8 = 0xC5;
-/// So many of them in a row were not written by chance.
+/// Number of consecutive pattern bytes that counts as unwritten.
 const UNTOUCHED: usize = 16;
 
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ pub(crate) struct Meter {
     started: u64,
     /// Cycles of the main program while awake.
     main: u64,
-    /// Interrupts being served, and when each began.
+    /// Interrupts in service with their start times.
     serving: Vec<(u8, u64)>,
     interrupts: BTreeMap<u8, (u64, u32, u64)>,
     disabled_since: Option<u64>,
@@ -36,15 +36,15 @@ pub(crate) struct Meter {
     sections: BTreeMap<u8, Section>,
 }
 
-/// What a step did, in terms of the counters.
+/// A step, in terms of the counters.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     pub(crate) from: u64,
     pub(crate) to: u64,
     pub(crate) was_asleep: bool,
-    /// Vector entered at the end, with the cycles it took.
+    /// Vector entered at the end, with the cycles of the entry.
     pub(crate) entered: Option<(u8, u8)>,
-    /// Interrupts being served after it.
+    /// Interrupts in service after the step.
     pub(crate) depth: usize,
     pub(crate) interrupts_enabled: bool,
 }
@@ -55,7 +55,7 @@ impl Meter {
         self.stop();
     }
 
-    /// Forgets what is under way: a reset or a hang cuts it off.
+    /// Discards measurements in progress, after a reset or a hang.
     pub(crate) fn stop(&mut self) {
         self.serving.clear();
         self.disabled_since = None;
@@ -115,7 +115,7 @@ impl Meter {
         }
     }
 
-    /// `sram` begins above the static data.
+    /// The figures; `sram` starts above the static data.
     pub(crate) fn figures(&self, sram: &[u8]) -> Figures {
         Figures {
             cycles: self.cycles,
@@ -153,8 +153,7 @@ fn narrow(cycles: u64) -> u32 {
     u32::try_from(cycles).unwrap_or(u32::MAX)
 }
 
-/// Bytes above the first untouched run above the static data; all, if there is
-/// none.
+/// Bytes above the first unwritten run; all, if there is none.
 fn stack_bytes(sram: &[u8]) -> u16 {
     let untouched = sram
         .windows(UNTOUCHED)
@@ -177,10 +176,10 @@ mod tests {
         assert_eq!(stack_bytes(&sram), 0);
         sram[90..].fill(1);
         assert_eq!(stack_bytes(&sram), 10);
-        // A buffer on the stack of which little was written.
+        // A stack buffer that was hardly written.
         sram[70] = 1;
         assert_eq!(stack_bytes(&sram), 30);
-        // Something above the static data that the symbols don't tell of.
+        // Data above the static data without symbols.
         sram[..8].fill(1);
         assert_eq!(stack_bytes(&sram), 30);
         for byte in sram.iter_mut().step_by(10) {

@@ -1,4 +1,4 @@
-//! simavr, and all that is unsafe about it.
+//! The unsafe interface to simavr.
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, c_char, c_int, c_void};
@@ -15,16 +15,16 @@ struct Callbacks {
     changed: *const bool,
 }
 
-/// What the processor does.
+/// State of the processor.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Status {
     pub(crate) cycle: u64,
     pub(crate) pc: u32,
-    /// Vector entered by the step, zero for none, and the cycles that took.
+    /// Vector entered by the step, zero for none, and the cycles of the entry.
     pub(crate) entered: u8,
     pub(crate) response: u8,
-    /// Interrupts being served.
+    /// Number of interrupts in service.
     pub(crate) depth: u8,
     interrupts_enabled: u8,
     asleep: u8,
@@ -56,15 +56,15 @@ unsafe extern "C" {
     fn uno_set_cycle(uno: *mut c_void, cycle: u64);
     fn uno_wake(uno: *mut c_void);
     fn uno_disable_interrupts(uno: *mut c_void);
-    fn uno_request(uno: *mut c_void, vector: u8, wanted: c_int);
+    fn uno_request(uno: *mut c_void, vector: u8, requested: c_int);
     fn uno_set_int0(uno: *mut c_void, level: c_int);
     fn uno_set_adc0(uno: *mut c_void, millivolts: u32);
     fn uno_data(uno: *mut c_void, size: *mut u32) -> *mut u8;
     fn uno_silence_stdout() -> c_int;
 }
 
-// The callbacks. simavr calls them from within the functions above, all of which
-// take a `&mut Machine`: no other reference to the devices is alive then.
+// The callbacks. simavr calls them only within the functions above, all of which
+// take a `&mut Machine`: no other reference to the devices exists then.
 
 /// # Safety
 ///
@@ -98,7 +98,7 @@ extern "C" fn log(context: *mut c_void, fatal: c_int, text: *const c_char) {
     unsafe { devices(context) }.log(fatal != 0, &text.to_string_lossy());
 }
 
-/// What simavr prints goes to the standard error from now on.
+/// Redirects simavr's output to standard error.
 pub(crate) fn silence_stdout() {
     // SAFETY: replaces a descriptor, touches no memory.
     unsafe { uno_silence_stdout() };
@@ -106,7 +106,7 @@ pub(crate) fn silence_stdout() {
 
 /// The processor and its devices.
 ///
-/// A process has one: it lives as long as the process.
+/// A process has one, which lives as long as the process.
 pub(crate) struct Machine {
     uno: *mut c_void,
     devices: *mut Devices,
@@ -114,7 +114,7 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// `None`: this simavr doesn't know the processor.
+    /// `None` if this simavr does not support the processor.
     pub(crate) fn new(flash: &[u8]) -> Option<Self> {
         let devices = Box::into_raw(Box::new(Devices::new()));
         let callbacks = Callbacks {
@@ -126,8 +126,8 @@ impl Machine {
             // SAFETY: takes an address, reads nothing.
             changed: unsafe { &raw const (*devices).changed },
         };
-        // SAFETY: both are valid for the call, which copies them; the devices live
-        // for ever.
+        // SAFETY: both are valid for the call, which copies them; the devices are
+        // never freed.
         let uno = unsafe { uno_new(&raw const callbacks, flash.as_ptr(), flash.len() as u32) };
         if uno.is_null() {
             return None;
@@ -165,13 +165,13 @@ impl Machine {
         unsafe { uno_reset(self.uno, &raw mut self.status) };
     }
 
-    /// Runs instructions up to the cycle given, or less: see the shim.
+    /// Runs instructions up to the given cycle, or fewer: see the shim.
     pub(crate) fn run(&mut self, until: u64) {
         // SAFETY: as above.
         unsafe { uno_run(self.uno, until, &raw mut self.status) };
     }
 
-    /// Lets time pass without one, up to the cycle given, or less.
+    /// Advances time without instructions up to the given cycle, or less.
     pub(crate) fn skip(&mut self, until: u64) {
         // SAFETY: as above.
         unsafe { uno_skip(self.uno, until, &raw mut self.status) };
@@ -196,11 +196,11 @@ impl Machine {
         unsafe { uno_disable_interrupts(self.uno) };
     }
 
-    /// Passes the devices' requests for interrupts on to the processor.
+    /// Passes the devices' interrupt requests to the processor.
     pub(crate) fn pass_requests(&mut self) {
-        for (vector, wanted) in self.devices().requests() {
+        for (vector, requested) in self.devices().requests() {
             // SAFETY: as above.
-            unsafe { uno_request(self.uno, vector, wanted.into()) };
+            unsafe { uno_request(self.uno, vector, requested.into()) };
         }
     }
 
@@ -220,8 +220,8 @@ impl Machine {
         let mut size = 0;
         // SAFETY: as above.
         let data = unsafe { uno_data(self.uno, &raw mut size) };
-        // SAFETY: so long is simavr's allocation, and it moves and touches nothing
-        // while `self` is borrowed.
+        // SAFETY: this is the length of simavr's allocation, which neither moves
+        // nor is accessed while `self` is borrowed.
         unsafe { std::slice::from_raw_parts_mut(data, size as usize) }
     }
 }

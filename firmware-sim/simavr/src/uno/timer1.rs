@@ -5,10 +5,10 @@
 /// A channel, A or B.
 #[derive(Clone, Copy, Debug, Default)]
 struct Channel {
-    /// What the comparator uses, and what it will use from BOTTOM on.
+    /// The compare value in use, and the one from BOTTOM on.
     compare: u16,
     buffer: u16,
-    /// When the next match shows.
+    /// Time at which the next match takes effect.
     next_match: Option<u64>,
     output: bool,
 }
@@ -37,7 +37,7 @@ const PRESCALERS: [Option<i64>; 8] = [
     Some(64),
     Some(256),
     Some(1_024),
-    // External clocks, which nobody drives.
+    // External clocks, which are not connected.
     None,
     None,
 ];
@@ -61,7 +61,7 @@ impl Timer1 {
         self.control[0] & 3 | (self.control[1] >> 1) & 0x0C
     }
 
-    /// Whether it runs in a mode that counts down as well, which is not modelled.
+    /// Whether it runs in a mode that also counts down, which is not modelled.
     pub(crate) fn counts_down(&self) -> bool {
         self.prescaler().is_some() && matches!(self.mode(), 1..=3 | 8..=11)
     }
@@ -88,7 +88,7 @@ impl Timer1 {
     fn output_mode(&self, channel: usize) -> u8 {
         let shift = if channel == 0 { 6 } else { 4 };
         let mode = (self.control[0] >> shift) & 3;
-        // In fast PWM, toggling is for channel A in modes 14 and 15 alone.
+        // In fast PWM, only channel A can toggle, in modes 14 and 15.
         if mode == 1 && self.is_fast_pwm() && (channel == 1 || self.mode() < 14) {
             0
         } else {
@@ -96,7 +96,7 @@ impl Timer1 {
         }
     }
 
-    /// What the timer puts on the pin of a channel, if the pin is its own.
+    /// Level of a channel's pin, if the timer controls it.
     pub(crate) fn output(&self, channel: usize) -> Option<bool> {
         let driven = self.output_mode(channel) != 0;
         self.channels
@@ -112,7 +112,7 @@ impl Timer1 {
         }
     }
 
-    /// Works out when what happens next, all after `now`.
+    /// Computes the times of the next events, all after `now`.
     fn schedule(&mut self, now: u64) {
         let Some(prescaler) = self.prescaler() else {
             self.next_top = None;
@@ -124,7 +124,7 @@ impl Timer1 {
         let zero = self.zero;
         let end_of = |count: u16| (zero + (i64::from(count) + 1) * prescaler) as u64;
         let top = self.top();
-        // Past the top it counts on to the end.
+        // Beyond the top it counts to the end of the range.
         let top = if end_of(top) > now { top } else { 0xFFFF };
         let next_top = end_of(top);
         self.next_top = Some(next_top);
@@ -146,7 +146,7 @@ impl Timer1 {
         .unwrap_or(u64::MAX)
     }
 
-    /// What happens at the next moment at which anything does.
+    /// Processes the next event.
     pub(crate) fn advance(&mut self) {
         let at = self.next();
         for index in 0..2 {
@@ -168,7 +168,7 @@ impl Timer1 {
         }
         self.zero = at as i64;
         match self.mode() {
-            // In CTC the overflow is at the end of the range, which it doesn't reach.
+            // In CTC the overflow is at the end of the range, which is not reached.
             4 | 12 => {}
             _ => self.flags |= TOV,
         }
@@ -188,18 +188,18 @@ impl Timer1 {
         self.schedule(at);
     }
 
-    /// Interrupts 10 (capture), 11, 12 (matches) and 13 (overflow) asked for.
+    /// Requests of interrupts 10 (capture), 11, 12 (matches) and 13 (overflow).
     pub(crate) fn requests(&self) -> [bool; 4] {
-        let asked = self.flags & self.mask;
+        let requested = self.flags & self.mask;
         [
-            asked & ICF != 0,
-            asked & 2 != 0,
-            asked & 4 != 0,
-            asked & TOV != 0,
+            requested & ICF != 0,
+            requested & 2 != 0,
+            requested & 4 != 0,
+            requested & TOV != 0,
         ]
     }
 
-    /// An interrupt is being served, which clears its flag.
+    /// Notes the service of an interrupt, which clears its flag.
     pub(crate) fn served(&mut self, vector: u8) {
         self.flags &= !match vector {
             10 => ICF,
@@ -214,7 +214,7 @@ impl Timer1 {
         self.flags
     }
 
-    /// Ones clear.
+    /// Clears the flags that are one in `ones`.
     pub(crate) fn clear_flags(&mut self, ones: u8) {
         self.flags &= !ones;
     }
@@ -227,7 +227,7 @@ impl Timer1 {
         self.mask = value;
     }
 
-    /// A register by its distance from TCCR1A.
+    /// Reads a register by its offset from TCCR1A.
     pub(crate) fn read(&mut self, now: u64, register: u16) -> u8 {
         let count = self.count(now);
         match register {
@@ -280,7 +280,7 @@ impl Timer1 {
                 return;
             }
             4 => self.set_count(now, whole),
-            // Section "Input Capture Unit": writable only in modes that have it as top.
+            // Section "Input Capture Unit": writable only in modes with ICR1 as top.
             6 if matches!(self.mode(), 8 | 10 | 12 | 14) => self.capture = whole,
             8 | 10 => {
                 let buffered = self.is_fast_pwm();
@@ -332,7 +332,7 @@ mod tests {
         timer
     }
 
-    /// When the output of channel A changes, up to cycle `until`.
+    /// Times at which the output of channel A changes, up to cycle `until`.
     fn changes(timer: &mut Timer1, until: u64) -> Vec<u64> {
         let mut changes = Vec::new();
         let mut level = timer.output(0);
@@ -363,12 +363,12 @@ mod tests {
     }
 
     #[test]
-    fn half_a_register_written_changes_nothing() {
+    fn writing_half_a_register_has_no_effect() {
         let mut timer = pwm();
         timer.write(1, OCR1A + 1, 2);
         assert_eq!(changes(&mut timer, 120), [80, 112]);
         timer.write(120, OCR1A, 5);
-        // 0x205 lies above the top: never cleared.
+        // 0x205 is above the top: never cleared.
         assert_eq!(changes(&mut timer, 400), [160]);
     }
 
@@ -403,7 +403,7 @@ mod tests {
         }
     }
     #[test]
-    fn the_top_is_written_only_after_a_mode_that_has_it_there() {
+    fn the_top_is_writable_only_in_modes_that_use_it() {
         let mut timer = Timer1::new();
         write16(&mut timer, 0, ICR1, 9);
         assert_eq!(timer.read(0, ICR1), 0);

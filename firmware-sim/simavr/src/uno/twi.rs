@@ -23,7 +23,7 @@ const RECEIVED: u8 = 0x50;
 const RECEIVED_LAST: u8 = 0x58;
 const NOTHING: u8 = 0xF8;
 
-/// Clock pulses after which a slave that has lost count lets go.
+/// Clock pulses after which a slave that has lost count releases the bus.
 const PULSES_TO_FREE: u8 = 9;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +39,7 @@ enum Action {
 pub(crate) struct Twi {
     pub(crate) imu: Bno055,
     fault: BusFault,
-    /// Pulses the jammed slave still needs.
+    /// Pulses that the jammed slave still needs.
     pulses_to_free: u8,
     clock_high: bool,
     bit_rate: u8,
@@ -48,9 +48,9 @@ pub(crate) struct Twi {
     status: u8,
     data: u8,
     own_address: [u8; 2],
-    /// Between a start and a stop condition of ours.
+    /// Between a start and a stop condition of this master.
     owns_bus: bool,
-    /// The action under way and its end. `u64::MAX`: it waits for the data line.
+    /// The action in progress and its end. `u64::MAX`: it waits for the data line.
     action: Option<(Action, u64)>,
 }
 
@@ -72,7 +72,7 @@ impl Twi {
         }
     }
 
-    /// Resets the interface; the bus and the IMU know nothing of it.
+    /// Resets the interface, but not the bus and the IMU.
     pub(crate) fn reset(&mut self) {
         *self = Self {
             imu: std::mem::take(&mut self.imu),
@@ -82,7 +82,7 @@ impl Twi {
         };
     }
 
-    /// The IMU's supply came up in that cycle: it holds no line any more.
+    /// Powers the IMU at that cycle; it releases the bus.
     pub(crate) fn power_on(&mut self, at: u64) {
         self.imu.power_on(at);
         self.pulses_to_free = 0;
@@ -103,7 +103,7 @@ impl Twi {
         self.line_changed(now);
     }
 
-    /// Whether somebody else holds the data line low.
+    /// Whether another device holds the data line low.
     pub(crate) fn data_held_low(&self) -> bool {
         match self.fault {
             BusFault::Jammed => self.pulses_to_free > 0,
@@ -112,7 +112,7 @@ impl Twi {
         }
     }
 
-    /// The level of the clock line that the port makes, while the interface is off.
+    /// Sets the level of the clock line from the port, while the interface is off.
     pub(crate) fn drive_clock(&mut self, now: u64, high: bool) {
         let rises = high && !self.clock_high;
         self.clock_high = high;
@@ -139,7 +139,7 @@ impl Twi {
             Action::Start | Action::Stop => 1,
             Action::Address | Action::Send | Action::Receive => 9,
         };
-        // Neither condition exists while the data line can't rise.
+        // Neither condition is possible while the data line cannot rise.
         let stuck = matches!(action, Action::Start | Action::Stop) && self.data_held_low();
         let end = if stuck {
             u64::MAX
@@ -280,7 +280,7 @@ impl Twi {
         self.data
     }
 
-    /// Refused while a byte is under way, as TWWC would tell.
+    /// Ignored while a byte is in progress (TWWC).
     pub(crate) fn set_data(&mut self, value: u8) {
         if self.control & TWINT != 0 {
             self.data = value;

@@ -13,7 +13,7 @@ const RXEN: u8 = 0x10;
 const TXEN: u8 = 0x08;
 const UCSZ2: u8 = 0x04;
 
-/// Of UCSR0C: eight data bits, no parity, one stop bit.
+/// Value of UCSR0C: eight data bits, no parity, one stop bit.
 const FORMAT_8N1: u8 = 0x06;
 
 #[derive(Debug)]
@@ -22,8 +22,8 @@ pub(crate) struct Uart {
     control: [u8; 3],
     divider: u16,
     received: VecDeque<u8>,
-    /// A byte that waits in the receiver's shift register, and when that was free
-    /// again last.
+    /// A byte waiting in the receiver's shift register, and the time at which that
+    /// was last free.
     waiting: Option<u8>,
     free_since: u64,
     overrun: bool,
@@ -83,19 +83,22 @@ impl Uart {
             | flag(self.overrun, DOR)
     }
 
-    /// Whether the interrupts 18 (received), 19 (buffer empty) and 20 (sent) are
-    /// asked for.
+    /// Requests of interrupts 18 (received), 19 (buffer empty) and 20 (sent).
     pub(crate) fn requests(&self) -> [bool; 3] {
-        let asked = self.flags() & self.control[1];
-        [asked & RXC != 0, asked & UDRE != 0, asked & TXC != 0]
+        let requested = self.flags() & self.control[1];
+        [
+            requested & RXC != 0,
+            requested & UDRE != 0,
+            requested & TXC != 0,
+        ]
     }
 
-    /// The interrupt "sent" is being served, which clears its flag.
+    /// Notes the service of the interrupt "sent", which clears its flag.
     pub(crate) fn served_sent(&mut self) {
         self.sent = false;
     }
 
-    /// When something happens by itself.
+    /// Time of the next event.
     pub(crate) fn next(&self) -> u64 {
         self.sending.map_or(u64::MAX, |(end, _)| end)
     }
@@ -117,12 +120,12 @@ impl Uart {
         self.sending = Some((now + self.bits_per_byte() * self.cycles_per_bit(), byte));
     }
 
-    /// A byte's stop bit reaches the receiver.
+    /// Processes a byte whose stop bit reaches the receiver.
     pub(crate) fn receive(&mut self, now: u64, byte: u8) {
         if self.control[1] & RXEN == 0 {
             return;
         }
-        // The shift register must be free when the start bit begins.
+        // The shift register must be free at the start bit.
         let start = now.saturating_sub(self.cycles_per_bit() * 19 / 2);
         if self.waiting.is_some() || self.free_since > start {
             self.overrun = true;
@@ -214,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_byte_needs_room_when_its_start_bit_comes() {
+    fn a_byte_needs_room_at_its_start_bit() {
         for (read_at, lost) in [(4 * BYTE - 10 * BIT, 0), (4 * BYTE - 9 * BIT, 1)] {
             let mut uart = uart();
             for n in 1..=3_u8 {
@@ -228,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_is_off_hears_and_loses_nothing() {
+    fn a_disabled_receiver_neither_receives_nor_loses_bytes() {
         let mut uart = uart();
         uart.receive(BYTE, 1);
         uart.set_control(1, TXEN);

@@ -6,16 +6,16 @@ const WDP3: u8 = 0x20;
 const WDCE: u8 = 0x10;
 const WDE: u8 = 0x08;
 
-/// Of 16 MHz in one of 128 kHz.
+/// Cycles of 16 MHz per count of 128 kHz.
 const CYCLES_PER_COUNT: u64 = 125;
-/// A change is allowed for this long.
+/// Number of cycles in which a change is allowed.
 const CHANGE: u64 = 4;
 
 #[derive(Debug, Default)]
 pub(crate) struct Watchdog {
     control: u8,
     counts_since: u64,
-    /// Until when prescaler and enable may be written.
+    /// End of the time in which prescaler and enable may be written.
     open_until: Option<u64>,
 }
 
@@ -60,13 +60,13 @@ impl Watchdog {
         self.counts_since + ((2_048 * CYCLES_PER_COUNT) << prescaler.min(9))
     }
 
-    /// Whether it bites.
+    /// Time of a reset, if it occurs by now.
     pub(crate) fn advance(&mut self, now: u64) -> Option<u64> {
         let due = self.next();
         if due > now {
             return None;
         }
-        // An interrupt that was not served until the next time does not save it.
+        // An interrupt that is not served by the next timeout does not prevent the reset.
         let unserved = self.control & WDIF != 0 && self.control & WDE != 0;
         if self.control & WDIE != 0 && !unserved {
             self.control |= WDIF;
@@ -80,7 +80,7 @@ impl Watchdog {
         self.control & WDIF != 0 && self.control & WDIE != 0
     }
 
-    /// Its interrupt is being served. The next time it bites.
+    /// Notes the service of its interrupt; the next timeout resets.
     pub(crate) fn served(&mut self) {
         self.control &= !WDIF;
         if self.control & WDE != 0 {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn with_its_interrupt_it_barks_before_it_bites() {
+    fn with_its_interrupt_enabled_it_interrupts_before_it_resets() {
         let mut watchdog = enabled();
         watchdog.write(100, WDIE);
         let due = watchdog.next();
@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(watchdog.advance(due + 64 * MS), Some(due + 64 * MS));
     }
     #[test]
-    fn a_bark_that_nobody_hears_is_followed_by_a_bite() {
+    fn an_unserved_interrupt_is_followed_by_a_reset() {
         let mut watchdog = enabled();
         watchdog.write(100, WDIE);
         let due = watchdog.next();

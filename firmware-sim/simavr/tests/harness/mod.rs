@@ -1,9 +1,11 @@
-//! Builds a program with avr-gcc and runs it in the process.
+//! Builds a program with avr-gcc and runs it in `singletrack-simavr`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::io::BufReader;
-use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::{
+    io::BufReader,
+    path::Path,
+    process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio},
+};
 
 use singletrack_simavr::{Reply, Report, Request, ResetFlags, Run, receive, send};
 
@@ -14,7 +16,7 @@ pub(crate) fn command() -> Command {
     Command::new(env!("CARGO_BIN_EXE_singletrack-simavr"))
 }
 
-/// The process with a program.
+/// The process running a program.
 pub(crate) struct Uno {
     process: Child,
     input: ChildStdin,
@@ -23,7 +25,7 @@ pub(crate) struct Uno {
 }
 
 impl Uno {
-    /// With the program started, as at power-on.
+    /// A process with the program started after power-on.
     pub(crate) fn started(source: &str) -> Self {
         let mut process = command()
             .arg(built(source))
@@ -58,12 +60,12 @@ impl Uno {
         }
     }
 
-    /// Runs so many cycles in which nothing happens.
+    /// Runs for a number of cycles without inputs.
     pub(crate) fn pass(&mut self, cycles: u64) -> Report {
         self.run(self.until(cycles))
     }
 
-    /// So many cycles from now.
+    /// A run of a number of cycles without inputs.
     pub(crate) fn until(&self, cycles: u64) -> Run {
         Run {
             until: self.cycle + cycles,
@@ -99,7 +101,7 @@ pub(crate) fn bytes(dated: &[(u64, u8)]) -> Vec<u8> {
 
 fn built(source: &str) -> std::path::PathBuf {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/programs");
-    // Tests run side by side: each builds for itself.
+    // Tests run in parallel: each has its own file.
     let name = std::thread::current().name().unwrap_or("test").to_owned();
     let image = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{source}.elf"));
     let status = Command::new("avr-gcc")

@@ -1,4 +1,4 @@
-/* Reads nothing for 5 ms, then tells the overrun flag and the byte for each. */
+/* Reads nothing for 5 ms, then sends the overrun flag and the byte for each. */
 #include "uart.h"
 #include <util/delay.h>
 

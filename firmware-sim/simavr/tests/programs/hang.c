@@ -1,4 +1,4 @@
-/* A byte each millisecond from the interrupt, which tells whether main runs. */
+/* Sends a byte every millisecond from the interrupt: whether main has run. */
 #include "uart.h"
 
 static volatile uint8_t alive;

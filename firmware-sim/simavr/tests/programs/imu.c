@@ -1,10 +1,10 @@
 /*
- * A master of the two-wire interface in the host's hands. Commands:
+ * A master of the two-wire interface, controlled by the host. Commands:
  *   's'    start condition         'p'      stop condition
  *   'w' b  sends a byte            'r' a    receives one, acknowledges if a
- *   'c'    nine pulses on the clock line by hand
+ *   'c'    nine pulses on the clock line by software
  * All but 'p' answer with the status, 'r' with the byte after it. A start that
- * takes more than a millisecond is given up: status 0xFF.
+ * takes more than a millisecond is aborted: status 0xFF.
  */
 #include "uart.h"
 #include <util/delay.h>

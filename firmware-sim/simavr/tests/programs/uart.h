@@ -1,4 +1,4 @@
-/* 115200 baud with U2X, as 16 MHz makes it: 17 * 8 cycles a bit. */
+/* 115200 baud from 16 MHz with U2X: 17 * 8 cycles a bit. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/sleep.h>

@@ -1,4 +1,4 @@
-/* Tells why it was started, then trusts the watchdog (64 ms) to a dead loop. */
+/* Sends the reset cause, then hangs with the watchdog enabled (64 ms). */
 #include "uart.h"
 
 register uint8_t reset_flags asm("r2");

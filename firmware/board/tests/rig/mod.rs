@@ -1,4 +1,4 @@
-//! A board in virtual time, with wheels that turn as told.
+//! A board in virtual time with simulated wheels.
 
 #![allow(dead_code, reason = "each test file uses its own part")]
 #![allow(clippy::panic, reason = "a test that cannot go on has failed")]
@@ -56,17 +56,17 @@ pub(crate) struct Rig {
     pub(crate) poll_us: u32,
     /// Time between motor pulses; `None` while the wheels stand still.
     pub(crate) pulse_period_us: Option<u32>,
-    /// Whether the line takes what the board sends.
+    /// Whether the line accepts frames from the board.
     pub(crate) line_open: bool,
-    /// Every message of the board with the time of its poll.
-    pub(crate) heard: Vec<(u32, ToHost)>,
+    /// The board's messages with the times of their polls.
+    pub(crate) messages: Vec<(u32, ToHost)>,
     next_request: Sequence,
     next_drive: Sequence,
     decoder: Decoder,
 }
 
 impl Rig {
-    /// A board that has just started, at a given time, not yet polled.
+    /// A board that has just started at a given time, not yet polled.
     pub(crate) fn starting_at(now: u32) -> Self {
         let board = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
         Self {
@@ -77,7 +77,7 @@ impl Rig {
             poll_us: MS,
             pulse_period_us: None,
             line_open: true,
-            heard: Vec::new(),
+            messages: Vec::new(),
             next_request: Sequence(1),
             next_drive: Sequence(250),
             decoder: Decoder::new(),
@@ -88,7 +88,7 @@ impl Rig {
         Self::starting_at(1_000_000)
     }
 
-    /// Configured, ESC held at neutral for long enough.
+    /// Configured and ready to arm.
     pub(crate) fn ready_with(configuration: Configuration) -> Self {
         let mut rig = Self::new();
         rig.poll(&[]);
@@ -122,7 +122,7 @@ impl Rig {
                     count,
                     last_edge_us,
                 } = self.inputs.motor;
-                // A standstill before: begin anew.
+                // The wheels stood still before.
                 let late = self.now.wrapping_sub(last_edge_us) > 10 * period;
                 self.inputs.motor = MotorPulses {
                     count: count.wrapping_add(1),
@@ -134,24 +134,28 @@ impl Rig {
                 };
             }
         }
-        let (decoder, heard, now, open) =
-            (&mut self.decoder, &mut self.heard, self.now, self.line_open);
+        let (decoder, messages, now, open) = (
+            &mut self.decoder,
+            &mut self.messages,
+            self.now,
+            self.line_open,
+        );
         let mut transmit = |bytes: &[u8]| {
             if !open {
                 return false;
             }
-            let before = heard.len();
+            let before = messages.len();
             for &byte in bytes {
                 if let Some(packet) = decoder.push(byte) {
                     match packet.map(ToHost::decode) {
-                        Ok(Ok(message)) => heard.push((now, message)),
+                        Ok(Ok(message)) => messages.push((now, message)),
                         wrong => panic!("the board sent {wrong:?}"),
                     }
                 }
             }
-            // Or the zero before the announcement.
+            // No message: the zero before the announcement.
             let whole = usize::from(bytes != [0]);
-            assert_eq!(heard.len(), before + whole, "not one whole frame");
+            assert_eq!(messages.len(), before + whole, "not one whole frame");
             true
         };
         self.outputs = self
@@ -160,7 +164,7 @@ impl Rig {
         self.outputs
     }
 
-    /// Lets time go by, polling at `poll_us`.
+    /// Advances time, polling every `poll_us`.
     pub(crate) fn run(&mut self, duration_us: u32) {
         let mut left = duration_us;
         while left > 0 {
@@ -171,7 +175,7 @@ impl Rig {
         }
     }
 
-    /// Gives the board a message now.
+    /// Sends a message to the board and polls.
     pub(crate) fn send(&mut self, message: impl Into<ToBoard>) {
         self.poll(message.into().encode().as_bytes());
     }
@@ -189,9 +193,9 @@ impl Rig {
         self.next_request
     }
 
-    /// What the board answered to the request it was sent just now.
+    /// The board's answer to the request in the last poll.
     fn answer(&self, to: Sequence) -> Result<(), RefusalReason> {
-        for &(time, message) in self.heard.iter().rev() {
+        for &(time, message) in self.messages.iter().rev() {
             assert_eq!(time, self.now, "no answer");
             match message {
                 ToHost::Acknowledgement(yes) if yes.sequence == to => return Ok(()),
@@ -211,7 +215,7 @@ impl Rig {
         self.answer(request)
     }
 
-    /// A request to arm as a good host makes it.
+    /// A valid arm request.
     pub(crate) fn arm_request(&mut self) -> Arm {
         Arm {
             request: self.request(),
@@ -242,7 +246,7 @@ impl Rig {
         assert_eq!(self.answer(request), Ok(()));
     }
 
-    /// A command as a good host makes it, from a pose of 10 ms ago.
+    /// A valid command with a pose age of 10 ms.
     pub(crate) fn command(&mut self, speed_mm_s: i16, steering_100urad: i16) -> Drive {
         self.next_drive = self.next_drive.next();
         Drive {
@@ -259,7 +263,7 @@ impl Rig {
         self.send(command);
     }
 
-    /// A fresh command every 10 ms, the last one now.
+    /// Sends a command every 10 ms, the last one at the end.
     pub(crate) fn drive_for(&mut self, duration_us: u32, speed_mm_s: i16, steering_100urad: i16) {
         for _ in 0..duration_us / (10 * MS) {
             self.run(10 * MS);
@@ -267,10 +271,10 @@ impl Rig {
         }
     }
 
-    /// The last record for control.
+    /// The last telemetry record.
     pub(crate) fn telemetry(&self) -> Telemetry {
         let found = self
-            .heard
+            .messages
             .iter()
             .rev()
             .find_map(|(_, message)| match message {
@@ -280,12 +284,12 @@ impl Rig {
         found.unwrap_or_else(|| panic!("no telemetry"))
     }
 
-    /// Whatever the board now thinks of its counters.
+    /// The next status record.
     pub(crate) fn status(&mut self) -> Status {
-        self.heard.clear();
+        self.messages.clear();
         self.run(200 * MS);
         let found = self
-            .heard
+            .messages
             .iter()
             .rev()
             .find_map(|(_, message)| match message {
@@ -295,7 +299,7 @@ impl Rig {
         found.unwrap_or_else(|| panic!("no status"))
     }
 
-    /// What [`Status`] says of the last command refused, by way of its counter.
+    /// Sends a command that must be refused; returns the reason in [`Status`].
     pub(crate) fn refused(&mut self, command: impl Into<ToBoard>) -> RefusalReason {
         let before = self.board.last_sequence();
         self.send(command);

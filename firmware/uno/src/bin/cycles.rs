@@ -1,7 +1,7 @@
-//! What the codec and a poll cost. Not flashed: for the simulator, which counts
-//! the cycles between the marks of each section.
+//! Cost of the codec and of a poll. Not flashed: the simulator counts the cycles
+//! between the markers of each section.
 //!
-//! | Section | What |
+//! | Section | Work |
 //! |---|---|
 //! | 1 | decode a Drive frame, all bytes of it |
 //! | 2 | decode a Configure frame |
@@ -21,9 +21,7 @@ mod in_place;
 #[path = "../sections.rs"]
 mod sections;
 
-use core::arch::asm;
-use core::hint::black_box;
-use core::panic::PanicInfo;
+use core::{arch::asm, hint::black_box, panic::PanicInfo};
 
 use in_place::InPlace;
 use sections::measured;
@@ -141,7 +139,7 @@ fn measure_decoding(section: u8, frame: &Frame) {
     });
 }
 
-/// As configured, but not driven: that needs a host that answers.
+/// Polls of a configured board that does not drive, which would need a host.
 fn measure_polls() {
     const POLL_US: u32 = 1_000;
     const POLLS_PER_CONTROL: u8 = 10;
@@ -149,7 +147,7 @@ fn measure_polls() {
 
     static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::PowerOn, [0; 3]));
 
-    // SAFETY: nobody calls this function again.
+    // SAFETY: this function is called only once.
     #[allow(unsafe_code)]
     let board = unsafe { BOARD.take() };
     let inputs = black_box(Inputs::default());
@@ -184,10 +182,10 @@ fn measure_polls() {
     }
 }
 
-/// Sleep with interrupts masked is the end, also for a simulator.
+/// Sleeping with interrupts masked also ends the simulator.
 fn stop() -> ! {
     loop {
-        // SAFETY: stopping for good is always sound.
+        // SAFETY: stopping the processor is always sound.
         #[allow(unsafe_code)]
         unsafe {
             asm!("cli", "sleep");

@@ -1,4 +1,4 @@
-//! How old what a pulse rests on may be.
+//! Limits on the age of commands and poses behind a driving pulse.
 
 use singletrack_pilot::Mode;
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
@@ -6,16 +6,16 @@ use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ToBoard};
 use super::{Invariant, SERVO_US, Verdict};
 use crate::observation::{Observation, ReceivedPose};
 
-/// The supervising interrupt's period, in µs, and as much by which its clock may
-/// be behind.
+/// The period of the supervising interrupt, and the largest lag of its clock, in
+/// µs.
 const SUPERVISOR_US: u64 = 2_000;
 
-/// What clocks may make of a time of 100 ms, at 0.5 %, in µs.
+/// Clock error over 100 ms at 0.5 %, in µs.
 const SKEW_US: u64 = 500;
 
-/// `command-age`: a pulse that drives begins no later than 95 ms, one servo
-/// period and 2 ms of the supervisor (its period, and its clock's) after the telemetry that the newest
-/// command rests on, by the board's clock.
+/// `command-age`: a driving pulse begins within 95 ms, one servo period and 2 ms of
+/// the supervisor (its period and its clock's lag) of the telemetry behind the
+/// newest command, by the board's clock.
 #[derive(Default)]
 pub(super) struct CommandAge {
     newest_us: Option<u32>,
@@ -32,11 +32,11 @@ impl Invariant for CommandAge {
             self.board_since_us = observation.board_since_us;
             self.newest_us = None;
         }
-        for heard in observation.heard {
-            let ToBoard::Drive(drive) = heard.message else {
+        for received in observation.board_received {
+            let ToBoard::Drive(drive) = received.message else {
                 continue;
             };
-            let age = |us: u32| heard.board_time_us.wrapping_sub(us);
+            let age = |us: u32| received.board_time_us.wrapping_sub(us);
             let is_newer = self
                 .newest_us
                 .is_none_or(|newest| age(drive.telemetry_time_us) < age(newest));
@@ -53,10 +53,10 @@ impl Invariant for CommandAge {
                 return Err(format!("ESC pulse {} µs without a command", pulse.esc_us));
             };
             let age_us = pulse.board_time_us.wrapping_sub(newest_us);
-            // A command that came while the pulse was going on is from the future.
+            // A command received during the pulse has a negative age.
             if age_us < u32::MAX / 2 && u64::from(age_us) > limit_us {
                 return Err(format!(
-                    "ESC pulse {} µs rests on a command that is {} ms old, {} allowed",
+                    "ESC pulse {} µs with a command {} ms old, {} allowed",
                     pulse.esc_us,
                     age_us / 1_000,
                     limit_us / 1_000
@@ -67,10 +67,10 @@ impl Invariant for CommandAge {
     }
 }
 
-/// `host-silence`: neutral within 120 ms of the host's last command, whatever has
-/// silenced it: a pause, its end, a line that is stuck or pulled.
+/// `host-silence`: neutral within 120 ms of the host's last command, whether the
+/// daemon pauses or ends, or the line is stuck or unplugged.
 ///
-/// The command can't be newer than the telemetry that it rests on.
+/// The command cannot be newer than the telemetry behind it.
 #[derive(Default)]
 pub(super) struct HostSilence {
     written_us: Option<u64>,
@@ -105,16 +105,15 @@ impl Invariant for HostSilence {
     }
 }
 
-/// What the host may be wrong about the moment of an exposure, and the board
-/// about that of its telemetry, in µs: half a round trip each, and the rounding
-/// to milliseconds.
+/// Error of the host's exposure time and of the board's telemetry time, in µs: half
+/// a round trip each, and the rounding to milliseconds.
 const CLOCKS_US: u64 = 4_000;
 
-/// `pose-age`: no pulse drives when the newest pose that has reached the host was
-/// exposed longer ago than the board is configured to allow, plus a servo period.
+/// `pose-age`: no pulse drives if the newest pose received by the host was exposed
+/// longer ago than the configured limit of the board plus one servo period.
 ///
-/// A pose whose server's clock has just been stepped counts from its arrival:
-/// nobody can know better.
+/// After a step of the server's clock, the age of a pose counts from its arrival:
+/// the host cannot know the exposure time.
 #[derive(Default)]
 pub(super) struct PoseAge {
     newest: Option<ReceivedPose>,
@@ -126,7 +125,7 @@ impl Invariant for PoseAge {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        // Also those of a daemon that is no more: its last command may be in force.
+        // Keeps the pose of a killed daemon, whose last command may still be in force.
         self.newest = observation.newest_pose.or(self.newest);
         let limit_us = u64::from(observation.spec.board.max_pose_age_ms) * 1_000
             + SERVO_US
@@ -141,7 +140,7 @@ impl Invariant for PoseAge {
             let age_us = pulse.time_us.saturating_sub(since_us);
             if age_us > limit_us {
                 return Err(format!(
-                    "ESC pulse {} µs rests on a pose that is {} ms old, {} allowed",
+                    "ESC pulse {} µs with a pose {} ms old, {} allowed",
                     pulse.esc_us,
                     age_us / 1_000,
                     limit_us / 1_000
@@ -152,9 +151,9 @@ impl Invariant for PoseAge {
     }
 }
 
-/// `host-hold`: the host follows its reference no longer than the configured time
-/// after the exposure of the newest pose that has reached it, and slows down no
-/// longer than the one configured for that.
+/// `host-hold`: the host follows its reference no longer than the configured hold
+/// time after the exposure of the newest received pose, and slows down no longer
+/// than the configured blind time.
 #[derive(Default)]
 pub(super) struct HostHold;
 
@@ -177,7 +176,7 @@ impl Invariant for HostHold {
         let age_us = observation.now_us.saturating_sub(since_us);
         if age_us > limit_us {
             return Err(format!(
-                "{mode} on a pose that is {} ms old, {} allowed",
+                "{mode} on a pose {} ms old, {} allowed",
                 age_us / 1_000,
                 limit_us / 1_000
             ));
@@ -200,7 +199,7 @@ mod tests {
         );
         let old = PoseAge::default().check(&scene.observation(986_000));
         assert!(old.is_err_and(|details| details.contains("986 ms old, 981 allowed")));
-        // Nobody can know when the server's clock has been stepped.
+        // After a step of the server's clock, the age counts from the arrival.
         let mut stepped = scene.observation(986_000);
         if let Some(pose) = &mut stepped.newest_pose {
             pose.exposure.clock_trusted = false;

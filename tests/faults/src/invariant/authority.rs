@@ -1,4 +1,4 @@
-//! Who has asked for what the car does.
+//! Authority: the car drives only on request, and stops on request.
 
 use singletrack_pilot::{Event, Mode, Request};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
@@ -6,30 +6,29 @@ use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICI
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{observation::Observation, schedule::FaultKind};
 
-/// From the moment that takes away the right to drive until the neutral pulse,
-/// in µs: up to 10 ms until the main loop has heard of it, 1 ms until the
-/// supervisor has passed it on, up to 20 ms until the next pulse; on a clock
-/// that may be 0.5 % slow, stated as 45 ms.
+/// Time from the withdrawal of authority to the neutral pulse, in µs: up to 10 ms
+/// until the main loop processes it, 1 ms until the supervisor applies it, up to 20
+/// ms until the next pulse, on a clock that may be 0.5 % slow; specified as 45 ms.
 const WITHDRAWAL_US: u64 = 45_000;
 
-/// How long a command is in force by our reckoning: the image's clock is up to a
-/// millisecond behind the one that it is judged by, and so is its polling.
+/// Time for which a command is in force: its time to live, plus a millisecond each
+/// by which the image's clock and its polling may lag.
 const IN_FORCE_US: u32 = COMMAND_TIME_TO_LIVE_US + 2_000;
 
-/// `unarmed-drive`: a pulse drives only if the board has been sent a request to
-/// arm, after it and not too long ago a command, and since then nothing that
-/// takes the right away: disarm, emergency stop, another session's greeting, a
-/// start of the board, an open stop switch, or a command that ran out.
+/// `unarmed-drive`: a pulse drives only if the board received an arm request and
+/// after it a sufficiently recent command, and since then nothing that withdraws
+/// authority: disarm, emergency stop, a greeting of another session, a start of the
+/// board, an open stop switch, or the expiry of the command.
 ///
-/// A board of our own, made from what passes its end of the line: it may think
-/// that it is armed when the real one knows better, never the reverse.
+/// It models the board from the bytes that reach it. The model may be armed when
+/// the board is not, never the reverse.
 #[derive(Default)]
 pub(super) struct Unarmed {
     armed: bool,
     session: Option<(u32, u16)>,
     /// Board time of the telemetry behind the command in force.
     command_us: Option<u32>,
-    /// Since when the right is gone, and what took it.
+    /// Time and cause of the last withdrawal.
     withdrawn: Option<(u64, &'static str)>,
     board_since_us: Option<u64>,
 }
@@ -43,18 +42,18 @@ impl Unarmed {
         self.command_us = None;
     }
 
-    fn hear(&mut self, time_us: u64, board_time_us: u32, message: &ToBoard) {
+    fn receive(&mut self, time_us: u64, board_time_us: u32, message: &ToBoard) {
         match message {
             ToBoard::Hello(hello) if hello.nonce != UNSOLICITED => {
                 let session = Some((hello.nonce, hello.protocol_version));
                 if self.session != session {
                     self.session = session;
-                    self.withdraw(time_us, "another session greeted");
+                    self.withdraw(time_us, "a greeting of another session");
                 }
             }
             ToBoard::Arm(_) => self.armed = true,
-            ToBoard::Disarm(_) => self.withdraw(time_us, "the board was told to disarm"),
-            ToBoard::EmergencyStop(_) => self.withdraw(time_us, "the board was told to stop"),
+            ToBoard::Disarm(_) => self.withdraw(time_us, "a disarm request"),
+            ToBoard::EmergencyStop(_) => self.withdraw(time_us, "an emergency stop request"),
             ToBoard::Drive(drive) if self.armed => {
                 if board_time_us.wrapping_sub(drive.telemetry_time_us) <= IN_FORCE_US {
                     self.command_us = Some(drive.telemetry_time_us);
@@ -74,10 +73,10 @@ impl Invariant for Unarmed {
         if observation.board_since_us != self.board_since_us {
             self.board_since_us = observation.board_since_us;
             self.session = None;
-            self.withdraw(observation.now_us, "the board was reset");
+            self.withdraw(observation.now_us, "a reset of the board");
         }
-        for heard in observation.heard {
-            self.hear(heard.time_us, heard.board_time_us, &heard.message);
+        for received in observation.board_received {
+            self.receive(received.time_us, received.board_time_us, &received.message);
         }
         if observation.spec.board.stop_input && observation.is_active(FaultKind::StopInputOpen) {
             self.withdraw(observation.now_us, "the stop switch opened");
@@ -86,13 +85,13 @@ impl Invariant for Unarmed {
             if let Some(command_us) = self.command_us {
                 let age_us = pulse.board_time_us.wrapping_sub(command_us);
                 if age_us < u32::MAX / 2 && age_us > IN_FORCE_US {
-                    self.withdraw(pulse.time_us, "the last command had run out");
+                    self.withdraw(pulse.time_us, "the last command expired");
                 }
             }
             if !observation.spec.drives(pulse) || (self.armed && self.command_us.is_some()) {
                 continue;
             }
-            let (since_us, cause) = self.withdrawn.unwrap_or((0, "nobody had armed the board"));
+            let (since_us, cause) = self.withdrawn.unwrap_or((0, "power-on, never armed"));
             let after_us = pulse.time_us.saturating_sub(since_us);
             if after_us > WITHDRAWAL_US {
                 return Err(format!(
@@ -106,9 +105,9 @@ impl Invariant for Unarmed {
     }
 }
 
-/// `unasked-drive`: the daemon sets out (goes from standing by to arming or
-/// driving) only in a tick in which somebody asked for it, and a disarm or a
-/// stop takes effect in the tick that hears of it. Recovery is an explicit act.
+/// `unasked-drive`: the daemon goes from standby to arming or driving only in a
+/// tick with an arm request, and obeys a disarm or stop request in the tick that
+/// receives it. Recovery needs an explicit request.
 #[derive(Default)]
 pub(super) struct Unasked {
     daemon_since_us: Option<u64>,
@@ -132,21 +131,23 @@ impl Invariant for Unasked {
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
         if self.underway && !was_underway && !requested(Request::Arm) {
-            return Err(format!("mode {mode}, and nobody asked to arm"));
+            return Err(format!("mode {mode} without an arm request"));
         }
-        // However much has come at once, a stop is not lost on the way.
+        // A stop must not be lost, even among many requests.
         let stop = Request::EmergencyStop;
         if observation.pending_requests.contains(&stop) && !requested(stop) {
-            return Err("an emergency stop was asked for, and the pilot does not know".to_owned());
+            return Err("the pilot did not receive an emergency stop request".to_owned());
         }
         if requested(Request::EmergencyStop) && mode != Mode::Fault {
-            return Err(format!("mode {mode} in the tick of an emergency stop"));
+            return Err(format!(
+                "mode {mode} in the tick of an emergency stop request"
+            ));
         }
         if was_underway
             && requested(Request::Disarm)
             && matches!(mode, Mode::Arming | Mode::Driving | Mode::Slowing)
         {
-            return Err(format!("mode {mode} in the tick of a request to disarm"));
+            return Err(format!("mode {mode} in the tick of a disarm request"));
         }
         if tick.output.command.is_some() && !self.underway {
             return Err(format!("a command in mode {mode}"));
@@ -155,8 +156,8 @@ impl Invariant for Unasked {
     }
 }
 
-/// `latched-stop`: once the board has said that an emergency stop is latched, it
-/// drives no more until it is reset.
+/// `latched-stop`: after the board has reported a latched emergency stop, it does
+/// not drive until it is reset.
 #[derive(Default)]
 pub(super) struct Latched {
     latched_us: Option<u64>,
@@ -180,10 +181,10 @@ impl Invariant for Latched {
             return Ok(());
         };
         for pulse in observation.pulses {
-            // The record may be on the line before the pulse that it tells of.
+            // The telemetry may arrive before the pulse that it describes.
             if observation.spec.drives(pulse) && pulse.time_us > latched_us + SERVO_US + 1_000 {
                 return Err(format!(
-                    "ESC pulse {} µs, and an emergency stop is latched",
+                    "ESC pulse {} µs with a latched emergency stop",
                     pulse.esc_us
                 ));
             }

@@ -1,4 +1,4 @@
-//! Neutral within the stated time after each cause.
+//! Neutral within the specified time of each stop cause.
 
 use singletrack_pilot::{Event, Mode, Request};
 use singletrack_sim::BoardKind;
@@ -9,12 +9,12 @@ use crate::{
     schedule::{FaultKind, FaultTarget},
 };
 
-/// Nothing of the daemon's is obeyed for longer: see `host-silence`.
+/// Longest time for which a command is obeyed; see `host-silence`.
 const HOST_SILENCE_US: u64 = 120_000;
 
-/// `emergency-stop`: neutral within 50 ms of the tick that hears of an emergency
-/// stop (the line's 10 ms at most, the board's 31 ms of `unarmed-drive`), and
-/// within 120 ms when something is wrong with line or board.
+/// `emergency-stop`: neutral within 50 ms of the tick that receives an emergency
+/// stop request (at most 10 ms on the line, and the board's 31 ms of
+/// `unarmed-drive`), and within 120 ms if line or board have a fault.
 #[derive(Default)]
 pub(super) struct EmergencyStop {
     requested_us: Option<u64>,
@@ -42,7 +42,7 @@ impl Invariant for EmergencyStop {
             .faults
             .iter()
             .any(|fault| degrades(fault.kind.target()));
-        // A command after the stop is another drive, which somebody asked for.
+        // A later command belongs to another drive, which was requested.
         if observation
             .tick
             .is_some_and(|tick| tick.output.mode.is_underway())
@@ -61,7 +61,7 @@ impl Invariant for EmergencyStop {
             let after_us = pulse.time_us.saturating_sub(requested_us);
             if observation.spec.drives(pulse) && after_us > limit_us {
                 return Err(format!(
-                    "ESC pulse {} µs {} ms after an emergency stop, {} allowed",
+                    "ESC pulse {} µs {} ms after an emergency stop request, {} allowed",
                     pulse.esc_us,
                     after_us / 1_000,
                     limit_us / 1_000
@@ -72,8 +72,8 @@ impl Invariant for EmergencyStop {
     }
 }
 
-/// `disarm`: neutral within the time configured for slowing down, and the host's
-/// silence, of the tick that hears of a request to disarm.
+/// `disarm`: neutral within the configured stop timeout and the host silence limit
+/// of the tick that receives a disarm request.
 #[derive(Default)]
 pub(super) struct Disarm {
     requested_us: Option<u64>,
@@ -102,7 +102,7 @@ impl Invariant for Disarm {
             let after_us = pulse.time_us.saturating_sub(requested_us);
             if observation.spec.drives(pulse) && after_us > limit_us {
                 return Err(format!(
-                    "ESC pulse {} µs {} ms after a request to disarm, {} allowed",
+                    "ESC pulse {} µs {} ms after a disarm request, {} allowed",
                     pulse.esc_us,
                     after_us / 1_000,
                     limit_us / 1_000
@@ -113,9 +113,9 @@ impl Invariant for Disarm {
     }
 }
 
-/// `main-loop`: neutral within 45 ms of the board's main loop hanging (20 ms until
-/// the supervisor is sure, 1 ms until it has acted, 20 ms until the next pulse),
-/// until the board starts anew.
+/// `main-loop`: neutral within 45 ms of a hang of the board's main loop (20 ms
+/// until the supervisor detects it, 1 ms until it acts, 20 ms until the next
+/// pulse), until the board restarts.
 #[derive(Default)]
 pub(super) struct MainLoop {
     hung_us: Option<u64>,
@@ -158,17 +158,17 @@ impl Invariant for MainLoop {
     }
 }
 
-/// `motor-pulses`: without a pulse of the motor its ESC is driven beyond the
-/// deadband for no more than 150 ms, one servo period and one round of the main
-/// loop; pauses of less than 150 ms do not begin it anew.
+/// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for
+/// at most 150 ms, one servo period and one round of the main loop. Pauses shorter
+/// than 150 ms do not restart this time.
 #[derive(Default)]
 pub(super) struct MotorPulses {
     driven_us: u64,
     last_driven_us: u64,
 }
 
-/// The board's patience, with no pulse.
-const PATIENCE_US: u64 = 150_000;
+/// Time after which the board detects a dead motor sensor.
+const SENSOR_TIMEOUT_US: u64 = 150_000;
 
 impl Invariant for MotorPulses {
     fn name(&self) -> &'static str {
@@ -182,15 +182,15 @@ impl Invariant for MotorPulses {
             return Ok(());
         }
         for pulse in observation.pulses {
-            if pulse.time_us.saturating_sub(self.last_driven_us) >= PATIENCE_US {
+            if pulse.time_us.saturating_sub(self.last_driven_us) >= SENSOR_TIMEOUT_US {
                 self.driven_us = 0;
             }
             if pulse.esc_us > esc.neutral_us + esc.deadband_us {
                 self.last_driven_us = pulse.time_us;
                 self.driven_us += SERVO_US;
             }
-            // 10 ms: a round of the main loop; 20 ms: the frame that was going on.
-            if self.driven_us > PATIENCE_US + 2 * SERVO_US + 10_000 {
+            // 10 ms: a round of the main loop; 20 ms: the current frame.
+            if self.driven_us > SENSOR_TIMEOUT_US + 2 * SERVO_US + 10_000 {
                 return Err(format!(
                     "ESC pulse {} µs, driven for {} ms without a motor pulse",
                     pulse.esc_us,
@@ -202,11 +202,10 @@ impl Invariant for MotorPulses {
     }
 }
 
-/// `imu-silence`: the host follows its reference no longer than the configured
-/// time after the last sample of the IMU that was taken.
+/// `imu-silence`: the host follows its reference no longer than the configured time
+/// after the last IMU sample that it accepted.
 ///
-/// Counted from the moment that samples stop: the last one is 10 ms old then at
-/// most, and never younger than that moment.
+/// Counted from the time that samples stop, when the last one is at most 10 ms old.
 #[derive(Default)]
 pub(super) struct ImuSilence {
     silent_us: Option<u64>,
@@ -226,9 +225,10 @@ impl Invariant for ImuSilence {
         let (Some(silent_us), Some(tick)) = (self.silent_us, observation.tick) else {
             return Ok(());
         };
-        // 1.2 ms under way to the board, and what the board's clock may be off. The
-        // image asks the sensor every 10 ms and dates a sample by its answer. What
-        // always comes late looks younger by that: nobody can tell it from the clock.
+        // 1.2 ms of transmission, and the error of the board's clock. The image
+        // polls the sensor every 10 ms and dates a sample by the poll. A constant
+        // delay of the line cannot be distinguished from a clock offset and makes
+        // samples look younger.
         let poll_us = match observation.spec.situation.board {
             BoardKind::Native => 0,
             BoardKind::Uno => 10_000,
@@ -247,10 +247,9 @@ impl Invariant for ImuSilence {
     }
 }
 
-/// `imu-stuck`: the host follows its reference no longer than it takes to tell
-/// that the IMU repeats itself: the configured number of samples and one, 30 ms
-/// until the last of them has been told and heard, as long as nothing else holds
-/// samples up.
+/// `imu-stuck`: the host follows its reference no longer than needed to detect
+/// repeated IMU samples: the configured number of samples plus one, and 30 ms until
+/// the last of them is sent and received, if no other fault delays samples.
 #[derive(Default)]
 pub(super) struct ImuStuck {
     stuck_us: Option<u64>,
@@ -327,7 +326,7 @@ mod tests {
     use crate::observation::scene::Scene;
 
     #[test]
-    fn a_pulse_long_after_a_request_to_disarm_is_found() {
+    fn a_late_pulse_after_a_disarm_request_is_found() {
         let scene = Scene::new();
         let observation = scene.observation(0);
         let requested = |ms_ago: u64| Disarm {
@@ -335,6 +334,6 @@ mod tests {
         };
         assert_eq!(requested(1_620).check(&observation), Ok(()));
         let late = requested(1_640).check(&observation);
-        assert!(late.is_err_and(|details| details.contains("1640 ms after a request to disarm")));
+        assert!(late.is_err_and(|details| details.contains("1640 ms after a disarm request")));
     }
 }

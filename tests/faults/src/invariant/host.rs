@@ -1,4 +1,4 @@
-//! What the host says, whether it is obeyed or not.
+//! The host's commands and outputs, whether obeyed or not.
 
 use singletrack_pilot::{Mode, Output};
 use singletrack_protocol::ToBoard;
@@ -6,12 +6,12 @@ use singletrack_protocol::ToBoard;
 use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
-/// Half a step of the wire: 1 mm/s, 0.1 mrad.
+/// Half of the wire format's resolution: 1 mm/s, 0.1 mrad.
 const SPEED_STEP: f64 = 0.000_5;
 const STEERING_STEP: f64 = 0.000_05;
 
 /// `command-limits`: every command is within the configured speed and steering
-/// angle, to half a step of the wire.
+/// angle, to half a step of the wire format.
 #[derive(Default)]
 pub(super) struct CommandLimits;
 
@@ -29,20 +29,19 @@ impl Invariant for CommandLimits {
             let speed = f64::from(drive.speed_mm_s) * 1e-3;
             let steering = f64::from(drive.steering_100urad) * 1e-4;
             if speed > spec.max_speed + SPEED_STEP || speed < -spec.max_reverse_speed - SPEED_STEP {
-                return Err(format!("a command of {speed:.3} m/s"));
+                return Err(format!("speed command of {speed:.3} m/s"));
             }
             if steering.abs() > spec.max_steering + STEERING_STEP {
-                return Err(format!("a command of {steering:.4} rad"));
+                return Err(format!("steering command of {steering:.4} rad"));
             }
         }
         Ok(())
     }
 }
 
-/// `command-rate`: from one command to the next, the speed of G changes by no
-/// more than the configured acceleration (or the deceleration of a stop) allows
-/// in a period, and the steering by no more than its rate does. A drive begins
-/// at standstill.
+/// `command-rate`: between two commands, the speed of G changes by no more than the
+/// configured acceleration (or stop deceleration) allows in a period, and the
+/// steering angle by no more than its rate does. A drive starts at zero speed.
 #[derive(Default)]
 pub(super) struct CommandRate {
     last: Option<(f64, f64)>,
@@ -85,9 +84,8 @@ impl Invariant for CommandRate {
     }
 }
 
-/// `mode-and-reason`: a car that does not drive says why not, one that drives
-/// has no reason not to, and commands belong to modes in which the car is
-/// underway.
+/// `mode-and-reason`: a car that does not drive has a reason, a car that drives has
+/// none, and commands are given only in modes that drive.
 #[derive(Default)]
 pub(super) struct ModeAndReason;
 
@@ -106,13 +104,13 @@ impl Invariant for ModeAndReason {
             command,
             ..
         } = tick.output;
-        let right = match mode {
+        let is_consistent = match mode {
             Mode::Driving | Mode::Arming => reason.is_none(),
-            // Why the last drive ended, if there was one.
+            // The reason why the last drive ended, if any.
             Mode::Ready => true,
             _ => reason.is_some(),
         };
-        if !right {
+        if !is_consistent {
             return Err(format!("mode {mode} with reason {reason:?}"));
         }
         if command.is_some() && !mode.commands() {
@@ -125,7 +123,7 @@ impl Invariant for ModeAndReason {
     }
 }
 
-/// `finite`: nothing that the pilot puts out is without a number.
+/// `finite`: every output of the pilot is finite.
 #[derive(Default)]
 pub(super) struct Finite;
 
@@ -171,11 +169,10 @@ impl Invariant for Finite {
     }
 }
 
-/// `no-queue`: no more than two commands are written to a board from which
-/// nothing comes.
+/// `no-queue`: at most two commands are written to a board that does not send.
 #[derive(Default)]
 pub(super) struct NoQueue {
-    unheard: u32,
+    unanswered: u32,
 }
 
 impl Invariant for NoQueue {
@@ -185,13 +182,13 @@ impl Invariant for NoQueue {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         if observation.has_read {
-            self.unheard = 0;
+            self.unanswered = 0;
         }
         for message in observation.written {
-            self.unheard += u32::from(matches!(message, ToBoard::Drive(_)));
+            self.unanswered += u32::from(matches!(message, ToBoard::Drive(_)));
         }
-        if self.unheard > 2 {
-            return Err(format!("{} commands into silence", self.unheard));
+        if self.unanswered > 2 {
+            return Err(format!("{} commands to a silent board", self.unanswered));
         }
         Ok(())
     }
@@ -236,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_third_command_into_silence_is_found() {
+    fn a_third_command_to_a_silent_board_is_found() {
         let scene = Scene::new();
         let written = [drive(500, 0)];
         let mut invariant = NoQueue::default();

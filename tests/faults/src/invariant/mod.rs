@@ -1,4 +1,4 @@
-//! What must hold at every step, whatever goes wrong.
+//! Invariants, which are checked in every step of a drive.
 
 mod age;
 mod authority;
@@ -14,23 +14,23 @@ use singletrack_pilot::PilotConfig;
 
 use crate::observation::Observation;
 
-/// What a step was found to break.
+/// Result of a check; the error describes the violation, with values.
 pub(crate) type Verdict = Result<(), String>;
 
-/// Something that must always hold.
+/// A property that must hold in every step.
 pub(crate) trait Invariant {
-    /// Its name in a violation.
+    /// Name in the report of a violation.
     fn name(&self) -> &'static str;
 
-    /// Looks at a step; the error says what is wrong, with values.
+    /// Checks one step.
     fn check(&mut self, observation: &Observation<'_>) -> Verdict;
 }
 
-/// One servo period on the board's clock, in µs: what has been decided is on the
-/// pin by then.
+/// One servo period on the board's clock, in µs: the longest time from a decision
+/// to its pulse.
 const SERVO_US: u64 = 20_000;
 
-/// Everything that must hold, for one drive with this pilot.
+/// All invariants, for one drive with this pilot.
 pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
     vec![
         Box::<pulse::Limits>::default(),

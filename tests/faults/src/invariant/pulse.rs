@@ -1,14 +1,14 @@
-//! The pulses themselves.
+//! Limits on the pulses.
 
 use singletrack_sim::PulseRecord;
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::observation::{Observation, Spec, TOLERANCE_US};
 
-/// `pulse-limits`: every pulse is absent or within the configured limits, and
-/// none drives backward, which no configuration here allows.
+/// `pulse-limits`: every pulse is absent or within the configured limits, and none
+/// drives in reverse, which no configuration here allows.
 ///
-/// What a reset cuts may be shorter.
+/// A pulse cut by a reset may be shorter.
 #[derive(Default)]
 pub(super) struct Limits;
 
@@ -30,18 +30,18 @@ impl Invariant for Limits {
                 }
             }
             if pulse.esc_us < esc.neutral_us && observation.spec.drives(pulse) {
-                return Err(format!("ESC pulse {} µs drives backward", pulse.esc_us));
+                return Err(format!("ESC pulse {} µs drives in reverse", pulse.esc_us));
             }
         }
         Ok(())
     }
 }
 
-/// The board's main loop runs at least every 10 ms, so that the pulses of two
-/// frames may be up to one period and that apart, in µs.
+/// Longest period of the board's main loop, in µs: two frames may be decided this
+/// much farther apart than one servo period.
 const POLL_US: u64 = 10_000;
 
-/// How much a pulse may change from one frame to the next.
+/// Largest change of a pulse between two frames.
 fn slew_us(per_20ms: u16, before: &PulseRecord, after: &PulseRecord) -> u16 {
     let apart_us = u64::from(after.board_time_us.wrapping_sub(before.board_time_us));
     let us = u64::from(per_20ms) * (apart_us + POLL_US) / SERVO_US;
@@ -50,9 +50,9 @@ fn slew_us(per_20ms: u16, before: &PulseRecord, after: &PulseRecord) -> u16 {
         .saturating_add(2 * TOLERANCE_US)
 }
 
-/// `servo-slew`: from one frame to the next the servo's pulse changes by no more
-/// than configured for the time between them and one round of the main loop.
-/// The first pulse after a silence goes where it likes.
+/// `servo-slew`: between two frames the servo's pulse changes by no more than the
+/// configured rate allows for the time between them and one round of the main loop.
+/// The first pulse after a pause is free.
 #[derive(Default)]
 pub(super) struct ServoSlew {
     last: Option<PulseRecord>,
@@ -83,14 +83,14 @@ impl Invariant for ServoSlew {
 }
 
 /// `esc-slew`: away from neutral the ESC's pulse changes by no more than
-/// configured; towards it, and to the brake, at once.
+/// configured; changes to neutral and to the brake are immediate.
 #[derive(Default)]
 pub(super) struct EscSlew {
     last: Option<PulseRecord>,
 }
 
 impl EscSlew {
-    fn beyond(spec: &Spec, pulse: &PulseRecord) -> u16 {
+    fn above_neutral(spec: &Spec, pulse: &PulseRecord) -> u16 {
         pulse.esc_us.saturating_sub(spec.board.esc.neutral_us)
     }
 }
@@ -105,8 +105,8 @@ impl Invariant for EscSlew {
             let last = self.last.replace(*pulse);
             let Some(last) = last else { continue };
             let (from, to) = (
-                Self::beyond(observation.spec, &last),
-                Self::beyond(observation.spec, pulse),
+                Self::above_neutral(observation.spec, &last),
+                Self::above_neutral(observation.spec, pulse),
             );
             let most = slew_us(observation.spec.board.esc.slew_us_per_20ms, &last, pulse);
             if to.saturating_sub(from) > most {
@@ -120,9 +120,8 @@ impl Invariant for EscSlew {
     }
 }
 
-/// `neutral-first`: no pulse drives in the first two seconds after the board has
-/// started, in which the ESC arms. (By the board's clock, which may be 0.5 %
-/// fast.)
+/// `neutral-first`: no pulse drives in the first two seconds after the board's
+/// start, in which the ESC arms. (By the board's clock, which may be 0.5 % fast.)
 #[derive(Default)]
 pub(super) struct NeutralFirst;
 
@@ -138,7 +137,7 @@ impl Invariant for NeutralFirst {
             if !observation.spec.drives(pulse) {
                 continue;
             }
-            // Without a start the pulses are none of this board's doing.
+            // A board that is not running makes no pulses.
             let Some(since_us) = observation.board_since_us else {
                 continue;
             };

@@ -1,4 +1,4 @@
-//! A record of the drive would be worth something.
+//! The drive can be replayed from its record.
 
 use singletrack_pilot::PilotConfig;
 use singletrack_record::Replay;
@@ -6,8 +6,8 @@ use singletrack_record::Replay;
 use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
-/// `replayed`: a pilot that is told what the ticks say it was told decides the
-/// same, to the bit. With a daemon that is started anew it begins anew.
+/// `replayed`: a pilot that gets the recorded inputs of the ticks makes the same
+/// decisions, to the bit. The replay restarts with every daemon.
 pub(super) struct Replayed {
     config: PilotConfig,
     replay: Replay,

@@ -1,4 +1,4 @@
-//! Schedules from seeds.
+//! Generates schedules from seeds.
 
 use singletrack_sim::BoardKind;
 
@@ -7,18 +7,19 @@ use super::{
 };
 use crate::random::{Random, Stream};
 
-/// Board, ESC and estimator are ready by then: the first request to arm.
+/// Time of the first request to arm: board, ESC and estimator are ready.
 const FIRST_ARM_MS: u32 = 3_200;
 
-/// Faults may begin before the car can drive.
+/// Earliest onset of a fault, before the car can drive.
 const FIRST_FAULT_MS: u32 = 500;
 
-/// Time of a drive after the first request: the simulated processor is slow.
+/// Range of the time after the first request; shorter with the image, which
+/// simulates slowly.
 const NATIVE_MS: [u32; 2] = [10_000, 25_000];
 const UNO_MS: [u32; 2] = [8_000, 16_000];
 
 impl Default for Situation {
-    /// Nothing out of the ordinary.
+    /// A slow circle without disturbances.
     fn default() -> Self {
         Self {
             board: BoardKind::Native,
@@ -85,10 +86,10 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
         board_clock_ms: match board {
-            // Its clock wraps every 4,295 s: sometimes in the middle of a drive.
+            // The clock wraps every 4,295 s, sometimes during a drive.
             BoardKind::Native if random.happens(250) => random.between(4_270_000, 4_294_000),
             BoardKind::Native => random.between(0, 4_294_000),
-            // The image's begins at zero.
+            // The image's clock starts at zero.
             BoardKind::Uno => 0,
         },
     }
@@ -123,8 +124,8 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
     }
 }
 
-/// A person who wants the car to drive asks now and then, mostly after something
-/// went wrong, but also just when it does.
+/// The operator asks to arm from time to time, mostly after a fault and sometimes
+/// during one.
 fn requests(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<ScheduledRequest> {
     let mut requests = vec![ScheduledRequest {
         request: OperatorRequest::Arm,

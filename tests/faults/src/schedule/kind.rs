@@ -1,13 +1,13 @@
-//! The kinds of faults.
+//! Fault kinds.
 
-/// What a fault falsifies.
+/// The part that a fault affects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FaultTarget {
     /// Cameras, their server and the network.
     Cameras,
     /// The serial line.
     Line,
-    /// The board with what hangs on it.
+    /// The board with its sensors and actuators.
     Board,
     /// The daemon and its computer.
     Host,
@@ -15,14 +15,14 @@ pub enum FaultTarget {
 
 macro_rules! kinds {
     ($($(#[$meaning:meta])* $kind:ident = $name:literal, $target:ident;)*) => {
-        /// What can go wrong. With s the severity, 1 to 1000.
+        /// Kinds of faults; s is the severity, 1 to 1000.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum FaultKind {
             $($(#[$meaning])* $kind,)*
         }
 
         impl FaultKind {
-            /// All of them.
+            /// All kinds.
             pub const ALL: &[Self] = &[$(Self::$kind,)*];
 
             /// The name in a schedule.
@@ -33,7 +33,7 @@ macro_rules! kinds {
                 }
             }
 
-            /// What it falsifies.
+            /// The part that it affects.
             #[must_use]
             pub const fn target(self) -> FaultTarget {
                 match self {
@@ -49,102 +49,102 @@ kinds! {
     CameraUntracked = "camera-untracked", Cameras;
     /// The car is not in the frames.
     CameraAbsent = "camera-absent", Cameras;
-    /// s in 1000 frames do not come.
+    /// s in 1000 frames are lost.
     CameraSilent = "camera-silent", Cameras;
-    /// The car goes under an id that nobody knows.
+    /// The car is sent with an unknown id.
     CameraHidden = "camera-hidden", Cameras;
-    /// The last pose is repeated as a new one.
+    /// The last pose is repeated in new frames.
     CameraFrozen = "camera-frozen", Cameras;
-    /// The car seems s mm away from where it is.
+    /// The car's pose is off by s mm.
     CameraJump = "camera-jump", Cameras;
-    /// The same in every third frame only.
+    /// The car's pose is off by s mm in every third frame.
     CameraJumping = "camera-jumping", Cameras;
-    /// Car and another body have each other's pose.
+    /// The car and another body exchange ids.
     CameraSwapped = "camera-swapped", Cameras;
-    /// Car and another body have each other's name, first announced.
+    /// The car and another body exchange names, with an announcement.
     CameraRenamed = "camera-renamed", Cameras;
-    /// The car seems turned by s thousandths of half a turn.
+    /// The car's yaw is off by s thousandths of half a turn.
     CameraFlip = "camera-flip", Cameras;
     /// Frames arrive s/2 ms later.
     CameraLate = "camera-late", Cameras;
-    /// Every frame arrives later by up to s/4 ms, each by its own time.
+    /// Every frame is delayed by a random time up to s/4 ms.
     CameraReordered = "camera-reordered", Cameras;
-    /// Every frame comes again, up to s ms later.
+    /// Every frame arrives twice, the copy up to s ms later.
     CameraDuplicated = "camera-duplicated", Cameras;
-    /// Position and attitude are no numbers.
+    /// Position and attitude are NaN.
     CameraNotANumber = "camera-nan", Cameras;
     /// One coordinate is infinite.
     CameraInfinite = "camera-infinite", Cameras;
     /// Two bodies have the car's id, s mm apart.
     CameraDuplicateId = "camera-duplicate-id", Cameras;
-    /// The server's clock is s ms behind what it was.
+    /// The server's clock steps back by s ms.
     CameraClockBackward = "camera-clock-backward", Cameras;
-    /// The server's clock is s ms ahead of what it was.
+    /// The server's clock steps forward by s ms.
     CameraClockForward = "camera-clock-forward", Cameras;
-    /// The car gets another id, announced and in the definitions; then its own again.
+    /// The car gets another id, announced and in the definitions, until the end.
     CameraModelChange = "camera-model-change", Cameras;
-    /// The server is gone, and comes back with clock and numbers from the beginning.
+    /// The server restarts: clock and frame numbers start again.
     CameraServerRestart = "camera-server-restart", Cameras;
-    /// s in 1000 datagrams are cut short or have bytes changed.
+    /// s in 1000 frames are truncated or corrupted.
     CameraMalformed = "camera-malformed", Cameras;
-    /// Somebody else sends frames too, as from the server, with the car s mm away.
+    /// Another host sends frames too, with the car off by s mm.
     CameraSpoofed = "camera-spoofed", Cameras;
 
     /// s in 5000 bytes are lost, both ways.
     LineDrop = "line-drop", Line;
     /// s in 5000 bytes have a bit flipped, both ways.
     LineCorrupt = "line-corrupt", Line;
-    /// Nothing passes; afterwards everything that waited.
+    /// Nothing passes; the queued bytes follow at the end.
     LineStuck = "line-stuck", Line;
     /// Every byte takes s/5 ms longer.
     LineDelay = "line-delay", Line;
     /// The plug is pulled.
     LineUnplugged = "line-unplugged", Line;
 
-    /// The supply comes up anew, at once.
+    /// Power-on reset.
     BoardPowerOn = "board-power-on", Board;
-    /// The reset button.
+    /// External reset, as by the button.
     BoardReset = "board-reset", Board;
-    /// The supply dips.
+    /// Brown-out reset.
     BoardBrownOut = "board-brown-out", Board;
-    /// The watchdog bites.
+    /// Watchdog reset.
     BoardWatchdog = "board-watchdog", Board;
-    /// The board has no supply.
+    /// The board is without power.
     BoardOff = "board-off", Board;
-    /// The main loop hangs, until the watchdog bites.
+    /// The main loop hangs until the watchdog resets the board.
     BoardHang = "board-hang", Board;
-    /// The ESC has no supply; the board has.
+    /// The ESC is without power; the board is not.
     EscOff = "esc-off", Board;
-    /// No samples of the IMU.
+    /// The IMU gives no samples.
     ImuSilent = "imu-silent", Board;
     /// The IMU repeats its last sample.
     ImuStuck = "imu-stuck", Board;
-    /// The gyroscope is off by s mrad/s, the accelerometer by s mm/s².
+    /// The gyroscope has a bias of s mrad/s, the accelerometer of s mm/s².
     ImuBiased = "imu-biased", Board;
-    /// All values of the IMU are at the end of their scales.
+    /// All IMU values are at full scale.
     ImuSaturated = "imu-saturated", Board;
-    /// Every other sample of the IMU has its signs reversed.
+    /// Every other IMU sample has its signs reversed.
     ImuErratic = "imu-erratic", Board;
-    /// No motor pulse comes.
+    /// The motor sensor gives no pulses.
     PulsesGone = "pulses-gone", Board;
-    /// Every motor pulse comes twice.
+    /// Every motor pulse is counted twice.
     PulsesDoubled = "pulses-doubled", Board;
     /// Every other motor pulse is missing.
     PulsesHalved = "pulses-halved", Board;
-    /// Motor pulses come at uneven distances.
+    /// Motor pulses are unevenly spaced.
     PulsesErratic = "pulses-erratic", Board;
     /// The stop switch is open.
     StopInputOpen = "stop-input-open", Board;
-    /// The battery has s/250 V less than it had.
+    /// The battery voltage drops by s/250 V.
     BatteryLow = "battery-low", Board;
 
-    /// The daemon is stopped (SIGSTOP), and goes on.
+    /// The daemon is suspended (SIGSTOP) and continued.
     DaemonPaused = "daemon-paused", Host;
-    /// The daemon is killed (SIGKILL), and another one starts.
+    /// The daemon is killed (SIGKILL); another one starts at the end.
     DaemonKilled = "daemon-killed", Host;
-    /// Every tick is late by up to s/20 ms.
+    /// Every tick is late by a random time up to s/20 ms.
     TicksLate = "ticks-late", Host;
-    /// The wall clock is off by s days, of which nothing must be noticed.
+    /// The wall clock is off by s days, which must have no effect.
     WallClockStep = "wall-clock-step", Host;
     /// The program that sends set-points is silent.
     SetpointsGone = "setpoints-gone", Host;
@@ -153,7 +153,7 @@ kinds! {
 }
 
 impl FaultKind {
-    /// Whether it makes the cameras tell a pose that is none of the car's.
+    /// Whether the cameras report a false pose of the car.
     #[must_use]
     pub const fn falsifies_pose(self) -> bool {
         matches!(
@@ -167,7 +167,8 @@ impl FaultKind {
         )
     }
 
-    /// What it has in common with others, of which only one can be in force.
+    /// The subject of the fault, named by one of its kinds; only one fault per
+    /// subject is in effect.
     #[must_use]
     pub const fn subject(self) -> Self {
         match self {
@@ -188,7 +189,7 @@ impl FaultKind {
         )
     }
 
-    /// Whether it happens in a moment.
+    /// Whether the fault is instantaneous.
     #[must_use]
     pub const fn is_momentary(self) -> bool {
         matches!(

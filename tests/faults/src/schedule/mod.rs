@@ -1,4 +1,4 @@
-//! What a drive begins with, what is asked of it, and what goes wrong.
+//! Schedules: initial situation, operator requests and faults.
 
 mod generate;
 mod kind;
@@ -9,109 +9,108 @@ use singletrack_sim::BoardKind;
 pub use kind::{FaultKind, FaultTarget};
 pub use text::ScheduleError;
 
-/// Everything that decides how a drive goes: the same schedule gives the same
-/// bits. Times are milliseconds since everything was switched on.
+/// Complete input of a drive: the same schedule gives the same bits. Times are
+/// milliseconds since power-on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schedule {
-    /// From this all noise follows, of the world and of its faults.
+    /// Seed of all noise, of the world and of the faults.
     pub seed: u64,
-    /// What it begins with.
+    /// Initial conditions and wiring.
     pub situation: Situation,
-    /// How long it lasts.
+    /// Duration.
     pub end_ms: u32,
-    /// What people ask for, in order of time.
+    /// Operator requests, in order of time.
     pub requests: Vec<ScheduledRequest>,
-    /// What goes wrong.
+    /// Faults.
     pub faults: Vec<Fault>,
 }
 
-/// What a drive begins with.
+/// Initial conditions, wiring and reference of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Situation {
-    /// What runs on the board.
+    /// Implementation of the board.
     pub board: BoardKind,
-    /// Where P should be.
+    /// The reference of P.
     pub reference: ReferenceKind,
-    /// How fast P should move, in mm/s.
+    /// Reference speed of P, in mm/s.
     pub speed_mm_s: u32,
-    /// Whether the estimate coasts on the IMU while the markers are lost, or
-    /// holds the last pose.
+    /// Whether the estimator dead-reckons on the IMU while the markers are lost;
+    /// otherwise it holds the last pose.
     pub coast: bool,
-    /// Whether the board brakes when it stops the car by itself.
+    /// Whether the board's failsafe brakes.
     pub brake: bool,
     /// Whether a stop switch is wired.
     pub stop_input: bool,
-    /// Whether the board is reset whenever the host opens its port, as an UNO is
-    /// through DTR.
+    /// Whether opening the port resets the board, as DTR does on an UNO.
     pub reset_on_open: bool,
-    /// Whether a line that is stuck shows so in the length of its queue; a
-    /// pseudo-terminal does not.
+    /// Whether the length of the port's queue can be read, which reveals a stuck
+    /// line; a pseudo-terminal's cannot.
     pub queue_shows: bool,
-    /// How far the fence is from where the reference goes, in mm.
+    /// Distance of the geofence from the reference, in mm.
     pub fence_mm: u32,
-    /// From mid-exposure to the packet on the network, in ms.
+    /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
-    /// What every byte takes longer than its bits, in µs.
+    /// Delay of every byte beyond its transmission time, in µs.
     pub serial_delay_us: u32,
-    /// What the board's clock gains, in µs per second.
+    /// Rate error of the board's clock, in ppm; positive is fast.
     pub board_skew_ppm: i32,
-    /// What the board's clock shows when the board starts, in ms.
+    /// Reading of the board's clock at its start, in ms.
     pub board_clock_ms: u32,
 }
 
-/// Where P should be.
+/// The reference of P.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReferenceKind {
-    /// Round a circle.
+    /// A circle.
     Circle,
-    /// Along a figure of eight.
+    /// A figure of eight.
     Eight,
-    /// With one constant velocity after the other, open loop; has an end.
+    /// A finite sequence of constant velocities, open loop.
     Steps,
     /// Where a program says, by set-points: round a circle.
     External,
 }
 
-/// What a person asks for.
+/// A request of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OperatorRequest {
-    /// Drive.
+    /// Arm and start driving.
     Arm,
-    /// Slow down, stop and disarm.
+    /// Stop and disarm.
     Disarm,
-    /// Emergency stop.
+    /// Stop at once and latch.
     Stop,
     /// Reload the configuration file, which now holds the other of two.
     Reload,
 }
 
-/// A person asks for something.
+/// An operator request with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScheduledRequest {
-    /// For what.
+    /// The request.
     pub request: OperatorRequest,
-    /// When.
+    /// Time of the request.
     pub at_ms: u32,
 }
 
-/// Something goes wrong for a while.
+/// A fault with onset, duration and severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// What.
+    /// Kind of fault.
     pub kind: FaultKind,
-    /// When it begins.
+    /// Onset.
     pub at_ms: u32,
-    /// How long it lasts; of no meaning for what happens in a moment.
+    /// Duration; ignored for instantaneous faults.
     pub for_ms: u32,
-    /// How bad it is, 1 to 1000; see [`FaultKind`] for the meaning.
+    /// Severity, 1 to 1000; see [`FaultKind`] for the meaning.
     pub severity: u32,
 }
 
 impl Fault {
-    /// The worst severity.
+    /// Largest severity.
     pub const WORST: u32 = 1_000;
 
-    /// When it ends.
+    /// End of the fault.
     #[must_use]
     pub const fn end_ms(&self) -> u32 {
         self.at_ms.saturating_add(self.for_ms)

@@ -1,4 +1,4 @@
-//! Schedules as text: one entry a line, or all in one with `;` between.
+//! Text form of schedules: entries separated by newlines or `;`.
 
 use core::fmt;
 use std::str::FromStr;
@@ -7,18 +7,18 @@ use super::{
     Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
 };
 
-/// Why a text is no schedule.
+/// Error while parsing a schedule.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScheduleError {
-    /// An entry that is none.
-    #[error("{entry:?} is no entry of a schedule: write {expected}")]
+    /// An entry that does not parse.
+    #[error("invalid schedule entry {entry:?}: expected {expected}")]
     Entry {
-        /// What was written.
+        /// The entry as written.
         entry: String,
-        /// What could be.
+        /// The accepted forms.
         expected: &'static str,
     },
-    /// An entry that has to be there.
+    /// A mandatory entry is missing.
     #[error("the schedule has no {0}")]
     Missing(&'static str),
 }
@@ -79,7 +79,7 @@ impl fmt::Display for Fault {
 }
 
 impl Schedule {
-    /// All of it in one line.
+    /// The schedule as one line.
     #[must_use]
     pub fn in_one_line(&self) -> String {
         self.to_string().trim_end().replace('\n', "; ")
@@ -92,7 +92,7 @@ impl FromStr for Schedule {
     fn from_str(text: &str) -> Result<Self, ScheduleError> {
         let mut draft = Draft::default();
         for line in text.lines() {
-            // A line may end with a remark.
+            // A line may end with a comment.
             let line = line.split('#').next().unwrap_or_default();
             for entry in line.split(';').map(str::trim) {
                 if !entry.is_empty() {
