@@ -19,11 +19,13 @@ extern crate std;
 
 mod actuation;
 mod angle;
+mod axles;
 mod estimate;
 mod estimator;
 mod event;
 mod fence;
 mod law;
+mod number;
 mod outer_loop;
 mod pilot;
 mod point;
@@ -37,6 +39,7 @@ mod watch;
 
 pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
+pub use axles::{AxleForces, Axles, Tyres};
 pub use estimate::Estimate;
 pub use estimator::{Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use event::{
@@ -48,6 +51,7 @@ pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
+pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
@@ -56,7 +60,9 @@ pub use reference::{
     ReferencePoint, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
-pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
+pub use single_track::{
+    LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
+};
 pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
 pub use time::Time;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};
