@@ -3,10 +3,11 @@
 
 use nalgebra::{SMatrix, SVector};
 use num_dual::DualSVec64;
+use singletrack_control::Tyres;
 
 use super::{
     data::{DriveData, ServoTarget, Span},
-    model::{Model, Motion, Tyres},
+    model::{Model, Motion},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     timeline::{Belief, Traveller, travel, wrapped},

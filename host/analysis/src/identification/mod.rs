@@ -29,11 +29,11 @@ mod warning;
 
 pub use data::{DriveData, Inertial, Pose, ServoFrames, ServoTarget, Span};
 pub use filter::{Channel, TrackPoint};
-pub use model::Tyres;
 pub use noise::NoiseLevels;
 pub use parameter::{Parameter, UnknownParameter, Values};
 pub use score::{Output, OutputScore, Score};
 pub use simulation::{Simulation, SimulationPoint};
+pub use singletrack_control::Tyres;
 pub use warning::Warning;
 
 use fit::{Fit, Task};

@@ -8,14 +8,16 @@
 use levenberg_marquardt::LeastSquaresProblem;
 use nalgebra_levenberg_marquardt::{DMatrix, DVector, Dyn, storage::Owned};
 use num_dual::DualSVec64;
+use singletrack_control::Tyres;
 
 use super::{
     data::{DriveData, ServoTarget, Span},
     filter::{Gain, Gains, STATES},
-    model::{Model, Motion, Number, Tyres},
+    model::{Model, Motion},
     parameter::{COUNT, Parameter, Values},
     timeline::{Belief, Traveller, travel},
 };
+use crate::dual::Dual;
 
 /// What is predicted, and from what.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +46,7 @@ impl Question<'_> {
     }
 
     /// The prediction errors over their standard deviations.
-    fn errors<D: Number>(&self, seeds: &[D]) -> Option<Vec<D>> {
+    fn errors<D: Dual>(&self, seeds: &[D]) -> Option<Vec<D>> {
         let mut parameters = self.start.all().map(D::from);
         for (parameter, u) in self.active.iter().zip(seeds) {
             parameters[*parameter as usize] =
@@ -106,7 +108,7 @@ impl Question<'_> {
     }
 }
 
-fn nothing<D: Number>() -> Belief<D> {
+fn nothing<D: Dual>() -> Belief<D> {
     let zero = D::from(0.0);
     Belief {
         motion: Motion {
@@ -130,7 +132,7 @@ struct Predictor<'a, D> {
     errors: Vec<D>,
 }
 
-impl<D: Number> Predictor<'_, D> {
+impl<D: Dual> Predictor<'_, D> {
     fn correct(&mut self, gain: &Gain, row: usize, error: D) {
         if gain.deviation <= 0.0 {
             return;
@@ -159,7 +161,7 @@ impl<D: Number> Predictor<'_, D> {
     }
 }
 
-impl<D: Number> Traveller<D> for Predictor<'_, D> {
+impl<D: Dual> Traveller<D> for Predictor<'_, D> {
     fn begin(&mut self, belief: Belief<D>) {
         self.belief = belief;
     }

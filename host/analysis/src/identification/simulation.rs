@@ -1,10 +1,12 @@
 //! The model left alone with what drove the car, beside what the car did: what the
 //! paper's figures of its validation show.
 
+use singletrack_control::Tyres;
+
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},
     filter::TrackPoint,
-    model::{Model, Tyres},
+    model::Model,
     parameter::{Parameter, Values},
     timeline::{Belief, Traveller, travel, wrapped},
 };

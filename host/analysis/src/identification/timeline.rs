@@ -4,9 +4,10 @@
 
 use super::{
     data::{DriveData, ServoTarget, Span},
-    model::{Model, Motion, Number},
+    model::{Model, Motion},
     parameter::Parameter,
 };
+use crate::dual::Dual;
 
 /// What is believed of the car: its motion, and the biases that change it or hide it.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +49,7 @@ const MARGIN: f64 = 0.02;
 
 /// Goes along a stretch of a drive. `servo` are the targets that the servo takes.
 /// None where the model ends.
-pub(super) fn travel<D: Number>(
+pub(super) fn travel<D: Dual>(
     data: &DriveData,
     servo: &[ServoTarget],
     span: Span,
@@ -136,7 +137,7 @@ pub(super) fn travel<D: Number>(
 }
 
 /// The servo some time before the stretch: at rest where it was told to be.
-fn steering_before<D: Number>(
+fn steering_before<D: Dual>(
     servo: &[ServoTarget],
     time: f64,
     model: &Model<D>,
@@ -150,7 +151,7 @@ fn steering_before<D: Number>(
 }
 
 /// The motion at a pose by the poses around it.
-fn first_belief<D: Number>(data: &DriveData, time: f64, steering: D) -> Option<Belief<D>> {
+fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Belief<D>> {
     const REACH: usize = 4;
     let at = data.poses.partition_point(|pose| pose.time_s < time);
     let from = at.saturating_sub(REACH);

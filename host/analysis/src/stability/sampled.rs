@@ -9,9 +9,11 @@
 //! is constant.
 
 use nalgebra::{DMatrix, DVector};
-use singletrack_control::VehicleParameters;
+use num_dual::Dual64;
+use singletrack_control::{LateralMotion, SingleTrack, SingleTrackState, VehicleParameters};
 
 use super::{Belief, ClosedLoop, Law};
+use crate::dual::DualFunctions;
 
 /// A closed loop that runs in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -291,26 +293,9 @@ struct Plant {
 
 impl Plant {
     fn of(closed_loop: &ClosedLoop) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: i_z,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = *closed_loop.vehicle();
-        let v = closed_loop.speed();
-        let moment = c_r * l_r - c_f * l_f;
-        let damping = c_f * l_f * l_f + c_r * l_r * l_r;
-        #[rustfmt::skip]
-        let car = DMatrix::from_row_slice(4, 4, &[
-            0.0, v,   0.0,                        v,
-            0.0, 0.0, 1.0,                        0.0,
-            0.0, 0.0, -damping / (i_z * v),       moment / i_z,
-            0.0, 0.0, moment / (m * v * v) - 1.0, -(c_f + c_r) / (m * v),
-        ]);
-        let steering = DVector::from_vec(vec![0.0, 0.0, c_f * l_f / i_z, c_f / (m * v)]);
+        let [columns @ .., steering] = [0, 1, 2, 3, 4].map(|variable| slope(closed_loop, variable));
+        let car = DMatrix::from_iterator(4, 4, columns.iter().flatten().copied());
+        let steering = DVector::from_row_slice(&steering);
         match closed_loop.law() {
             Law::VelocityPoint => Self {
                 dynamics: car,
@@ -354,6 +339,32 @@ impl Plant {
             .column(0)
             .into_owned()
     }
+}
+
+/// The exact derivative of the car's motion by one of y, yaw, yaw rate, sideslip and
+/// steering at the steady motion: equations 1 and 2 without the position along the path.
+fn slope(closed_loop: &ClosedLoop, variable: usize) -> [f64; 4] {
+    let mut variables = [Dual64::from(0.0); 5];
+    if let Some(variable) = variables.get_mut(variable) {
+        variable.eps = 1.0;
+    }
+    let [y, yaw, yaw_rate, sideslip, steering] = variables;
+    let state = SingleTrackState {
+        x: Dual64::from(0.0),
+        y,
+        yaw,
+        yaw_rate,
+        sideslip,
+    };
+    let speed = Dual64::from(closed_loop.speed());
+    let lateral = SingleTrack::new(*closed_loop.vehicle()).lateral(&LateralMotion {
+        yaw_rate,
+        sideslip,
+        speed,
+        steering,
+    });
+    let rate = state.derivative::<DualFunctions>(speed, lateral);
+    [rate.y, rate.yaw, rate.yaw_rate, rate.sideslip].map(|rate| rate.eps)
 }
 
 /// The growth of the powers of a matrix, by squaring it: `‖M^k‖^(1/k)`, which tends to
