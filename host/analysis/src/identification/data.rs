@@ -1,7 +1,7 @@
 //! What a drive tells: poses, inertial samples and servo targets, and which
 //! parts of it can be used.
 
-use super::IdentificationError;
+use super::error::IdentificationError;
 
 /// A pose of the centre of mass by the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,62 +3,20 @@
 
 use nalgebra::{SMatrix, SVector};
 use num_dual::DualSVec64;
-use singletrack_control::Tyres;
+use singletrack_control::{Tyres, wrap};
 
 use super::{
+    channel::Channel,
     data::{DriveData, ServoTarget, Span},
     model::{Model, Motion},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    timeline::{Belief, Traveller, travel, wrapped},
+    timeline::{Belief, Traveller, travel},
 };
 
 /// x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias forward. The
 /// steering angle is no part of it: it follows from what the servo was told.
 pub(super) const STATES: usize = 8;
-
-/// What is measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Channel {
-    /// Position along x.
-    X,
-    /// Position along y.
-    Y,
-    /// Yaw by the cameras.
-    Yaw,
-    /// Yaw rate by the gyro.
-    YawRate,
-    /// Acceleration to the left.
-    Left,
-}
-
-impl Channel {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::X, Self::Y, Self::Yaw, Self::YawRate, Self::Left];
-
-    /// Its name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Yaw => "yaw",
-            Self::YawRate => "yaw_rate",
-            Self::Left => "left_acceleration",
-        }
-    }
-
-    /// Its unit.
-    #[must_use]
-    pub const fn unit(self) -> &'static str {
-        match self {
-            Self::X | Self::Y => "m",
-            Self::Yaw => "rad",
-            Self::YawRate => "rad/s",
-            Self::Left => "m/s²",
-        }
-    }
-}
 
 /// How an innovation corrects the state, and its standard deviation; zero for one
 /// that was not met.
@@ -356,7 +314,7 @@ impl Traveller<f64> for Filter<'_> {
         let expected = self.seeded().motion.y;
         let y = self.correct(Channel::Y, expected, pose.y_m - expected.re);
         let expected = self.seeded().motion.yaw;
-        let yaw = self.correct(Channel::Yaw, expected, wrapped(pose.yaw_rad - expected.re));
+        let yaw = self.correct(Channel::Yaw, expected, wrap(pose.yaw_rad - expected.re));
         if let Some(gains) = self.passage.gains.poses.get_mut(index) {
             *gains = [x, y, yaw];
         }

@@ -5,12 +5,13 @@ use nalgebra_levenberg_marquardt::DVector;
 use singletrack_control::VehicleParameters;
 
 use super::{
-    IdentificationError, Settings,
     data::{DriveData, ServoFrames, ServoTarget, Span},
+    error::IdentificationError,
     filter::{Passage, pass},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     predictor::{Problem, Question},
+    settings::Settings,
     uncertainty::{Spread, bounds, spread},
 };
 

@@ -247,7 +247,11 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
 #[cfg(test)]
 mod tests {
     use super::{
-        super::{Inertial, NoiseLevels, Pose, filter::pass},
+        super::{
+            data::{Inertial, Pose},
+            filter::pass,
+            noise::NoiseLevels,
+        },
         *,
     };
     use singletrack_control::VehicleParameters;

@@ -1,6 +1,6 @@
 //! How well the model, left alone, fits a drive.
 
-use super::{Simulation, SimulationPoint};
+use super::simulation::{Simulation, SimulationPoint};
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

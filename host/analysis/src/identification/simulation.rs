@@ -1,14 +1,14 @@
 //! The model left alone with what drove the car, beside what the car did: what the
 //! paper's figures of its validation show.
 
-use singletrack_control::Tyres;
+use singletrack_control::{Tyres, wrap};
 
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},
     filter::TrackPoint,
     model::Model,
     parameter::{Parameter, Values},
-    timeline::{Belief, Traveller, travel, wrapped},
+    timeline::{Belief, Traveller, travel},
 };
 
 /// What was measured and what the model says, at an inertial sample.
@@ -188,6 +188,6 @@ fn seen_sideslip(poses: &[Pose], time: f64) -> f64 {
         product / square
     };
     let (x, y) = (slope(&|pose| pose.x_m), slope(&|pose| pose.y_m));
-    let yaw = &|pose: &Pose| wrapped(pose.yaw_rad - first.yaw_rad);
-    wrapped(y.atan2(x) - first.yaw_rad - mean(yaw))
+    let yaw = &|pose: &Pose| wrap(pose.yaw_rad - first.yaw_rad);
+    wrap(y.atan2(x) - first.yaw_rad - mean(yaw))
 }

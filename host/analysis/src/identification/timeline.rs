@@ -2,6 +2,8 @@
 //! depend on the parameters: what the servo was told acts late, what the IMU
 //! measured is dated late.
 
+use singletrack_control::wrap;
+
 use super::{
     data::{DriveData, ServoTarget, Span},
     model::{Model, Motion},
@@ -167,7 +169,7 @@ fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Bel
             other.time_s - time,
             other.x_m,
             other.y_m,
-            wrapped(other.yaw_rad - pose.yaw_rad),
+            wrap(other.yaw_rad - pose.yaw_rad),
         ];
         for (mean, value) in mean.iter_mut().zip(values) {
             *mean += value / count;
@@ -178,7 +180,7 @@ fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Bel
         squares += since * since;
         x += since * (other.x_m - mean[1]);
         y += since * (other.y_m - mean[2]);
-        turn += since * (wrapped(other.yaw_rad - pose.yaw_rad) - mean[3]);
+        turn += since * (wrap(other.yaw_rad - pose.yaw_rad) - mean[3]);
     }
     if squares <= 0.0 {
         return None;
@@ -192,16 +194,11 @@ fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Bel
             y: D::from(mean[2] - mean[0] * vy),
             yaw: D::from(yaw),
             yaw_rate: D::from(turn / squares),
-            sideslip: D::from(wrapped(course - yaw).clamp(-0.5, 0.5)),
+            sideslip: D::from(wrap(course - yaw).clamp(-0.5, 0.5)),
             speed: D::from(vx.hypot(vy)),
             steering,
         },
         gyro_bias: D::from(0.0),
         forward_bias: D::from(0.0),
     })
-}
-
-/// The same angle within half a turn of zero.
-pub(super) fn wrapped(angle: f64) -> f64 {
-    singletrack_control::wrap(angle)
 }

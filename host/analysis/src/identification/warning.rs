@@ -1,8 +1,11 @@
 //! What whoever uses the estimates should know of them.
 
-use singletrack_control::GRAVITY;
+use singletrack_control::{GRAVITY, Tyres};
 
-use super::{Channel, Estimate, Parameter, Residuals, Span, TrackPoint, Tyres, fit::Fit};
+use super::{
+    channel::Channel, data::Span, estimate::Estimate, filter::TrackPoint, fit::Fit,
+    parameter::Parameter, residuals::Residuals,
+};
 
 /// Something about an identification that makes it less than it seems.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

@@ -29,7 +29,7 @@
 
 use singletrack_control::VehicleParameters;
 
-use super::{Belief, ClosedLoop, Law};
+use super::closed_loop::{Belief, ClosedLoop, Law};
 
 /// The monic characteristic polynomial of a [`ClosedLoop`], without its leading one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,6 +120,12 @@ impl ClosedLoop {
                     .map(|a| a.at(self.deviation)),
             ),
         }
+    }
+
+    /// Whether the steady motion is asymptotically stable, by Hurwitz' criterion.
+    #[must_use]
+    pub fn is_stable(&self) -> bool {
+        self.characteristic_polynomial().is_stable()
     }
 
     fn inverse_square(&self) -> f64 {

@@ -1,12 +1,13 @@
 //! Where the steady motion loses its stability: Hopf bifurcations over dl.
 
 use nalgebra::Complex;
+use singletrack_control::VehicleParameters;
 
 use super::{
-    Belief, CharacteristicPolynomial, ClosedLoop, Law, Lyapunov, StabilityError,
-    characteristic::{front_point_quadratic, front_point_quadratic_in_p},
+    characteristic::{CharacteristicPolynomial, front_point_quadratic, front_point_quadratic_in_p},
+    closed_loop::{Belief, ClosedLoop, Law, StabilityError},
+    lyapunov::Lyapunov,
 };
-use singletrack_control::VehicleParameters;
 
 /// A Hopf bifurcation of the steady motion: a pair of eigenvalues crosses the
 /// imaginary axis as dl varies.

@@ -4,7 +4,7 @@ use nalgebra::{Complex, DMatrix, Matrix3, Matrix4, SMatrix, SVector, Schur};
 use num_dual::Dual64;
 
 use super::{
-    ClosedLoop, Law,
+    closed_loop::{ClosedLoop, Law},
     vector_field::{FrontPointField, VectorField, VelocityPointField},
 };
 

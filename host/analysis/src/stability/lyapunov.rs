@@ -16,7 +16,7 @@ use nalgebra::{Complex, DMatrix, DVector};
 use num_dual::{HyperDual64, HyperHyperDual64};
 
 use super::{
-    ClosedLoop, Law,
+    closed_loop::{ClosedLoop, Law},
     vector_field::{FrontPointField, VectorField, VelocityPointField},
 };
 

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use num_dual::Dual64;
 use singletrack_control::{LateralMotion, SingleTrack, SingleTrackState, VehicleParameters};
 
-use super::{Belief, ClosedLoop, Law};
+use super::closed_loop::{Belief, ClosedLoop, Law};
 use crate::dual::DualFunctions;
 
 /// A closed loop that runs in ticks.

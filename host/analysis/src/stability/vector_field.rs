@@ -2,7 +2,7 @@
 
 use singletrack_control::{LateralMotion, SingleTrack, VehicleParameters};
 
-use super::{Belief, ClosedLoop};
+use super::closed_loop::{Belief, ClosedLoop};
 use crate::dual::Dual;
 
 /// An autonomous system of N states.
@@ -86,8 +86,8 @@ mod tests {
     use proptest::prelude::*;
     use singletrack_control::{FrontPointLaw, Motion, SingleTrackState, VelocityPointLaw};
 
+    use super::super::closed_loop::Law;
     use super::*;
-    use crate::stability::Law;
 
     fn closed_loop(law: Law, speed: f64, deviation: f64) -> ClosedLoop {
         ClosedLoop::new(VehicleParameters::paper(), law, 0.35, speed, deviation).unwrap()
