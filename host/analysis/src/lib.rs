@@ -1,8 +1,9 @@
-//! What is computed about the car at a desk, not in its loop: stability and
-//! bifurcations of the linearising laws, and identification of the car's parameters.
+//! Offline analysis of the car: stability and bifurcations of the linearising laws, and
+//! identification of the car's parameters.
 //!
 //! Pure functions of their arguments, with the names, units and frames of
-//! [`singletrack_control`].
+//! [`singletrack_control`], whose vehicle models they share.
 
+mod dual;
 pub mod identification;
 pub mod stability;

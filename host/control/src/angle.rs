@@ -1,16 +1,16 @@
-//! Angles on the circle and on the line.
+//! Wrapped and continuous angles.
 
 use core::f64::consts::{PI, TAU};
 
 use libm::floor;
 
-/// The same direction in [-π, π), in rad.
+/// The angle wrapped to [-π, π), in rad.
 #[must_use]
 pub fn wrap(angle: f64) -> f64 {
     angle - TAU * floor((angle + PI) / TAU)
 }
 
-/// The angle equal to `wrapped` on the circle that is nearest to `reference`, in rad.
+/// The angle nearest to `reference` that differs from `wrapped` by whole turns, in rad.
 #[must_use]
 pub fn unwrap_near(wrapped: f64, reference: f64) -> f64 {
     reference + wrap(wrapped - reference)

@@ -7,6 +7,9 @@
 //! Nothing here reads a clock, allocates, or calls the platform's mathematics
 //! library: the same inputs give the same bits in every build, on every machine.
 //!
+//! The vehicle models are generic over the [`Number`], so that an analysis can differentiate
+//! the same equations that the simulator runs.
+//!
 //! Equation numbers refer to Bascetta, Farina, Gabrielli, Matteucci, "A feedback
 //! linearisation algorithm for single-track models with structural stability
 //! properties".
@@ -18,10 +21,12 @@ extern crate std;
 
 mod actuation;
 mod angle;
+mod axles;
 mod estimate;
 mod estimator;
 mod law;
 mod measurement;
+mod number;
 mod outer_loop;
 mod point;
 mod reference;
@@ -32,6 +37,7 @@ mod vehicle;
 
 pub use actuation::{Actuation, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
+pub use axles::{AxleForces, Axles, Tyres};
 pub use estimate::Estimate;
 pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use law::{
@@ -39,6 +45,7 @@ pub use law::{
     VelocityPointLaw,
 };
 pub use measurement::{InertialSample, PoseSample, Setpoint};
+pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
 pub use reference::{
@@ -46,6 +53,8 @@ pub use reference::{
     ReferencePoint, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
-pub use single_track::{SingleTrack, SingleTrackDerivative, SingleTrackState};
+pub use single_track::{
+    LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
+};
 pub use time::Time;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

@@ -1,26 +1,26 @@
-//! From where P should be to how fast it should move.
+//! The outer loop: the velocity of P that follows the reference.
 //!
-//! The linearised system is two integrators, so any linear controller fits
-//! here; the paper uses a proportional one.
+//! The linearised system is two integrators, so any linear controller is suitable; the
+//! paper uses a proportional one.
 
 use crate::{Position, ReferencePoint, Velocity};
 
 /// A controller for two independent integrators.
 pub trait OuterLoop {
-    /// The velocity wanted of P (m/s), at P's position `point` (m).
+    /// The commanded velocity of P (m/s) when P is at `point` (m).
     fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Velocity;
 }
 
-/// The paper's proportional position loop, with the reference's velocity fed
-/// forward if asked. A reference without a position passes through.
+/// The paper's proportional position loop, with optional feed-forward of the reference's
+/// velocity. A reference without a position is passed on unchanged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProportionalLoop {
     /// `K_Px` and `K_Py`, per second.
     pub gain: Velocity,
-    /// Whether the reference's velocity is added.
+    /// Adds the reference's velocity to the command.
     ///
-    /// Without it P follows a circle of angular velocity ω on an amplitude
-    /// 1/√(1 + (ω/K)²) of the reference's, atan(ω/K) behind.
+    /// Without it, on a circle of angular velocity ω, the radius of P is 1/√(1 + (ω/K)²) of
+    /// the reference's, and P lags by atan(ω/K).
     pub feed_forward: bool,
 }
 
@@ -40,7 +40,7 @@ impl OuterLoop for ProportionalLoop {
     }
 }
 
-/// No feedback: the reference's velocity alone (the paper's test of the law).
+/// No feedback: the velocity of the reference is the command (the paper's test of the law).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OpenLoop;
 
@@ -50,7 +50,7 @@ impl OuterLoop for OpenLoop {
     }
 }
 
-/// An outer loop chosen by configuration.
+/// The outer loop that the configuration selects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrackingLoop {
     /// See [`ProportionalLoop`].

@@ -1,4 +1,4 @@
-//! The points that the laws move.
+//! Points, directions and angles in the world frame.
 
 use libm::{cos, sin};
 use nalgebra::{Point2, Vector2};
@@ -15,9 +15,9 @@ pub fn direction(angle: f64) -> Vector2<f64> {
     Vector2::new(cos(angle), sin(angle))
 }
 
-/// Equation 3: the point P at `point_distance` beyond the front axle in the
-/// steering direction, with the front axle `front_axle_distance` (`l_f`, true or
-/// estimated) before G.
+/// Equation 3: the point P, `point_distance` ahead of the front axle in the direction of
+/// the front wheels. The front axle is `front_axle_distance` (`l_f`, true or estimated)
+/// ahead of G. Angles are in rad, distances in m.
 #[must_use]
 pub fn front_point(
     centre_of_mass: Position,
@@ -31,8 +31,8 @@ pub fn front_point(
         + point_distance * direction(yaw + steering)
 }
 
-/// The appendix: the point P at `point_distance` before G in the direction of
-/// its velocity.
+/// The appendix: the point P, `point_distance` (m) ahead of G in the direction of the
+/// velocity of G. Angles are in rad.
 #[must_use]
 pub fn velocity_point(
     centre_of_mass: Position,
@@ -43,7 +43,7 @@ pub fn velocity_point(
     centre_of_mass + point_distance * direction(yaw + sideslip)
 }
 
-/// The counter-clockwise angle from `from` to `to`, in (-π, π].
+/// The counter-clockwise angle from `from` to `to`, in (-π, π], in rad.
 #[must_use]
 pub fn angle_between(from: &Vector2<f64>, to: &Vector2<f64>) -> f64 {
     libm::atan2(from.perp(to), from.dot(to))

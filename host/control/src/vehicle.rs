@@ -1,4 +1,4 @@
-//! The car in numbers.
+//! The parameters of the car.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,26 +6,28 @@ use serde::{Deserialize, Serialize};
 pub const GRAVITY: f64 = 9.806_65;
 
 /// The parameters of the single-track model, in SI units.
+///
+/// Their type `P` is `f64`, or a dual number for derivatives by the parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct VehicleParameters {
+pub struct VehicleParameters<P = f64> {
     /// Mass m, in kg.
-    pub mass_kg: f64,
+    pub mass_kg: P,
     /// Yaw moment of inertia `I_z` about the centre of mass, in kg m².
-    pub yaw_inertia_kg_m2: f64,
+    pub yaw_inertia_kg_m2: P,
     /// Distance `l_f` from the centre of mass G to the front axle, in m.
-    pub front_axle_distance_m: f64,
+    pub front_axle_distance_m: P,
     /// Distance `l_r` from the centre of mass G to the rear axle, in m.
-    pub rear_axle_distance_m: f64,
+    pub rear_axle_distance_m: P,
     /// Friction coefficient μ between tyre and ground.
-    pub friction: f64,
+    pub friction: P,
     /// Cornering stiffness `C_f` of the front axle, in N/rad.
-    pub front_cornering_stiffness_n_rad: f64,
+    pub front_cornering_stiffness_n_rad: P,
     /// Cornering stiffness `C_r` of the rear axle, in N/rad.
-    pub rear_cornering_stiffness_n_rad: f64,
+    pub rear_cornering_stiffness_n_rad: P,
 }
 
-/// A vehicle parameter that no car can have.
+/// A vehicle parameter that is not finite or not positive.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("vehicle parameter {name} is {value}: it must be finite and above zero")]
 pub struct VehicleParameterError {
@@ -56,8 +58,8 @@ impl VehicleParameters {
         self.front_axle_distance_m + self.rear_axle_distance_m
     }
 
-    /// The same car with its centre of mass believed elsewhere: `l_f` is
-    /// `front_axle_distance_m`, `l_r` what remains of the wheelbase.
+    /// The same car with another centre of mass: `l_f` is `front_axle_distance_m`, and
+    /// `l_r` is the rest of the wheelbase.
     #[must_use]
     pub const fn with_centre_of_mass_at(&self, front_axle_distance_m: f64) -> Self {
         Self {
@@ -67,11 +69,11 @@ impl VehicleParameters {
         }
     }
 
-    /// Refuses what no car can have.
+    /// Checks that every parameter is finite and above zero.
     ///
     /// # Errors
     ///
-    /// The first parameter that is not finite or not above zero.
+    /// The first parameter that is not.
     pub fn validate(&self) -> Result<(), VehicleParameterError> {
         for (name, value) in [
             ("mass_kg", self.mass_kg),

@@ -1,34 +1,20 @@
-//! The car as the identification believes it: equation 1 with tyres that slide,
-//! driven by the servo's target and the acceleration forward.
+//! The model of the identification: equations 1 and 2 with axle forces that may saturate,
+//! and a servo with a lag. Its inputs are the servo's target and the forward acceleration.
 
-use num_dual::DualNum;
-use singletrack_control::GRAVITY;
+use singletrack_control::{Axles, LateralMotion, SingleTrackState, Tyres, VehicleParameters};
 
 use super::parameter::{COUNT, Parameter, Values};
+use crate::dual::{Dual, DualFunctions};
 
-/// Which force curve the tyres have.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tyres {
-    /// Linear for small slip, at most μ times the axle's load.
-    #[default]
-    Saturating,
-    /// The paper's: linear throughout.
-    Linear,
-}
-
-/// Numbers to compute with: plain, or with their derivatives.
-pub(super) trait Number: DualNum<Primitive = f64> + Copy {}
-impl<D: DualNum<Primitive = f64> + Copy> Number for D {}
-
-/// The largest rate of a hobby servo, in rad/s. What it is exactly shows only in
-/// steps of the steering that no drive has.
+/// The largest rate of a hobby servo, in rad/s. The exact value matters only in steering
+/// steps larger than those of a drive.
 const SERVO_RATE: f64 = 8.0;
 
-/// Slower than this the model is not defined, in m/s.
+/// The model is not defined below this speed, in m/s.
 pub(super) const LEAST_SPEED: f64 = 0.2;
 
-/// Longest step, in s: at 1 m/s the fastest mode is near -150/s, of which RK4 makes
-/// an error of 0.03 % there.
+/// The longest integration step, in s: at 1 m/s the fastest mode is near -150/s, where the
+/// error of RK4 is 0.03 %.
 const LONGEST_STEP: f64 = 0.004;
 
 /// The motion of the car.
@@ -49,7 +35,7 @@ pub(super) struct Motion<D> {
     pub(super) steering: D,
 }
 
-impl<D: Number> Motion<D> {
+impl<D: Dual> Motion<D> {
     fn plus(&self, rate: &Self, step: D) -> Self {
         Self {
             x: self.x + rate.x * step,
@@ -66,28 +52,28 @@ impl<D: Number> Motion<D> {
 /// The model with its parameters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model<D> {
-    mass: f64,
+    axles: Axles<D>,
     parameters: [D; COUNT],
-    rear_axle_distance: D,
-    /// Largest force of the axles, in N.
-    limits: [D; 2],
-    tyres: Tyres,
 }
 
-impl<D: Number> Model<D> {
+impl<D: Dual> Model<D> {
     /// The model of `parameters`, with mass and wheelbase of `values`.
     pub(super) fn new(values: &Values, parameters: [D; COUNT], tyres: Tyres) -> Self {
         let (mass, wheelbase) = values.known();
-        let front = parameters[Parameter::FrontAxleDistance as usize];
-        let rear = -front + wheelbase;
-        let weight = mass * GRAVITY / wheelbase;
-        let friction = parameters[Parameter::Friction as usize];
+        let get = |parameter: Parameter| parameters[parameter as usize];
+        let front_axle_distance = get(Parameter::FrontAxleDistance);
+        let vehicle = VehicleParameters {
+            mass_kg: D::from(mass),
+            yaw_inertia_kg_m2: get(Parameter::YawInertia),
+            front_axle_distance_m: front_axle_distance,
+            rear_axle_distance_m: -front_axle_distance + wheelbase,
+            friction: get(Parameter::Friction),
+            front_cornering_stiffness_n_rad: get(Parameter::FrontStiffness),
+            rear_cornering_stiffness_n_rad: get(Parameter::RearStiffness),
+        };
         Self {
-            mass,
+            axles: Axles::new(vehicle, tyres),
             parameters,
-            rear_axle_distance: rear,
-            limits: [friction * rear * weight, friction * front * weight],
-            tyres,
         }
     }
 
@@ -95,7 +81,7 @@ impl<D: Number> Model<D> {
         self.parameters[parameter as usize]
     }
 
-    /// Where the servo rests when it is told `target`, in rad.
+    /// The steering angle at which the servo settles for `target`, in rad.
     pub(super) fn rest(&self, target: f64) -> D {
         self.get(Parameter::SteeringGain) * target + self.get(Parameter::SteeringTrim)
     }
@@ -111,51 +97,48 @@ impl<D: Number> Model<D> {
         }
     }
 
-    fn force(&self, linear: D, limit: D) -> D {
-        match self.tyres {
-            Tyres::Saturating => limit * tanh(linear / limit),
-            Tyres::Linear => linear,
-        }
-    }
-
-    /// The rate of the motion, with the acceleration of G forward, in m/s².
+    /// The rate of the motion at the forward acceleration `forward` of G, in m/s².
     fn rate(&self, s: &Motion<D>, target: f64, forward: D) -> Motion<D> {
-        let front_axle = self.get(Parameter::FrontAxleDistance);
-        let turning = s.yaw_rate / s.speed;
-        let front = self.force(
-            self.get(Parameter::FrontStiffness) * (s.steering - s.sideslip - front_axle * turning),
-            self.limits[0],
-        );
-        let rear = self.force(
-            self.get(Parameter::RearStiffness) * (self.rear_axle_distance * turning - s.sideslip),
-            self.limits[1],
-        );
-        // Towards the inside of the bend, at right angles to the course.
-        let centripetal = (front + rear) / self.mass;
-        let course = s.yaw + s.sideslip;
+        let motion = LateralMotion {
+            yaw_rate: s.yaw_rate,
+            sideslip: s.sideslip,
+            speed: s.speed,
+            steering: s.steering,
+        };
+        let forces = self.axles.forces::<DualFunctions, D>(&motion);
+        let state = SingleTrackState {
+            x: s.x,
+            y: s.y,
+            yaw: s.yaw,
+            yaw_rate: s.yaw_rate,
+            sideslip: s.sideslip,
+        };
+        let lateral = self.axles.lateral(&motion, &forces);
+        let rate = state.derivative::<DualFunctions>(s.speed, lateral);
+        // Perpendicular to the course, positive to the left.
+        let centripetal = (forces.front + forces.rear) / self.axles.vehicle().mass_kg;
         let (sin, cos) = s.sideslip.sin_cos();
         Motion {
-            x: s.speed * course.cos(),
-            y: s.speed * course.sin(),
-            yaw: s.yaw_rate,
-            yaw_rate: (front_axle * front - self.rear_axle_distance * rear)
-                / self.get(Parameter::YawInertia),
-            sideslip: centripetal / s.speed - s.yaw_rate,
+            x: rate.x,
+            y: rate.y,
+            yaw: rate.yaw,
+            yaw_rate: rate.yaw_rate,
+            sideslip: rate.sideslip,
             speed: (forward + centripetal * sin) / cos,
             steering: self.steering_rate(s.steering, target),
         }
     }
 
-    /// The acceleration of G to the car's left, in m/s², with the one forward.
+    /// The acceleration of G to the car's left at the forward acceleration `forward`, in m/s².
     pub(super) fn left_acceleration(&self, s: &Motion<D>, forward: D) -> D {
-        // Its direction does not depend on the servo's target.
+        // The acceleration does not depend on the servo's target.
         let rate = self.rate(s, 0.0, forward);
         let (sin, cos) = s.sideslip.sin_cos();
         rate.speed * sin + (rate.sideslip + s.yaw_rate) * s.speed * cos
     }
 
-    /// The motion after `step` seconds, the acceleration forward going evenly
-    /// from `forward[0]` to `forward[1]`. None where the model ends.
+    /// The motion after `step` seconds, in which the forward acceleration changes linearly
+    /// from `forward[0]` to `forward[1]`. None where the model is not defined.
     pub(super) fn advance(
         &self,
         mut s: Motion<D>,
@@ -187,7 +170,7 @@ impl<D: Number> Model<D> {
         Some(s)
     }
 
-    /// The steering angle after `step` seconds on the way to a target.
+    /// The steering angle after `step` seconds at a constant target.
     pub(super) fn steer(&self, steering: D, step: D, target: f64) -> D {
         let parts = (step.re() / LONGEST_STEP).ceil().clamp(1.0, 250.0);
         let h = step / parts;
@@ -201,14 +184,4 @@ impl<D: Number> Model<D> {
         }
         s
     }
-}
-
-/// Half as dear as the quotient of the hyperbolic sine and cosine.
-fn tanh<D: Number>(x: D) -> D {
-    // Beyond it is one to the last bit, and its exponential too large.
-    if x.re().abs() > 20.0 {
-        return D::from(x.re().signum());
-    }
-    let square = (x * 2.0).exp();
-    (square - 1.0) / (square + 1.0)
 }

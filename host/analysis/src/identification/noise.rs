@@ -1,12 +1,13 @@
-//! How much the sensors and the road err.
+//! Noise levels of the sensors and of the road.
+
+use singletrack_control::wrap;
 
 use super::{
+    channel::Channel,
     data::{DriveData, Span},
-    filter::{Channel, Passage},
-    timeline::wrapped,
 };
 
-/// Standard deviations of everything random.
+/// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseLevels {
     /// Of each coordinate of a pose, in m.
@@ -19,7 +20,7 @@ pub struct NoiseLevels {
     pub left_m_s2: f64,
     /// Of the acceleration forward, as a density, in m/s²/√Hz.
     pub forward_density: f64,
-    /// Of the force on each axle that no model explains, as a density, in N/√Hz.
+    /// Of the unmodelled force on each axle, as a density, in N/√Hz.
     pub force_density: f64,
     /// Random walk of the gyro's bias, in rad/s/√s.
     pub gyro_walk: f64,
@@ -27,12 +28,12 @@ pub struct NoiseLevels {
     pub forward_walk: f64,
 }
 
-/// Less than this on an axle is as good as nothing, in N/√Hz.
-const LEAST_FORCE: f64 = 1e-6;
+/// The smallest force density on an axle, which the filter needs, in N/√Hz.
+pub(super) const LEAST_FORCE: f64 = 1e-6;
 
 impl NoiseLevels {
-    /// Where the estimation of the levels starts: a good motion capture, a consumer
-    /// IMU on a car that shakes.
+    /// Start values of their estimation: a good motion capture system, and a consumer IMU on
+    /// a vibrating car.
     #[must_use]
     pub const fn usual() -> Self {
         Self {
@@ -47,8 +48,8 @@ impl NoiseLevels {
         }
     }
 
-    /// Sensors and a car that do exactly what the model says: to be filled with what
-    /// errs. A filter needs a little of everything.
+    /// Nearly exact sensors and model, as the base of other levels. The filter needs every
+    /// level to be above zero.
     #[must_use]
     pub const fn exact() -> Self {
         Self {
@@ -63,6 +64,7 @@ impl NoiseLevels {
         }
     }
 
+    /// The standard deviation of a sample of `channel`.
     pub(super) const fn of(&self, channel: Channel) -> f64 {
         match channel {
             Channel::X | Channel::Y => self.position_m,
@@ -72,35 +74,10 @@ impl NoiseLevels {
         }
     }
 
-    /// The levels under which the innovations of a passage have the variance that
-    /// they should have.
-    fn rescaled(&self, passage: &Passage) -> Self {
-        let factor = |channels: &[Channel]| {
-            let (mut sum, mut count) = (0.0, 0.0);
-            for innovation in &passage.innovations {
-                if channels.contains(&innovation.channel) {
-                    sum += innovation.value * innovation.value / innovation.variance;
-                    count += 1.0;
-                }
-            }
-            if count > 0.0 {
-                f64::clamp(sum / count, 0.01, 100.0).sqrt()
-            } else {
-                1.0
-            }
-        };
-        Self {
-            position_m: self.position_m * factor(&[Channel::X, Channel::Y]),
-            yaw_rad: self.yaw_rad * factor(&[Channel::Yaw]),
-            yaw_rate_rad_s: self.yaw_rate_rad_s * factor(&[Channel::YawRate]),
-            left_m_s2: self.left_m_s2 * factor(&[Channel::Left]),
-            ..*self
-        }
-    }
-
-    /// These levels, with those of the sensors as the samples themselves show them,
-    /// whatever the model: by third differences, of which the car's motion has little.
-    pub(super) fn seen(self, data: &DriveData, spans: &[Span]) -> Self {
+    /// These levels, with those of the sensors from third differences of the samples.
+    ///
+    /// Independent of the model: the car's motion has small third differences.
+    pub(super) fn with_measured_sensors(self, data: &DriveData, spans: &[Span]) -> Self {
         let within = |time: f64| spans.iter().any(|span| span.contains(time));
         let poses = data
             .poses
@@ -111,7 +88,7 @@ impl NoiseLevels {
             if let [a, b, c, d] = window {
                 position.push(third([a.x_m, b.x_m, c.x_m, d.x_m]));
                 position.push(third([a.y_m, b.y_m, c.y_m, d.y_m]));
-                let turned = [b, c, d].map(|pose| wrapped(pose.yaw_rad - a.yaw_rad));
+                let turned = [b, c, d].map(|pose| wrap(pose.yaw_rad - a.yaw_rad));
                 yaw.push(third([0.0, turned[0], turned[1], turned[2]]));
             }
         }
@@ -132,75 +109,17 @@ impl NoiseLevels {
             ..self
         }
     }
-
-    /// These levels with those of the sensors no farther than a factor from what was
-    /// [seen](Self::seen): a wrong model must not make a sensor perfect, nor useless.
-    fn near(self, seen: &Self) -> Self {
-        let near = |level: f64, seen: f64| level.clamp(0.6 * seen, 2.0 * seen);
-        Self {
-            position_m: near(self.position_m, seen.position_m),
-            yaw_rad: near(self.yaw_rad, seen.yaw_rad),
-            yaw_rate_rad_s: near(self.yaw_rate_rad_s, seen.yaw_rate_rad_s),
-            left_m_s2: near(self.left_m_s2, seen.left_m_s2),
-            ..self
-        }
-    }
-
-    /// The levels under which a passage is most likely, starting from these; those of
-    /// the sensors near what was seen. `pass` goes along the drive with given levels.
-    pub(super) fn most_likely(
-        self,
-        seen: &Self,
-        rounds: u32,
-        mut pass: impl FnMut(&Self) -> Option<Passage>,
-    ) -> Option<Self> {
-        let mut levels = self;
-        for round in 0..rounds {
-            for _ in 0..2 {
-                levels = levels.rescaled(&pass(&levels)?).near(seen);
-            }
-            let spread = if round == 0 { 6.0 } else { 2.0 };
-            for scale in [Self::scale_forward, Self::scale_force] {
-                let mut at = |power: f64| {
-                    let tried = scale(levels, f64::powf(spread, power));
-                    pass(&tried).map(|passage| passage.likelihood())
-                };
-                let (less, same, more) = (at(-1.0)?, at(0.0)?, at(1.0)?);
-                // The top of the parabola through the three, within its reach.
-                let bend = less - 2.0 * same + more;
-                let power = if bend < 0.0 {
-                    (0.5 * (less - more) / bend).clamp(-2.0, 2.0)
-                } else if more > less {
-                    2.0
-                } else {
-                    -2.0
-                };
-                levels = scale(levels, f64::powf(spread, power));
-            }
-        }
-        Some(levels.rescaled(&pass(&levels)?).near(seen))
-    }
-
-    fn scale_forward(mut self, factor: f64) -> Self {
-        self.forward_density *= factor;
-        self
-    }
-
-    fn scale_force(mut self, factor: f64) -> Self {
-        self.force_density = (self.force_density * factor).max(LEAST_FORCE);
-        self
-    }
 }
 
-/// The third difference: twenty times the variance of what is white.
+/// The third difference; of white noise it has twenty times the variance.
 fn third([a, b, c, d]: [f64; 4]) -> f64 {
     d - 3.0 * c + 3.0 * b - a
 }
 
-/// Standard deviation of white noise with these third differences, by their median, which
-/// jolts do not move; none of too few, or of a signal without any.
+/// Standard deviation of white noise with these third differences, from their median, which
+/// is robust against jolts. None if there are too few, or if most are zero.
 fn deviation(mut differences: Vec<f64>) -> Option<f64> {
-    // Of a normal variable: the median of its size.
+    // The median of the magnitude of a standard normal variable.
     const MEDIAN: f64 = 0.674_49;
     for difference in &mut differences {
         *difference = difference.abs();

@@ -1,19 +1,14 @@
-//! The closed loop's equations, for numbers that carry their derivatives.
+//! The vector field of the closed loop, for numbers that carry their derivatives.
 
-use num_dual::DualNum;
-use singletrack_control::VehicleParameters;
+use singletrack_control::{LateralMotion, SingleTrack, VehicleParameters};
 
-use super::{Belief, ClosedLoop};
-
-/// Numbers that carry derivatives, and plain ones.
-pub(super) trait Number: DualNum<Primitive = f64> + Copy {}
-
-impl<D: DualNum<Primitive = f64> + Copy> Number for D {}
+use super::closed_loop::{Belief, ClosedLoop};
+use crate::dual::Dual;
 
 /// An autonomous system of N states.
 pub(super) trait VectorField<const N: usize> {
     /// The time derivative of the state.
-    fn slope<D: Number>(&self, state: [D; N]) -> [D; N];
+    fn slope<D: Dual>(&self, state: [D; N]) -> [D; N];
 }
 
 /// Yaw, yaw rate, sideslip and steering under the front-point law.
@@ -23,7 +18,7 @@ pub(super) struct FrontPointField<'a>(pub(super) &'a ClosedLoop);
 pub(super) struct VelocityPointField<'a>(pub(super) &'a ClosedLoop);
 
 impl VectorField<4> for FrontPointField<'_> {
-    fn slope<D: Number>(&self, [yaw, yaw_rate, sideslip, steering]: [D; 4]) -> [D; 4] {
+    fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip, steering]: [D; 4]) -> [D; 4] {
         let ClosedLoop {
             vehicle,
             point_distance: p,
@@ -31,21 +26,25 @@ impl VectorField<4> for FrontPointField<'_> {
             deviation,
             ..
         } = *self.0;
-        let believed = vehicle.front_axle_distance_m + deviation;
+        let assumed = vehicle.front_axle_distance_m + deviation;
         // Equation 8, with v_P = (speed, 0).
         let cosine = (sideslip - steering).cos();
-        let v = ((yaw + steering).cos() * speed - yaw_rate * steering.sin() * believed) / cosine;
-        let steering_rate =
-            (-(yaw + sideslip).sin() * speed - yaw_rate * sideslip.cos() * believed) / (cosine * p)
-                - yaw_rate;
-        let [yaw_acceleration, sideslip_rate] =
-            single_track(&vehicle, yaw_rate, sideslip, steering, v);
-        [yaw_rate, yaw_acceleration, sideslip_rate, steering_rate]
+        let v = ((yaw + steering).cos() * speed - yaw_rate * steering.sin() * assumed) / cosine;
+        let steering_rate = (-(yaw + sideslip).sin() * speed - yaw_rate * sideslip.cos() * assumed)
+            / (cosine * p)
+            - yaw_rate;
+        let lateral = SingleTrack::new(vehicle).lateral(&LateralMotion {
+            yaw_rate,
+            sideslip,
+            speed: v,
+            steering,
+        });
+        [yaw_rate, lateral.yaw_rate, lateral.sideslip, steering_rate]
     }
 }
 
 impl VectorField<3> for VelocityPointField<'_> {
-    fn slope<D: Number>(&self, [yaw, yaw_rate, sideslip]: [D; 3]) -> [D; 3] {
+    fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip]: [D; 3]) -> [D; 3] {
         let ClosedLoop {
             vehicle,
             belief,
@@ -65,55 +64,30 @@ impl VectorField<3> for VelocityPointField<'_> {
             Belief::CentreOfMass => vehicle.rear_axle_distance_m - deviation,
             Belief::FrontAxle => vehicle.rear_axle_distance_m,
         };
-        // The appendix' law, with v_P = (speed, 0).
+        // The law of the appendix, with v_P = (speed, 0).
         let course = yaw + sideslip;
         let v = course.cos() * speed;
         let turn_rate = -course.sin() * speed / p;
         let steering = turn_rate * v * (m / c_f) - yaw_rate / v * ((c_r * l_r - c_f * l_f) / c_f)
             + sideslip * ((c_r + c_f) / c_f);
-        let [yaw_acceleration, sideslip_rate] =
-            single_track(&vehicle, yaw_rate, sideslip, steering, v);
-        [yaw_rate, yaw_acceleration, sideslip_rate]
+        let lateral = SingleTrack::new(vehicle).lateral(&LateralMotion {
+            yaw_rate,
+            sideslip,
+            speed: v,
+            steering,
+        });
+        [yaw_rate, lateral.yaw_rate, lateral.sideslip]
     }
-}
-
-/// Equation 1: the derivatives of yaw rate and sideslip.
-fn single_track<D: Number>(
-    vehicle: &VehicleParameters,
-    yaw_rate: D,
-    sideslip: D,
-    steering: D,
-    speed: D,
-) -> [D; 2] {
-    let VehicleParameters {
-        mass_kg: m,
-        yaw_inertia_kg_m2: i_z,
-        front_axle_distance_m: l_f,
-        rear_axle_distance_m: l_r,
-        front_cornering_stiffness_n_rad: c_f,
-        rear_cornering_stiffness_n_rad: c_r,
-        ..
-    } = *vehicle;
-    let moment = c_r * l_r - c_f * l_f;
-    let damping = c_f * l_f * l_f + c_r * l_r * l_r;
-    [
-        sideslip * (moment / i_z) - yaw_rate / speed * (damping / i_z)
-            + steering * (c_f * l_f / i_z),
-        (steering * c_f - sideslip * (c_f + c_r)) / (speed * m)
-            + yaw_rate * ((speed * speed).recip() * (moment / m) - 1.0),
-    ]
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector2;
     use proptest::prelude::*;
-    use singletrack_control::{
-        FrontPointLaw, Motion, SingleTrack, SingleTrackState, VelocityPointLaw,
-    };
+    use singletrack_control::{FrontPointLaw, Motion, SingleTrackState, VelocityPointLaw};
 
+    use super::super::closed_loop::Law;
     use super::*;
-    use crate::stability::Law;
 
     fn closed_loop(law: Law, speed: f64, deviation: f64) -> ClosedLoop {
         ClosedLoop::new(VehicleParameters::paper(), law, 0.35, speed, deviation).unwrap()
@@ -147,10 +121,10 @@ mod tests {
     }
 
     proptest! {
-        /// The equations stand here once more than in `singletrack_control`, which
-        /// computes with plain numbers; whatever the direction of the velocity.
+        /// The laws are written here for a velocity along x; `singletrack_control` has them
+        /// for every direction.
         #[test]
-        fn the_equations_are_those_that_drive_the_car(
+        fn the_vector_field_equals_the_laws_and_the_model_of_the_car(
             speed in 0.1..8.0,
             deviation in -0.13..0.12,
             heading in -3.0..3.0,

@@ -5,20 +5,20 @@ use libm::{cos, sin};
 use super::{LawError, Motion, Singularity};
 use crate::{Position, Velocity, front_point};
 
-/// Below this |cos(β - δ)| the law is refused as singular: 84 degrees.
+/// The law counts as singular at a smaller |cos(β - δ)|, beyond 84 degrees.
 const SMALLEST_COSINE: f64 = 0.1;
 
 /// The proposed law, equation 7 (equation 8 when `l_f` is an estimate).
 ///
-/// Depends on nothing but the distance p of the point P from the front axle
-/// and the distance `l_f` of the front axle from G.
+/// Its only parameters are the distance p of the point P from the front axle and the
+/// distance `l_f` of the front axle from G.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrontPointLaw {
     front_axle_distance: f64,
     point_distance: f64,
 }
 
-/// What the [`FrontPointLaw`] asks of the car.
+/// The command of the [`FrontPointLaw`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrontPointCommand {
     /// Speed v of G, in m/s.
@@ -28,8 +28,8 @@ pub struct FrontPointCommand {
 }
 
 impl FrontPointLaw {
-    /// The law for P at `point_distance` (p, m) beyond a front axle at
-    /// `front_axle_distance` (`l_f` as estimated, m) before G.
+    /// The law for P at `point_distance` (p, m) ahead of a front axle that is
+    /// `front_axle_distance` (`l_f` as estimated, m) ahead of G.
     ///
     /// # Errors
     ///
@@ -43,7 +43,7 @@ impl FrontPointLaw {
         if !(point_distance.is_finite() && point_distance > 0.0) {
             return Err(LawError::PointDistance(point_distance));
         }
-        // An estimate written as l_f + l_r may miss their sum by a rounding.
+        // An estimate written as l_f + l_r may exceed the wheelbase by a rounding error.
         if !(0.0..=wheelbase * (1.0 + 1e-9)).contains(&front_axle_distance) {
             return Err(LawError::FrontAxleDistance {
                 value: front_axle_distance,
@@ -62,13 +62,13 @@ impl FrontPointLaw {
         self.point_distance
     }
 
-    /// The distance `l_f` that the law believes in, in m.
+    /// The distance `l_f` that the law uses, in m.
     #[must_use]
     pub const fn front_axle_distance(&self) -> f64 {
         self.front_axle_distance
     }
 
-    /// Where P is, as far as the law knows (equation 3 with its own `l_f`).
+    /// The position of P by equation 3 with the law's own `l_f`.
     #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, steering: f64) -> Position {
         front_point(
@@ -85,7 +85,7 @@ impl FrontPointLaw {
     ///
     /// # Errors
     ///
-    /// At the singularity cos(β - δ) = 0, and for anything not finite.
+    /// Near the singularity cos(β - δ) = 0, and for a state or velocity that is not finite.
     pub fn command(
         &self,
         motion: &Motion,

@@ -1,7 +1,7 @@
 //! The feedback linearising laws.
 //!
-//! Each turns a velocity wanted of its point P into commands for the car, so
-//! that seen from outside P is two independent integrators.
+//! Each converts a velocity of its point P into commands for the car, so that P behaves
+//! as two independent integrators.
 
 mod front_point;
 mod velocity_point;
@@ -9,7 +9,7 @@ mod velocity_point;
 pub use front_point::{FrontPointCommand, FrontPointLaw};
 pub use velocity_point::{VelocityPointCommand, VelocityPointLaw};
 
-/// What the laws must know of the car's motion.
+/// The motion of the car that the laws measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Yaw ψ, in rad.
@@ -20,10 +20,10 @@ pub struct Motion {
     pub sideslip: f64,
 }
 
-/// The law has no answer at this state.
+/// The state is at a singularity of the law, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Singularity {
-    /// The front wheels stand across the velocity: cos(β - δ) is too small.
+    /// The front wheels are nearly perpendicular to the velocity: |cos(β - δ)| is too small.
     #[error(
         "cos(sideslip - steering) is {cosine}, at the singularity of the law: \
          sideslip and steering are too far apart"
@@ -32,7 +32,7 @@ pub enum Singularity {
         /// cos(β - δ).
         cosine: f64,
     },
-    /// The velocity-point law needs a car that moves.
+    /// The velocity-point law is singular at standstill.
     #[error(
         "the speed is {speed} m/s, at the singularity of the velocity-point law: it needs a car that moves"
     )]
@@ -40,18 +40,18 @@ pub enum Singularity {
         /// The speed that the law would command, in m/s.
         speed: f64,
     },
-    /// A state or a velocity that is no number.
+    /// The state or the velocity is not finite.
     #[error("the law was given a state or a velocity that is not finite")]
     NotFinite,
 }
 
-/// A parameter of a law that makes no sense.
+/// An invalid parameter of a law.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LawError {
-    /// p must not be zero (paper, footnote to equation 3).
+    /// The distance p must not be zero (paper, footnote to equation 3).
     #[error("point_distance_m is {0}: it must be finite and above zero")]
     PointDistance(f64),
-    /// The estimate of `l_f`.
+    /// The estimate of `l_f` is outside the wheelbase.
     #[error(
         "front_axle_distance_m is {value}: it must lie between 0 and the wheelbase, {wheelbase}"
     )]

@@ -1,11 +1,11 @@
-//! The law of the paper's appendix, for comparison.
+//! The law of the paper's appendix, which the proposed law is compared with.
 
 use libm::{cos, sin};
 
 use super::{LawError, Motion, Singularity};
 use crate::{Position, VehicleParameters, Velocity, velocity_point};
 
-/// Below this speed the law is refused as singular, in m/s.
+/// The law counts as singular below this speed, in m/s.
 const SMALLEST_SPEED: f64 = 1e-3;
 
 /// The alternative law of the appendix: P lies on the velocity vector of G.
@@ -18,7 +18,7 @@ pub struct VelocityPointLaw {
     point_distance: f64,
 }
 
-/// What the [`VelocityPointLaw`] asks of the car.
+/// The command of the [`VelocityPointLaw`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VelocityPointCommand {
     /// Speed v of G, in m/s.
@@ -28,12 +28,12 @@ pub struct VelocityPointCommand {
 }
 
 impl VelocityPointLaw {
-    /// The law for P at `point_distance` (p, m) before G, on a car that is
-    /// believed to be `vehicle`.
+    /// The law for P at `point_distance` (p, m) ahead of G, with the estimated parameters
+    /// `vehicle`.
     ///
     /// # Errors
     ///
-    /// p must be finite and above zero, and the believed `l_f` between 0 and the
+    /// p must be finite and above zero, and the estimate of `l_f` between 0 and the
     /// wheelbase, both ends included.
     pub fn new(vehicle: VehicleParameters, point_distance: f64) -> Result<Self, LawError> {
         if !(point_distance.is_finite() && point_distance > 0.0) {
@@ -59,7 +59,7 @@ impl VelocityPointLaw {
         self.point_distance
     }
 
-    /// Where P is (appendix, first equation).
+    /// The position of P (appendix, first equation).
     #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, sideslip: f64) -> Position {
         velocity_point(centre_of_mass, yaw, sideslip, self.point_distance)
@@ -70,7 +70,7 @@ impl VelocityPointLaw {
     ///
     /// # Errors
     ///
-    /// At v = 0, and for anything not finite.
+    /// Near v = 0, and for a state or velocity that is not finite.
     pub fn command(
         &self,
         motion: &Motion,

@@ -1,9 +1,9 @@
-//! Round a circle: the paper's trajectory tracking test.
+//! A circle: the paper's trajectory tracking test.
 
 use super::{ReferenceError, ReferencePoint, finite, positive};
 use crate::{Position, direction};
 
-/// A circle driven at constant angular velocity, from the x axis.
+/// A circle at constant angular velocity, which starts on the x axis of the centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circle {
     centre: Position,
@@ -12,8 +12,8 @@ pub struct Circle {
 }
 
 impl Circle {
-    /// A circle of `radius` (m) about `centre` (m), driven at
-    /// `angular_velocity` (rad/s, counter-clockwise positive).
+    /// A circle of `radius` (m) about `centre` (m) at `angular_velocity` (rad/s,
+    /// counter-clockwise positive).
     ///
     /// # Errors
     ///

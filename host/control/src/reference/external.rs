@@ -1,9 +1,9 @@
-//! Set-points from outside, under a deadman's switch.
+//! Set-points from another program, with a deadman's switch.
 
 use super::{ReferenceError, ReferencePoint, positive};
 use crate::{Setpoint, Time, Velocity};
 
-/// Whatever was last sent from outside, for as long as it is renewed.
+/// The newest set-point, valid until a time-out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct External {
     timeout: f64,
@@ -11,7 +11,7 @@ pub struct External {
 }
 
 impl External {
-    /// Set-points of which each is in force for `timeout` seconds at most.
+    /// Set-points that are valid for `timeout` seconds each.
     ///
     /// # Errors
     ///
@@ -23,8 +23,7 @@ impl External {
         })
     }
 
-    /// Takes note of a set-point; one that is no number or older than the one in
-    /// force changes nothing.
+    /// Stores a set-point, unless it is not finite or older than the stored one.
     pub fn handle(&mut self, setpoint: &Setpoint) {
         let is_newer = self
             .newest
@@ -34,7 +33,7 @@ impl External {
         }
     }
 
-    /// Whether nobody has sent one for too long.
+    /// Whether the newest set-point is older than the time-out, or there is none.
     #[must_use]
     pub fn is_stale(&self, now: Time) -> bool {
         self.newest
@@ -71,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_point_is_in_force_until_the_deadman_lets_go() {
+    fn a_set_point_is_valid_until_the_time_out() {
         let mut external = External::new(0.2).unwrap();
         let at = |ms: u64| Time(ms * 1_000_000);
         assert!(external.is_stale(at(0)));
@@ -83,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_an_old_one_nor_one_that_is_no_number_takes_its_place() {
+    fn an_older_or_non_finite_set_point_is_ignored() {
         let mut external = External::new(0.2).unwrap();
         external.handle(&setpoint(1_000, 0.5));
         external.handle(&setpoint(900, 0.1));

@@ -1,4 +1,4 @@
-//! A figure of eight: turns both ways, with a crossing.
+//! A figure of eight: turns to both sides, and a crossing.
 
 use libm::{cos, sin};
 
@@ -15,9 +15,8 @@ pub struct FigureOfEight {
 }
 
 impl FigureOfEight {
-    /// A figure of eight that reaches `half_length` (m) along x and
-    /// `half_width` (m) along y from `centre`, once in 2π / `angular_velocity`
-    /// (rad/s).
+    /// A figure of eight that extends from `centre` by `half_length` (m) along x and by
+    /// `half_width` (m) along y, with the period 2π / `angular_velocity` (rad/s).
     ///
     /// # Errors
     ///

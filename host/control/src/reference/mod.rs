@@ -1,4 +1,4 @@
-//! Where P should be, and how fast it should move.
+//! References: position and velocity of P over time.
 
 mod circle;
 mod external;
@@ -14,38 +14,38 @@ pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
 
 use crate::{Position, Velocity};
 
-/// One moment of a reference.
+/// A reference at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferencePoint {
-    /// Where P should be, in m; none for a reference that is a velocity alone.
+    /// Position of P, in m; none for a reference of velocity only.
     pub position: Option<Position>,
-    /// How fast P should move, in m/s.
+    /// Velocity of P, in m/s.
     pub velocity: Velocity,
 }
 
 /// A reference for P over time.
 #[expect(
     clippy::large_enum_variant,
-    reason = "there is one in a controller, and without an allocator it cannot be boxed"
+    reason = "a controller has one of them, and without an allocator it cannot be boxed"
 )]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reference {
-    /// Round a circle.
+    /// A circle.
     Circle(Circle),
     /// A sequence of constant velocities (the paper's open-loop test).
     VelocitySteps(VelocitySteps),
     /// A Gerono lemniscate.
     FigureOfEight(FigureOfEight),
-    /// Through timed points.
+    /// A path through points with times.
     Waypoints(Waypoints),
-    /// The newest set-point from outside, [`crate::Setpoint`].
+    /// Set-points that another program sends, [`crate::Setpoint`].
     External(External),
 }
 
-/// A reference that makes no sense.
+/// An invalid parameter of a reference.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ReferenceError {
-    /// A value that must be finite and above zero.
+    /// The value must be finite and above zero.
     #[error("{name} is {value}: it must be finite and above zero")]
     NotPositive {
         /// The value's name.
@@ -53,7 +53,7 @@ pub enum ReferenceError {
         /// The value.
         value: f64,
     },
-    /// A value that must be finite.
+    /// The value must be finite.
     #[error("{name} is {value}: it must be finite")]
     NotFinite {
         /// The value's name.
@@ -61,28 +61,28 @@ pub enum ReferenceError {
         /// The value.
         value: f64,
     },
-    /// A sequence that needs more elements.
+    /// The sequence needs more elements.
     #[error("{name}: {count} given, at least {least} needed")]
     TooFew {
-        /// What there is too little of.
+        /// The sequence's name.
         name: &'static str,
-        /// How many were given.
+        /// The number of elements.
         count: usize,
-        /// How many are needed.
+        /// The smallest number of elements.
         least: usize,
     },
-    /// A sequence that is longer than the controller holds.
+    /// The sequence is longer than the capacity of the controller.
     #[error("{name}: more than the {most} that fit")]
     TooMany {
-        /// What there is too much of.
+        /// The sequence's name.
         name: &'static str,
-        /// How many fit.
+        /// The largest number of elements.
         most: usize,
     },
-    /// Waypoints must be in order of time.
+    /// The waypoints must be in order of time.
     #[error("waypoint {index} is at {time_s} s, not after the one before it")]
     TimeNotIncreasing {
-        /// Index of the waypoint, from 0.
+        /// Index of the later waypoint, from 0.
         index: usize,
         /// Its time, in s.
         time_s: f64,
@@ -102,8 +102,7 @@ impl Reference {
         }
     }
 
-    /// The limit of the reference from before `time` (s): differs from
-    /// [`Self::at`] where it jumps.
+    /// The reference just before `time` (s), which differs from [`Self::at`] where it jumps.
     #[must_use]
     pub fn before(&self, time: f64) -> ReferencePoint {
         match self {
@@ -113,7 +112,7 @@ impl Reference {
         }
     }
 
-    /// When the reference has nothing more to say, in s; none if it goes on for ever.
+    /// The time at which the reference ends, in s; none if it does not end.
     #[must_use]
     pub fn duration(&self) -> Option<f64> {
         match self {
@@ -134,7 +133,7 @@ impl Reference {
     }
 }
 
-/// Passes a value on if it is finite and above zero.
+/// The value, if it is finite and above zero.
 fn positive(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
     if value.is_finite() && value > 0.0 {
         Ok(value)
@@ -143,7 +142,7 @@ fn positive(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
     }
 }
 
-/// Passes a value on if it is finite.
+/// The value, if it is finite.
 fn finite(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
     if value.is_finite() {
         Ok(value)

@@ -5,26 +5,26 @@ use heapless::Vec;
 use super::{ReferenceError, ReferencePoint, finite, positive};
 use crate::Velocity;
 
-/// How many steps a sequence may have.
+/// The largest number of steps in a sequence.
 pub const MAX_VELOCITY_STEPS: usize = 64;
 
 /// One constant velocity of P.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityStep {
-    /// How long it lasts, in s.
+    /// Its duration, in s.
     pub duration: f64,
     /// The velocity, in m/s.
     pub velocity: Velocity,
 }
 
-/// Steps switch this much early, in s, so that durations that add up to a
-/// tick's time only up to rounding switch at that tick.
+/// Steps switch this much early, in s: a sum of durations that equals the time of a tick
+/// up to rounding then switches at that tick.
 const ROUNDING: f64 = 1e-9;
 
-/// A sequence of constant velocities; the last one goes on.
+/// A sequence of constant velocities; the last one has no end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VelocitySteps {
-    /// Each velocity with the time at which it ends.
+    /// The end of each step, in s, with its velocity.
     steps: Vec<(f64, Velocity), MAX_VELOCITY_STEPS>,
 }
 
@@ -60,13 +60,13 @@ impl VelocitySteps {
         Ok(Self { steps: sequence })
     }
 
-    /// When the last step ends, in s.
+    /// The end of the last step, in s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.steps.last().map_or(0.0, |step| step.0)
     }
 
-    /// Where an ideal integrator that starts at `start` is at `time` (s): the
+    /// The position at `time` (s) of an ideal integrator that starts at `start`: the
     /// nominal trajectory of P (equation 6).
     #[must_use]
     pub fn integrate(&self, start: crate::Position, time: f64) -> crate::Position {

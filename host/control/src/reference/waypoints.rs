@@ -1,24 +1,24 @@
-//! Through timed points, at constant velocity between them.
+//! A path through points with times, at constant velocity between them.
 
 use heapless::Vec;
 
 use super::{ReferenceError, ReferencePoint, finite};
 use crate::{Position, Velocity};
 
-/// How many waypoints a path may have.
+/// The largest number of waypoints in a path.
 pub const MAX_WAYPOINTS: usize = 1024;
 
-/// Where P should be at a time.
+/// A position of P with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
-    /// Seconds after the start of the drive.
+    /// Time since the start of the drive, in s.
     pub time: f64,
-    /// The position of P, in m.
+    /// The position, in m.
     pub position: Position,
 }
 
-/// A path through waypoints, straight between them; it waits at the first
-/// before its time and at the last after it.
+/// A path through waypoints with straight lines between them; before the time of the first
+/// and after that of the last it stands still.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waypoints {
     points: Vec<Waypoint, MAX_WAYPOINTS>,
@@ -66,7 +66,7 @@ impl Waypoints {
         &self.points
     }
 
-    /// When the last waypoint is due, in s.
+    /// The time of the last waypoint, in s.
     pub(super) fn duration(&self) -> f64 {
         self.points.last().map_or(0.0, |point| point.time)
     }
@@ -88,7 +88,7 @@ impl Waypoints {
             .map(|point| point.time)
     }
 
-    /// The reference at `time`, on the way to the waypoint of index `next`.
+    /// The reference at `time` (s), between the waypoint `next` and the one before it.
     fn between(&self, time: f64, next: usize) -> ReferencePoint {
         let last = next.checked_sub(1).and_then(|index| self.points.get(index));
         match (last, self.points.get(next)) {

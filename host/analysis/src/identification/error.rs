@@ -1,0 +1,74 @@
+//! The reasons for which an identification fails.
+
+use singletrack_control::VehicleParameters;
+
+/// The reason for which an identification fails.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum IdentificationError {
+    /// A list of the drive has fewer than two samples.
+    #[error("the drive has {count} {what}: record it with motion capture and board")]
+    TooFew {
+        /// The samples of the list.
+        what: &'static str,
+        /// The number of samples.
+        count: usize,
+    },
+    /// A sample is not finite.
+    #[error("number {index} of the {what} is not finite: the record is damaged there")]
+    NotFinite {
+        /// The samples of the list.
+        what: &'static str,
+        /// Its index, from 0.
+        index: usize,
+    },
+    /// A sample is older than its predecessor.
+    #[error("number {index} of the {what}, at {time_s} s, is older than the one before it")]
+    OutOfOrder {
+        /// The samples of the list.
+        what: &'static str,
+        /// Its index, from 0.
+        index: usize,
+        /// Its time, in s.
+        time_s: f64,
+    },
+    /// The car was too slow.
+    #[error(
+        "the car was never faster than {fastest:.2} m/s for long, and only driving above \
+         {least:.2} m/s is used: drive faster, 1.5 m/s or more"
+    )]
+    TooSlow {
+        /// The largest speed, in m/s.
+        fastest: f64,
+        /// The smallest speed that is used, in m/s.
+        least: f64,
+    },
+    /// The usable part of the drive is too short.
+    #[error(
+        "only {seconds:.1} s of the drive are faster than {least_speed:.2} m/s without gaps in \
+         poses and inertial samples, at least {least:.0} s are needed: drive longer, about a minute"
+    )]
+    TooShort {
+        /// The usable duration, in s.
+        seconds: f64,
+        /// The smallest duration, in s.
+        least: f64,
+        /// The smallest speed that is used, in m/s.
+        least_speed: f64,
+    },
+    /// The settings name no parameter.
+    #[error("no parameter is selected: name some, such as c_f,c_r,i_z")]
+    NoParameter,
+    /// The fit left the range in which the model is defined.
+    #[error(
+        "the fit does not converge; its last values were C_f {:.3} N/rad, C_r {:.3} N/rad, I_z {:.5} kg m²: \
+         start from a vehicle that is closer (--vehicle), and check mass, wheelbase and the servo's \
+         calibration",
+        .vehicle.front_cornering_stiffness_n_rad,
+        .vehicle.rear_cornering_stiffness_n_rad,
+        .vehicle.yaw_inertia_kg_m2
+    )]
+    Diverged {
+        /// The last values.
+        vehicle: VehicleParameters,
+    },
+}

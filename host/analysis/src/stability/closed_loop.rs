@@ -1,0 +1,175 @@
+//! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
+
+use singletrack_control::{VehicleParameterError, VehicleParameters};
+
+/// A linearising law.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Law {
+    /// The proposed law, equation 8: P is ahead of the front axle.
+    FrontPoint,
+    /// The law of the appendix: P is ahead of G in the direction of its velocity.
+    VelocityPoint,
+}
+
+/// The distances that are wrong in the law.
+///
+/// The [`Law::FrontPoint`] has only `l_f`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Belief {
+    /// The position of the centre of mass on a known wheelbase: `l_f + dl` and `l_r - dl`.
+    /// The paper's threshold of 0.136 mm is of this kind.
+    #[default]
+    CentreOfMass,
+    /// The position of the front axle alone: `l_f + dl`, with the true `l_r`.
+    FrontAxle,
+}
+
+/// A car under a law that may assume a wrong centre of mass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClosedLoop {
+    pub(super) vehicle: VehicleParameters,
+    pub(super) law: Law,
+    pub(super) belief: Belief,
+    pub(super) point_distance: f64,
+    pub(super) speed: f64,
+    pub(super) deviation: f64,
+}
+
+/// Parameters with which there is no steady motion.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum StabilityError {
+    /// The parameters of the vehicle are invalid.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleParameterError),
+    /// The distance p is invalid.
+    #[error("the point distance p is {0} m: it must be finite and above zero")]
+    PointDistance(f64),
+    /// The model has no steady motion at standstill or in reverse.
+    #[error("the speed is {0} m/s: the model needs a car that moves forward, above zero")]
+    Speed(f64),
+    /// The deviation is not finite.
+    #[error("the deviation dl of the centre of mass is {0} m: it must be finite")]
+    Deviation(f64),
+    /// The parameters are finite, but the equations overflow.
+    #[error(
+        "with a speed of {speed:e} m/s, p = {point_distance:e} m and dl = {deviation:e} m the equations \
+         leave the range of numbers: choose realistic values"
+    )]
+    Extreme {
+        /// The speed, in m/s.
+        speed: f64,
+        /// The distance p, in m.
+        point_distance: f64,
+        /// The deviation dl, in m.
+        deviation: f64,
+    },
+}
+
+impl ClosedLoop {
+    /// `vehicle` under `law` with P at `point_distance` (p, m), in steady motion at `speed`
+    /// (m/s). The law assumes the centre of mass `deviation` (`dl`, m) behind its true
+    /// position.
+    ///
+    /// `dl` is physically meaningful in [`ClosedLoop::meaningful_deviations`]. Any finite
+    /// value is accepted, because bifurcations lie outside that range.
+    ///
+    /// # Errors
+    ///
+    /// A parameter with which there is no steady motion.
+    pub fn new(
+        vehicle: VehicleParameters,
+        law: Law,
+        point_distance: f64,
+        speed: f64,
+        deviation: f64,
+    ) -> Result<Self, StabilityError> {
+        vehicle.validate()?;
+        if !(point_distance.is_finite() && point_distance > 0.0) {
+            return Err(StabilityError::PointDistance(point_distance));
+        }
+        if !(speed.is_finite() && speed > 0.0) {
+            return Err(StabilityError::Speed(speed));
+        }
+        if !deviation.is_finite() {
+            return Err(StabilityError::Deviation(deviation));
+        }
+        Self {
+            vehicle,
+            law,
+            belief: Belief::default(),
+            point_distance,
+            speed,
+            deviation,
+        }
+        .finite()
+    }
+
+    /// This loop, if its Jacobian is finite.
+    fn finite(self) -> Result<Self, StabilityError> {
+        if self.jacobian().iter().all(|entry| entry.is_finite()) {
+            Ok(self)
+        } else {
+            Err(StabilityError::Extreme {
+                speed: self.speed,
+                point_distance: self.point_distance,
+                deviation: self.deviation,
+            })
+        }
+    }
+
+    /// The same loop with other distances wrong.
+    #[must_use]
+    pub const fn believing(self, belief: Belief) -> Self {
+        Self { belief, ..self }
+    }
+
+    /// The same loop with the assumed centre of mass `deviation` (`dl`, m) behind its true
+    /// position.
+    ///
+    /// # Errors
+    ///
+    /// A deviation that is not finite.
+    pub fn with_deviation(self, deviation: f64) -> Result<Self, StabilityError> {
+        if !deviation.is_finite() {
+            return Err(StabilityError::Deviation(deviation));
+        }
+        Self { deviation, ..self }.finite()
+    }
+
+    /// The car.
+    #[must_use]
+    pub const fn vehicle(&self) -> &VehicleParameters {
+        &self.vehicle
+    }
+
+    /// The law.
+    #[must_use]
+    pub const fn law(&self) -> Law {
+        self.law
+    }
+
+    /// The distance p, in m.
+    #[must_use]
+    pub const fn point_distance(&self) -> f64 {
+        self.point_distance
+    }
+
+    /// The speed of the steady motion, in m/s.
+    #[must_use]
+    pub const fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// The deviation `dl` of the centre of mass, in m.
+    #[must_use]
+    pub const fn deviation(&self) -> f64 {
+        self.deviation
+    }
+
+    /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed
+    /// centre of mass is between the axles.
+    #[must_use]
+    pub const fn meaningful_deviations(vehicle: &VehicleParameters) -> [f64; 2] {
+        [-vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m]
+    }
+}
