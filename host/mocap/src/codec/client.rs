@@ -1,9 +1,10 @@
 //! What a client sends.
 
+use super::error::DecodeError;
 use super::packet::{MessageId, Packet};
 use super::server::read_text;
 use super::server_info::{SENDER_LEN, SENDER_NAME_LEN, name_prefix};
-use super::{BitstreamVersion, DecodeError, UnsupportedVersion};
+use super::version::{BitstreamVersion, UnsupportedVersion};
 
 /// The longest CONNECT known: the sender block, a flag, a version, and up to
 /// two bytes more that sample clients append.

@@ -1,6 +1,6 @@
 //! What can be wrong with a datagram.
 
-use super::BitstreamVersion;
+use super::version::BitstreamVersion;
 
 /// Why a datagram was refused. Offsets count from the datagram's first byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

@@ -1,9 +1,10 @@
 //! FRAMEOFDATA: one frame of poses.
 
+use super::error::DecodeError;
 use super::packet::Packet;
 use super::reader::Reader;
 use super::rigid_body::{RigidBodies, RigidBody};
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 const MARKER_LEN: usize = 12;
 

@@ -1,8 +1,9 @@
 //! MODELDEF: what the server tracks, and under which names and ids.
 
+use super::error::DecodeError;
 use super::packet::Packet;
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 /// Dataset types of a model definition.
 pub(crate) mod dataset {

@@ -1,6 +1,6 @@
 //! The header every datagram begins with, apart from what it announces.
 
-use super::DecodeError;
+use super::error::DecodeError;
 use super::reader::Reader;
 
 /// Length of the header: message id and payload length.

@@ -1,6 +1,6 @@
 //! A bounded little-endian cursor that knows where in the datagram it is.
 
-use super::DecodeError;
+use super::error::DecodeError;
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reader<'a> {

@@ -1,7 +1,8 @@
 //! Rigid bodies as a frame carries them.
 
+use super::error::DecodeError;
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 /// Bit 0 of a rigid body's parameters.
 const TRACKING_VALID: u16 = 1;

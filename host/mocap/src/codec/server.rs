@@ -1,8 +1,12 @@
 //! What a server sends.
 
+use super::error::DecodeError;
+use super::frame::Frame;
+use super::model::ModelDefinitions;
 use super::packet::{MessageId, Packet};
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError, Frame, ModelDefinitions, ServerInfo};
+use super::server_info::ServerInfo;
+use super::version::BitstreamVersion;
 
 /// A message from a server, checked completely.
 #[derive(Debug, Clone)]

@@ -3,8 +3,9 @@
 use core::net::Ipv4Addr;
 use core::num::NonZeroU64;
 
+use super::error::DecodeError;
 use super::packet::Packet;
-use super::{BitstreamVersion, DecodeError, UnsupportedVersion};
+use super::version::{BitstreamVersion, UnsupportedVersion};
 
 pub(crate) const SENDER_NAME_LEN: usize = 256;
 

@@ -1,6 +1,6 @@
 //! FRAMEOFDATA.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{
     BitstreamVersion, CameraTicks, FrameFlags, MessageId, PrecisionTime, RigidBody,

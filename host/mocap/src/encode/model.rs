@@ -1,6 +1,6 @@
 //! MODELDEF.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{BitstreamVersion, MessageId, RigidBodyDefinition, dataset};
 

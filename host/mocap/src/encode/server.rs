@@ -1,6 +1,6 @@
 //! What a server sends, apart from frames and model definitions.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{Echo, MessageId, SENDER_NAME_LEN, ServerInfo};
 

@@ -5,6 +5,7 @@
     reason = "test helpers fail the test that calls them"
 )]
 
+mod bits;
 mod clock;
 mod handshake;
 mod models;
