@@ -8,7 +8,11 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use singletrack_control::{Mode, Pilot, PilotConfig, RealTimeState, Reason, Request, Time};
 use singletrack_link::{Event as LinkEvent, Session as LinkSession, SessionConfig};
-use singletrack_mocap::{Config as MocapConfig, Observation, Outcome, Session as MocapSession};
+use singletrack_mocap::SessionEvent;
+use singletrack_mocap::planar::{
+    Observation, PlanarConfig as MocapConfig, PlanarEvent, PlanarOutcome,
+    PlanarSession as MocapSession,
+};
 use singletrack_record::{DriveWrite, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 use singletrackd::{
@@ -53,7 +57,7 @@ pub enum VirtualDriveError {
     Board(#[from] singletrack_protocol::ConfigurationError),
     /// The motion capture can't be configured so.
     #[error("[motion_capture] {0}")]
-    MotionCapture(#[from] singletrack_mocap::ConfigError),
+    MotionCapture(#[from] singletrack_mocap::planar::PlanarConfigError),
     /// The pilot never became ready, or did not start to drive.
     #[error("the car did not start: mode {mode} after {seconds} s, because of {}", reason.map_or("nothing", Reason::name))]
     NotStarted {
@@ -278,24 +282,26 @@ impl VirtualDrive {
                 continue;
             }
             let source = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1510);
-            if let Outcome::Frame(observation) =
+            if let PlanarOutcome::Frame(observation) =
                 self.motion_capture
-                    .handle_datagram(now.0, source, &datagram.bytes)
+                    .handle_datagram(now.0, source, &datagram.bytes, &mut |_| {})
             {
                 self.observed(&observation);
             }
         }
+        let mut stale = false;
+        self.motion_capture.handle_timeout(now.0, &mut |event| {
+            stale |= event == PlanarEvent::Session(SessionEvent::Stale);
+        });
         while let Some(datagram) = self.motion_capture.poll_transmit(now.0) {
             self.world.handle_datagram(HOST_ADDRESS, &datagram.bytes);
         }
-        while let Some(event) = self.motion_capture.poll_event() {
-            if event == singletrack_mocap::Event::Stale {
-                self.observed(&Observation {
-                    frame_number: 0,
-                    receive_time_ns: now.0,
-                    state: self.motion_capture.pose_state(now.0),
-                });
-            }
+        if stale {
+            self.observed(&Observation {
+                frame_number: 0,
+                receive_time_ns: now.0,
+                state: self.motion_capture.pose_state(now.0),
+            });
         }
     }
 

@@ -16,7 +16,7 @@ use std::{
 use rtrb::RingBuffer;
 use singletrack_control::{Mode, Pilot, RealTimeState, Reason, Request};
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Counters as MocapCounters, Session as MocapSession};
+use singletrack_mocap::planar::{PlanarCounters as MocapCounters, PlanarSession as MocapSession};
 use singletrack_record::{ClockMapping, RecorderThread, tick_feed};
 use tracing::{error, info, warn};
 

@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use rtrb::Producer;
-use singletrack_mocap::{Binding, Counters, Event, Observation, Outcome, PoseState, Session};
+use singletrack_mocap::planar::{
+    Observation, PlanarCounters, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
+};
+use singletrack_mocap::{Binding, SessionEvent};
 use tracing::{info, warn};
 
 use crate::{
@@ -32,12 +35,12 @@ pub(crate) enum MocapReport {
     /// What a frame, or silence, says of the car.
     Observation(Observation),
     /// What was counted so far.
-    Counters(Counters),
+    Counters(PlanarCounters),
 }
 
 /// Everything on the receiver's thread.
 pub(crate) struct MocapReceiver {
-    pub(crate) session: Session,
+    pub(crate) session: PlanarSession,
     pub(crate) sockets: MocapSockets,
     /// To the control thread.
     pub(crate) observations: Producer<Observation>,
@@ -49,7 +52,7 @@ pub(crate) struct MocapReceiver {
 impl MocapReceiver {
     /// Runs until it is told to stop; returns what it counted, and how many
     /// observations found no room on their way to the control thread.
-    pub(crate) fn run(mut self) -> (Counters, u64) {
+    pub(crate) fn run(mut self) -> (PlanarCounters, u64) {
         let mut buffer = vec![0; LONGEST];
         let mut dropped = 0;
         let mut stale = false;
@@ -64,8 +67,9 @@ impl MocapReceiver {
                     };
                     let now_ns = monotonic_ns();
                     let datagram = buffer.get(..length).unwrap_or(&[]);
-                    if let Outcome::Frame(observation) =
-                        self.session.handle_datagram(now_ns, source, datagram)
+                    if let PlanarOutcome::Frame(observation) =
+                        self.session
+                            .handle_datagram(now_ns, source, datagram, &mut |event| log(&event))
                     {
                         stale = false;
                         last_frame = observation.frame_number;
@@ -74,6 +78,8 @@ impl MocapReceiver {
                 }
             }
             let now_ns = monotonic_ns();
+            self.session
+                .handle_timeout(now_ns, &mut |event| log(&event));
             while let Some(datagram) = self.session.poll_transmit(now_ns) {
                 let result = self.sockets.send(datagram.destination, &datagram.bytes);
                 if let Err(error) = &result
@@ -82,9 +88,6 @@ impl MocapReceiver {
                     warn!(server = %datagram.destination, %error, "can't reach the motion capture");
                 }
                 sent = result.is_ok();
-            }
-            while let Some(event) = self.session.poll_event() {
-                log(&event);
             }
             let state = self.session.pose_state(now_ns);
             if matches!(state, PoseState::Stale { .. }) && !stale {
@@ -100,13 +103,13 @@ impl MocapReceiver {
                 // They are told again soon.
                 let _ = self
                     .reports
-                    .push(MocapReport::Counters(*self.session.counters()));
+                    .push(MocapReport::Counters(self.session.counters()));
             }
             let due_ns = self.session.poll_timeout().unwrap_or(u64::MAX);
             let wait = Duration::from_nanos(due_ns.saturating_sub(now_ns)).min(LOOK_AROUND);
             if self.stop.wait(&self.sockets.files(), wait) == Woken::Stop {
                 self.say_goodbye();
-                return (*self.session.counters(), dropped);
+                return (self.session.counters(), dropped);
             }
         }
     }
@@ -127,36 +130,46 @@ impl MocapReceiver {
     }
 }
 
-fn log(event: &Event) {
+fn log(event: &PlanarEvent) {
+    let event = match event {
+        PlanarEvent::Session(event) => event,
+        PlanarEvent::Binding(binding) => return log_binding(*binding),
+    };
     match event {
-        Event::Connected(connected) => {
+        SessionEvent::Connected(connected) => {
             info!(
                 bitstream = %connected.version,
                 camera_clock = connected.has_camera_clock,
                 "motion capture connected"
             );
         }
-        Event::Refused(version) => warn!("motion capture: {version}"),
-        Event::BitstreamKept { requested, kept } => warn!(
+        SessionEvent::Refused(version) => warn!("motion capture: {version}"),
+        SessionEvent::BitstreamKept { requested, kept } => warn!(
             %requested, %kept,
             "the motion capture did not change its bitstream; its own is read"
         ),
-        Event::TransportMismatch { server_multicast } => warn!(
+        SessionEvent::TransportMismatch { server_multicast } => warn!(
             server_multicast,
             "motion_capture.transport is not the server's: frames will hardly come"
         ),
-        Event::Binding(Binding::Bound { id }) => info!(id, "rigid body found"),
-        Event::Binding(Binding::Missing) => {
+        SessionEvent::Stale => warn!("the motion capture is silent"),
+        SessionEvent::Restarted(reason) => warn!(?reason, "motion capture: starting over"),
+        event => info!(?event, "motion capture"),
+    }
+}
+
+fn log_binding(binding: Binding) {
+    match binding {
+        Binding::Bound { id } => info!(id, "rigid body found"),
+        Binding::Missing => {
             warn!("motion_capture.rigid_body is not among the server's rigid bodies");
         }
-        Event::Binding(Binding::Ambiguous { count }) => {
+        Binding::Ambiguous { count } => {
             warn!(
                 count,
                 "several rigid bodies have the name motion_capture.rigid_body"
             );
         }
-        Event::Binding(Binding::Unresolved) => info!("rigid bodies are read anew"),
-        Event::Stale => warn!("the motion capture is silent"),
-        Event::Restarted(reason) => warn!(?reason, "motion capture: starting over"),
+        Binding::Unresolved => info!("rigid bodies are read anew"),
     }
 }

@@ -9,7 +9,9 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use rtrb::{Consumer, Producer, RingBuffer};
 use singletrack_control::{Pilot, RealTimeState, Request};
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Observation, Outcome, PoseState, Session as MocapSession};
+use singletrack_mocap::planar::{
+    Observation, PlanarOutcome, PlanarSession as MocapSession, PoseState,
+};
 use singletrack_record::{TickOutput, TickRecord, tick_feed};
 use singletrackd::{
     Report,
@@ -167,9 +169,9 @@ impl Daemon {
 
     /// The receiver takes a datagram.
     pub(crate) fn receive(&mut self, now_us: u64, source: SocketAddr, datagram: &[u8]) {
-        if let Outcome::Frame(observation) =
+        if let PlanarOutcome::Frame(observation) =
             self.cameras
-                .handle_datagram(host_ns(now_us), source, datagram)
+                .handle_datagram(host_ns(now_us), source, datagram, &mut |_| {})
         {
             self.is_stale = false;
             self.last_frame = observation.frame_number;
@@ -180,10 +182,10 @@ impl Daemon {
     /// The receiver looks what there is to say to the server.
     pub(crate) fn talk(&mut self, now_us: u64, mut send: impl FnMut(SocketAddr, &[u8])) {
         let now_ns = host_ns(now_us);
+        self.cameras.handle_timeout(now_ns, &mut |_| {});
         while let Some(datagram) = self.cameras.poll_transmit(now_ns) {
             send(self.address, &datagram.bytes);
         }
-        while self.cameras.poll_event().is_some() {}
         let state = self.cameras.pose_state(now_ns);
         if matches!(state, PoseState::Stale { .. }) && !self.is_stale {
             self.is_stale = true;

@@ -1,7 +1,8 @@
 //! Observations keep their bits: records of one release replay in the next.
 
+use singletrack_mocap::UpAxis;
 use singletrack_mocap::codec::RigidBody;
-use singletrack_mocap::{Pose, PoseState, UpAxis};
+use singletrack_mocap::planar::{PlanarPose, PoseState};
 
 use crate::world::{CAR, Frame, MS, UNICAST, World, config, jitter};
 
@@ -13,7 +14,7 @@ impl Digest {
         self.0 = (self.0 ^ word).wrapping_mul(0x0100_0000_01b3);
     }
 
-    fn pose(&mut self, pose: &Pose) {
+    fn pose(&mut self, pose: &PlanarPose) {
         for value in [
             pose.x_m,
             pose.y_m,
@@ -47,7 +48,7 @@ impl Digest {
 /// A stream of 2000 random frames: turns, tilts, losses, jumps, bad quaternions.
 fn digest(up_axis: UpAxis) -> (u64, u64) {
     let mut config = config(UNICAST);
-    config.up_axis = up_axis;
+    config.session.up_axis = up_axis;
     let mut world = World::new(config);
     world.server.skew_ppm = 37.0;
     let mut delay = jitter(3);

@@ -2,12 +2,13 @@
 
 use proptest::prelude::*;
 use singletrack_mocap::codec::BitstreamVersion;
-use singletrack_mocap::{CaptureTimeSource, Event, Pose, PoseState, RejectReason, RestartReason};
+use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
+use singletrack_mocap::{CaptureTimeSource, RestartReason, SessionEvent};
 
 use crate::world::{Frame, MS, S, UNICAST, World, config, jitter};
 
 #[track_caller]
-fn valid(state: PoseState) -> Pose {
+fn valid(state: PoseState) -> PlanarPose {
     match state {
         PoseState::Valid(pose) => pose,
         other => panic!("not valid: {other:?}"),
@@ -16,12 +17,12 @@ fn valid(state: PoseState) -> Pose {
 
 /// How far the capture time is from the truth: frames are captured 8 ms before
 /// they are delivered.
-fn error_ns(pose: &Pose) -> u64 {
+fn error_ns(pose: &PlanarPose) -> u64 {
     pose.capture_time_ns.abs_diff(pose.receive_time_ns - 8 * MS)
 }
 
 /// Streams for so many frames and returns the poses.
-fn stream(world: &mut World, frames: std::ops::Range<i32>) -> Vec<Pose> {
+fn stream(world: &mut World, frames: std::ops::Range<i32>) -> Vec<PlanarPose> {
     frames
         .map(|number| valid(world.next_state(&Frame::at_rest(number))))
         .collect()
@@ -145,7 +146,7 @@ fn a_capture_time_is_never_in_the_future() {
     world.receive(&bytes);
     let pose = valid(world.observations.last().unwrap().state);
     assert_eq!(pose.capture_time_ns, pose.receive_time_ns);
-    assert_eq!(world.session.counters().capture_clamped, 1);
+    assert_eq!(world.session.counters().session.capture_clamped, 1);
 
     world.now_ns += 18 * MS;
     let bytes = world.encode(&Frame::at_rest(101));
@@ -166,7 +167,7 @@ fn an_echo_that_goes_backward_begins_the_session_anew() {
     assert!(
         world
             .events
-            .contains(&Event::Restarted(RestartReason::ClockBackward))
+            .contains(&SessionEvent::Restarted(RestartReason::ClockBackward))
     );
     let pose = valid(world.next_state(&Frame::at_rest(0)));
     assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
@@ -181,7 +182,7 @@ fn an_echo_that_contradicts_the_others_replaces_them() {
         world.run(10 * MS);
         world.frame(&Frame::at_rest(number));
     }
-    assert_eq!(world.session.counters().clock_steps, 1);
+    assert_eq!(world.session.counters().session.clock_steps, 1);
     let pose = valid(world.next_state(&Frame::at_rest(200)));
     assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
 }
@@ -189,7 +190,7 @@ fn an_echo_that_contradicts_the_others_replaces_them() {
 #[test]
 fn an_echo_nobody_asked_for_is_counted_and_changes_nothing() {
     let mut world = World::connected(config(UNICAST));
-    let before = *world.session.counters();
+    let before = world.session.counters().session;
     let mut forged = [0; 64];
     let len = singletrack_mocap::encode::echo_response(
         singletrack_mocap::codec::Echo {
@@ -200,7 +201,7 @@ fn an_echo_nobody_asked_for_is_counted_and_changes_nothing() {
     )
     .unwrap();
     world.receive(&forged[..len]);
-    let after = world.session.counters();
+    let after = world.session.counters().session;
     assert_eq!(after.unsolicited, before.unsolicited + 1);
     assert_eq!(after.echoes, before.echoes);
 }

@@ -3,9 +3,11 @@
 use std::net::SocketAddr;
 
 use singletrack_mocap::codec::{BitstreamVersion, UnsupportedVersion};
+use singletrack_mocap::planar::{
+    PlanarConfig, PlanarConfigError, PlanarOutcome, PlanarSession, PoseState,
+};
 use singletrack_mocap::{
-    Binding, Config, ConfigError, Event, Outcome, Phase, PoseState, RestartReason, Session,
-    Transport, UpAxis,
+    Binding, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
 };
 
 use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};
@@ -97,7 +99,7 @@ fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
         world.run(20 * MS);
         let kept = BitstreamVersion::new(4, 3).unwrap();
         assert_eq!(world.session.phase(), Phase::Streaming(kept));
-        assert!(world.events.contains(&Event::BitstreamKept {
+        assert!(world.events.contains(&SessionEvent::BitstreamKept {
             requested: BitstreamVersion::V4_1,
             kept
         }));
@@ -115,11 +117,11 @@ fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
     let told = world
         .events
         .iter()
-        .filter(|event| **event == Event::Refused(refusal))
+        .filter(|event| **event == SessionEvent::Refused(refusal))
         .count();
     assert_eq!(told, 1);
-    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
-    assert_eq!(world.session.counters().early, 1);
+    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.session.counters().session.early, 1);
 
     world.server.native = [4, 1];
     world.run(S);
@@ -155,11 +157,9 @@ fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
             .all(|(_, sent)| !matches!(sent, Sent::Request(_)))
     );
     let version = BitstreamVersion::V4_2;
-    assert!(
-        world.events.iter().any(
-            |event| matches!(event, Event::Connected(connected) if connected.version == version)
-        )
-    );
+    assert!(world.events.iter().any(
+        |event| matches!(event, SessionEvent::Connected(connected) if connected.version == version)
+    ));
 
     let mut world = World::new(config(Transport::Multicast));
     world.server.native = [4, 5];
@@ -175,7 +175,7 @@ fn a_server_that_streams_the_other_way_is_told_of() {
     let mut world = World::new(config(UNICAST));
     world.server.multicast = true;
     world.run(20 * MS);
-    assert!(world.events.contains(&Event::TransportMismatch {
+    assert!(world.events.contains(&SessionEvent::TransportMismatch {
         server_multicast: true
     }));
 }
@@ -199,8 +199,8 @@ fn keep_alive_and_echo_keep_their_rates() {
 #[test]
 fn frames_before_the_handshake_are_counted_and_dropped() {
     let mut world = World::new(config(UNICAST));
-    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
-    assert_eq!(world.session.counters().early, 1);
+    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.session.counters().session.early, 1);
     assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
 }
 
@@ -212,18 +212,18 @@ fn another_address_is_counted_and_changes_nothing() {
     assert_eq!(
         world
             .session
-            .handle_datagram(world.now_ns, stranger, &bytes),
-        Outcome::WrongSource
+            .handle_datagram(world.now_ns, stranger, &bytes, &mut |_| {}),
+        PlanarOutcome::WrongSource
     );
-    assert_eq!(world.session.counters().wrong_source, 1);
-    assert_eq!(world.session.counters().frames, 0);
+    assert_eq!(world.session.counters().session.wrong_source, 1);
+    assert_eq!(world.session.counters().session.frames, 0);
     // The data port is the server's as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
         world
             .session
-            .handle_datagram(world.now_ns, data_port, &bytes),
-        Outcome::Frame(_)
+            .handle_datagram(world.now_ns, data_port, &bytes, &mut |_| {}),
+        PlanarOutcome::Frame(_)
     ));
 }
 
@@ -239,7 +239,7 @@ fn a_server_that_leaves_and_returns_is_connected_to_again() {
     assert!(
         world
             .events
-            .contains(&Event::Restarted(RestartReason::ServerLeft))
+            .contains(&SessionEvent::Restarted(RestartReason::ServerLeft))
     );
     // Its numbers start again, as after any restart.
     assert!(matches!(
@@ -263,25 +263,25 @@ fn a_closed_session_says_goodbye_and_then_nothing() {
 
 #[test]
 fn nonsense_in_the_configuration_is_refused_by_name() {
-    let new = |name: &str| Config::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
-    assert_eq!(new(""), Err(ConfigError::RigidBodyName { len: 0 }));
+    let new = |name: &str| PlanarConfig::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
+    assert_eq!(new(""), Err(PlanarConfigError::RigidBodyName { len: 0 }));
     assert_eq!(
         new(&"x".repeat(256)),
-        Err(ConfigError::RigidBodyName { len: 256 })
+        Err(PlanarConfigError::RigidBodyName { len: 256 })
     );
     let mut bad = config(UNICAST);
     bad.limits.max_speed_m_s = -1.0;
     assert_eq!(
-        Session::new(bad).map(drop).unwrap_err(),
-        ConfigError::NotPositive {
+        PlanarSession::new(bad).map(drop).unwrap_err(),
+        PlanarConfigError::NotPositive {
             key: "max_speed_m_s",
             value: -1.0
         }
     );
     let mut bad = config(UNICAST);
-    bad.timing.echo_ns = 0;
+    bad.session.timing.echo_ns = 0;
     assert_eq!(
-        Session::new(bad).map(drop).unwrap_err(),
-        ConfigError::Zero { key: "echo_ns" }
+        PlanarSession::new(bad).map(drop).unwrap_err(),
+        PlanarConfigError::Session(SessionConfigError::Zero { key: "echo_ns" })
     );
 }

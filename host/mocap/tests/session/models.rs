@@ -1,7 +1,8 @@
 //! Which id has the name.
 
+use singletrack_mocap::Binding;
 use singletrack_mocap::codec::{FrameFlags, RigidBody};
-use singletrack_mocap::{Binding, Event, PoseState};
+use singletrack_mocap::planar::PoseState;
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, config};
 
@@ -28,7 +29,7 @@ fn a_name_that_two_bodies_have_is_not_guessed_at() {
     world.run(20 * MS);
     let ambiguous = Binding::Ambiguous { count: 2 };
     assert_eq!(world.session.binding(), ambiguous);
-    assert!(world.events.contains(&Event::Binding(ambiguous)));
+    assert!(world.bindings.contains(&ambiguous));
     assert_eq!(
         world.next_state(&Frame::at_rest(1)),
         PoseState::Unbound(ambiguous)
@@ -94,7 +95,7 @@ fn lost_definitions_are_asked_for_again_soon() {
 fn a_damaged_definition_is_counted_and_leaves_the_binding() {
     let mut world = World::connected(config(UNICAST));
     world.receive(&[5, 0, 4, 0, 1, 0, 0, 0]);
-    assert_eq!(world.session.counters().malformed, 1);
+    assert_eq!(world.session.counters().session.malformed, 1);
     assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
     world.run(S);
     let body = RigidBody::tracked(CAR, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);

@@ -3,15 +3,16 @@
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 use std::f64::consts::FRAC_PI_2;
 
+use singletrack_mocap::UpAxis;
 use singletrack_mocap::codec::RigidBody;
-use singletrack_mocap::{Pose, PoseState, RejectReason, UpAxis};
+use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config};
 
 const LEVEL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 #[track_caller]
-fn valid(state: PoseState) -> Pose {
+fn valid(state: PoseState) -> PlanarPose {
     match state {
         PoseState::Valid(pose) => pose,
         other => panic!("not valid: {other:?}"),
@@ -57,7 +58,7 @@ fn a_valid_pose_carries_what_the_frame_said() {
 #[test]
 fn y_up_turns_position_and_attitude_alike() {
     let mut y_up = config(UNICAST);
-    y_up.up_axis = UpAxis::Y;
+    y_up.session.up_axis = UpAxis::Y;
     let mut world = World::connected(y_up);
     // Stream: 1 m along x, 0.1 m up, 2 m along z; a quarter turn about y.
     let body = RigidBody::tracked(
@@ -232,7 +233,7 @@ fn a_silent_stream_is_stale_and_its_last_pose_is_not_passed_on() {
         }
     );
     world.run(100 * MS);
-    assert_eq!(world.session.counters().stale, 1);
+    assert_eq!(world.session.counters().session.stale, 1);
     valid(world.next_state(&Frame::new(
         1,
         &[RigidBody::tracked(CAR, [0.0, 0.0, 0.05], LEVEL)],
