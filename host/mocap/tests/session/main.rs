@@ -6,7 +6,9 @@
 )]
 
 mod bits;
+mod bodies;
 mod clock;
+mod deadlines;
 mod handshake;
 mod models;
 mod poses;
