@@ -48,7 +48,7 @@ impl World {
     fn ready(seed: u64) -> Self {
         let mut world = Self::new(seed, Faults::default());
         world.board = Some(TestBoard::started());
-        world.session.opened(world.now_ns);
+        world.session.handle_opened(world.now_ns);
         world.run(2_500);
         world
     }
@@ -153,7 +153,7 @@ impl World {
 #[test]
 fn a_board_that_boots_for_three_seconds_is_configured_armed_and_driven() {
     let mut world = World::new(1, Faults::default());
-    world.session.opened(world.now_ns);
+    world.session.handle_opened(world.now_ns);
     world.to_host.put(world.now_ns, &[0xff, 0x14, 0x80, 0x10]);
     world.run(3_000);
     assert!(matches!(world.session.state(), State::Greeting { .. }));
@@ -374,7 +374,7 @@ proptest! {
         let mut world = World::new(seed, Faults::default());
         world.board = Some(TestBoard::started());
         world.driving = true;
-        world.session.opened(world.now_ns);
+        world.session.handle_opened(world.now_ns);
         for action in actions {
             match action {
                 Action::Run(milliseconds) => {
@@ -408,8 +408,8 @@ proptest! {
                 }
                 Action::Reopen => {
                     let events = &mut world.events;
-                    world.session.closed(world.now_ns, &mut |event| events.push(event));
-                    world.session.opened(world.now_ns);
+                    world.session.handle_closed(world.now_ns, &mut |event| events.push(event));
+                    world.session.handle_opened(world.now_ns);
                 }
                 Action::Garbage(bytes) => world.to_host.put(world.now_ns, &bytes),
             }
@@ -432,7 +432,7 @@ proptest! {
     fn random_bytes_never_panic_nor_connect(seed in any::<u64>(), length in 0_usize..5_000) {
         let mut noise = Noise(seed);
         let mut session = Session::new(session_config()).unwrap();
-        session.opened(START_NS);
+        session.handle_opened(START_NS);
         let bytes: Vec<u8> = (0..length).map(|_| noise.next() as u8).collect();
         let mut events = 0;
         for chunk in bytes.chunks(64) {

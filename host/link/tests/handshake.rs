@@ -40,7 +40,7 @@ fn a_configuration_that_no_board_would_take_makes_no_session() {
 #[test]
 fn the_first_byte_on_the_line_is_a_zero() {
     let mut bench = Bench::new();
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_opened(bench.now_ns);
     let transmit = bench.session.poll_transmit(bench.now_ns).unwrap();
     assert_eq!(transmit.as_bytes()[0], 0);
 }
@@ -87,8 +87,8 @@ fn telemetry_before_the_greeting_is_answered_means_nothing() {
 fn the_answer_to_another_greeting_is_no_answer() {
     let mut bench = Bench::opened();
     let old = bench.nonce();
-    bench.session.closed(bench.now_ns, &mut |_| {});
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_closed(bench.now_ns, &mut |_| {});
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     assert_ne!(bench.nonce(), old);
     bench.hear(singletrack_protocol::Hello {
@@ -274,10 +274,10 @@ fn a_hang_up_is_a_loss_and_opening_again_recovers() {
     let mut events = Vec::new();
     bench
         .session
-        .closed(bench.now_ns, &mut |event| events.push(event));
+        .handle_closed(bench.now_ns, &mut |event| events.push(event));
     bench
         .session
-        .closed(bench.now_ns, &mut |event| events.push(event));
+        .handle_closed(bench.now_ns, &mut |event| events.push(event));
     assert_eq!(
         events,
         [Event::Lost {
@@ -285,7 +285,7 @@ fn a_hang_up_is_a_loss_and_opening_again_recovers() {
         }]
     );
     assert_eq!(bench.session.counters().hang_ups, 1);
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     bench.answer_hello();
     bench.answer_configure();

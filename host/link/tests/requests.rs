@@ -132,8 +132,8 @@ fn a_request_to_arm_survives_neither_loss_nor_restart_nor_stop_nor_hang_up() {
                 bench.session.disarm(bench.now_ns);
             }
             _ => {
-                bench.session.closed(bench.now_ns, &mut |_| {});
-                bench.session.opened(bench.now_ns);
+                bench.session.handle_closed(bench.now_ns, &mut |_| {});
+                bench.session.handle_opened(bench.now_ns);
                 bench.poll();
             }
         }
@@ -221,8 +221,8 @@ fn an_emergency_stop_is_sent_through_loss_and_hang_up_until_it_is_latched() {
     let stops = |message: &ToBoard| matches!(message, ToBoard::EmergencyStop(_));
     assert_eq!(bench.sent_ms(START_NS, stops).len(), 20);
 
-    bench.session.closed(bench.now_ns, &mut |_| {});
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_closed(bench.now_ns, &mut |_| {});
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     bench.sent.retain(|(_, message)| !stops(message));
     bench.answer_hello();

@@ -116,7 +116,7 @@ impl Bench {
 
     pub(crate) fn opened() -> Self {
         let mut bench = Self::new();
-        bench.session.opened(bench.now_ns);
+        bench.session.handle_opened(bench.now_ns);
         bench.poll();
         bench
     }
