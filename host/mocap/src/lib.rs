@@ -66,6 +66,10 @@
 //! The example `natnet_client` is a complete client over `std::net::UdpSocket`.
 #![no_std]
 
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 pub mod codec;
 pub mod encode;
 pub mod planar;
