@@ -1,4 +1,4 @@
-//! The board's clock in host time, against a resonator whose truth is known.
+//! The board's clock in host time, against a simulated resonator.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
@@ -142,7 +142,7 @@ fn the_wrap_of_the_boards_microseconds_is_seamless() {
 }
 
 #[test]
-fn days_of_wrapping_do_not_wear_the_mapping_out() {
+fn the_mapping_is_exact_after_days_of_wrapping() {
     let mut bench = Bench::new(0.005, 17, 1_000_000, 3);
     for _ in 0..200 {
         bench.record();
@@ -214,7 +214,7 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
         assert_eq!(clock.host_time_ns(bench.stamp()), before);
     }
     bench.clock.observe(now_ns, 3_000_000_000);
-    // The record after it fits: the run of impossible ones is over.
+    // The record after it fits, and ends the run of impossible ones.
     bench.record();
     let now_ns = bench.host_ns + 1_000_000;
     assert_eq!(bench.clock.observe(now_ns, 10), StampOutcome::Implausible);
@@ -230,7 +230,7 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
 }
 
 #[test]
-fn the_first_record_held_up_misplaces_none_after_it() {
+fn a_delay_of_the_first_record_does_not_shift_later_ones() {
     let mut clock = BoardClock::new();
     // The first record was held up for 50 ms; the second one shows it.
     let first = clock.observe(START_NS + 50_000_000, 0);

@@ -1,10 +1,10 @@
-//! Newest only: which frame continues the stream.
+//! Decides which frame continues the stream: only the newest.
 
 /// This number of frames in a row that are older than the newest, but follow each
 /// other, means that the server started again.
 const RESTART_AFTER: u32 = 10;
 
-/// Where a frame stands in the stream.
+/// The place of a frame in the stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Order {
     /// It is the newest; `lost` frames before it never arrived.

@@ -2,8 +2,9 @@
 
 use crate::codec::BitstreamVersion;
 
-/// Why a message was not encoded.
+/// Why a message cannot be encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EncodeError {
     /// The buffer ends before the message does.
     #[error("{field} does not fit into the {capacity} bytes of the buffer")]
@@ -21,7 +22,7 @@ pub enum EncodeError {
         /// The limit.
         max: usize,
     },
-    /// A count or size that the wire's `i32` cannot carry.
+    /// A count or size beyond the range of the wire's `i32`.
     #[error("{field} is {value}, more than the wire can carry")]
     CountOutOfRange {
         /// The count.
@@ -29,7 +30,7 @@ pub enum EncodeError {
         /// Its value.
         value: usize,
     },
-    /// A NUL inside a string, which would end it on the wire.
+    /// A NUL inside a string: it would end the string on the wire.
     #[error("{field} contains a NUL")]
     InteriorNul {
         /// The string.
@@ -48,12 +49,12 @@ pub enum EncodeError {
     /// A response text that would be read as a status.
     #[error("a response text of three bytes would be read as a status")]
     AmbiguousResponse,
-    /// Something that this bitstream version has no place for.
+    /// A field that the bitstream version does not have.
     #[error("bitstream {version} has no {field}")]
     NotInVersion {
-        /// What has no place.
+        /// The field.
         field: &'static str,
-        /// The version encoded for.
+        /// The version of the message.
         version: BitstreamVersion,
     },
 }

@@ -1,4 +1,4 @@
-//! What the frames said of the body, counted.
+//! Counts of what the frames say of the body.
 
 use crate::counters::SessionCounters;
 

@@ -116,7 +116,8 @@ impl PlanarTracker {
         }
     }
 
-    /// The body's pose in the plane, or why it is rejected whatever came before.
+    /// The body's pose in the plane, or why it is rejected without regard to earlier
+    /// poses.
     fn candidate(
         &self,
         state: BodyState,

@@ -59,7 +59,7 @@ pub enum SessionEvent {
 pub struct Connected {
     /// The bitstream of the frames.
     pub version: BitstreamVersion,
-    /// The port that the server says it sends frames from (from 3.0 on).
+    /// The port from which the server sends frames, as it reports (from 3.0 on).
     pub data_port: Option<u16>,
     /// Whether frames will carry mid-exposure time that echoes can map.
     pub has_camera_clock: bool,

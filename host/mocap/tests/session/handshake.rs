@@ -73,7 +73,7 @@ fn a_newer_server_is_asked_for_the_configured_bitstream() {
 }
 
 #[test]
-fn an_older_server_is_taken_as_it_is() {
+fn the_bitstream_of_an_older_server_is_accepted() {
     for (native, version) in [
         ([3, 0], BitstreamVersion::V3_0),
         ([2, 9], BitstreamVersion::V2_9),
@@ -91,7 +91,7 @@ fn an_older_server_is_taken_as_it_is() {
 }
 
 #[test]
-fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
+fn a_server_that_keeps_a_supported_bitstream_is_read() {
     for status in [Some(1), None] {
         let mut world = World::new(config(UNICAST));
         world.server.native = [4, 3];
@@ -107,19 +107,19 @@ fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
 }
 
 #[test]
-fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
+fn an_unsupported_bitstream_is_refused_by_number_until_it_is_changed() {
     let mut world = World::new(config(UNICAST));
     world.server.native = [4, 5];
     world.server.bitstream_status = Some(1);
     world.run(3 * S);
     let refusal = UnsupportedVersion { major: 4, minor: 5 };
     assert_eq!(world.session.phase(), Phase::Refused(refusal));
-    let told = world
+    let reported = world
         .events
         .iter()
         .filter(|event| **event == SessionEvent::Refused(refusal))
         .count();
-    assert_eq!(told, 1);
+    assert_eq!(reported, 1);
     assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
     assert_eq!(world.session.counters().session.early, 1);
 
@@ -132,7 +132,7 @@ fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
 }
 
 #[test]
-fn an_ancient_server_is_refused_without_asking() {
+fn a_server_before_2_7_is_refused_without_a_request() {
     let mut world = World::new(config(UNICAST));
     world.server.native = [2, 5];
     world.run(20 * MS);
@@ -144,7 +144,7 @@ fn an_ancient_server_is_refused_without_asking() {
 }
 
 #[test]
-fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
+fn multicast_accepts_the_servers_bitstream_and_sends_no_keep_alive() {
     let mut world = World::new(config(Transport::Multicast));
     world.server.native = [4, 2];
     world.server.multicast = true;
@@ -171,7 +171,7 @@ fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
 }
 
 #[test]
-fn a_server_that_streams_the_other_way_is_told_of() {
+fn a_server_with_the_other_transport_is_reported() {
     let mut world = World::new(config(UNICAST));
     world.server.multicast = true;
     world.run(20 * MS);
@@ -181,7 +181,7 @@ fn a_server_that_streams_the_other_way_is_told_of() {
 }
 
 #[test]
-fn keep_alive_and_echo_keep_their_rates() {
+fn keep_alive_and_echo_are_sent_at_their_rates() {
     let mut world = World::connected(config(UNICAST));
     for number in 0..1_000 {
         world.next_state(&Frame::at_rest(number));
@@ -205,7 +205,7 @@ fn frames_before_the_handshake_are_counted_and_dropped() {
 }
 
 #[test]
-fn another_address_is_counted_and_changes_nothing() {
+fn a_datagram_from_another_address_is_counted_and_changes_nothing() {
     let mut world = World::connected(config(UNICAST));
     let bytes = world.encode(&Frame::at_rest(1));
     let stranger: SocketAddr = "192.168.1.66:1510".parse().unwrap();
@@ -217,7 +217,7 @@ fn another_address_is_counted_and_changes_nothing() {
     );
     assert_eq!(world.session.counters().session.wrong_source, 1);
     assert_eq!(world.session.counters().session.frames, 0);
-    // The data port is the server's as well.
+    // The data port belongs to the server as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
         world
@@ -228,7 +228,7 @@ fn another_address_is_counted_and_changes_nothing() {
 }
 
 #[test]
-fn a_server_that_leaves_and_returns_is_connected_to_again() {
+fn the_session_connects_again_to_a_server_that_left() {
     let mut world = World::connected(config(UNICAST));
     world.next_state(&Frame::at_rest(1));
     let mut goodbye = [0; 4];
@@ -249,7 +249,7 @@ fn a_server_that_leaves_and_returns_is_connected_to_again() {
 }
 
 #[test]
-fn a_closed_session_says_goodbye_and_then_nothing() {
+fn a_closed_session_sends_disconnect_and_then_nothing() {
     let mut world = World::connected(config(UNICAST));
     world.sent.clear();
     world.session.close();
@@ -262,7 +262,7 @@ fn a_closed_session_says_goodbye_and_then_nothing() {
 }
 
 #[test]
-fn nonsense_in_the_configuration_is_refused_by_name() {
+fn an_invalid_configuration_is_refused_with_the_fields_name() {
     let new = |name: &str| PlanarConfig::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
     assert_eq!(new(""), Err(PlanarConfigError::RigidBodyName { len: 0 }));
     assert_eq!(

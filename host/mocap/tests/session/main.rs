@@ -1,4 +1,4 @@
-//! The session in virtual time, against a scripted server.
+//! The sessions in virtual time, against a scripted server.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,

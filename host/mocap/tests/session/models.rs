@@ -1,4 +1,4 @@
-//! Which id has the name.
+//! The streaming id of the body's name.
 
 use singletrack_mocap::Binding;
 use singletrack_mocap::codec::{FrameFlags, RigidBody};
@@ -7,7 +7,7 @@ use singletrack_mocap::planar::PoseState;
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, config};
 
 #[test]
-fn a_name_that_is_missing_is_a_state_until_it_appears() {
+fn a_missing_name_is_a_state_until_the_name_appears() {
     let mut world = World::new(config(UNICAST));
     world.server.models = vec![("other", 3), ("Car", CAR)];
     world.run(20 * MS);
@@ -23,7 +23,7 @@ fn a_name_that_is_missing_is_a_state_until_it_appears() {
 }
 
 #[test]
-fn a_name_that_two_bodies_have_is_not_guessed_at() {
+fn a_name_of_two_bodies_is_ambiguous() {
     let mut world = World::new(config(UNICAST));
     world.server.models = vec![("car", 1), ("other", 3), ("car", CAR)];
     world.run(20 * MS);
@@ -36,7 +36,7 @@ fn a_name_that_two_bodies_have_is_not_guessed_at() {
     );
 }
 
-/// Another body stands where the car's id used to point.
+/// Another body has the car's former id.
 fn after_swap(number: i32) -> Frame {
     let mut other = car_at(0.02, 0.0);
     other.id = CAR;
@@ -56,7 +56,7 @@ fn ids_that_change_with_the_flag_never_yield_another_bodys_pose() {
         world.next_state(&changed),
         PoseState::Unbound(Binding::Unresolved)
     );
-    // The flag may stay for a while: the definitions are read once, then slowly.
+    // The flag may stay set: the definitions are read once at once, then slowly.
     for number in 3..20 {
         let mut frame = after_swap(number);
         frame.flags = FrameFlags::MODELS_CHANGED;
@@ -79,7 +79,7 @@ fn ids_that_change_without_the_flag_are_noticed_by_polling() {
 }
 
 #[test]
-fn lost_definitions_are_asked_for_again_soon() {
+fn lost_definitions_are_soon_requested_again() {
     let mut world = World::connected(config(UNICAST));
     world.server.answers = false;
     let mut changed = Frame::at_rest(1);

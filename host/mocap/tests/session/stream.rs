@@ -62,12 +62,12 @@ fn numbers_that_start_again_while_the_clock_goes_on_are_followed() {
 }
 
 #[test]
-fn a_server_that_started_again_is_connected_to_again() {
+fn the_session_connects_again_to_a_server_that_started_again() {
     let mut world = connected();
     for number in 1_000..1_100 {
         world.next_state(&Frame::at_rest(number));
     }
-    // Both its numbers and its clock begin anew.
+    // Both its numbers and its clock start again.
     world.server.ticks_at_zero = 0;
     for number in 0..100 {
         world.run(10 * MS);
@@ -85,7 +85,7 @@ fn a_server_that_started_again_is_connected_to_again() {
 }
 
 #[test]
-fn a_few_old_frames_are_no_restart() {
+fn a_few_old_frames_do_not_restart_the_session() {
     let mut world = connected();
     let old: Vec<_> = (1..10)
         .map(|number| {
@@ -124,7 +124,7 @@ fn a_malformed_datagram_is_counted_and_changes_nothing() {
 }
 
 #[test]
-fn a_bitstream_that_changes_underway_is_asked_about_again() {
+fn a_bitstream_that_changes_in_the_stream_is_negotiated_again() {
     let mut world = connected();
     world.next_state(&Frame::at_rest(1));
     world.server.native = [3, 1];
@@ -141,7 +141,7 @@ fn a_bitstream_that_changes_underway_is_asked_about_again() {
 }
 
 /// A frame of another bitstream than the session's.
-fn rubbish(world: &mut World) -> Vec<u8> {
+fn undecodable(world: &mut World) -> Vec<u8> {
     let native = world.server.stream;
     world.server.stream = singletrack_mocap::codec::BitstreamVersion::V3_1;
     let bytes = world.encode(&Frame::at_rest(1_000));
@@ -150,14 +150,14 @@ fn rubbish(world: &mut World) -> Vec<u8> {
 }
 
 #[test]
-fn rubbish_between_good_frames_does_not_begin_the_conversation_anew() {
+fn undecodable_frames_between_good_ones_do_not_restart_the_session() {
     let mut world = connected();
-    let rubbish = rubbish(&mut world);
+    let undecodable = undecodable(&mut world);
     for number in 1..50 {
         world.next_state(&Frame::at_rest(number));
         for _ in 0..100 {
             assert!(matches!(
-                world.receive(&rubbish),
+                world.receive(&undecodable),
                 PlanarOutcome::Malformed(_)
             ));
         }
@@ -167,13 +167,13 @@ fn rubbish_between_good_frames_does_not_begin_the_conversation_anew() {
 }
 
 #[test]
-fn a_flood_of_rubbish_alone_begins_the_conversation_anew_ten_times_a_second_at_most() {
+fn a_flood_of_undecodable_frames_restarts_the_session_ten_times_a_second_at_most() {
     let mut world = connected();
-    let rubbish = rubbish(&mut world);
+    let undecodable = undecodable(&mut world);
     for _ in 0..1_000 {
         world.run(MS);
         for _ in 0..100 {
-            world.receive(&rubbish);
+            world.receive(&undecodable);
         }
     }
     let restarts = world.session.counters().session.restarts;
@@ -181,7 +181,7 @@ fn a_flood_of_rubbish_alone_begins_the_conversation_anew_ten_times_a_second_at_m
 }
 
 #[test]
-fn a_stream_that_falls_silent_is_connected_to_again() {
+fn the_session_connects_again_when_the_stream_is_silent() {
     let mut world = connected();
     world.next_state(&Frame::at_rest(1));
     world.sent.clear();
@@ -202,7 +202,7 @@ fn a_stream_that_falls_silent_is_connected_to_again() {
 }
 
 #[test]
-fn a_server_that_answers_but_sends_no_frames_is_connected_to_again() {
+fn the_session_connects_again_when_a_server_sends_no_frames() {
     let mut world = connected();
     world.sent.clear();
     world.run(10 * S);

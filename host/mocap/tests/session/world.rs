@@ -40,7 +40,7 @@ pub(crate) struct Server {
     pub(crate) answers: bool,
     pub(crate) answers_echo: bool,
     pub(crate) models: Vec<(&'static str, i32)>,
-    /// What frames and definitions are encoded as.
+    /// The bitstream of frames and definitions.
     pub(crate) stream: BitstreamVersion,
     /// Ticks shown at local time 0, and the rate error of its clock.
     pub(crate) ticks_at_zero: u64,
@@ -119,7 +119,7 @@ impl Server {
     }
 }
 
-/// The part of a client's message that tests ask for.
+/// The part of a client's message that tests check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Sent {
     Connect,
@@ -130,7 +130,7 @@ pub(crate) enum Sent {
     Disconnect,
 }
 
-/// How long a datagram travels; `None` loses it. The flag says "to the server".
+/// The travel time of a datagram; `None` loses it. The flag means "to the server".
 pub(crate) type Network = Box<dyn FnMut(bool) -> Option<u64>>;
 
 pub(crate) struct World {
@@ -138,12 +138,12 @@ pub(crate) struct World {
     pub(crate) session: PlanarSession,
     pub(crate) server: Server,
     pub(crate) network: Network,
-    /// Arrival time and bytes of what is on its way to the client.
+    /// Arrival time and bytes of the datagrams on their way to the client.
     in_flight: Vec<(u64, Vec<u8>)>,
-    /// When the session sent what.
+    /// What the session sent, with its time.
     pub(crate) sent: Vec<(u64, Sent)>,
     pub(crate) events: Vec<SessionEvent>,
-    /// What the session said of the name.
+    /// Events about the body's name.
     pub(crate) bindings: Vec<Binding>,
     pub(crate) observations: Vec<Observation>,
 }
@@ -286,7 +286,7 @@ impl World {
         self.receive(&bytes)
     }
 
-    /// Lets 10 ms pass, delivers a frame and tells what it says of the body.
+    /// Lets 10 ms pass, delivers a frame and returns the state of the body in it.
     #[track_caller]
     pub(crate) fn next_state(&mut self, frame: &Frame) -> PoseState {
         self.run(10 * MS);
@@ -315,7 +315,7 @@ pub(crate) struct Frame {
     pub(crate) bodies: Vec<RigidBody>,
     pub(crate) flags: FrameFlags,
     pub(crate) has_mid_exposure: bool,
-    /// How long ago it was captured.
+    /// Time since it was captured.
     pub(crate) age_ns: u64,
 }
 
@@ -347,7 +347,7 @@ pub(crate) fn car_heading(yaw_rad: f32) -> RigidBody {
     RigidBody::tracked(CAR, [0.0, 0.0, 0.05], [0.0, 0.0, sin, cos])
 }
 
-/// A small random generator for delays: reproducible, and good enough.
+/// A small reproducible random generator for delays.
 pub(crate) fn jitter(mut seed: u64) -> impl FnMut(u64) -> u64 {
     move |below_ns| {
         seed = seed
