@@ -100,7 +100,14 @@ impl Options {
         let interface = self.multicast.unwrap_or(Ipv4Addr::UNSPECIFIED);
         let mut sockets = vec![UdpSocket::bind((interface, 0))?];
         if self.multicast.is_some() {
-            let data = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, self.data_port))?;
+            // Bound to the group, the socket receives nothing else, and a server on the same
+            // machine can use the port as well. Windows cannot bind to a group.
+            let address = if cfg!(windows) {
+                Ipv4Addr::UNSPECIFIED
+            } else {
+                self.group
+            };
+            let data = UdpSocket::bind((address, self.data_port))?;
             data.join_multicast_v4(&self.group, &interface)?;
             sockets.push(data);
         }
