@@ -116,9 +116,10 @@ impl PlanarSession {
             DatagramOutcome::Reply => PlanarOutcome::Reply,
             DatagramOutcome::Late => PlanarOutcome::Late,
             DatagramOutcome::Duplicate => PlanarOutcome::Duplicate,
-            DatagramOutcome::Ignored => PlanarOutcome::Ignored,
             DatagramOutcome::WrongSource => PlanarOutcome::WrongSource,
             DatagramOutcome::Malformed(error) => PlanarOutcome::Malformed(error),
+            // `Ignored`, and what later versions of the session may add.
+            _ => PlanarOutcome::Ignored,
         }
     }
 
