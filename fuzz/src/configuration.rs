@@ -105,7 +105,7 @@ fn check_accepted(config: &Config) {
     assert!(Session::new(config.link(1)).is_ok(), "refused by the link");
     let cameras = config.motion_capture.session();
     assert!(
-        cameras.is_ok_and(|cameras| singletrack_mocap::Session::new(cameras).is_ok()),
+        cameras.is_ok_and(|cameras| singletrack_mocap::planar::PlanarSession::new(cameras).is_ok()),
         "not for the cameras"
     );
 }

@@ -241,7 +241,7 @@ impl Bench {
     }
 
     fn open(&mut self) {
-        self.session.opened(self.now_ns);
+        self.session.handle_opened(self.now_ns);
         self.mirror = Decoder::new();
         self.arm = None;
         self.settle();
@@ -250,7 +250,7 @@ impl Bench {
     fn close(&mut self) {
         let mut events = Vec::new();
         self.session
-            .closed(self.now_ns, &mut |event| events.push(event));
+            .handle_closed(self.now_ns, &mut |event| events.push(event));
         self.arm = None;
         assert_eq!(self.session.state(), State::Disconnected);
         assert!(events.len() <= 1);

@@ -7,7 +7,9 @@
 use std::net::SocketAddr;
 
 use rtrb::Producer;
-use singletrack_mocap::{Counters, Event, Observation, Outcome, PoseState, Session};
+use singletrack_mocap::planar::{
+    Observation, PlanarCounters, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
+};
 
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_535;
@@ -46,13 +48,13 @@ pub enum CameraReport {
     /// An observation of the car.
     Observation(Observation),
     /// The counters so far.
-    Counters(Counters),
+    Counters(PlanarCounters),
 }
 
 /// Talks to the cameras for the control loop.
 #[derive(Debug)]
 pub struct CameraReceiver {
-    session: Session,
+    session: PlanarSession,
     observations: Producer<Observation>,
     reports: Producer<CameraReport>,
     buffer: Vec<u8>,
@@ -67,7 +69,7 @@ impl CameraReceiver {
     /// in `reports`, to the record.
     #[must_use]
     pub fn new(
-        session: Session,
+        session: PlanarSession,
         observations: Producer<Observation>,
         reports: Producer<CameraReport>,
     ) -> Self {
@@ -85,7 +87,7 @@ impl CameraReceiver {
 
     /// The counters of the session.
     #[must_use]
-    pub const fn counters(&self) -> &Counters {
+    pub const fn counters(&self) -> PlanarCounters {
         self.session.counters()
     }
 
@@ -101,7 +103,7 @@ impl CameraReceiver {
         &mut self,
         clock: &impl Fn() -> u64,
         sockets: &mut impl Sockets,
-        on_event: &mut impl FnMut(&Event),
+        on_event: &mut impl FnMut(&PlanarEvent),
     ) -> u64 {
         let mut are_left = false;
         for channel in [Channel::Command, Channel::Data] {
@@ -112,8 +114,9 @@ impl CameraReceiver {
                 are_left |= taken == DATAGRAMS;
                 let now_ns = clock();
                 let datagram = self.buffer.get(..length).unwrap_or(&[]);
-                if let Outcome::Frame(observation) =
-                    self.session.handle_datagram(now_ns, source, datagram)
+                if let PlanarOutcome::Frame(observation) =
+                    self.session
+                        .handle_datagram(now_ns, source, datagram, &mut |event| on_event(&event))
                 {
                     self.is_stale = false;
                     self.last_frame = observation.frame_number;
@@ -122,10 +125,9 @@ impl CameraReceiver {
             }
         }
         let now_ns = clock();
+        self.session
+            .handle_timeout(now_ns, &mut |event| on_event(&event));
         self.transmit(now_ns, sockets);
-        while let Some(event) = self.session.poll_event() {
-            on_event(&event);
-        }
         let state = self.session.pose_state(now_ns);
         if matches!(state, PoseState::Stale { .. }) && !self.is_stale {
             self.is_stale = true;
@@ -140,7 +142,7 @@ impl CameraReceiver {
             // A lost report is superseded by the next.
             let _ = self
                 .reports
-                .push(CameraReport::Counters(*self.session.counters()));
+                .push(CameraReport::Counters(self.session.counters()));
         }
         if are_left {
             return now_ns;

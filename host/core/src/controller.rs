@@ -100,7 +100,7 @@ impl Controller {
 
     /// The port has been opened.
     pub fn port_opened(&mut self, now: Time) {
-        self.session.opened(now.0);
+        self.session.handle_opened(now.0);
     }
 
     /// The port has been closed or has hung up.
@@ -109,7 +109,7 @@ impl Controller {
             events: &mut self.events,
             dropped: &mut self.dropped,
         };
-        self.session.closed(now.0, &mut |event| {
+        self.session.handle_closed(now.0, &mut |event| {
             on_link(&event);
             queue.link(&event);
         });

@@ -12,7 +12,7 @@
 
 use rtrb::{Consumer, RingBuffer};
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::Session as MocapSession;
+use singletrack_mocap::planar::PlanarSession;
 use singletrack_pilot::Pilot;
 use singletrack_record::{TickOutput, tick_feed};
 
@@ -88,7 +88,7 @@ impl<L: Line> Host<L> {
             LinkSession::new(config.link(options.nonce_seed))?,
             Pilot::new(config.pilot()?),
         );
-        let session = MocapSession::new(config.motion_capture.session()?)
+        let session = PlanarSession::new(config.motion_capture.session()?)
             .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
         let period_ns = config.control.period_ns();
         let aligns = config.control.align_to_cameras;

@@ -1,6 +1,6 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
-use singletrack_mocap::Event as MocapEvent;
+use singletrack_mocap::planar::PlanarEvent;
 use singletrack_pilot::{Mode, RealTimeState, Request};
 use singletrack_record::{Entry, TickRecord};
 
@@ -83,7 +83,7 @@ impl<L: Line> VirtualHost<L> {
         &mut self,
         now_ns: u64,
         sockets: &mut impl Sockets,
-        on_event: &mut impl FnMut(&MocapEvent),
+        on_event: &mut impl FnMut(&PlanarEvent),
     ) {
         // A thread polls again at once while datagrams are left.
         for _ in 0..POLLS {

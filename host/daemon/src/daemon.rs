@@ -21,7 +21,7 @@ use singletrack_core::{
     serial::ReaderCounters,
     setpoint_slot::SetpointSender,
 };
-use singletrack_mocap::Counters as MocapCounters;
+use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Mode, RealTimeState, Reason, Request};
 use singletrack_record::{ClockMapping, RecorderThread};
 use tracing::{error, info, warn};

@@ -3,7 +3,10 @@
 use std::{net::SocketAddr, time::Duration};
 
 use singletrack_core::cameras::{CameraReceiver, Channel, Sockets};
-use singletrack_mocap::{Binding, Counters, Event};
+use singletrack_mocap::{
+    Binding, SessionEvent,
+    planar::{PlanarCounters, PlanarEvent},
+};
 use tracing::{info, warn};
 
 use crate::{
@@ -40,7 +43,7 @@ pub(crate) fn run(
     mut receiver: CameraReceiver,
     sockets: MocapSockets,
     stop: &StopFlag,
-) -> (Counters, u64) {
+) -> (PlanarCounters, u64) {
     let mut sockets = Logged {
         sockets,
         is_reachable: true,
@@ -50,41 +53,51 @@ pub(crate) fn run(
         let wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
         if stop.wait(&sockets.sockets.files(), wait) == Woken::Stop {
             receiver.close(&monotonic_ns, &mut sockets);
-            return (*receiver.counters(), receiver.dropped());
+            return (receiver.counters(), receiver.dropped());
         }
     }
 }
 
-fn log(event: &Event) {
+fn log(event: &PlanarEvent) {
+    let event = match event {
+        PlanarEvent::Session(event) => event,
+        PlanarEvent::Binding(binding) => return log_binding(*binding),
+    };
     match event {
-        Event::Connected(connected) => {
+        SessionEvent::Connected(connected) => {
             info!(
                 bitstream = %connected.version,
                 camera_clock = connected.has_camera_clock,
                 "motion capture connected"
             );
         }
-        Event::Refused(version) => warn!("motion capture: {version}"),
-        Event::BitstreamKept { requested, kept } => warn!(
+        SessionEvent::Refused(version) => warn!("motion capture: {version}"),
+        SessionEvent::BitstreamKept { requested, kept } => warn!(
             %requested, %kept,
             "the motion capture did not change its bitstream; its own is read"
         ),
-        Event::TransportMismatch { server_multicast } => warn!(
+        SessionEvent::TransportMismatch { server_multicast } => warn!(
             server_multicast,
             "motion_capture.transport is not the server's: frames will hardly come"
         ),
-        Event::Binding(Binding::Bound { id }) => info!(id, "rigid body found"),
-        Event::Binding(Binding::Missing) => {
+        SessionEvent::Stale => warn!("the motion capture is silent"),
+        SessionEvent::Restarted(reason) => warn!(?reason, "motion capture: starting over"),
+        event => info!(?event, "motion capture"),
+    }
+}
+
+fn log_binding(binding: Binding) {
+    match binding {
+        Binding::Bound { id } => info!(id, "rigid body found"),
+        Binding::Missing => {
             warn!("motion_capture.rigid_body is not among the server's rigid bodies");
         }
-        Event::Binding(Binding::Ambiguous { count }) => {
+        Binding::Ambiguous { count } => {
             warn!(
                 count,
                 "several rigid bodies have the name motion_capture.rigid_body"
             );
         }
-        Event::Binding(Binding::Unresolved) => info!("rigid bodies are read anew"),
-        Event::Stale => warn!("the motion capture is silent"),
-        Event::Restarted(reason) => warn!(?reason, "motion capture: starting over"),
+        Binding::Unresolved => info!("rigid bodies are read anew"),
     }
 }

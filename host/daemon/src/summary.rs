@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use singletrack_core::LineCounters;
-use singletrack_mocap::Counters as MocapCounters;
+use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
 use singletrack_statistics::{DurationHistogram, Percentiles};
@@ -177,21 +177,22 @@ impl Tally {
     }
 
     pub(crate) fn mocap(&mut self, counters: &MocapCounters) {
+        let session = &counters.session;
         self.figures.mocap = MocapFigures {
-            frames: counters.frames,
-            lost: counters.lost,
+            frames: session.frames,
+            lost: session.lost,
             held_ticks: self.figures.mocap.held_ticks,
             missing_while_driving: self.figures.mocap.missing_while_driving,
             valid: counters.valid,
             untracked: counters.untracked,
             absent: counters.absent,
             rejected: counters.rejected.total(),
-            late: counters.late,
-            duplicates: counters.duplicates,
-            malformed: counters.malformed,
-            wrong_source: counters.wrong_source,
-            stale: counters.stale,
-            restarts: counters.restarts,
+            late: session.late,
+            duplicates: session.duplicates,
+            malformed: session.malformed,
+            wrong_source: session.wrong_source,
+            stale: session.stale,
+            restarts: session.restarts,
         };
     }
 

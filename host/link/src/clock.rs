@@ -1,45 +1,45 @@
-//! The board's clock, read in host time.
+//! Maps the board's clock to host time.
 
 use heapless::Vec;
 
-/// How much of the past the estimate rests on: long enough to see 20 ppm of
-/// skew through the noise, short enough to follow a resonator that warms up.
+/// Time span of the estimate: long enough to see 20 ppm of skew through the noise,
+/// short enough to follow a resonator that warms up.
 pub const WINDOW_NS: i64 = 6_400_000_000;
 
-/// One pair, the one with the least delay, is kept for each such span.
+/// For each span of this length one pair is kept: the one with the least delay.
 const BUCKET_NS: i64 = 100_000_000;
 
-/// Pairs kept: one a bucket, and one for the bucket that is being filled.
+/// Pairs kept: one for each full bucket, and one for the bucket that fills now.
 const POINTS: usize = 65;
 
-/// Below this span the noise says more about the skew than the clock does.
+/// Over a shorter span the noise determines the skew more than the clock does.
 const SHORTEST_SKEW_SPAN_NS: i64 = 300_000_000;
 
-/// The largest rate error believed: twice that of the worst resonator.
+/// The largest rate error accepted: twice that of the worst resonator.
 const MAX_SKEW: f64 = 0.01;
 
-/// What the skew may be before it has been measured.
+/// Bound on the skew before it has been measured.
 const UNKNOWN_SKEW: f64 = 0.005;
 
-/// A stamp further than this ahead of its own arrival cannot be a stamp of
-/// this run of the board. As long as a line can have been stuck before the
-/// first pair, or a stuck line would look like a restarted board.
+/// A stamp that is further ahead of its own arrival is not a stamp of this run of the
+/// board. The tolerance is the longest time for which a line may have been stuck
+/// before the first pair: otherwise a stuck line would look like a restarted board.
 const FUTURE_TOLERANCE_NS: i64 = 1_000_000_000;
 
-/// Implausible stamps in a row that mean a restarted board. One alone is a
-/// damaged record that the CRC let through.
+/// This number of implausible stamps in a row means a restarted board. A single one is
+/// a damaged record that the CRC did not detect.
 const IMPLAUSIBLE_STAMPS_OF_A_RESTART: u8 = 2;
 
-/// What [`BoardClock::observe`] made of a stamp.
+/// The result of [`BoardClock::observe`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Observation {
+pub enum StampOutcome {
     /// The stamp fits.
     Mapped(Stamp),
-    /// The stamp runs backwards, stands still or lies in the future: not of
-    /// this run of the board's clock. Nothing is changed by it.
+    /// The stamp runs backwards, stands still or lies in the future: it is not of this
+    /// run of the board's clock. It changes nothing.
     Implausible,
-    /// Implausible again: the board's clock has started anew. The mapping has
-    /// to be [restarted](BoardClock::restart).
+    /// Implausible again: the board's clock has started again. The mapping must be
+    /// [restarted](BoardClock::restart).
     Restarted,
 }
 
@@ -82,16 +82,16 @@ impl Line {
 ///
 /// The board stamps its records with its own microseconds. They wrap every
 /// 71.6 minutes, start at zero with the board, and run up to 0.5 % fast or
-/// slow: an UNO counts with a ceramic resonator. The host sees each record
-/// some time *later*: transmission, the USB bridge, the scheduler. That delay
-/// is never negative, and now and then it is nearly at its least.
+/// slow: an UNO counts with a ceramic resonator. The host receives each record
+/// *later*: transmission, the USB bridge and the scheduler delay it. The delay is
+/// never negative, and from time to time it is close to its minimum.
 ///
-/// So the pairs (board time, receive time) lie above a line, and this finds it:
-/// the supporting line of the lower convex hull under the last [`WINDOW_NS`],
-/// at the middle of the window. It is the line that has every pair above it
-/// and is closest to them in sum; one record that comes late does not move it.
-/// The least delay itself cannot be seen from one side; the caller takes off
-/// what it knows (the time that the frame spends on the wire).
+/// The pairs (board time, receive time) therefore lie above a line. The estimate is
+/// the supporting line of the lower convex hull of the last [`WINDOW_NS`], at the
+/// middle of the window: the line that has every pair above it and the smallest sum of
+/// distances to them. A record that arrives late does not move it. The minimum delay
+/// itself cannot be measured from one side; the caller subtracts the part that it
+/// knows (the time that the frame spends on the wire).
 #[derive(Clone, Debug, Default)]
 pub struct BoardClock {
     origin: Option<Origin>,
@@ -109,7 +109,7 @@ struct Origin {
 }
 
 impl BoardClock {
-    /// A clock that knows nothing.
+    /// A clock without any stamp.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -125,14 +125,14 @@ impl BoardClock {
         }
     }
 
-    /// Forgets everything: the board's clock has started anew.
+    /// Forgets all stamps: the board's clock has started again.
     pub fn restart(&mut self) {
         *self = Self::new();
     }
 
-    /// Takes in the stamp of a record that arrived at `receive_time_ns`, less
-    /// what is known of its delay. Receive times must not run backwards.
-    pub fn observe(&mut self, receive_time_ns: u64, board_time_us: u32) -> Observation {
+    /// Takes the stamp of a record. `receive_time_ns` is the time of its arrival minus
+    /// the known part of its delay. It must not run backwards.
+    pub fn observe(&mut self, receive_time_ns: u64, board_time_us: u32) -> StampOutcome {
         let Some(origin) = &mut self.origin else {
             return self.begin(receive_time_ns, board_time_us);
         };
@@ -144,16 +144,16 @@ impl BoardClock {
         let host_ns = signed_difference(receive_time_ns, origin.host_ns);
         let excess_ns = host_ns.saturating_sub(board_ns);
         let ahead_ns = self.line.excess_at(board_ns) - excess_ns as f64;
-        // More than half the circle ahead is backwards.
+        // More than half the range ahead means backwards.
         if since_last_us == 0
             || since_last_us > u32::MAX / 2
             || ahead_ns > FUTURE_TOLERANCE_NS as f64
         {
             self.implausible = self.implausible.saturating_add(1);
             return if self.implausible < IMPLAUSIBLE_STAMPS_OF_A_RESTART {
-                Observation::Implausible
+                StampOutcome::Implausible
             } else {
-                Observation::Restarted
+                StampOutcome::Restarted
             };
         }
         self.implausible = 0;
@@ -174,7 +174,7 @@ impl BoardClock {
         if let Some(origin) = &mut self.origin {
             origin.newest_mapped_ns = mapped_ns;
         }
-        Observation::Mapped(Stamp {
+        StampOutcome::Mapped(Stamp {
             host_time_ns: mapped_ns,
             board_elapsed_us: elapsed_us,
             since_last_us,
@@ -182,7 +182,7 @@ impl BoardClock {
     }
 
     /// Host time of a board time within 35 minutes of the newest stamp, by the
-    /// present estimate; `None` before the first stamp.
+    /// current estimate; `None` before the first stamp.
     #[must_use]
     pub fn host_time_ns(&self, board_time_us: u32) -> Option<u64> {
         let origin = self.origin?;
@@ -195,15 +195,15 @@ impl BoardClock {
     }
 
     /// How much faster the host's clock runs than the board's, in parts per
-    /// million: positive for a slow board. Zero until it can be told.
+    /// million: positive for a slow board. Zero until it has been measured.
     #[must_use]
     pub fn skew_ppm(&self) -> f64 {
         self.line.skew * 1e6
     }
 
-    /// How far the newest mapped stamp may be off, in nanoseconds, not counting
-    /// the least delay; `None` before the first stamp. With delays spread evenly
-    /// it covers more than 98 of 100 errors; the rest are in the first second.
+    /// Uncertainty of the newest mapped stamp in nanoseconds, without the minimum
+    /// delay; `None` before the first stamp. With evenly distributed delays it covers
+    /// more than 98 of 100 errors; the others are in the first second.
     #[must_use]
     pub fn uncertainty_ns(&self) -> Option<u64> {
         self.origin
@@ -211,7 +211,7 @@ impl BoardClock {
             .then_some(self.line.uncertainty_ns as u64)
     }
 
-    fn begin(&mut self, receive_time_ns: u64, board_time_us: u32) -> Observation {
+    fn begin(&mut self, receive_time_ns: u64, board_time_us: u32) -> StampOutcome {
         self.origin = Some(Origin {
             host_ns: receive_time_ns,
             newest_raw_us: board_time_us,
@@ -223,7 +223,7 @@ impl BoardClock {
             excess_ns: 0,
         });
         self.line.uncertainty_ns = BUCKET_NS as f64;
-        Observation::Mapped(Stamp {
+        StampOutcome::Mapped(Stamp {
             host_time_ns: receive_time_ns,
             board_elapsed_us: 0,
             since_last_us: 0,
@@ -245,7 +245,7 @@ impl BoardClock {
         }
         let oldest_ns = point.board_ns - WINDOW_NS;
         self.points.retain(|kept| kept.board_ns >= oldest_ns);
-        // One point a bucket within the window: there is always room.
+        // One point for each bucket of the window: there is always room.
         let _ = self.points.push(point);
     }
 

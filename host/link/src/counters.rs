@@ -5,7 +5,7 @@ use singletrack_protocol::Status;
 /// Counts since the session was made. They wrap after 2^64.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Frames handed out to be written: drive commands, requests, greetings.
+    /// Frames returned to the owner for writing: drive commands, requests, greetings.
     pub frames_sent: u64,
     /// Good frames received.
     pub frames_received: u64,
@@ -15,11 +15,11 @@ pub struct Counters {
     /// frames that hold no message of this protocol.
     pub decode_errors: u64,
     /// Good frames that did not fit the state of the session: the answer to a
-    /// request that was given up, telemetry before the greeting was answered.
+    /// dropped request, telemetry before the answer to the greeting.
     pub frames_ignored: u64,
-    /// Telemetry records that the board made and the host never saw.
+    /// Telemetry records that the board made and the host never received.
     pub telemetry_missing: u64,
-    /// Telemetry records dropped because their board time cannot be right.
+    /// Telemetry records dropped because their board time is implausible.
     pub telemetry_implausible: u64,
     /// Times that the board was silent for too long.
     pub links_lost: u64,
@@ -31,7 +31,7 @@ pub struct Counters {
     pub requests_unanswered: u64,
 }
 
-/// Good and damaged frames over some span.
+/// Good and damaged frames over a span of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineQuality {
     /// Frames that arrived whole.
@@ -41,14 +41,13 @@ pub struct LineQuality {
 }
 
 impl LineQuality {
-    /// Fewest frames that a fraction says anything about.
+    /// Smallest number of frames for which a fraction is meaningful.
     const SIGNIFICANT: u32 = 20;
 
-    /// Damaged frames as a part of all, 0 to 1; `None` while there are too few
-    /// to tell.
+    /// Damaged frames as a fraction of all, 0 to 1; `None` while there are too few.
     ///
-    /// A frame of n bytes dies when one of them does: with 40 byte telemetry,
-    /// 0.5 % of damaged bytes makes about 0.18 and 5 % about 0.87.
+    /// One damaged byte damages a frame of n bytes: with telemetry of 40 bytes, 0.5 %
+    /// of damaged bytes gives a fraction of about 0.18, and 5 % about 0.87.
     #[must_use]
     pub fn damaged_fraction(&self) -> Option<f32> {
         let all = self.good.saturating_add(self.damaged);
@@ -84,7 +83,7 @@ impl QualityWindow {
         let now = now_ns / Self::TENTH_NS;
         let mut sum = LineQuality::default();
         for age in 0..Self::TENTHS as u64 {
-            // `newest` and the nine before it are what is stored.
+            // The array stores `newest` and the nine tenths before it.
             let number = self.newest.checked_sub(age);
             if let Some(number) = number
                 && now.saturating_sub(number) < Self::TENTHS as u64

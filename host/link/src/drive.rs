@@ -2,7 +2,7 @@
 
 use singletrack_protocol::{BoardMode, Drive, Sequence};
 
-/// What the car is to do until the next command.
+/// The set points of the car until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveCommand {
     /// Speed of the rear axle along the car, forward positive, in m/s.
@@ -10,12 +10,12 @@ pub struct DriveCommand {
     /// Steering angle of the front wheels, left positive, in radians.
     pub steering_rad: f64,
     /// Mid-exposure of the last accepted pose that the command rests on, in
-    /// host nanoseconds; neither holding nor coasting renews it. `None` when
-    /// there has never been one.
+    /// host nanoseconds; neither holding nor coasting renews it. `None` before the
+    /// first accepted pose.
     pub pose_time_ns: Option<u64>,
 }
 
-/// The number in a drive command that cannot be sent.
+/// A quantity of a drive command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// [`DriveCommand::speed_m_s`].
@@ -67,13 +67,13 @@ impl Quantity {
     }
 }
 
-/// Why the session cannot do what it is asked now.
+/// Why the session cannot carry out a request now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotReady {
     /// The board is not connected and configured.
     #[error("the board is not connected and configured: wait for ConfigurationAccepted")]
     NotConfigured,
-    /// Configured, but not yet heard from.
+    /// The board is configured, and no telemetry has arrived yet.
     #[error("no telemetry yet: it comes within 10 ms of ConfigurationAccepted")]
     NoTelemetry,
     /// The board would refuse it.
@@ -102,17 +102,17 @@ pub enum DriveError {
     /// Not a number, or infinite.
     #[error("the {} is {value}", quantity.name())]
     NotFinite {
-        /// Which one.
+        /// The quantity.
         quantity: Quantity,
-        /// What it is.
+        /// Its value.
         value: f64,
     },
-    /// More than the wire can carry. (The limits of the car are the board's to keep.)
+    /// Beyond the wire's range. (The board enforces the limits of the car.)
     #[error("the {} is {value}, beyond ±{} that can be sent", quantity.name(), quantity.limit())]
     OutOfRange {
-        /// Which one.
+        /// The quantity.
         quantity: Quantity,
-        /// What it is.
+        /// Its value.
         value: f64,
     },
 }
@@ -126,7 +126,7 @@ pub(crate) struct NewestTelemetry {
     pub(crate) host_time_ns: u64,
 }
 
-/// Makes the message of a command that goes out after `newest` was heard.
+/// The message of a command that rests on the telemetry `newest`.
 pub(crate) fn message(
     command: &DriveCommand,
     sequence: Sequence,
@@ -141,9 +141,9 @@ pub(crate) fn message(
     })
 }
 
-/// Age of the pose at the board time of the telemetry. Rounded up, for it may
-/// only be judged too old; zero when the pose is newer than the telemetry,
-/// whose own age the board adds.
+/// Age of the pose at the board time of the telemetry, to which the board adds the
+/// telemetry's own age. It is rounded up, so that a pose is never taken for younger
+/// than it is; zero when the pose is newer than the telemetry.
 fn pose_age_ms(pose_time_ns: Option<u64>, telemetry_time_ns: u64) -> u16 {
     let Some(pose_time_ns) = pose_time_ns else {
         return u16::MAX;
@@ -152,9 +152,9 @@ fn pose_age_ms(pose_time_ns: Option<u64>, telemetry_time_ns: u64) -> u16 {
     u16::try_from(age_ns.div_ceil(1_000_000)).unwrap_or(u16::MAX)
 }
 
-/// The number of the next command: one more, unless the board would not take
-/// that for newer than what it accepted last (from another run of the host, or
-/// after more than 127 commands that it did not hear).
+/// The number of the next command: the last one's successor, unless the board would
+/// not take it for newer than the command it accepted last (from another run of the
+/// host, or after more than 127 lost commands).
 pub(crate) fn next_sequence(last_sent: Sequence, last_accepted: Sequence) -> Sequence {
     let next = last_sent.next();
     if next.is_newer_than(last_accepted) {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_sent_is_named_and_not_sent() {
+    fn a_value_that_cannot_be_sent_is_an_error_that_names_it() {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert!(matches!(
                 message(&command(bad, 0.0), Sequence(3), &NEWEST),
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_is_newer_than_what_the_board_accepted() {
+    fn every_number_is_newer_than_the_last_accepted_one() {
         for sent in 0..=u8::MAX {
             for accepted in 0..=u8::MAX {
                 let next = next_sequence(Sequence(sent), Sequence(accepted));

@@ -1,4 +1,4 @@
-//! What the session tells its owner.
+//! What a session reports to its owner.
 
 use core::fmt;
 
@@ -6,30 +6,30 @@ use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, Request, Sequence, Status, Telemetry, VERSION,
 };
 
-/// Something that happened; handed out in order, as it happens.
+/// What happened. The handlers pass events to their owner in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The board answered the greeting and speaks our version.
+    /// The board answered the greeting and speaks the session's version.
     Connected {
         /// The board's software: major, minor, patch.
         board_software_version: [u8; 3],
     },
-    /// The board answered and speaks another version: nothing can be done
-    /// until one side is updated. Told once; greeted again every second.
+    /// The board answered and speaks another version: one side must be updated.
+    /// Reported once; the session greets the board again every second.
     VersionMismatch(VersionMismatch),
     /// The board has the session's configuration: the session is ready.
     ConfigurationAccepted {
         /// Its [`hash`](singletrack_protocol::Configuration::hash).
         hash: u32,
     },
-    /// The board refused the configuration. Told once for each reason; offered
-    /// again every second.
+    /// The board refused the configuration. Reported once for each reason; the
+    /// session offers it again every second.
     ConfigurationRefused {
         /// Why.
         reason: RefusalReason,
     },
-    /// The board has lost all its state. The session greets and configures it
-    /// anew, and then waits: arming again is the owner's decision.
+    /// The board has lost all its state. The session greets and configures it again,
+    /// and then waits: whether to arm again is the owner's decision.
     BoardRestarted {
         /// How it was noticed.
         evidence: RestartEvidence,
@@ -38,38 +38,38 @@ pub enum Event {
     Telemetry(TimedTelemetry),
     /// A status record.
     Status(Status),
-    /// The board has done what was asked: it is armed, or it has taken the
-    /// stop. (An accepted configuration is [`Event::ConfigurationAccepted`].)
+    /// The board carried out the request: it is armed, or it has accepted the stop.
+    /// (An accepted configuration is [`Event::ConfigurationAccepted`].)
     Acknowledged {
-        /// What was asked.
+        /// The request.
         request: Request,
-        /// As returned when it was asked.
+        /// The number that the request returned.
         sequence: Sequence,
     },
-    /// The board does not do what was asked.
+    /// The board refused the request.
     Refused {
-        /// What was asked.
+        /// The request.
         request: Request,
-        /// As returned when it was asked.
+        /// The number that the request returned.
         sequence: Sequence,
         /// Why.
         reason: RefusalReason,
     },
-    /// The board did not answer; the request is given up.
+    /// The board did not answer; the request is dropped.
     Unanswered {
-        /// What was asked.
+        /// The request.
         request: Request,
-        /// As returned when it was asked.
+        /// The number that the request returned.
         sequence: Sequence,
     },
     /// Telemetry shows that a [`Request::Disarm`] or
     /// [`Request::EmergencyStop`] has had its effect.
     StopConfirmed {
-        /// What was asked.
+        /// The request.
         request: Request,
     },
-    /// The board cannot be heard any more. A pending arm request is dropped;
-    /// the session goes on greeting, unless the port is closed.
+    /// The board is silent, or the port was closed. A pending request to arm is
+    /// dropped. While the port is open, the session greets the board.
     Lost {
         /// How it was noticed.
         cause: LossCause,
@@ -79,7 +79,7 @@ pub enum Event {
 /// A telemetry record in host time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedTelemetry {
-    /// What the board said.
+    /// The record.
     pub telemetry: Telemetry,
     /// When the record's last byte was received, in host nanoseconds.
     pub receive_time_ns: u64,
@@ -87,7 +87,7 @@ pub struct TimedTelemetry {
     /// of an earlier record, never after `receive_time_ns`.
     pub board_time_host_ns: u64,
     /// When the IMU took its sample, in host nanoseconds. `None` when the IMU
-    /// is [`ImuState::Silent`] or the age is too large to be told.
+    /// is [`ImuState::Silent`] or the age is beyond the wire's range.
     pub imu_time_host_ns: Option<u64>,
 }
 
@@ -102,11 +102,12 @@ impl TimedTelemetry {
 /// How a restart of the board was noticed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestartEvidence {
-    /// It said so: a [`Hello`](singletrack_protocol::Hello) that answers nothing.
+    /// The board reported it: a [`Hello`](singletrack_protocol::Hello) that answers no
+    /// greeting.
     Announced,
-    /// Its clock started anew.
+    /// Its clock started again.
     ClockRestarted,
-    /// It no longer has the configuration it was given.
+    /// It no longer has the session's configuration.
     ConfigurationGone,
 }
 
@@ -142,7 +143,7 @@ impl LossCause {
     }
 }
 
-/// Two versions that cannot talk.
+/// Two protocol versions that differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VersionMismatch {
     /// The protocol version that the board speaks.
@@ -198,12 +199,12 @@ pub enum Side {
     Board,
 }
 
-/// Where the session stands.
+/// How far a session is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     /// The port is closed.
     Disconnected,
-    /// The board is being greeted and has not answered. An UNO that was reset
+    /// The session greets the board, which has not answered yet. An UNO that was reset
     /// by opening the port needs up to 3 s.
     Greeting {
         /// Since when, in host nanoseconds.
@@ -211,9 +212,9 @@ pub enum State {
     },
     /// Board and host speak different versions.
     VersionMismatch(VersionMismatch),
-    /// The board has been sent its configuration and has not answered.
+    /// The session has sent the configuration, and the board has not answered yet.
     Configuring,
-    /// The board does not take the configuration.
+    /// The board refused the configuration.
     ConfigurationRefused {
         /// Why.
         reason: RefusalReason,

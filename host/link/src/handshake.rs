@@ -5,12 +5,12 @@ use singletrack_protocol::{RefusalReason, Sequence, UNSOLICITED};
 use crate::event::VersionMismatch;
 use crate::request::Pending;
 
-/// Time between two greetings: the bootloader of a board that the port has just
-/// reset swallows the first ones.
+/// Time between two greetings. Opening the port resets the board, and its bootloader
+/// discards the first greetings.
 pub const HELLO_INTERVAL_NS: u64 = 100_000_000;
 
-/// Time between two attempts at what will not change by itself: another
-/// version, a refused configuration.
+/// Time between two attempts that can only succeed after a change from outside:
+/// another version, a refused configuration.
 pub const SLOW_RETRY_NS: u64 = 1_000_000_000;
 
 /// How far the handshake has come.
@@ -27,7 +27,7 @@ pub(crate) enum Phase {
     },
     Configuring {
         pending: Pending,
-        /// The board's last word on it.
+        /// The reason of the board's last refusal.
         refused: Option<RefusalReason>,
     },
     Ready,
@@ -41,7 +41,7 @@ impl Phase {
         }
     }
 
-    /// Whether the board has answered and speaks our version.
+    /// Whether the board has answered and speaks the session's version.
     pub(crate) const fn is_connected(&self) -> bool {
         matches!(self, Self::Configuring { .. } | Self::Ready)
     }

@@ -2,14 +2,14 @@
 
 use singletrack_protocol::Sequence;
 
-/// Commands remembered while they wait for their echo: 320 ms at 100 Hz, more
-/// than the board's time to live.
+/// Commands remembered until their echo: 320 ms at 100 Hz, more than the time to
+/// live of a command on the board.
 const REMEMBERED: usize = 32;
 
 /// Time from handing out a [`Drive`](singletrack_protocol::Drive) to the
 /// arrival of the first telemetry that names it as accepted.
 ///
-/// It holds both ways on the wire and up to one telemetry period of waiting.
+/// It includes both ways on the wire and up to one telemetry period of waiting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RoundTrip {
     /// The shortest so far, in nanoseconds.
@@ -32,7 +32,7 @@ impl Latency {
         }
     }
 
-    /// Telemetry says that `sequence` was the last one accepted.
+    /// Telemetry reports `sequence` as the last accepted command.
     pub(crate) fn echoed(&mut self, now_ns: u64, sequence: Sequence) {
         let Some(slot) = self.sent.get_mut(slot(sequence)) else {
             return;
@@ -49,7 +49,7 @@ impl Latency {
         }
     }
 
-    /// Forgets the commands under way, keeps what was measured.
+    /// Forgets the commands that wait for an echo, and keeps the measured times.
     pub(crate) fn forget_sent(&mut self) {
         self.sent = [None; REMEMBERED];
     }

@@ -5,7 +5,7 @@ use singletrack_protocol::{
     Sequence, Status, TELEMETRY_PERIOD_US, Telemetry, ToHost, UNSOLICITED, VERSION, frame_length,
 };
 
-use crate::clock::{Observation, Stamp};
+use crate::clock::{Stamp, StampOutcome};
 use crate::counters::QualityWindow;
 use crate::drive::NewestTelemetry;
 use crate::event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch};
@@ -17,7 +17,7 @@ use crate::session::{Session, is_armed};
 const BITS_PER_BYTE: u64 = 10;
 
 impl Session {
-    /// Takes in bytes that were received at `now_ns`, or just before.
+    /// Takes bytes that arrived at `now_ns` or just before.
     pub fn handle_bytes(&mut self, now_ns: u64, bytes: &[u8], on_event: &mut impl FnMut(Event)) {
         if matches!(self.phase, Phase::Disconnected) {
             return;
@@ -33,7 +33,7 @@ impl Session {
                     self.counters.frames_received += 1;
                     match message {
                         Ok(message) => self.message(now_ns, message, on_event),
-                        // What another version says need not be understood.
+                        // Messages of another version need not be decoded.
                         Err(_) if !self.phase.is_connected() => self.counters.frames_ignored += 1,
                         Err(_) => self.counters.decode_errors += 1,
                     }
@@ -55,7 +55,7 @@ impl Session {
             return self.hello(now_ns, &hello, on_event);
         }
         if !self.phase.is_connected() {
-            // Nothing but Hello is sure to mean the same in every version.
+            // Only Hello means the same in every version.
             self.counters.frames_ignored += 1;
             return;
         }
@@ -74,7 +74,7 @@ impl Session {
             if self.acquainted {
                 self.restarted(now_ns, RestartEvidence::Announced, on_event);
             } else if let Some(greeting) = self.phase.greeting_mut() {
-                // It has just become able to listen.
+                // The board has just begun to listen.
                 greeting.next_ns = now_ns;
             }
             return;
@@ -92,7 +92,7 @@ impl Session {
 
     fn connected(&mut self, now_ns: u64, hello: &Hello, on_event: &mut impl FnMut(Event)) {
         if !self.acquainted {
-            // What a bootloader says is not the line's fault.
+            // The bytes of a bootloader say nothing about the line.
             self.quality = QualityWindow::default();
         }
         self.acquainted = true;
@@ -263,12 +263,12 @@ impl Session {
             .clock
             .observe(self.leaving_time_ns(now_ns), telemetry.board_time_us)
         {
-            Observation::Mapped(stamp) => stamp,
-            Observation::Implausible => {
+            StampOutcome::Mapped(stamp) => stamp,
+            StampOutcome::Implausible => {
                 self.counters.telemetry_implausible += 1;
                 return;
             }
-            Observation::Restarted => {
+            StampOutcome::Restarted => {
                 return self.restarted(now_ns, RestartEvidence::ClockRestarted, on_event);
             }
         };
@@ -287,7 +287,7 @@ impl Session {
             imu_time_host_ns: self.imu_time_ns(&telemetry, stamp.host_time_ns),
         }));
         // The acknowledgement may have been lost. Waiting for it would send the
-        // request again, and arm a board that has stopped itself meanwhile.
+        // request again, and would arm a board that has stopped itself meanwhile.
         if is_armed(telemetry.mode) && self.arm.is_some_and(|arm| arm.was_sent()) {
             self.armed(on_event);
         }
@@ -301,7 +301,7 @@ impl Session {
         }
     }
 
-    /// When the record that ended at `now_ns` was put on the line.
+    /// When the board began to send the record that ended at `now_ns`.
     fn leaving_time_ns(&self, now_ns: u64) -> u64 {
         const BYTES: u64 = frame_length(Telemetry::PAYLOAD_LENGTH) as u64;
         let on_line_ns = BYTES * BITS_PER_BYTE * 1_000_000_000 / u64::from(self.config.baud.get());
@@ -312,7 +312,7 @@ impl Session {
         if telemetry.imu == ImuState::Silent || telemetry.imu_age_100us == u8::MAX {
             return None;
         }
-        // At 0.5 % the skew makes 0.1 ms of the oldest age; the resolution is that.
+        // A skew of 0.5 % changes the oldest age by 0.1 ms, which is the resolution.
         let age_ns = u64::from(telemetry.imu_age_100us) * 100_000;
         let time_ns = record_time_ns
             .saturating_sub(age_ns)
@@ -332,7 +332,7 @@ impl Session {
     }
 }
 
-/// Records that the board made between this one and the last one seen.
+/// Records that the board made between the last one received and this one.
 fn missing_before(stamp: &Stamp) -> u64 {
     let periods = stamp.since_last_us.saturating_add(TELEMETRY_PERIOD_US / 2) / TELEMETRY_PERIOD_US;
     u64::from(periods.saturating_sub(1))

@@ -1,19 +1,18 @@
 //! Requests that wait for an answer.
 //!
-//! Two kinds of patience: a request is given up when it is not answered
-//! ([`Pending`]), a stop never is ([`Stop`]). The car must not start moving
-//! because an old request got through late, and must stop however late the
-//! request gets through.
+//! A request without an answer is dropped after some attempts ([`Pending`]); a stop is
+//! repeated without end ([`Stop`]). A late request must not start the car, and a late
+//! stop must still stop it.
 
 use singletrack_protocol::{BoardMode, Disarm, EmergencyStop, Request, Sequence, ToBoard};
 
 /// Time between two attempts.
 pub const RETRY_INTERVAL_NS: u64 = 50_000_000;
 
-/// How often a request is sent before it is given up.
+/// How often a request is sent before it is dropped.
 pub const ATTEMPTS: u8 = 3;
 
-/// A request that is given up after [`ATTEMPTS`].
+/// A request that is dropped after [`ATTEMPTS`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pending {
     pub(crate) sequence: Sequence,
@@ -31,7 +30,7 @@ impl Pending {
         }
     }
 
-    /// When it wants to be sent or given up.
+    /// When it is due to be sent or dropped.
     pub(crate) const fn deadline_ns(&self) -> u64 {
         self.next_ns
     }
@@ -50,7 +49,7 @@ impl Pending {
         due
     }
 
-    /// Whether the last attempt has had its time.
+    /// Whether the time to answer the last attempt has passed.
     pub(crate) const fn is_exhausted(&self, now_ns: u64) -> bool {
         self.attempts >= ATTEMPTS && now_ns >= self.next_ns
     }
@@ -107,12 +106,12 @@ impl Stop {
         })
     }
 
-    /// The board has just become able to hear it.
+    /// The board has just begun to listen: the stop is due at once.
     pub(crate) const fn hurry(&mut self, now_ns: u64) {
         self.next_ns = now_ns;
     }
 
-    /// Takes in an answer; true when it is the first one to this request.
+    /// Takes an answer; true when it is the first one to this request.
     pub(crate) fn answer(&mut self, request: Request, sequence: Sequence) -> bool {
         let matches = request == self.kind.request() && sequence == self.sequence;
         let first = matches && !self.answered;
@@ -122,9 +121,9 @@ impl Stop {
 
     /// Whether telemetry with this mode shows that the stop had its effect.
     ///
-    /// A neutral board may have been so before the request, with an earlier
-    /// request to arm still on its way; what follows the answer on the line was
-    /// also made after it.
+    /// A board may have been neutral before the request, with an earlier request to
+    /// arm still on its way. Telemetry that follows the answer on the line was made
+    /// after it, so the answer comes first.
     pub(crate) fn is_confirmed_by(&self, mode: BoardMode) -> bool {
         match self.kind {
             StopKind::Disarm => {

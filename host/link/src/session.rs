@@ -1,4 +1,4 @@
-//! The session: what it knows, and what its owner may ask of it.
+//! What a session knows, and what its owner may ask of it.
 
 use core::num::NonZeroU32;
 
@@ -14,39 +14,26 @@ use crate::handshake::{Greeting, Nonces, Phase};
 use crate::latency::{Latency, RoundTrip};
 use crate::request::{Pending, Stop, StopKind};
 
-/// What a [`Session`] is made of.
+/// The configuration of a [`Session`].
 #[derive(Clone, Copy, Debug)]
 pub struct SessionConfig {
-    /// What the board is given, before anything else.
+    /// The board's configuration, which it is given first.
     pub configuration: Configuration,
-    /// The host's software: major, minor, patch. Told to the board.
+    /// The host's software: major, minor, patch. It is sent to the board.
     pub software_version: [u8; 3],
-    /// Seeds the numbers that match answers with greetings. It should differ
-    /// from one start of the host to the next; the time of day serves.
+    /// Seed of the numbers that match answers with greetings. It should differ from
+    /// one start of the host to the next; the time of day is good enough.
     pub nonce_seed: u64,
     /// Rate of the line in baud: the time that a record spends on the wire is
-    /// taken off its receive time.
+    /// subtracted from its receive time.
     pub baud: NonZeroU32,
 }
 
 /// The session with one board over one port.
 ///
-/// # How to call it
-///
-/// - Handlers take in what happened, and tell their owner what follows from it
-///   as [`Event`]s: [`opened`](Self::opened), [`closed`](Self::closed),
-///   [`handle_bytes`](Self::handle_bytes), [`handle_timeout`](Self::handle_timeout).
-/// - Requests: [`arm`](Self::arm), [`disarm`](Self::disarm),
-///   [`emergency_stop`](Self::emergency_stop), [`configure`](Self::configure);
-///   and [`drive`](Self::drive), which hands out its frame at once.
-/// - Pollers say what to do next; call them after any handler or request, in
-///   this order: [`poll_transmit`](Self::poll_transmit) until it returns
-///   `None`, then [`poll_timeout`](Self::poll_timeout).
-/// - Getters may be called at any time.
-///
-/// Hand over the bytes that have arrived before calling
-/// [`handle_timeout`](Self::handle_timeout), or a late owner takes its own
-/// lateness for a silent board. All times are host nanoseconds on one clock
+/// [The crate's documentation](crate) describes how to call it. The inputs are
+/// [`handle_opened`](Self::handle_opened), [`handle_closed`](Self::handle_closed) and
+/// [`handle_bytes`](Self::handle_bytes). All times are nanoseconds of one host clock
 /// that never runs backwards.
 #[derive(Debug)]
 pub struct Session {
@@ -56,8 +43,8 @@ pub struct Session {
     pub(crate) next_request: Sequence,
     pub(crate) decoder: Decoder,
     pub(crate) phase: Phase,
-    /// The board has answered since the port was opened, and has said nothing
-    /// since of having lost its state.
+    /// The board has answered since the port was opened, and has not reported since
+    /// that it lost its state.
     pub(crate) acquainted: bool,
     pub(crate) last_heard_ns: u64,
     pub(crate) arm: Option<Pending>,
@@ -77,7 +64,7 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// The value of the configuration that no board would take.
+    /// The value of the configuration that every board would refuse.
     pub fn new(config: SessionConfig) -> Result<Self, ConfigurationError> {
         config.configuration.validate()?;
         let mut nonces = Nonces(config.nonce_seed);
@@ -106,18 +93,19 @@ impl Session {
 
     // Handlers; those for bytes and time are in `receive.rs` and `transmit.rs`.
 
-    /// The port has been opened (anew): the session begins to greet.
+    /// The port has been opened, for the first time or again: the session begins to
+    /// greet.
     ///
-    /// Bytes of before belong to another connection and must not be handed in
-    /// any more.
-    pub fn opened(&mut self, now_ns: u64) {
+    /// Bytes that were received before belong to another connection: do not hand them
+    /// over any more.
+    pub fn handle_opened(&mut self, now_ns: u64) {
         self.decoder = Decoder::new();
         self.acquainted = false;
         self.greet(now_ns);
     }
 
     /// The port has been closed or has hung up.
-    pub fn closed(&mut self, _now_ns: u64, on_event: &mut impl FnMut(Event)) {
+    pub fn handle_closed(&mut self, _now_ns: u64, on_event: &mut impl FnMut(Event)) {
         if matches!(self.phase, Phase::Disconnected) {
             return;
         }
@@ -135,14 +123,14 @@ impl Session {
 
     // Requests.
 
-    /// Asks the board to arm. Sent up to [`ATTEMPTS`](crate::ATTEMPTS) times;
-    /// ends in [`Event::Acknowledged`], [`Event::Refused`] or
-    /// [`Event::Unanswered`], unless the link is lost, the board restarts or a
-    /// stop is asked for before, which drop it.
+    /// Asks the board to arm. The request is sent up to
+    /// [`ATTEMPTS`](crate::ATTEMPTS) times. It ends in [`Event::Acknowledged`],
+    /// [`Event::Refused`] or [`Event::Unanswered`]. A lost link, a restart of the board
+    /// or a request to stop drops it without an event.
     ///
     /// # Errors
     ///
-    /// When it cannot be asked now; nothing is kept for later.
+    /// The board cannot be asked now. Nothing is kept for later.
     pub fn arm(&mut self, now_ns: u64) -> Result<Sequence, NotReady> {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured);
@@ -162,26 +150,28 @@ impl Session {
         Ok(sequence)
     }
 
-    /// Asks the board to stop accepting commands. Repeated, over losses and
-    /// restarts too, until telemetry shows it: [`Event::StopConfirmed`].
-    /// Until then nothing drives or arms.
+    /// Asks the board to stop accepting commands. The request is repeated, also over
+    /// losses and restarts, until telemetry shows its effect
+    /// ([`Event::StopConfirmed`]). Until then the session neither drives nor arms.
     ///
-    /// An emergency stop that is not yet confirmed stays in its place.
+    /// It does not replace an emergency stop that is not confirmed yet.
     pub fn disarm(&mut self, now_ns: u64) -> Sequence {
         self.stop(now_ns, StopKind::Disarm)
     }
 
     /// Asks the board to stop until it is reset; otherwise as
-    /// [`disarm`](Self::disarm), whose place it takes.
+    /// [`disarm`](Self::disarm), which it replaces.
     pub fn emergency_stop(&mut self, now_ns: u64) -> Sequence {
         self.stop(now_ns, StopKind::EmergencyStop)
     }
 
-    /// Gives the board another configuration, now if it is connected, or when it is.
+    /// Gives the board another configuration: now if it is connected, otherwise once
+    /// it is.
     ///
     /// # Errors
     ///
-    /// When the board is armed or about to be. Nothing is changed.
+    /// The board is armed or a request to arm is pending, or the configuration is not
+    /// valid. Nothing is changed.
     pub fn configure(
         &mut self,
         now_ns: u64,
@@ -202,14 +192,14 @@ impl Session {
         Ok(())
     }
 
-    /// The frame of a command, to be written now or never.
+    /// The frame of a command, to be written at once.
     ///
-    /// It says how old what it rests on is, so it must not wait: if the port
-    /// does not take it whole, drop it and make the next one.
+    /// The frame carries the age of its inputs, so it must not wait: if the port does
+    /// not take all of it, drop it and make the next one.
     ///
     /// # Errors
     ///
-    /// When the board would not obey, and when a value cannot be sent.
+    /// The board would not obey, or a value cannot be sent.
     pub fn drive(&mut self, now_ns: u64, command: DriveCommand) -> Result<Frame, DriveError> {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured.into());
@@ -231,7 +221,7 @@ impl Session {
 
     // Getters.
 
-    /// Where the session stands.
+    /// How far the session is.
     #[must_use]
     pub fn state(&self) -> State {
         match self.phase {
@@ -261,13 +251,13 @@ impl Session {
         self.configuration_hash
     }
 
-    /// Whether a stop waits to be confirmed.
+    /// Whether a stop is not confirmed yet.
     #[must_use]
     pub const fn is_stop_pending(&self) -> bool {
         self.stop.is_some()
     }
 
-    /// What happened so far.
+    /// What was counted so far.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
@@ -286,8 +276,8 @@ impl Session {
         self.board_quality.last()
     }
 
-    /// How long commands take to the board and back; `None` before the first
-    /// one was seen accepted.
+    /// How long commands take to the board and back; `None` until telemetry reports
+    /// the first accepted one.
     #[must_use]
     pub fn round_trip(&self) -> Option<RoundTrip> {
         self.latency.round_trip()
@@ -321,7 +311,7 @@ impl Session {
         number
     }
 
-    /// Begins the handshake: whatever was known of the board no longer holds.
+    /// Begins the handshake: nothing that was known of the board is valid any more.
     pub(crate) fn greet(&mut self, now_ns: u64) {
         self.forget_board();
         self.phase = Phase::Greeting {
@@ -342,13 +332,13 @@ impl Session {
     }
 }
 
-/// Why a new configuration is not taken over.
+/// Why a new configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigureError {
     /// Not in this state.
     #[error(transparent)]
     NotReady(#[from] NotReady),
-    /// No board would take it.
+    /// Every board would refuse it.
     #[error(transparent)]
     Invalid(#[from] ConfigurationError),
 }

@@ -1,13 +1,16 @@
-//! What the session sends by itself, and when.
+//! What the session does by itself, and when.
 
 use singletrack_protocol::{
     Arm, Configure, Frame, Hello, MAX_FRAME_LENGTH, Request, ToBoard, VERSION,
 };
 
-use crate::LINK_TIMEOUT_NS;
 use crate::event::{Event, LossCause};
 use crate::handshake::{HELLO_INTERVAL_NS, Phase, SLOW_RETRY_NS};
 use crate::session::Session;
+
+/// The board is lost when no good frame has arrived from it for this long, in
+/// nanoseconds.
+pub const LINK_TIMEOUT_NS: u64 = 200_000_000;
 
 /// Bytes to be written whole or not at all.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,7 +21,7 @@ impl Transmit {
         Self(frame.as_bytes().iter().copied().collect())
     }
 
-    /// The frame after a zero, which ends whatever the board has begun to hear.
+    /// The frame after a zero, which ends a frame that the board has received in part.
     fn after_zero(frame: &Frame) -> Self {
         Self(
             core::iter::once(0)
@@ -38,7 +41,7 @@ impl Session {
     /// The next bytes to write now; call it until it returns `None`.
     ///
     /// What the port does not take may be dropped: the session repeats what
-    /// matters. However long it is not called, there are never more than a stop,
+    /// matters. At most three frames are due at a time, however late the call: a stop,
     /// a greeting or configuration, and a request to arm.
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
         let transmit = self
@@ -50,7 +53,7 @@ impl Session {
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) and
-    /// [`poll_transmit`](Self::poll_transmit) want to be called next, in host
+    /// [`poll_transmit`](Self::poll_transmit) must be called next, in host
     /// nanoseconds; `None` while the port is closed.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
@@ -74,7 +77,7 @@ impl Session {
         [handshake, stop, arm, silence].into_iter().flatten().min()
     }
 
-    /// Gives up what has waited too long: a silent board, an unanswered request.
+    /// Acts on silence: a board that sends nothing, a request without an answer.
     ///
     /// Hand over the bytes that have arrived before.
     pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(Event)) {
@@ -106,8 +109,8 @@ impl Session {
         }
     }
 
-    /// A stop is sent whenever the board may understand it, also while it
-    /// cannot be heard; not to a board that may speak another version.
+    /// A stop is sent whenever the board may understand it, even while the board is
+    /// silent, but not to a board that may speak another version.
     fn may_send_stop(&self) -> bool {
         self.phase.is_connected() || (self.acquainted && self.phase.greeting().is_some())
     }

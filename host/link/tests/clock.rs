@@ -1,10 +1,10 @@
-//! The board's clock in host time, against a resonator whose truth is known.
+//! The board's clock in host time, against a simulated resonator.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
 use proptest::prelude::*;
 use proptest::test_runner::FileFailurePersistence;
-use singletrack_link::{BoardClock, Observation, Stamp};
+use singletrack_link::{BoardClock, Stamp, StampOutcome};
 
 /// `SplitMix64`: the same noise on every run.
 struct Noise(u64);
@@ -65,7 +65,7 @@ impl Bench {
         // One reader, one line: records cannot overtake each other.
         self.received_ns = (self.host_ns + delay_ns).max(self.received_ns);
         match self.clock.observe(self.received_ns, self.stamp()) {
-            Observation::Mapped(stamp) => (stamp, stamp.host_time_ns as i64 - self.host_ns as i64),
+            StampOutcome::Mapped(stamp) => (stamp, stamp.host_time_ns as i64 - self.host_ns as i64),
             other => panic!("a good stamp was taken for {other:?}"),
         }
     }
@@ -142,7 +142,7 @@ fn the_wrap_of_the_boards_microseconds_is_seamless() {
 }
 
 #[test]
-fn days_of_wrapping_do_not_wear_the_mapping_out() {
+fn the_mapping_is_exact_after_days_of_wrapping() {
     let mut bench = Bench::new(0.005, 17, 1_000_000, 3);
     for _ in 0..200 {
         bench.record();
@@ -191,7 +191,7 @@ fn a_line_that_was_stuck_delivers_old_records_with_their_own_time() {
     for _ in 0..30 {
         bench.host_ns += 10_000_000;
         bench.board_us += 10_020.0;
-        let Observation::Mapped(stamp) = bench.clock.observe(release_ns, bench.stamp()) else {
+        let StampOutcome::Mapped(stamp) = bench.clock.observe(release_ns, bench.stamp()) else {
             panic!("late is not implausible");
         };
         let error_ns = stamp.host_time_ns as i64 - bench.host_ns as i64;
@@ -210,27 +210,27 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
     // Behind, the same again, and an hour ahead.
     for stamp_us in [3_000_000_000, bench.stamp(), 1_000_000_000] {
         let mut clock = bench.clock.clone();
-        assert_eq!(clock.observe(now_ns, stamp_us), Observation::Implausible);
+        assert_eq!(clock.observe(now_ns, stamp_us), StampOutcome::Implausible);
         assert_eq!(clock.host_time_ns(bench.stamp()), before);
     }
     bench.clock.observe(now_ns, 3_000_000_000);
-    // The record after it fits: the run of impossible ones is over.
+    // The record after it fits, and ends the run of impossible ones.
     bench.record();
     let now_ns = bench.host_ns + 1_000_000;
-    assert_eq!(bench.clock.observe(now_ns, 10), Observation::Implausible);
+    assert_eq!(bench.clock.observe(now_ns, 10), StampOutcome::Implausible);
     assert_eq!(
         bench.clock.observe(now_ns + 10_000_000, 10_010),
-        Observation::Restarted
+        StampOutcome::Restarted
     );
     bench.clock.restart();
     assert!(matches!(
         bench.clock.observe(now_ns + 20_000_000, 20_010),
-        Observation::Mapped(_)
+        StampOutcome::Mapped(_)
     ));
 }
 
 #[test]
-fn the_first_record_held_up_misplaces_none_after_it() {
+fn a_delay_of_the_first_record_does_not_shift_later_ones() {
     let mut clock = BoardClock::new();
     // The first record was held up for 50 ms; the second one shows it.
     let first = clock.observe(START_NS + 50_000_000, 0);
@@ -241,7 +241,7 @@ fn the_first_record_held_up_misplaces_none_after_it() {
         (second, START_NS + 50_000_001),
         (third, START_NS + 50_000_002),
     ] {
-        let Observation::Mapped(stamp) = observation else {
+        let StampOutcome::Mapped(stamp) = observation else {
             panic!("{observation:?}");
         };
         assert_eq!(stamp.host_time_ns, at_ns);
@@ -268,13 +268,13 @@ proptest! {
                 random
             };
             match clock.observe(now_ns, board_us) {
-                Observation::Mapped(stamp) => {
+                StampOutcome::Mapped(stamp) => {
                     prop_assert!(stamp.host_time_ns <= now_ns);
                     prop_assert!(stamp.host_time_ns >= last_ns);
                     last_ns = stamp.host_time_ns;
                 }
-                Observation::Implausible => {}
-                Observation::Restarted => {
+                StampOutcome::Implausible => {}
+                StampOutcome::Restarted => {
                     clock.restart();
                     last_ns = 0;
                 }

@@ -12,7 +12,7 @@ use proptest::test_runner::FileFailurePersistence;
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
 
-/// The board's clock runs this much fast.
+/// The board's clock runs fast by this fraction.
 const SKEW: f64 = 0.004;
 
 struct World {
@@ -22,7 +22,7 @@ struct World {
     to_board: Wire,
     to_host: Wire,
     events: Vec<Event>,
-    /// Whether the owner drives when it can.
+    /// Whether the owner drives whenever it can.
     driving: bool,
     arms_asked: u32,
     /// Largest error of a telemetry stamp since the last look.
@@ -44,11 +44,11 @@ impl World {
         }
     }
 
-    /// A configured board, out of its boot time.
+    /// A configured board after its boot time.
     fn ready(seed: u64) -> Self {
         let mut world = Self::new(seed, Faults::default());
         world.board = Some(TestBoard::started());
-        world.session.opened(world.now_ns);
+        world.session.handle_opened(world.now_ns);
         world.run(2_500);
         world
     }
@@ -129,11 +129,11 @@ impl World {
         assert!(self.session.poll_timeout().is_none_or(|wake| wake > now_ns));
     }
 
-    /// What must hold whatever happens on the line.
+    /// The invariants for every line.
     fn check(&self) {
         if let (State::Ready { .. }, Some(board)) = (self.session.state(), &self.board) {
             let restarted = board.configuration().is_none();
-            // A board that has just restarted has not yet been heard of.
+            // A board that has just restarted has not reported it yet.
             let hash = board.configuration().map(Configuration::hash);
             assert!(
                 restarted || hash == Some(self.session.configuration_hash()),
@@ -153,7 +153,7 @@ impl World {
 #[test]
 fn a_board_that_boots_for_three_seconds_is_configured_armed_and_driven() {
     let mut world = World::new(1, Faults::default());
-    world.session.opened(world.now_ns);
+    world.session.handle_opened(world.now_ns);
     world.to_host.put(world.now_ns, &[0xff, 0x14, 0x80, 0x10]);
     world.run(3_000);
     assert!(matches!(world.session.state(), State::Greeting { .. }));
@@ -188,7 +188,7 @@ fn telemetry_stamps_are_right_to_a_millisecond_over_the_wrap() {
     world.run(10_000);
     assert!(world.board_us() < 10_000_000, "the counter has wrapped");
     assert_eq!(world.board_mode(), BoardMode::Driving);
-    // The bench itself looks once a millisecond.
+    // The bench itself polls once a millisecond.
     assert!(
         world.worst_stamp_ns < MS + MS / 2,
         "{} ns",
@@ -197,7 +197,7 @@ fn telemetry_stamps_are_right_to_a_millisecond_over_the_wrap() {
 }
 
 #[test]
-fn a_board_that_restarts_while_driving_is_configured_anew_and_stays_idle() {
+fn a_board_that_restarts_while_driving_is_configured_again_and_stays_idle() {
     let mut world = World::driving(3);
     world.events.clear();
     world.board = Some(TestBoard::started());
@@ -366,7 +366,7 @@ proptest! {
     })]
 
     #[test]
-    fn no_line_and_no_restart_makes_it_ready_with_another_configuration_or_arms_it_unasked(
+    fn on_any_line_the_board_is_never_ready_with_another_configuration_or_armed_without_a_request(
         seed in any::<u64>(),
         never_arm in any::<bool>(),
         actions in prop::collection::vec(action(), 1..40),
@@ -374,7 +374,7 @@ proptest! {
         let mut world = World::new(seed, Faults::default());
         world.board = Some(TestBoard::started());
         world.driving = true;
-        world.session.opened(world.now_ns);
+        world.session.handle_opened(world.now_ns);
         for action in actions {
             match action {
                 Action::Run(milliseconds) => {
@@ -408,8 +408,8 @@ proptest! {
                 }
                 Action::Reopen => {
                     let events = &mut world.events;
-                    world.session.closed(world.now_ns, &mut |event| events.push(event));
-                    world.session.opened(world.now_ns);
+                    world.session.handle_closed(world.now_ns, &mut |event| events.push(event));
+                    world.session.handle_opened(world.now_ns);
                 }
                 Action::Garbage(bytes) => world.to_host.put(world.now_ns, &bytes),
             }
@@ -432,7 +432,7 @@ proptest! {
     fn random_bytes_never_panic_nor_connect(seed in any::<u64>(), length in 0_usize..5_000) {
         let mut noise = Noise(seed);
         let mut session = Session::new(session_config()).unwrap();
-        session.opened(START_NS);
+        session.handle_opened(START_NS);
         let bytes: Vec<u8> = (0..length).map(|_| noise.next() as u8).collect();
         let mut events = 0;
         for chunk in bytes.chunks(64) {

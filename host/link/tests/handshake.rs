@@ -31,7 +31,7 @@ fn nothing_is_sent_through_a_closed_port() {
 }
 
 #[test]
-fn a_configuration_that_no_board_would_take_makes_no_session() {
+fn a_configuration_that_every_board_would_refuse_is_an_error() {
     let mut config = session_config();
     config.configuration.max_pose_age_ms = 5_000;
     assert!(Session::new(config).is_err());
@@ -40,7 +40,7 @@ fn a_configuration_that_no_board_would_take_makes_no_session() {
 #[test]
 fn the_first_byte_on_the_line_is_a_zero() {
     let mut bench = Bench::new();
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_opened(bench.now_ns);
     let transmit = bench.session.poll_transmit(bench.now_ns).unwrap();
     assert_eq!(transmit.as_bytes()[0], 0);
 }
@@ -49,7 +49,7 @@ fn the_first_byte_on_the_line_is_a_zero() {
 fn a_board_that_the_port_has_reset_is_greeted_until_it_answers() {
     let mut bench = Bench::opened();
     bench.pass_in_silence(1_000 * MS);
-    // The bootloader speaks another language at another rate.
+    // The bootloader uses another protocol at another rate.
     bench.bytes(&[0x14, 0x10, 0xff, 0xf8, 0x00, 0x80, 0x03, 0x00, 0x7e]);
     bench.pass_in_silence(1_000 * MS);
     let times = bench.sent_ms(START_NS, is_hello);
@@ -58,7 +58,7 @@ fn a_board_that_the_port_has_reset_is_greeted_until_it_answers() {
 
     // The board has started: it is greeted at once, not at the next interval.
     bench.pass_in_silence(30 * MS);
-    bench.bytes(&[0]); // Ends whatever the bootloader began.
+    bench.bytes(&[0]); // Ends the bootloader's last frame.
     bench.announce_restart();
     assert_eq!(bench.sent.last().unwrap().0, bench.now_ns);
     bench.answer_hello();
@@ -76,7 +76,7 @@ fn a_board_that_the_port_has_reset_is_greeted_until_it_answers() {
 }
 
 #[test]
-fn telemetry_before_the_greeting_is_answered_means_nothing() {
+fn telemetry_before_the_answer_to_the_greeting_is_ignored() {
     let mut bench = Bench::opened();
     bench.telemetry();
     assert!(bench.events.is_empty());
@@ -84,11 +84,11 @@ fn telemetry_before_the_greeting_is_answered_means_nothing() {
 }
 
 #[test]
-fn the_answer_to_another_greeting_is_no_answer() {
+fn the_answer_to_another_greeting_is_ignored() {
     let mut bench = Bench::opened();
     let old = bench.nonce();
-    bench.session.closed(bench.now_ns, &mut |_| {});
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_closed(bench.now_ns, &mut |_| {});
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     assert_ne!(bench.nonce(), old);
     bench.hear(singletrack_protocol::Hello {
@@ -112,7 +112,7 @@ fn a_version_mismatch_names_both_versions_and_the_side_to_update() {
     assert!(text.contains(&format!("speaks protocol {VERSION}")));
     assert!(text.contains("9.8.7") && text.contains("install the host software"));
 
-    // Greeted again once a second, told once, and never asked for more.
+    // Greeted again once a second, reported once, and sent nothing else.
     bench.sent.clear();
     for _ in 0..3 {
         bench.pass_in_silence(1_000 * MS);
@@ -122,12 +122,12 @@ fn a_version_mismatch_names_both_versions_and_the_side_to_update() {
     bench.pass_in_silence(500 * MS);
     assert_eq!(bench.sent.len(), 3);
     assert!(bench.sent.iter().all(|(_, message)| is_hello(message)));
-    let told = bench.events.iter();
-    let told = told.filter(|event| matches!(event, Event::VersionMismatch(_)));
-    assert_eq!(told.count(), 1);
+    let reported = bench.events.iter();
+    let reported = reported.filter(|event| matches!(event, Event::VersionMismatch(_)));
+    assert_eq!(reported.count(), 1);
     assert!(bench.session.arm(bench.now_ns).is_err());
 
-    // An older board is the one to flash; a matching one is welcome.
+    // An older board must be flashed; a matching one connects.
     bench.pass_in_silence(500 * MS);
     bench.answer_hello_as(VERSION - 1);
     let State::VersionMismatch(mismatch) = bench.session.state() else {
@@ -150,16 +150,16 @@ fn a_refused_configuration_is_a_state_with_its_reason() {
     let state = State::ConfigurationRefused { reason: refused };
     assert_eq!(bench.session.state(), state);
 
-    // Offered again after a second, told once.
+    // Offered again after a second, reported once.
     bench.sent.clear();
     bench.pass(1_000 * MS);
     assert_eq!(bench.sent.len(), 1);
     let sequence = bench.last_configure().request;
     bench.refuse(Request::Configure, sequence, refused);
     assert_eq!(bench.session.state(), state);
-    let told = bench.events.iter();
-    let told = told.filter(|event| matches!(event, Event::ConfigurationRefused { .. }));
-    assert_eq!(told.count(), 1);
+    let reported = bench.events.iter();
+    let reported = reported.filter(|event| matches!(event, Event::ConfigurationRefused { .. }));
+    assert_eq!(reported.count(), 1);
     assert!(bench.session.arm(bench.now_ns).is_err());
 
     // Another configuration is offered at once.
@@ -191,7 +191,7 @@ fn an_acknowledgement_of_another_configuration_is_not_ready() {
 }
 
 #[test]
-fn an_unanswered_configuration_is_sent_three_times_and_then_the_board_is_greeted_anew() {
+fn an_unanswered_configuration_is_sent_three_times_and_then_the_board_is_greeted_again() {
     let mut bench = Bench::opened();
     bench.answer_hello();
     let sequence = bench.last_configure().request;
@@ -247,7 +247,7 @@ fn a_board_that_refused_the_configuration_can_be_lost_too() {
 }
 
 #[test]
-fn bytes_that_waited_for_a_late_owner_are_no_silence() {
+fn bytes_that_waited_for_a_late_owner_do_not_count_as_silence() {
     let mut bench = Bench::ready();
     bench.now_ns += 300 * MS;
     bench.board_time_us += 300_000;
@@ -274,10 +274,10 @@ fn a_hang_up_is_a_loss_and_opening_again_recovers() {
     let mut events = Vec::new();
     bench
         .session
-        .closed(bench.now_ns, &mut |event| events.push(event));
+        .handle_closed(bench.now_ns, &mut |event| events.push(event));
     bench
         .session
-        .closed(bench.now_ns, &mut |event| events.push(event));
+        .handle_closed(bench.now_ns, &mut |event| events.push(event));
     assert_eq!(
         events,
         [Event::Lost {
@@ -285,7 +285,7 @@ fn a_hang_up_is_a_loss_and_opening_again_recovers() {
         }]
     );
     assert_eq!(bench.session.counters().hang_ups, 1);
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     bench.answer_hello();
     bench.answer_configure();
@@ -293,7 +293,7 @@ fn a_hang_up_is_a_loss_and_opening_again_recovers() {
 }
 
 #[test]
-fn an_unsolicited_hello_while_driving_configures_the_board_anew_and_waits() {
+fn an_unsolicited_hello_while_driving_configures_the_board_again_and_waits() {
     let mut bench = Bench::armed();
     bench.board_mode = BoardMode::Driving;
     bench.pass(500 * MS);
@@ -321,7 +321,7 @@ fn an_unsolicited_hello_while_driving_configures_the_board_anew_and_waits() {
 }
 
 #[test]
-fn a_restart_that_is_announced_after_the_loss_is_still_told_once() {
+fn a_restart_that_is_announced_after_the_loss_is_reported_once() {
     let mut bench = Bench::ready();
     bench.pass_in_silence(300 * MS);
     let nonce = bench.nonce();
@@ -335,7 +335,7 @@ fn a_restart_that_is_announced_after_the_loss_is_still_told_once() {
 }
 
 #[test]
-fn what_a_bootloader_says_does_not_count_against_the_line() {
+fn the_bytes_of_a_bootloader_do_not_count_against_the_line() {
     let mut bench = Bench::opened();
     for _ in 0..50 {
         bench.bytes(&[3, 1, 2, 0]);
@@ -348,7 +348,7 @@ fn what_a_bootloader_says_does_not_count_against_the_line() {
 }
 
 #[test]
-fn a_restart_that_was_not_announced_is_seen_by_the_boards_clock() {
+fn a_restart_without_an_announcement_is_detected_by_the_boards_clock() {
     let mut bench = Bench::armed();
     bench.board_time_us = 500;
     bench.pass(20 * MS);
@@ -383,7 +383,7 @@ fn a_board_without_its_configuration_is_a_restarted_board() {
 }
 
 #[test]
-fn a_session_that_nobody_polled_has_not_queued_anything() {
+fn a_session_that_was_not_polled_has_queued_nothing() {
     let mut bench = Bench::opened();
     bench.sent.clear();
     bench.now_ns += 10_000 * MS;

@@ -47,7 +47,7 @@ fn arming_carries_the_configurations_hash_and_the_newest_telemetry() {
 }
 
 #[test]
-fn an_unanswered_arm_is_sent_three_times_with_the_time_of_each_and_given_up() {
+fn an_unanswered_arm_is_sent_three_times_with_the_time_of_each_and_dropped() {
     let mut bench = Bench::ready();
     let start_ns = bench.now_ns;
     let sequence = bench.session.arm(bench.now_ns).unwrap();
@@ -68,12 +68,12 @@ fn an_unanswered_arm_is_sent_three_times_with_the_time_of_each_and_given_up() {
         sequence
     }));
     assert_eq!(bench.session.counters().requests_unanswered, 1);
-    // It may be asked again.
+    // It may be requested again.
     assert!(bench.session.arm(bench.now_ns).is_ok());
 }
 
 #[test]
-fn a_refused_arm_tells_why_and_is_not_repeated() {
+fn a_refused_arm_reports_the_reason_and_is_not_repeated() {
     let mut bench = Bench::ready();
     let sequence = bench.session.arm(bench.now_ns).unwrap();
     bench.poll();
@@ -89,7 +89,7 @@ fn a_refused_arm_tells_why_and_is_not_repeated() {
 }
 
 #[test]
-fn an_answer_to_an_earlier_request_is_no_answer() {
+fn an_answer_to_an_earlier_request_is_ignored() {
     let mut bench = Bench::ready();
     let sequence = bench.session.arm(bench.now_ns).unwrap();
     bench.poll();
@@ -104,11 +104,11 @@ fn an_answer_to_an_earlier_request_is_no_answer() {
 }
 
 #[test]
-fn a_board_seen_armed_is_not_asked_again_after_it_stopped_itself() {
+fn a_board_that_telemetry_showed_armed_is_not_asked_again_after_it_stopped_itself() {
     let mut bench = Bench::ready();
     let sequence = bench.session.arm(bench.now_ns).unwrap();
     bench.poll();
-    // The acknowledgement is lost; the board arms and falls back.
+    // The acknowledgement is lost; the board arms and then stops itself.
     bench.board_mode = BoardMode::Armed;
     bench.pass(20 * MS);
     bench.board_mode = BoardMode::Failsafe;
@@ -132,8 +132,8 @@ fn a_request_to_arm_survives_neither_loss_nor_restart_nor_stop_nor_hang_up() {
                 bench.session.disarm(bench.now_ns);
             }
             _ => {
-                bench.session.closed(bench.now_ns, &mut |_| {});
-                bench.session.opened(bench.now_ns);
+                bench.session.handle_closed(bench.now_ns, &mut |_| {});
+                bench.session.handle_opened(bench.now_ns);
                 bench.poll();
             }
         }
@@ -174,7 +174,7 @@ fn a_disarm_is_repeated_until_telemetry_after_its_answer_shows_it() {
     );
     assert_eq!(disarms, (0..=500).step_by(50).collect::<Vec<_>>());
 
-    // Neutral as the board may be, without an answer it may be about to arm.
+    // The board may be neutral and still, without an answer, be about to arm.
     bench.board_mode = BoardMode::Neutral;
     bench.telemetry_and_stop_pending(true);
     bench.acknowledge(Request::Disarm, sequence);
@@ -215,20 +215,20 @@ fn an_emergency_stop_is_sent_through_loss_and_hang_up_until_it_is_latched() {
     let mut bench = Bench::armed();
     bench.session.emergency_stop(bench.now_ns);
     bench.poll();
-    // Unheard for a second: still sent, in case the board can hear.
+    // The board is silent for a second: the stop is still sent, in case it can hear.
     bench.sent.clear();
     bench.pass_in_silence(1_000 * MS);
     let stops = |message: &ToBoard| matches!(message, ToBoard::EmergencyStop(_));
     assert_eq!(bench.sent_ms(START_NS, stops).len(), 20);
 
-    bench.session.closed(bench.now_ns, &mut |_| {});
-    bench.session.opened(bench.now_ns);
+    bench.session.handle_closed(bench.now_ns, &mut |_| {});
+    bench.session.handle_opened(bench.now_ns);
     bench.poll();
     bench.sent.retain(|(_, message)| !stops(message));
     bench.answer_hello();
     assert_eq!(bench.sent_ms(START_NS, stops).len(), 1);
     bench.answer_configure();
-    // A later, weaker wish does not take its place.
+    // A later disarm does not replace it.
     bench.session.disarm(bench.now_ns);
     bench.board_mode = BoardMode::EmergencyStopped;
     bench.pass(10 * MS);
@@ -262,7 +262,7 @@ fn only_an_armed_board_is_driven() {
 }
 
 #[test]
-fn a_command_says_how_old_what_it_rests_on_is() {
+fn a_command_carries_the_age_of_its_inputs() {
     let mut bench = Bench::armed();
     bench.pass(1_000 * MS);
     let record_time_ns = bench.now_ns - 3_472_222;
@@ -283,12 +283,12 @@ fn a_command_says_how_old_what_it_rests_on_is() {
 }
 
 #[test]
-fn numbering_goes_on_from_what_the_board_accepted_last() {
+fn numbering_continues_from_the_last_accepted_command() {
     let mut bench = Bench::armed();
     let first = drive(&mut bench, COMMAND).sequence;
     assert!(first.is_newer_than(bench.last_sequence));
     assert_eq!(drive(&mut bench, COMMAND).sequence, first.next());
-    // After any number of unheard commands the next one is still newer.
+    // After any number of lost commands the next one is still newer.
     for _ in 0..976 {
         let sequence = drive(&mut bench, COMMAND).sequence;
         assert!(sequence.is_newer_than(bench.last_sequence));
@@ -322,10 +322,10 @@ fn commands_made_for_a_stuck_line_all_name_the_same_old_telemetry() {
         bench.pass_in_silence(10 * MS);
         let message = drive(&mut bench, COMMAND);
         assert_eq!(message.telemetry_time_us, newest_us);
-        // And the session has nothing of its own to add.
+        // The session itself sends nothing.
         assert!(bench.sent.is_empty());
     }
-    // Then the session says so itself.
+    // Then the session reports the loss.
     bench.pass_in_silence(60 * MS);
     assert_eq!(
         bench.session.drive(bench.now_ns, COMMAND),

@@ -1,4 +1,4 @@
-//! How long it takes to read a frame of ten bodies.
+//! Time to decode a frame of ten bodies.
 
 use std::hint::black_box;
 
@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_mocap::codec::{BitstreamVersion, CameraTicks, RigidBody, ServerMessage};
 use singletrack_mocap::encode::{self, FrameContent};
 
-/// A frame of ten bodies, as long as its version makes it.
+/// A frame of ten bodies.
 fn ten_bodies(version: BitstreamVersion) -> Vec<u8> {
     let bodies: Vec<_> = (0_u8..10)
         .map(|id| RigidBody::tracked(id.into(), [f32::from(id), 0.5, 0.1], [0.0, 0.0, 0.0, 1.0]))

@@ -1,11 +1,13 @@
-//! Which streaming id the configured name has.
+//! Which streaming id a rigid body's name has.
 
 use crate::codec::ModelDefinitions;
 
-/// What the model definitions say of the configured name.
+/// What the model definitions say of a rigid body's name.
+///
+/// This enum is exhaustive: every user must decide what each case means to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Binding {
-    /// The definitions have not been read, or changed since.
+    /// The definitions have not been read, or they have changed since.
     Unresolved,
     /// One rigid body has the name.
     Bound {
@@ -14,7 +16,7 @@ pub enum Binding {
     },
     /// No rigid body has the name.
     Missing,
-    /// Several rigid bodies have the name: none is followed.
+    /// Several rigid bodies have the name; none of them is chosen.
     Ambiguous {
         /// How many.
         count: usize,
@@ -22,7 +24,9 @@ pub enum Binding {
 }
 
 impl Binding {
-    pub(crate) fn resolve(definitions: &ModelDefinitions<'_>, name: &str) -> Self {
+    /// Looks the name up in the definitions.
+    #[must_use]
+    pub fn resolve(definitions: &ModelDefinitions<'_>, name: &str) -> Self {
         let mut named = definitions
             .rigid_bodies()
             .filter(|definition| definition.name == name);
@@ -30,6 +34,15 @@ impl Binding {
             (None, _) => Self::Missing,
             (Some(definition), 0) => Self::Bound { id: definition.id },
             (Some(_), others) => Self::Ambiguous { count: others + 1 },
+        }
+    }
+
+    /// The streaming id, if exactly one body has the name.
+    #[must_use]
+    pub const fn id(self) -> Option<i32> {
+        match self {
+            Self::Bound { id } => Some(id),
+            _ => None,
         }
     }
 }

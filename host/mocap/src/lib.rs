@@ -1,35 +1,102 @@
-//! Motion capture over NatNet: the wire format and the client's session,
-//! without a socket, a clock or an allocation.
+//! A NatNet client without I/O: poses of rigid bodies from an OptiTrack system.
 //!
-//! - [`codec`] turns datagrams into values, [`encode`] values into datagrams;
-//!   both know the server's side and the client's.
-//! - [`Session`] is one client's conversation with one server: it is handed
-//!   every datagram with the time it arrived, says what to send, and turns the
-//!   frames into [`PoseState`]s of one rigid body.
+//! The crate opens no socket, reads no clock and allocates nothing (`no_std`).
 //!
-//! Every `now_ns` is nanoseconds of the local monotonic clock. Poses are in a
-//! right-handed world frame with z up, in metres and radians.
+//! - [`Session`] is the session of one client with one server. It gives the whole
+//!   pose of every rigid body ([`PoseFrame`]), with the time of the exposure on the
+//!   local clock and a bound on its error.
+//! - [`codec`] turns datagrams into values, and [`encode`] turns values into
+//!   datagrams, each for both sides: server and client.
+//! - [`planar`] follows one rigid body in the plane and rejects implausible poses.
+//!
+//! Every `now_ns` is in nanoseconds of one local monotonic clock. Poses are in a
+//! right-handed world frame with z up, in metres; quaternions are x, y, z, w.
+//!
+//! # Order of the calls
+//!
+//! The session is sans-IO: its owner has the socket and the clock. At every wake-up
+//! the owner calls, in this order, with the time `now`:
+//!
+//! 1. `handle_*(now, ...)` for every input that has arrived, oldest first;
+//! 2. `handle_timeout(now)`, which acts on what did not arrive;
+//! 3. `poll_transmit(now)` until it returns `None`, and sends each result;
+//! 4. `poll_timeout()`, the time of the next wake-up if no input arrives before.
+//!
+//! The order matters: without step 1 first, an owner that is late takes its own
+//! delay for silence of the other side. Nothing happens before the time of step 4.
+//! The handlers pass what happened to the callback `on_event`, in order and before
+//! they return. Nothing waits in a queue, so no burst of input can lose an event.
+//!
+//! Here a datagram holds one message: [`Session::handle_datagram`] returns what
+//! became of it, and with it the frame's poses.
+//!
+//! # Example
+//!
+//! One wake-up of the owner; `receive` and `send` are the socket's:
+//!
+//! ```
+//! use std::net::SocketAddr;
+//! use singletrack_mocap::{BodyState, DatagramOutcome, Session, SessionEvent};
+//!
+//! fn wake_up<'b>(
+//!     session: &mut Session,
+//!     now_ns: u64,
+//!     received: impl IntoIterator<Item = (SocketAddr, &'b [u8])>,
+//!     mut send: impl FnMut(SocketAddr, &[u8]),
+//! ) -> Option<u64> {
+//!     let on_event = &mut |event: SessionEvent| println!("{event:?}");
+//!     for (source, datagram) in received {
+//!         let outcome = session.handle_datagram(now_ns, source, datagram, on_event);
+//!         if let DatagramOutcome::Frame(frame) = outcome {
+//!             for body in frame.bodies() {
+//!                 if let BodyState::Tracked(pose) = body.state {
+//!                     println!("{}: {:?} m", body.id, pose.position_m);
+//!                 }
+//!             }
+//!         }
+//!     }
+//!     session.handle_timeout(now_ns, on_event);
+//!     while let Some(transmit) = session.poll_transmit(now_ns) {
+//!         send(transmit.destination, &transmit.bytes);
+//!     }
+//!     session.poll_timeout()
+//! }
+//! ```
+//!
+//! The example `natnet_client` is a complete client over `std::net::UdpSocket`.
 #![no_std]
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
 
 pub mod codec;
 pub mod encode;
+pub mod planar;
 
+mod axes;
 mod binding;
+mod body;
+mod capture;
 mod clock;
 mod config;
 mod counters;
-mod gate;
 mod order;
-mod pose;
 mod session;
 
+pub use axes::UpAxis;
 pub use binding::Binding;
+pub use body::{Bodies, Body, BodyPose, BodyState, InvalidBody};
+pub use capture::{CaptureTime, CaptureTimeSource};
 pub use config::{
-    Config, ConfigError, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
-    PoseLimits, RigidBodyName, Timing, Transport,
+    DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
+    DEFAULT_QUATERNION_NORM_TOLERANCE, SessionConfig, SessionConfigError, Timing, Transport,
 };
-pub use counters::{Counters, RejectedCounts};
-pub use pose::{CaptureTimeSource, Pose, PoseState, RejectReason, UpAxis};
+pub use counters::SessionCounters;
 pub use session::{
-    Connected, Datagram, Event, Observation, Outcome, Phase, RestartReason, Session,
+    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionEvent, Transmit,
 };
+
+// The names by which the workspace's other crates know what is recorded of `planar`.
+#[doc(hidden)]
+pub use planar::{Observation, PlanarPose as Pose, PoseLimits, PoseState, RejectReason};

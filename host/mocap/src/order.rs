@@ -1,21 +1,21 @@
-//! Newest only: which frame continues the stream.
+//! Decides which frame continues the stream: only the newest.
 
-/// So many frames in a row that are older than the newest, but follow each
-/// other, are a server that started again.
+/// This number of frames in a row that are older than the newest, but follow each
+/// other, means that the server started again.
 const RESTART_AFTER: u32 = 10;
 
-/// Where a frame stands in the stream.
+/// The place of a frame in the stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// It is the newest; so many before it never came.
+    /// It is the newest; `lost` frames before it never arrived.
     Newest { lost: u64 },
-    /// It is the newest by the server's clock, with numbers starting again.
+    /// It is the newest by the server's clock; the numbers started again.
     Renumbered,
-    /// Its number is the newest one's.
+    /// It has the number of the newest frame.
     Duplicate,
     /// It is older than the newest.
     Late,
-    /// The stream goes on from an earlier point: the server started again.
+    /// The stream continues from an earlier point: the server started again.
     Restarted,
 }
 

@@ -7,8 +7,9 @@ use core::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use singletrack_mocap::{
-    Config, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, PoseLimits, Timing,
-    Transport, UpAxis, codec::BitstreamVersion,
+    DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
+    DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits, Timing, Transport, UpAxis,
+    codec::BitstreamVersion, planar::PlanarConfig,
 };
 
 use super::{ConfigError, check};
@@ -160,7 +161,7 @@ impl Default for PoseSection {
             max_yaw_rate_rad_s: limits.max_yaw_rate_rad_s,
             yaw_margin_rad: limits.yaw_margin_rad,
             max_tilt_rad: limits.max_tilt_rad,
-            quaternion_norm_tolerance: limits.quaternion_norm_tolerance,
+            quaternion_norm_tolerance: DEFAULT_QUATERNION_NORM_TOLERANCE,
             max_consecutive_rejects: limits.max_consecutive_rejects,
         }
     }
@@ -224,8 +225,8 @@ impl MotionCaptureSection {
     /// # Errors
     ///
     /// The name of a rigid body that NatNet cannot carry.
-    pub fn session(&self) -> Result<Config, ConfigError> {
-        let mut config = Config::new(
+    pub fn session(&self) -> Result<PlanarConfig, ConfigError> {
+        let mut config = PlanarConfig::new(
             IpAddr::V4(self.server),
             match self.transport {
                 TransportKind::Unicast => Transport::Unicast {
@@ -246,8 +247,15 @@ impl MotionCaptureSection {
                 error.to_string(),
             )
         })?;
-        config.command_port = self.command_port;
+        let session = &mut config.session;
+        session.command_port = self.command_port;
         let pose = &self.pose;
+        session.quaternion_norm_tolerance = pose.quaternion_norm_tolerance;
+        let timing = &self.timing;
+        session.timing.stale_after_ns = u64::from(timing.stale_after_ms) * MS;
+        session.timing.reconnect_after_ns = u64::from(timing.reconnect_after_ms) * MS;
+        session.timing.assumed_network_delay_ns = u64::from(timing.assumed_network_delay_us) * US;
+        session.timing.assumed_latency_ns = u64::from(timing.assumed_latency_us) * US;
         config.limits = PoseLimits {
             max_mean_error_m: pose.max_mean_error_m,
             max_speed_m_s: pose.max_speed_m_s,
@@ -255,16 +263,7 @@ impl MotionCaptureSection {
             max_yaw_rate_rad_s: pose.max_yaw_rate_rad_s,
             yaw_margin_rad: pose.yaw_margin_rad,
             max_tilt_rad: pose.max_tilt_rad,
-            quaternion_norm_tolerance: pose.quaternion_norm_tolerance,
             max_consecutive_rejects: pose.max_consecutive_rejects,
-        };
-        let timing = &self.timing;
-        config.timing = Timing {
-            stale_after_ns: u64::from(timing.stale_after_ms) * MS,
-            reconnect_after_ns: u64::from(timing.reconnect_after_ms) * MS,
-            assumed_network_delay_ns: u64::from(timing.assumed_network_delay_us) * US,
-            assumed_latency_ns: u64::from(timing.assumed_latency_us) * US,
-            ..Timing::default()
         };
         Ok(config)
     }

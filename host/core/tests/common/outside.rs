@@ -17,7 +17,7 @@ use singletrack_core::{
     setpoint_slot::{SetpointSender, setpoint_slot},
 };
 use singletrack_link::Session as LinkSession;
-use singletrack_mocap::{Observation, Outcome, Session as MocapSession};
+use singletrack_mocap::planar::{Observation, PlanarOutcome, PlanarSession as MocapSession};
 use singletrack_pilot::{Mode, Pilot, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{TickOutput, tick_feed};
@@ -72,20 +72,21 @@ impl Outside {
             assert_eq!(chunk.bytes(), self.bytes);
             self.serial.push(SerialEvent::Bytes(chunk)).unwrap();
         }
+        self.mocap.handle_timeout(now_ns, &mut |_| {});
         while let Some(transmit) = self.mocap.poll_transmit(now_ns) {
             self.world.handle_datagram(HOST, &transmit.bytes);
         }
         while let Some(datagram) = self.world.poll_datagram() {
             assert_eq!(datagram.to, Destination::Client(HOST));
             let source = SocketAddr::new(HOST.ip(), 1_510);
-            if let Outcome::Frame(observation) =
-                self.mocap.handle_datagram(now_ns, source, &datagram.bytes)
+            if let PlanarOutcome::Frame(observation) =
+                self.mocap
+                    .handle_datagram(now_ns, source, &datagram.bytes, &mut |_| {})
             {
                 self.last_frame = observation.frame_number;
                 self.observations.push(observation).unwrap();
             }
         }
-        while self.mocap.poll_event().is_some() {}
     }
 
     pub(crate) fn board_mode(&self) -> Option<BoardMode> {

@@ -12,7 +12,7 @@ pub(crate) struct TestBoard {
     outputs: Outputs,
     /// How often it went from not armed to armed.
     pub(crate) armed: u32,
-    /// Commands obeyed, told apart by the end of their time to live.
+    /// Commands obeyed, distinguished by the end of their time to live.
     pub(crate) driven: u32,
 }
 

@@ -1,5 +1,5 @@
-//! A bench for the session in virtual time: what it sends is decoded, what the
-//! board says is scripted.
+//! A bench for the session in virtual time: its frames are decoded, and the board's
+//! answers are scripted.
 
 #![allow(dead_code)] // Each test binary uses its own part.
 
@@ -89,12 +89,12 @@ pub(crate) fn telemetry(board_time_us: u32, mode: BoardMode, last_sequence: Sequ
     }
 }
 
-/// A session, its time, and all that it has said.
+/// A session, its time, and everything it has sent and reported.
 pub(crate) struct Bench {
     pub(crate) session: Session,
     pub(crate) now_ns: u64,
     pub(crate) events: Vec<Event>,
-    /// What was sent since the last look, with its time.
+    /// What was sent since the list was cleared, with its time.
     pub(crate) sent: Vec<(u64, ToBoard)>,
     pub(crate) board_time_us: u32,
     pub(crate) board_mode: BoardMode,
@@ -116,7 +116,7 @@ impl Bench {
 
     pub(crate) fn opened() -> Self {
         let mut bench = Self::new();
-        bench.session.opened(bench.now_ns);
+        bench.session.handle_opened(bench.now_ns);
         bench.poll();
         bench
     }
@@ -179,17 +179,14 @@ impl Bench {
         self.poll();
     }
 
-    /// Time passes on both clocks; the session is woken when it wants to be.
+    /// Time passes on both clocks; the session is called at its deadlines.
     pub(crate) fn pass_in_silence(&mut self, span_ns: u64) {
         self.poll();
         let end_ns = self.now_ns + span_ns;
         while let Some(wake_ns) = self.session.poll_timeout()
             && wake_ns <= end_ns
         {
-            assert!(
-                wake_ns > self.now_ns,
-                "the session wants to wake in the past"
-            );
+            assert!(wake_ns > self.now_ns, "the deadline is in the past");
             self.advance_to(wake_ns);
             self.timeout();
         }

@@ -1,4 +1,4 @@
-//! A serial line in memory: paced at the baud rate, and as bad as it is told to be.
+//! A serial line in memory, paced at the baud rate, with configurable faults.
 
 use std::collections::VecDeque;
 

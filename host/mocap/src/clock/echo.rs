@@ -1,16 +1,16 @@
 //! Echo exchanges: each proves that the server's clock showed some ticks at a
 //! local time between sending the request and receiving the answer.
 //!
-//! No assumption is made of how the round trip divides into there and back: an
-//! exchange bounds the local time to plus or minus half of it. Moved along by the
-//! clocks' rates, all the bounds hold at once, so their intersection does. Its
-//! middle is the estimate and half its width the uncertainty.
+//! How the round trip divides into the way there and the way back is not assumed:
+//! an exchange bounds the local time to plus or minus half of the round trip. Moved
+//! along by the clocks' rates, all bounds hold at once, so their intersection holds
+//! too. Its middle is the estimate, and half its width is the uncertainty.
 
-use super::{Mapped, difference, offset_by};
+use super::ticks::{Mapped, difference, offset_by};
 
 const SAMPLES: usize = 32;
 
-/// Two exchanges tell a rate only when they are this far apart.
+/// Two exchanges give a rate only when they are this far apart.
 const MIN_BASELINE_NS: f64 = 1e9;
 
 /// One exchange.
@@ -21,7 +21,7 @@ pub(crate) struct EchoSample {
     pub(crate) server_ticks: u64,
 }
 
-/// What an exchange did.
+/// The effect of an exchange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SampleUse {
     /// It agrees with the others.
@@ -122,12 +122,12 @@ impl EchoClock {
                 half_width: (upper - lower) / 2.0 + self.ns_per_tick,
             })
         } else {
-            // The rate changed within the window: the best exchange alone.
+            // The rate changed within the window: use the best exchange alone.
             tightest
         }
     }
 
-    /// What one exchange says of the local time of `server_ticks`.
+    /// The bound that one exchange gives on the local time of `server_ticks`.
     fn bound(&self, sample: &EchoSample, server_ticks: u64, origin_ns: u64) -> Bound {
         let elapsed_ns = difference(server_ticks, sample.server_ticks) * self.ns_per_tick;
         Bound {
@@ -140,7 +140,7 @@ impl EchoClock {
         difference(sample.sent_ns, origin_ns) + difference(sample.received_ns, sample.sent_ns) / 2.0
     }
 
-    /// Half the round trip, and the tick the server's clock was rounded to.
+    /// Half the round trip, and one tick: the server's clock is rounded to it.
     fn half_width(&self, sample: &EchoSample) -> f64 {
         difference(sample.received_ns, sample.sent_ns) / 2.0 + self.ns_per_tick
     }

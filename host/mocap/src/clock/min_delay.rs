@@ -1,10 +1,10 @@
-//! Without echoes: the least delay seen between the server's stamp and our
-//! reception, less an assumed one, ties the clocks together.
+//! Without echoes: the least delay seen between the server's stamp and the arrival
+//! of the frame, less an assumed delay, relates the two clocks.
 
-use super::{Mapped, difference, offset_by};
+use super::ticks::{Mapped, difference, offset_by};
 
-/// The least delay is taken over this time and the one before: long enough to
-/// catch a quick frame, short enough for the clocks not to drift apart.
+/// The least delay is taken over the current window and the one before it: long
+/// enough to catch a quick frame, short enough that the clocks do not drift apart.
 const WINDOW_NS: u64 = 1_000_000_000;
 
 #[derive(Debug, Clone)]
@@ -34,7 +34,7 @@ impl MinDelay {
         }
     }
 
-    /// A stamp of the server, and when it arrived here.
+    /// Takes a stamp of the server and its time of arrival.
     pub(crate) fn observe(&mut self, ticks: u64, receive_ns: u64) {
         let windows = self.windows.get_or_insert(Windows {
             origin: (ticks, receive_ns),

@@ -1,51 +1,52 @@
-//! What a client sends.
+//! Messages from a client.
 
+use super::error::DecodeError;
 use super::packet::{MessageId, Packet};
 use super::server::read_text;
 use super::server_info::{SENDER_LEN, SENDER_NAME_LEN, name_prefix};
-use super::{BitstreamVersion, DecodeError, UnsupportedVersion};
+use super::version::{BitstreamVersion, UnsupportedVersion};
 
-/// The longest CONNECT known: the sender block, a flag, a version, and up to
-/// two bytes more that sample clients append.
+/// The longest known CONNECT: the sender block, a flag, a version, and up to two
+/// further bytes that sample clients append.
 const MAX_CONNECT_LEN: usize = SENDER_LEN + 1 + 4 + 2;
 
 /// A message from a client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ClientMessage<'a> {
-    /// Here I am: stream to me, and say who you are.
+    /// Asks the server to stream to this client and to identify itself.
     Connect(Connect<'a>),
     /// A text command, such as `Bitstream,4.1`: see [`bitstream_request`].
     Request(&'a str),
-    /// What do you track?
+    /// Asks for the names and ids of the tracked models.
     RequestModelDefinitions,
-    /// Keep streaming to me.
+    /// Asks the server to keep streaming.
     KeepAlive,
-    /// I leave.
+    /// The client disconnects.
     Disconnect,
-    /// What does your clock say?
+    /// Asks for the server's clock.
     EchoRequest {
-        /// Comes back unchanged.
+        /// The answer repeats it unchanged.
         client_stamp: u64,
     },
-    /// Who is there?
+    /// Asks servers to identify themselves.
     Discovery,
 }
 
-/// A client's introduction.
+/// The payload of CONNECT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Connect<'a> {
     /// The client's name.
     pub name: &'a str,
-    /// The bitstream it asks for, if it asks for one: the raw four bytes.
+    /// The requested bitstream, if any: the raw four bytes.
     pub requested_bitstream: Option<[u8; 4]>,
 }
 
 impl<'a> ClientMessage<'a> {
     /// Decodes a datagram from a client.
     ///
-    /// One zero byte more than the header declares is accepted: the vendor's
-    /// own sample client sends it.
+    /// One zero byte beyond the declared length is accepted: the vendor's own sample
+    /// client sends it.
     ///
     /// # Errors
     /// What is wrong with the datagram, and where.
@@ -80,8 +81,8 @@ impl<'a> ClientMessage<'a> {
 }
 
 impl<'a> Connect<'a> {
-    /// Clients differ much here, down to an empty payload: what is there is
-    /// used, and only nonsense is refused.
+    /// Payloads of clients differ, down to an empty one: missing fields are allowed,
+    /// and only a payload that is too long is an error.
     fn decode(packet: &Packet<'a>) -> Result<Self, DecodeError> {
         let payload = packet.payload();
         if payload.len() > MAX_CONNECT_LEN {
@@ -107,8 +108,7 @@ impl<'a> Connect<'a> {
 /// the text is another command.
 ///
 /// # Errors
-/// The version is not one this crate knows. A version that is not two numbers
-/// counts as 0.0.
+/// The version is not supported. A version that is not two numbers counts as 0.0.
 #[must_use]
 pub fn bitstream_request(text: &str) -> Option<Result<BitstreamVersion, UnsupportedVersion>> {
     let (command, version) = text.split_once(',')?;

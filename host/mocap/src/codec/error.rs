@@ -1,9 +1,10 @@
-//! What can be wrong with a datagram.
+//! Why a datagram cannot be decoded.
 
-use super::BitstreamVersion;
+use super::version::BitstreamVersion;
 
-/// Why a datagram was refused. Offsets count from the datagram's first byte.
+/// Why a datagram cannot be decoded. Offsets count from the datagram's first byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DecodeError {
     /// The datagram or the section ends inside a field.
     #[error("{field} at byte {offset} needs {needed} bytes, only {available} are left")]
@@ -17,12 +18,12 @@ pub enum DecodeError {
         /// Bytes left.
         available: usize,
     },
-    /// The header's payload length is not the datagram's.
+    /// The header's payload length differs from the datagram's.
     #[error("the header declares {declared} payload bytes, the datagram holds {actual}")]
     LengthMismatch {
         /// Length in the header.
         declared: usize,
-        /// Bytes behind the header.
+        /// Bytes after the header.
         actual: usize,
     },
     /// No NUL before the end.
@@ -60,20 +61,20 @@ pub enum DecodeError {
         offset: usize,
         /// Its value.
         count: usize,
-        /// Bytes left behind it.
+        /// Bytes left after it.
         available: usize,
     },
     /// Bytes remain where the packet or a sized section should end.
     #[error("{count} bytes at byte {offset} are left over after {field}")]
     TrailingBytes {
-        /// What was read completely.
+        /// The part that was read completely.
         field: &'static str,
         /// Where the surplus begins.
         offset: usize,
         /// How many bytes are left over.
         count: usize,
     },
-    /// The frame's last word is not zero: its layout is another version's.
+    /// The frame's last word is not zero: the frame has the layout of another version.
     #[error("the end tag at byte {offset} is {value} instead of 0: wrong bitstream version?")]
     EndTag {
         /// Where the tag is.
@@ -99,7 +100,7 @@ pub enum DecodeError {
         /// Its payload's length.
         actual: usize,
     },
-    /// A message that does not belong here: unknown, or of the other direction.
+    /// An unknown message, or one of the other direction.
     #[error("message id {id} is not expected from this side")]
     UnexpectedMessage {
         /// The id in the header.

@@ -1,16 +1,17 @@
 //! FRAMEOFDATA: one frame of poses.
 
+use super::error::DecodeError;
 use super::packet::Packet;
 use super::reader::Reader;
 use super::rigid_body::{RigidBodies, RigidBody};
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 const MARKER_LEN: usize = 12;
 
 /// One frame of data, checked from the first byte to the last.
 #[derive(Debug, Clone)]
 pub struct Frame<'a> {
-    /// The frame's number. It grows by one a frame, wraps, and starts again
+    /// The frame's number. It grows by one with every frame, wraps, and starts again
     /// with the server.
     pub number: i32,
     /// How many entries the sections hold.
@@ -23,7 +24,7 @@ pub struct Frame<'a> {
     pub ticks: Option<CameraTicks>,
     /// PTP time, from 4.1 on.
     pub precision_time: Option<PrecisionTime>,
-    /// What versions before 3.0 call latency: in real packets, another
+    /// The field that versions before 3.0 call latency. In real packets it is another
     /// timestamp in seconds.
     pub latency: Option<f32>,
     /// The frame's flags.
@@ -34,7 +35,7 @@ pub struct Frame<'a> {
 /// Times of a frame in ticks of the server's high-resolution clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CameraTicks {
-    /// The middle of the exposure. 0 when the cameras do not tell.
+    /// The middle of the exposure; 0 when it is not available.
     pub mid_exposure: u64,
     /// When the server had received the cameras' data.
     pub received: u64,
@@ -58,7 +59,8 @@ pub struct FrameFlags(pub u16);
 impl FrameFlags {
     /// The server is recording.
     pub const RECORDING: Self = Self(1);
-    /// The list of models changed. Not always set: poll the definitions too.
+    /// The list of models changed. Servers do not always set it: poll the definitions
+    /// as well.
     pub const MODELS_CHANGED: Self = Self(2);
 
     /// Whether every flag of `other` is set.
@@ -73,7 +75,7 @@ impl FrameFlags {
 pub struct SectionCounts {
     /// Named marker sets.
     pub marker_sets: usize,
-    /// Markers that belong to nothing.
+    /// Markers that belong to no marker set.
     pub other_markers: usize,
     /// Rigid bodies, tracked or not.
     pub rigid_bodies: usize,
@@ -90,7 +92,7 @@ pub struct SectionCounts {
 }
 
 impl<'a> Frame<'a> {
-    /// Decodes a frame packet, whose id the caller has looked at.
+    /// Decodes a packet that the caller has identified as a frame.
     pub(super) fn decode(
         packet: &Packet<'a>,
         version: BitstreamVersion,
@@ -156,7 +158,7 @@ impl<'a> Frame<'a> {
         .with_tail(&mut reader, version)
     }
 
-    /// Reads what follows the sections, to the end.
+    /// Reads the fields after the sections, to the end.
     fn with_tail(
         mut self,
         reader: &mut Reader<'_>,
@@ -190,8 +192,8 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// The rigid bodies in wire order: those of the rigid-body section, without
-    /// skeletons' bones and assets' bodies.
+    /// The bodies of the rigid-body section in wire order. Bones of skeletons and bodies
+    /// of assets are not among them.
     #[must_use]
     pub fn rigid_bodies(&self) -> RigidBodies<'a> {
         self.rigid_bodies.clone()
@@ -221,7 +223,7 @@ struct Walk<'r, 'a> {
 
 impl<'a> Walk<'_, 'a> {
     /// Walks one section, and checks its size where the version has one.
-    /// Returns the number of entries and a reader that stands before the first.
+    /// Returns the number of entries and a reader at the first one.
     fn section(
         &mut self,
         field: &'static str,

@@ -1,9 +1,9 @@
 //! The NatNet wire format: bytes to values.
 //!
-//! Every decoder is strict: it reads within the bounds of the datagram,
-//! checks every declared size against what was consumed, and accepts a packet
-//! only when not a byte is left. Nothing is copied or allocated; decoded values
-//! borrow the datagram. The opposite direction is in [`crate::encode`].
+//! Every decoder is strict: it reads within the bounds of the datagram, checks every
+//! declared size against the bytes consumed, and accepts a packet only when no byte is
+//! left. Nothing is copied or allocated: decoded values borrow the datagram. Start with
+//! [`ServerMessage::decode`]; the opposite direction is in [`crate::encode`].
 
 mod client;
 mod error;

@@ -1,8 +1,9 @@
-//! MODELDEF: what the server tracks, and under which names and ids.
+//! MODELDEF: the models that the server tracks, with their names and ids.
 
+use super::error::DecodeError;
 use super::packet::Packet;
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 /// Dataset types of a model definition.
 pub(crate) mod dataset {
@@ -21,16 +22,16 @@ pub struct RigidBodyDefinition<'a> {
     pub name: &'a str,
     /// Its streaming id, as in the frames. The operator can change it.
     pub id: i32,
-    /// Id of the body it is attached to, or a negative number.
+    /// Id of the parent body, or a negative number.
     pub parent_id: i32,
     /// Offset from the parent, in metres.
     pub offset_m: [f32; 3],
 }
 
-/// The definitions of everything the server tracks.
+/// The definitions of all models that the server tracks.
 #[derive(Debug, Clone)]
 pub struct ModelDefinitions<'a> {
-    /// How many datasets there are, rigid bodies and others.
+    /// Number of datasets, rigid bodies and others.
     pub dataset_count: usize,
     rigid_bodies: RigidBodyDefinitions<'a>,
 }

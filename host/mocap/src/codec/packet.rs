@@ -1,6 +1,6 @@
-//! The header every datagram begins with, apart from what it announces.
+//! The header of a datagram, separate from its payload.
 
-use super::DecodeError;
+use super::error::DecodeError;
 use super::reader::Reader;
 
 /// Length of the header: message id and payload length.
@@ -10,12 +10,12 @@ pub const HEADER_LEN: usize = 4;
 /// is longer.
 pub const MAX_DATAGRAM_LEN: usize = 65_507;
 
-/// The NatNet messages this crate knows, by their id on the wire.
+/// The NatNet messages that this crate knows, by their id on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u16)]
 #[non_exhaustive]
 pub enum MessageId {
-    /// Client to server: here I am.
+    /// Client to server: connect.
     Connect = 0,
     /// Answer to [`Connect`](Self::Connect).
     ServerInfo = 1,
@@ -23,7 +23,7 @@ pub enum MessageId {
     Request = 2,
     /// Answer to [`Request`](Self::Request).
     Response = 3,
-    /// Client to server: what is being tracked?
+    /// Client to server: list the tracked models.
     RequestModelDefinitions = 4,
     /// Answer to [`RequestModelDefinitions`](Self::RequestModelDefinitions).
     ModelDefinitions = 5,
@@ -31,22 +31,22 @@ pub enum MessageId {
     Frame = 7,
     /// Server to client: a text for people.
     MessageString = 8,
-    /// Either side leaves.
+    /// Either side disconnects.
     Disconnect = 9,
     /// Client to server: keep streaming to me.
     KeepAlive = 10,
-    /// Client to server: what does your clock say?
+    /// Client to server: read the clock.
     EchoRequest = 12,
     /// Answer to [`EchoRequest`](Self::EchoRequest).
     EchoResponse = 13,
-    /// Client to every server: who is there?
+    /// Client to every server: find servers.
     Discovery = 14,
     /// The server did not understand a request.
     Unrecognized = 100,
 }
 
 impl MessageId {
-    /// The message with this id, if we know it.
+    /// The message with this id; `None` for an unknown id.
     #[must_use]
     pub const fn from_wire(id: u16) -> Option<Self> {
         Some(match id {
@@ -108,19 +108,19 @@ impl<'a> Packet<'a> {
         Ok((Self { id, payload }, surplus))
     }
 
-    /// The message, if we know it.
+    /// The message; `None` for an unknown id.
     #[must_use]
     pub const fn message_id(&self) -> Option<MessageId> {
         MessageId::from_wire(self.id)
     }
 
-    /// The id as it is on the wire.
+    /// The id on the wire.
     #[must_use]
     pub const fn raw_id(&self) -> u16 {
         self.id
     }
 
-    /// The bytes behind the header.
+    /// The bytes after the header.
     #[must_use]
     pub const fn payload(&self) -> &'a [u8] {
         self.payload

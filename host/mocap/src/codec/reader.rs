@@ -1,6 +1,6 @@
-//! A bounded little-endian cursor that knows where in the datagram it is.
+//! A bounded little-endian cursor with its offset in the datagram.
 
-use super::DecodeError;
+use super::error::DecodeError;
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reader<'a> {
@@ -117,8 +117,8 @@ impl<'a> Reader<'a> {
             .map_err(|_| DecodeError::InvalidUtf8 { field, offset })
     }
 
-    /// A count of entries of at least `min_entry_len` bytes each. A count that
-    /// the rest cannot hold is refused here, so that no loop runs on it.
+    /// A count of entries of at least `min_entry_len` bytes each. A count that the
+    /// remaining bytes cannot hold is an error here, before any loop over it.
     pub(crate) fn count(
         &mut self,
         min_entry_len: usize,
@@ -130,8 +130,8 @@ impl<'a> Reader<'a> {
         Ok(count)
     }
 
-    /// Refuses a `count`, read at `offset`, whose entries cannot all be in what
-    /// is left.
+    /// An error for a `count`, read at `offset`, whose entries do not fit into the
+    /// remaining bytes.
     pub(crate) fn check_count(
         &self,
         count: usize,
@@ -171,14 +171,14 @@ impl<'a> Reader<'a> {
         self.take(count.saturating_mul(entry_len), field).map(drop)
     }
 
-    /// The bytes that a leading `i32` size announces.
+    /// The bytes whose number is in a leading `i32`.
     pub(crate) fn sized(&mut self, field: &'static str) -> Result<Self, DecodeError> {
         let len = self.length(field)?;
         let offset = self.offset;
         Ok(Self::new(self.take(len, field)?, offset))
     }
 
-    /// Succeeds when nothing is left.
+    /// An error when bytes are left.
     pub(crate) const fn finish(&self, field: &'static str) -> Result<(), DecodeError> {
         if self.rest.is_empty() {
             Ok(())

@@ -1,7 +1,8 @@
 //! Rigid bodies as a frame carries them.
 
+use super::error::DecodeError;
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError};
+use super::version::BitstreamVersion;
 
 /// Bit 0 of a rigid body's parameters.
 const TRACKING_VALID: u16 = 1;
@@ -12,7 +13,7 @@ const BODY_MARKER_LEN: usize = 12 + 4 + 4;
 /// One rigid body of a frame, in the axes the server streams.
 ///
 /// A frame lists untracked bodies as well; an untracked one repeats an old
-/// pose, or zeros. Look at [`tracking_valid`](Self::tracking_valid) first.
+/// pose, or zeros. Check [`tracking_valid`](Self::tracking_valid) first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigidBody {
     /// The streaming id, which the model definitions give a name.
@@ -108,7 +109,7 @@ pub struct RigidBodies<'a> {
 }
 
 impl<'a> RigidBodies<'a> {
-    /// `reader` stands before `count` bodies that were already checked.
+    /// `reader` is at the first of `count` bodies, which have been checked.
     pub(super) const fn new(reader: Reader<'a>, count: usize, version: BitstreamVersion) -> Self {
         Self {
             reader,

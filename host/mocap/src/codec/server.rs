@@ -1,10 +1,14 @@
-//! What a server sends.
+//! Messages from a server.
 
+use super::error::DecodeError;
+use super::frame::Frame;
+use super::model::ModelDefinitions;
 use super::packet::{MessageId, Packet};
 use super::reader::Reader;
-use super::{BitstreamVersion, DecodeError, Frame, ModelDefinitions, ServerInfo};
+use super::server_info::ServerInfo;
+use super::version::BitstreamVersion;
 
-/// A message from a server, checked completely.
+/// A message from a server. Every byte of it has been checked.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum ServerMessage<'a> {
@@ -16,9 +20,9 @@ pub enum ServerMessage<'a> {
     ModelDefinitions(ModelDefinitions<'a>),
     /// One frame of poses.
     Frame(Frame<'a>),
-    /// A text for people.
+    /// A text for the operator.
     Text(&'a str),
-    /// The server leaves.
+    /// The server disconnects.
     Disconnect,
     /// The answer to an echo request.
     Echo(Echo),
@@ -47,8 +51,35 @@ pub struct Echo {
 impl<'a> ServerMessage<'a> {
     /// Decodes a datagram from a server that streams `version`.
     ///
-    /// `version` matters for frames and model definitions only: before it is
-    /// known, hand in any and look at [`Packet::message_id`] first.
+    /// Only frames and model definitions depend on `version`. Before it is known, pass
+    /// any version, and use [`Packet::message_id`] to exclude those two messages.
+    ///
+    /// ```
+    /// use singletrack_mocap::codec::{BitstreamVersion, RigidBody, ServerMessage};
+    /// use singletrack_mocap::encode::{self, FrameContent};
+    ///
+    /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let version = BitstreamVersion::V4_1;
+    /// let body = RigidBody::tracked(7, [1.0, 0.5, -2.0], [0.0, 0.0, 0.0, 1.0]);
+    /// let content = FrameContent {
+    ///     number: 42,
+    ///     rigid_bodies: &[body],
+    ///     ..FrameContent::default()
+    /// };
+    /// let mut datagram = [0; 512];
+    /// let len = encode::frame(version, &content, &mut datagram)?;
+    ///
+    /// let ServerMessage::Frame(frame) = ServerMessage::decode(&datagram[..len], version)? else {
+    ///     panic!("a frame was encoded");
+    /// };
+    /// assert_eq!(frame.number, 42);
+    /// assert_eq!(frame.rigid_bodies().next(), Some(body));
+    ///
+    /// // A datagram that is cut short is an error, which names the field.
+    /// assert!(ServerMessage::decode(&datagram[..len - 1], version).is_err());
+    /// # Ok(())
+    /// # }
+    /// ```
     ///
     /// # Errors
     /// What is wrong with the datagram, and where.
@@ -90,7 +121,7 @@ impl<'a> ServerMessage<'a> {
 
 impl<'a> Response<'a> {
     fn read(reader: &mut Reader<'a>) -> Result<Self, DecodeError> {
-        // Four bytes are a status, even where they could be a text.
+        // Four bytes are a status, even if they could also be a text.
         if reader.remaining() == 4 {
             reader.i32("response status").map(Self::Status)
         } else {

@@ -1,37 +1,38 @@
-//! SERVERINFO: who the server is, what it streams, and how its clock ticks.
+//! SERVERINFO: the server's name, bitstream, data channel and clock frequency.
 
 use core::net::Ipv4Addr;
 use core::num::NonZeroU64;
 
+use super::error::DecodeError;
 use super::packet::Packet;
-use super::{BitstreamVersion, DecodeError, UnsupportedVersion};
+use super::version::{BitstreamVersion, UnsupportedVersion};
 
 pub(crate) const SENDER_NAME_LEN: usize = 256;
 
-/// Length of the block both CONNECT and SERVERINFO begin with: a name of 256
-/// bytes and two versions of four.
+/// Length of the block at the start of both CONNECT and SERVERINFO: a name of 256
+/// bytes and two versions of four bytes.
 pub const SENDER_LEN: usize = SENDER_NAME_LEN + 4 + 4;
 
 const EXTENDED_LEN: usize = SENDER_LEN + 8 + 2 + 1 + 4;
 
-/// What a server says of itself in answer to CONNECT.
+/// The answer to CONNECT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerInfo<'a> {
     /// The application's name, for example `Motive`.
     pub application: &'a str,
     /// The application's version: major, minor, build, revision.
     pub application_version: [u8; 4],
-    /// The server's NatNet version as it is on the wire, supported or not: see
+    /// The server's NatNet version on the wire, supported or not: see
     /// [`bitstream`](Self::bitstream).
     pub natnet_version: [u8; 4],
-    /// The rest, which servers send from 3.0 on.
+    /// Clock and data channel, which servers send from 3.0 on.
     pub connection: Option<Connection>,
 }
 
 /// Clock and data channel of a server, from 3.0 on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Connection {
-    /// Frequency of the high-resolution clock. `None` when the server says 0.
+    /// Frequency of the high-resolution clock. `None` when the server sends 0.
     pub ticks_per_second: Option<NonZeroU64>,
     /// Where the server sends frames.
     pub data_channel: DataChannel,
@@ -42,7 +43,7 @@ pub struct Connection {
 pub struct DataChannel {
     /// UDP port of the data.
     pub port: u16,
-    /// Whether it sends to the group instead of to each client.
+    /// Whether the server sends to the group instead of to each client.
     pub multicast: bool,
     /// The multicast group.
     pub group: Ipv4Addr,
@@ -83,17 +84,17 @@ impl<'a> ServerInfo<'a> {
         })
     }
 
-    /// The bitstream the server sends unless it is asked for another.
+    /// The bitstream that the server sends unless another is requested.
     ///
     /// # Errors
-    /// It is one this crate does not read.
+    /// The bitstream is not supported.
     pub const fn bitstream(&self) -> Result<BitstreamVersion, UnsupportedVersion> {
         BitstreamVersion::from_wire(self.natnet_version)
     }
 }
 
-/// The text of a fixed-size name. What stands behind the NUL is garbage in real
-/// packets; a name that is not UTF-8 is cut where it stops being so.
+/// The text of a fixed-size name. In real packets the bytes after the NUL are garbage.
+/// A name that is not UTF-8 is cut before the first invalid byte.
 pub(super) fn name_prefix(field: &[u8]) -> &str {
     let name = field.split(|byte| *byte == 0).next().unwrap_or_default();
     match core::str::from_utf8(name) {

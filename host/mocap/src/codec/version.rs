@@ -1,17 +1,17 @@
-//! Bitstream versions: which layouts exist, and which we read.
+//! Bitstream versions: which layouts exist, and which are supported.
 
 use core::fmt;
 
-/// A NatNet bitstream version whose layout this crate knows.
+/// A NatNet bitstream version whose layout this crate reads.
 ///
-/// Only supported versions can be constructed, so whoever holds one can decode.
+/// Only supported versions can be constructed, so every value can be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BitstreamVersion {
     major: u8,
     minor: u8,
 }
 
-/// The server's bitstream has a layout this crate does not read.
+/// The server's bitstream has a layout that this crate does not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "NatNet bitstream {major}.{minor} is not supported, only {oldest} to {newest}: \

@@ -1,6 +1,6 @@
-//! What a client sends.
+//! Messages from a client.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{BitstreamVersion, ClientMessage, MessageId, SENDER_NAME_LEN};
 

@@ -1,13 +1,13 @@
-//! FRAMEOFDATA.
+//! Encodes FRAMEOFDATA.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{
     BitstreamVersion, CameraTicks, FrameFlags, MessageId, PrecisionTime, RigidBody,
 };
 
-/// What a frame says. What a version has no field for is left out: ticks before
-/// 3.0, precision time before 4.1, latency and body markers from 3.0 on.
+/// The content of a frame. A field that the version does not have is left out: ticks
+/// before 3.0, precision time before 4.1, latency and body markers from 3.0 on.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FrameContent<'a> {
     /// The frame's number.
@@ -32,12 +32,12 @@ pub struct FrameContent<'a> {
     pub flags: FrameFlags,
 }
 
-/// Everything in a frame that is not a rigid body.
+/// The sections of a frame other than rigid bodies.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Sections<'a> {
     /// Named sets of markers.
     pub marker_sets: &'a [MarkerSet<'a>],
-    /// Positions of markers that belong to nothing, in metres.
+    /// Positions of markers that belong to no marker set, in metres.
     pub other_markers: &'a [[f32; 3]],
     /// Skeletons.
     pub skeletons: &'a [Skeleton<'a>],

@@ -4,12 +4,14 @@
 //! its length. The server's half feeds simulated cameras and tests.
 
 mod client;
+mod error;
 mod frame;
 mod model;
 mod server;
 mod writer;
 
 pub use client::client_message;
+pub use error::EncodeError;
 pub use frame::{
     AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections, Skeleton,
     frame,
@@ -18,59 +20,3 @@ pub use model::{Dataset, DefinitionMarker, model_definitions};
 pub use server::{
     disconnect, echo_response, response_status, response_text, server_info, text, unrecognized,
 };
-
-/// Why a message was not encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum EncodeError {
-    /// The buffer ends before the message does.
-    #[error("{field} does not fit into the {capacity} bytes of the buffer")]
-    BufferTooSmall {
-        /// The field that did not fit.
-        field: &'static str,
-        /// Length of the buffer.
-        capacity: usize,
-    },
-    /// The message is longer than a datagram can be.
-    #[error("the message is {len} bytes long, a datagram carries {max}")]
-    TooLong {
-        /// Length of the message.
-        len: usize,
-        /// The limit.
-        max: usize,
-    },
-    /// A count or size that the wire's `i32` cannot carry.
-    #[error("{field} is {value}, more than the wire can carry")]
-    CountOutOfRange {
-        /// The count.
-        field: &'static str,
-        /// Its value.
-        value: usize,
-    },
-    /// A NUL inside a string, which would end it on the wire.
-    #[error("{field} contains a NUL")]
-    InteriorNul {
-        /// The string.
-        field: &'static str,
-    },
-    /// A name longer than its fixed field.
-    #[error("{field} is {len} bytes long, at most {max} fit")]
-    NameTooLong {
-        /// The name.
-        field: &'static str,
-        /// Its length.
-        len: usize,
-        /// The limit.
-        max: usize,
-    },
-    /// A response text that would be read as a status.
-    #[error("a response text of three bytes would be read as a status")]
-    AmbiguousResponse,
-    /// Something that this bitstream version has no place for.
-    #[error("bitstream {version} has no {field}")]
-    NotInVersion {
-        /// What has no place.
-        field: &'static str,
-        /// The version encoded for.
-        version: crate::codec::BitstreamVersion,
-    },
-}

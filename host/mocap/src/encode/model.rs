@@ -1,6 +1,6 @@
-//! MODELDEF.
+//! Encodes MODELDEF.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{BitstreamVersion, MessageId, RigidBodyDefinition, dataset};
 
@@ -11,7 +11,7 @@ pub enum Dataset<'a> {
     RigidBody {
         /// Name, ids, offset.
         definition: RigidBodyDefinition<'a>,
-        /// Its markers, which versions before 3.0 do not tell.
+        /// Its markers. Versions before 3.0 do not carry them.
         markers: &'a [DefinitionMarker<'a>],
     },
     /// A named set of markers.
@@ -30,11 +30,11 @@ pub enum Dataset<'a> {
         /// Its bones.
         bones: &'a [RigidBodyDefinition<'a>],
     },
-    /// Anything else, already encoded.
+    /// Another dataset, already encoded.
     Other {
         /// The dataset's type.
         type_id: i32,
-        /// The bytes behind type and size.
+        /// The bytes after type and size.
         body: &'a [u8],
     },
 }
@@ -46,7 +46,7 @@ pub struct DefinitionMarker<'a> {
     pub position_m: [f32; 3],
     /// The active label, or 0.
     pub label: i32,
-    /// Its name, which versions before 4.0 do not tell.
+    /// Its name. Versions before 4.0 do not carry it.
     pub name: &'a str,
 }
 
@@ -75,7 +75,7 @@ pub fn model_definitions(
 }
 
 impl<'a> Dataset<'a> {
-    /// A rigid body of which only the definition is told, not the markers.
+    /// A rigid body's definition without markers.
     #[must_use]
     pub const fn rigid_body(definition: RigidBodyDefinition<'a>) -> Self {
         Self::RigidBody {

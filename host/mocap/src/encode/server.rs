@@ -1,6 +1,6 @@
-//! What a server sends, apart from frames and model definitions.
+//! Messages from a server, other than frames and model definitions.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use super::writer::Writer;
 use crate::codec::{Echo, MessageId, SENDER_NAME_LEN, ServerInfo};
 
@@ -59,7 +59,7 @@ pub fn response_text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
     writer.finish()
 }
 
-/// Encodes a text for people.
+/// Encodes a text for the operator.
 ///
 /// # Errors
 /// The buffer is too small, or the text contains a NUL.
@@ -69,7 +69,7 @@ pub fn text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
     writer.finish()
 }
 
-/// Encodes the server's goodbye.
+/// Encodes the server's disconnect message.
 ///
 /// # Errors
 /// The buffer is too small.
@@ -77,7 +77,7 @@ pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
     Writer::message(out, MessageId::Disconnect)?.finish()
 }
 
-/// Encodes the answer to a request the server does not understand.
+/// Encodes the answer to a request that the server does not understand.
 ///
 /// # Errors
 /// The buffer is too small.

@@ -1,6 +1,6 @@
 //! A bounded little-endian cursor that can fill in sizes afterwards.
 
-use super::EncodeError;
+use super::error::EncodeError;
 use crate::codec::{HEADER_LEN, MAX_DATAGRAM_LEN, MessageId};
 
 pub(super) struct Writer<'a> {
@@ -8,7 +8,7 @@ pub(super) struct Writer<'a> {
     len: usize,
 }
 
-/// Where a size is to be filled in.
+/// The place of a size that is filled in later.
 pub(super) struct SizeSlot(usize);
 
 impl<'a> Writer<'a> {
@@ -118,18 +118,15 @@ impl<'a> Writer<'a> {
         self.bytes(&padded, field)
     }
 
-    /// Leaves room for the size of what follows.
+    /// Leaves room for the size of the part that follows.
     pub(super) fn size_slot(&mut self, field: &'static str) -> Result<SizeSlot, EncodeError> {
         let slot = SizeSlot(self.len);
         self.i32(0, field)?;
         Ok(slot)
     }
 
-    /// Fills in the size of everything written since the slot was left.
-    #[expect(
-        clippy::needless_pass_by_value,
-        reason = "a slot is to be filled in once"
-    )]
+    /// Fills in the size of the part written since [`size_slot`](Self::size_slot).
+    #[expect(clippy::needless_pass_by_value, reason = "a slot is filled in once")]
     pub(super) fn fill(&mut self, slot: SizeSlot, field: &'static str) -> Result<(), EncodeError> {
         let start = slot.0.saturating_add(4);
         let value = self.len.saturating_sub(start);

@@ -1,123 +1,85 @@
-//! What a session tells its shell.
+//! What a session reports to its owner.
 
-use core::net::SocketAddr;
-
-use crate::binding::Binding;
 use crate::codec::{BitstreamVersion, DecodeError, UnsupportedVersion};
-use crate::pose::PoseState;
 
-/// The longest datagram a session sends: CONNECT.
-const MAX_LEN: usize = 288;
-
-/// A datagram to send.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Datagram {
-    /// Where to.
-    pub destination: SocketAddr,
-    /// What.
-    pub bytes: heapless::Vec<u8, MAX_LEN>,
-}
-
-/// How far a conversation is.
+/// How far a session is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Phase {
     /// The server has not answered yet.
     Connecting,
-    /// The server's bitstream is not supported and it did not change it. The
-    /// session keeps asking, in case somebody changes it.
+    /// The server's bitstream is not supported, and the server did not change it.
+    /// The session keeps asking, in case an operator changes it.
     Refused(UnsupportedVersion),
     /// The server was asked for this bitstream.
     Negotiating(BitstreamVersion),
-    /// Frames of this bitstream are taken.
+    /// Frames of this bitstream are accepted.
     Streaming(BitstreamVersion),
-    /// The goodbye is yet to be sent.
+    /// The disconnect message is yet to be sent.
     Closing,
-    /// It was sent.
+    /// The disconnect message was sent.
     Closed,
 }
 
-/// What became of a datagram.
+/// A rare event, worth a line in the log. Poses are not events: they are in
+/// [`DatagramOutcome::Frame`](super::DatagramOutcome::Frame).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Outcome {
-    /// The newest frame, and what it says of the body.
-    Frame(Observation),
-    /// A frame older than the newest: dropped.
-    Late,
-    /// The newest frame again: dropped.
-    Duplicate,
-    /// A reply the session was waiting for.
-    Reply,
-    /// Well-formed, but nothing to be done with.
-    Ignored,
-    /// From another address than the server's.
-    WrongSource,
-    /// Not to be decoded.
-    Malformed(DecodeError),
-}
-
-/// What a frame says of the body.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Observation {
-    /// The server's number of the frame.
-    pub frame_number: i32,
-    /// When it arrived, on the local monotonic clock.
-    pub receive_time_ns: u64,
-    /// What it says.
-    pub state: PoseState,
-}
-
-/// Something worth a line in the log. It is rare: poses come as [`Outcome`]s.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Event {
-    /// The server answered and frames are awaited.
+#[non_exhaustive]
+pub enum SessionEvent {
+    /// The server answered, and the session waits for frames.
     Connected(Connected),
-    /// The server's bitstream is not supported, and it did not change it.
+    /// The server's bitstream is not supported, and the server did not change it.
     Refused(UnsupportedVersion),
-    /// The server did not change its bitstream; its own is read.
+    /// The server did not change its bitstream; the session reads the server's own.
     BitstreamKept {
-        /// What it was asked for.
+        /// The bitstream that was requested.
         requested: BitstreamVersion,
-        /// What it sends.
+        /// The bitstream that the server sends.
         kept: BitstreamVersion,
     },
-    /// The server sends multicast and unicast is configured, or the reverse:
-    /// frames will hardly come.
+    /// The server sends multicast and unicast is configured, or the reverse. Frames
+    /// will probably not arrive.
     TransportMismatch {
-        /// What the server does.
+        /// Whether the server sends multicast.
         server_multicast: bool,
     },
-    /// The configured name was found, or not.
-    Binding(Binding),
-    /// No frame came for longer than the configured time.
+    /// Streaming ids may mean other bodies from now on. They are valid again when
+    /// the definitions have been read
+    /// ([`DatagramOutcome::Definitions`](super::DatagramOutcome::Definitions)).
+    DefinitionsOutdated,
+    /// No frame arrived for longer than [`Timing::stale_after_ns`](crate::Timing).
     Stale,
-    /// The conversation begins anew.
+    /// The session starts over.
     Restarted(RestartReason),
 }
 
-/// What was agreed with the server.
+/// The result of the handshake.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Connected {
     /// The bitstream of the frames.
     pub version: BitstreamVersion,
-    /// The port the server says it sends frames from (from 3.0 on).
+    /// The port from which the server sends frames, as it reports (from 3.0 on).
     pub data_port: Option<u16>,
     /// Whether frames will carry mid-exposure time that echoes can map.
     pub has_camera_clock: bool,
 }
 
-/// Why a conversation begins anew.
+/// Why a session starts over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum RestartReason {
-    /// No frame came for long.
+    /// No frame arrived for longer than
+    /// [`Timing::reconnect_after_ns`](crate::Timing).
     Silence,
     /// The server's clock went backward.
     ClockBackward,
-    /// The frames go on from an earlier point.
+    /// The frames continue from an earlier point.
     FramesBackward,
-    /// The server said goodbye.
+    /// The server disconnected.
     ServerLeft,
-    /// The server says it is another version than before.
+    /// The server reports another version than before.
     ServerChanged,
-    /// Many frames in a row could not be decoded; the last one's error.
+    /// Many frames in a row could not be decoded. This is the last one's error.
     Undecodable(DecodeError),
 }

@@ -10,7 +10,7 @@ use singletrack_mocap::encode::{self, FrameContent};
 use crate::strategies::any_frame;
 use crate::{all_versions, encoded, with_fitting_header};
 
-/// Decodes, and looks at everything a decoded message offers.
+/// Decodes a datagram and reads every value of the message.
 fn exercise(datagram: &[u8], version: BitstreamVersion) {
     let _ = ClientMessage::decode(datagram);
     match ServerMessage::decode(datagram, version) {
@@ -53,7 +53,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_behind_a_frame_are_refused(frame in any_frame(), surplus in vec(any::<u8>(), 1..64)) {
+    fn bytes_after_a_frame_are_refused(frame in any_frame(), surplus in vec(any::<u8>(), 1..64)) {
         for version in all_versions() {
             let mut datagram = frame.encode(version);
             let len = datagram.len();
@@ -120,7 +120,7 @@ fn with_bodies_size(size: i32) -> Result<(), DecodeError> {
 }
 
 #[test]
-fn a_section_must_be_as_long_as_it_says() {
+fn a_section_must_have_its_declared_size() {
     assert_eq!(with_bodies_size(38), Ok(()));
     assert_eq!(
         with_bodies_size(37),
@@ -150,7 +150,7 @@ fn a_section_must_be_as_long_as_it_says() {
 }
 
 #[test]
-fn a_count_that_cannot_be_is_refused_before_anything_is_walked() {
+fn an_impossible_count_is_refused_before_any_entry_is_read() {
     let mut datagram = one_body(BitstreamVersion::V3_0);
     // Header, number: the number of marker sets.
     datagram[8..12].copy_from_slice(&i32::MAX.to_le_bytes());

@@ -1,4 +1,4 @@
-//! An independent decoder reads what we write.
+//! An independent decoder reads the encoded messages.
 
 use core::net::Ipv4Addr;
 use core::num::NonZeroU64;
@@ -13,7 +13,7 @@ use singletrack_mocap::encode::{self, Dataset, DefinitionMarker};
 use crate::encoded;
 use crate::strategies::any_frame;
 
-/// The versions that both read.
+/// The versions that both decoders read.
 const SHARED: [BitstreamVersion; 4] = [
     BitstreamVersion::V3_0,
     BitstreamVersion::V3_1,

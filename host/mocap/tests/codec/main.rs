@@ -1,5 +1,5 @@
-//! The codec: what is encoded is decoded again, what is damaged is refused, and
-//! others read what we write as we read what others wrote.
+//! The codec: encoded messages are decoded to the same values, damaged ones are
+//! refused, and other implementations agree in both directions.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -16,7 +16,7 @@ mod strategies;
 
 use singletrack_mocap::codec::BitstreamVersion;
 
-/// Every version with a number of its own, and one beyond 2.11.
+/// Every named version, and one after 2.11.
 fn all_versions() -> Vec<BitstreamVersion> {
     [
         (2, 7),
@@ -37,14 +37,14 @@ fn all_versions() -> Vec<BitstreamVersion> {
     .collect()
 }
 
-/// The datagram with its header's length made to fit.
+/// The datagram with the length in its header corrected.
 fn with_fitting_header(mut datagram: Vec<u8>) -> Vec<u8> {
     let len = u16::try_from(datagram.len() - 4).unwrap();
     datagram[2..4].copy_from_slice(&len.to_le_bytes());
     datagram
 }
 
-/// What an encoder writes into a buffer of ample size.
+/// The output of an encoder for a sufficient buffer.
 fn encoded<E: core::fmt::Debug>(encode: impl FnOnce(&mut [u8]) -> Result<usize, E>) -> Vec<u8> {
     let mut buffer = vec![0xAA; 65_536];
     let len = encode(&mut buffer).unwrap();

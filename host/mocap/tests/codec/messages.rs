@@ -1,4 +1,4 @@
-//! Every message but frames and model definitions.
+//! Every message other than frames and model definitions.
 
 use core::net::Ipv4Addr;
 use core::num::NonZeroU64;
@@ -51,7 +51,7 @@ fn both_forms_of_server_info_are_decoded() {
 }
 
 #[test]
-fn garbage_behind_the_servers_name_is_ignored() {
+fn garbage_after_the_servers_name_is_ignored() {
     let mut datagram = encoded(|out| encode::server_info(&motive(), out));
     datagram[4 + "Motive".len() + 1..4 + 256].fill(0xEE);
     let Ok(ServerMessage::ServerInfo(decoded)) = ServerMessage::decode(&datagram, ANY) else {
@@ -116,7 +116,7 @@ fn the_messages_of_a_client_are_decoded() {
     ] {
         let mut datagram = encoded(|out| encode::client_message(&message, out));
         assert_eq!(ClientMessage::decode(&datagram), Ok(message));
-        // The vendor's sample client sends one NUL it does not count.
+        // The vendor's sample client sends one NUL beyond the declared length.
         datagram.push(0);
         assert_eq!(ClientMessage::decode(&datagram), Ok(message));
         datagram.push(0);
@@ -128,7 +128,7 @@ fn the_messages_of_a_client_are_decoded() {
 }
 
 #[test]
-fn a_connect_message_is_long_enough_for_servers_that_crash_on_less() {
+fn a_connect_message_has_the_length_that_servers_need() {
     let message = ClientMessage::Connect(Connect {
         name: "Singletrack",
         requested_bitstream: None,

@@ -1,5 +1,5 @@
-//! Packets captured from real Motive servers, which the published package
-//! `natnet-decode` carries. They are read where cargo unpacked the package.
+//! Packets captured from real Motive servers. The published package `natnet-decode`
+//! contains them; they are read from the folder into which cargo unpacked it.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -8,7 +8,7 @@ use singletrack_mocap::codec::{
     BitstreamVersion, Frame, ServerInfo, ServerMessage, UnsupportedVersion,
 };
 
-/// The folder cargo unpacked `natnet-decode` into.
+/// The folder into which cargo unpacked `natnet-decode`.
 fn package_folder() -> PathBuf {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)

@@ -1,4 +1,4 @@
-//! Frames that we encode and decode.
+//! Frames are decoded to the values that were encoded.
 
 use proptest::prelude::*;
 use singletrack_mocap::codec::{BitstreamVersion, RigidBody, SectionCounts, ServerMessage};
@@ -63,7 +63,7 @@ fn the_tail_of_a_frame_has_the_documented_length() {
 }
 
 #[test]
-fn a_section_the_version_has_not_is_refused_by_name() {
+fn a_section_that_the_version_does_not_have_is_refused_by_name() {
     let content = FrameContent {
         sections: Sections {
             assets: &[Asset {

@@ -10,7 +10,7 @@ use singletrack_mocap::encode::{
     Skeleton,
 };
 
-/// A frame's content that owns what [`FrameContent`] borrows.
+/// The content of a frame, owned.
 #[derive(Debug, Clone)]
 pub(crate) struct AnyFrame {
     pub(crate) number: i32,
@@ -32,7 +32,7 @@ pub(crate) struct AnyFrame {
 }
 
 impl AnyFrame {
-    /// The frame in a version; sections the version has not are left out.
+    /// The frame in a version, without the sections that the version does not have.
     pub(crate) fn encode(&self, version: BitstreamVersion) -> Vec<u8> {
         let at_least = |major, minor| version >= BitstreamVersion::new(major, minor).unwrap();
         let marker_sets: Vec<_> = self

@@ -2,26 +2,26 @@
 
 use proptest::prelude::*;
 use singletrack_mocap::codec::BitstreamVersion;
-use singletrack_mocap::{CaptureTimeSource, Event, Pose, PoseState, RejectReason, RestartReason};
+use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
+use singletrack_mocap::{CaptureTimeSource, RestartReason, SessionEvent};
 
 use crate::world::{Frame, MS, S, UNICAST, World, config, jitter};
 
 #[track_caller]
-fn valid(state: PoseState) -> Pose {
+fn valid(state: PoseState) -> PlanarPose {
     match state {
         PoseState::Valid(pose) => pose,
         other => panic!("not valid: {other:?}"),
     }
 }
 
-/// How far the capture time is from the truth: frames are captured 8 ms before
-/// they are delivered.
-fn error_ns(pose: &Pose) -> u64 {
+/// Error of the capture time: frames are captured 8 ms before they are delivered.
+fn error_ns(pose: &PlanarPose) -> u64 {
     pose.capture_time_ns.abs_diff(pose.receive_time_ns - 8 * MS)
 }
 
-/// Streams for so many frames and returns the poses.
-fn stream(world: &mut World, frames: std::ops::Range<i32>) -> Vec<Pose> {
+/// Streams these frames and returns the poses.
+fn stream(world: &mut World, frames: std::ops::Range<i32>) -> Vec<PlanarPose> {
     frames
         .map(|number| valid(world.next_state(&Frame::at_rest(number))))
         .collect()
@@ -77,12 +77,12 @@ fn drift_of_50_ppm_and_asymmetric_jitter_leave_less_than_a_typical_half_round_tr
         .max()
         .unwrap();
     assert!(worst_ns <= stated_ns, "{worst_ns} > {stated_ns}");
-    // A round trip takes 0.7 ms in the mean.
+    // The mean round trip is 0.7 ms.
     assert!(stated_ns < 250_000, "{stated_ns}");
 }
 
 #[test]
-fn without_echoes_the_least_delay_serves_and_says_so() {
+fn without_echoes_the_source_is_the_least_delay() {
     let mut world = World::new(config(UNICAST));
     world.server.answers_echo = false;
     world.server.skew_ppm = 50.0;
@@ -94,7 +94,7 @@ fn without_echoes_the_least_delay_serves_and_says_so() {
 }
 
 #[test]
-fn without_mid_exposure_the_timestamp_serves_and_says_so() {
+fn without_mid_exposure_the_source_is_the_timestamp() {
     let mut world = World::connected(config(UNICAST));
     for number in 0..500 {
         let mut frame = Frame::at_rest(number);
@@ -106,7 +106,7 @@ fn without_mid_exposure_the_timestamp_serves_and_says_so() {
 }
 
 #[test]
-fn before_3_0_the_timestamp_serves_and_no_echo_is_sent() {
+fn before_3_0_the_source_is_the_timestamp_and_no_echo_is_sent() {
     let mut world = World::new(config(UNICAST));
     world.server.native = [2, 9];
     world.run(50 * MS);
@@ -139,13 +139,13 @@ fn queued_frames_released_at_once_keep_their_age() {
 fn a_capture_time_is_never_in_the_future() {
     let mut world = World::connected(config(UNICAST));
     stream(&mut world, 0..100);
-    // The frame arrives before it was captured, by a little and by far.
+    // The frame arrives before it was captured: first slightly, then by far.
     let bytes = world.encode(&Frame::at_rest(100));
     world.now_ns -= 8 * MS + 20_000;
     world.receive(&bytes);
     let pose = valid(world.observations.last().unwrap().state);
     assert_eq!(pose.capture_time_ns, pose.receive_time_ns);
-    assert_eq!(world.session.counters().capture_clamped, 1);
+    assert_eq!(world.session.counters().session.capture_clamped, 1);
 
     world.now_ns += 18 * MS;
     let bytes = world.encode(&Frame::at_rest(101));
@@ -158,7 +158,7 @@ fn a_capture_time_is_never_in_the_future() {
 }
 
 #[test]
-fn an_echo_that_goes_backward_begins_the_session_anew() {
+fn an_echo_that_goes_backward_restarts_the_session() {
     let mut world = World::connected(config(UNICAST));
     stream(&mut world, 0..100);
     world.server.ticks_at_zero -= 1_000_000_000;
@@ -166,7 +166,7 @@ fn an_echo_that_goes_backward_begins_the_session_anew() {
     assert!(
         world
             .events
-            .contains(&Event::Restarted(RestartReason::ClockBackward))
+            .contains(&SessionEvent::Restarted(RestartReason::ClockBackward))
     );
     let pose = valid(world.next_state(&Frame::at_rest(0)));
     assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
@@ -181,15 +181,15 @@ fn an_echo_that_contradicts_the_others_replaces_them() {
         world.run(10 * MS);
         world.frame(&Frame::at_rest(number));
     }
-    assert_eq!(world.session.counters().clock_steps, 1);
+    assert_eq!(world.session.counters().session.clock_steps, 1);
     let pose = valid(world.next_state(&Frame::at_rest(200)));
     assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
 }
 
 #[test]
-fn an_echo_nobody_asked_for_is_counted_and_changes_nothing() {
+fn an_unsolicited_echo_is_counted_and_changes_nothing() {
     let mut world = World::connected(config(UNICAST));
-    let before = *world.session.counters();
+    let before = world.session.counters().session;
     let mut forged = [0; 64];
     let len = singletrack_mocap::encode::echo_response(
         singletrack_mocap::codec::Echo {
@@ -200,7 +200,7 @@ fn an_echo_nobody_asked_for_is_counted_and_changes_nothing() {
     )
     .unwrap();
     world.receive(&forged[..len]);
-    let after = world.session.counters();
+    let after = world.session.counters().session;
     assert_eq!(after.unsolicited, before.unsolicited + 1);
     assert_eq!(after.echoes, before.echoes);
 }

@@ -3,9 +3,11 @@
 use std::net::SocketAddr;
 
 use singletrack_mocap::codec::{BitstreamVersion, UnsupportedVersion};
+use singletrack_mocap::planar::{
+    PlanarConfig, PlanarConfigError, PlanarOutcome, PlanarSession, PoseState,
+};
 use singletrack_mocap::{
-    Binding, Config, ConfigError, Event, Outcome, Phase, PoseState, RestartReason, Session,
-    Transport, UpAxis,
+    Binding, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
 };
 
 use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};
@@ -71,7 +73,7 @@ fn a_newer_server_is_asked_for_the_configured_bitstream() {
 }
 
 #[test]
-fn an_older_server_is_taken_as_it_is() {
+fn the_bitstream_of_an_older_server_is_accepted() {
     for (native, version) in [
         ([3, 0], BitstreamVersion::V3_0),
         ([2, 9], BitstreamVersion::V2_9),
@@ -89,7 +91,7 @@ fn an_older_server_is_taken_as_it_is() {
 }
 
 #[test]
-fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
+fn a_server_that_keeps_a_supported_bitstream_is_read() {
     for status in [Some(1), None] {
         let mut world = World::new(config(UNICAST));
         world.server.native = [4, 3];
@@ -97,7 +99,7 @@ fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
         world.run(20 * MS);
         let kept = BitstreamVersion::new(4, 3).unwrap();
         assert_eq!(world.session.phase(), Phase::Streaming(kept));
-        assert!(world.events.contains(&Event::BitstreamKept {
+        assert!(world.events.contains(&SessionEvent::BitstreamKept {
             requested: BitstreamVersion::V4_1,
             kept
         }));
@@ -105,21 +107,21 @@ fn a_server_that_keeps_its_bitstream_is_read_if_we_can() {
 }
 
 #[test]
-fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
+fn an_unsupported_bitstream_is_refused_by_number_until_it_is_changed() {
     let mut world = World::new(config(UNICAST));
     world.server.native = [4, 5];
     world.server.bitstream_status = Some(1);
     world.run(3 * S);
     let refusal = UnsupportedVersion { major: 4, minor: 5 };
     assert_eq!(world.session.phase(), Phase::Refused(refusal));
-    let told = world
+    let reported = world
         .events
         .iter()
-        .filter(|event| **event == Event::Refused(refusal))
+        .filter(|event| **event == SessionEvent::Refused(refusal))
         .count();
-    assert_eq!(told, 1);
-    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
-    assert_eq!(world.session.counters().early, 1);
+    assert_eq!(reported, 1);
+    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.session.counters().session.early, 1);
 
     world.server.native = [4, 1];
     world.run(S);
@@ -130,7 +132,7 @@ fn an_unsupported_bitstream_is_refused_by_number_until_somebody_changes_it() {
 }
 
 #[test]
-fn an_ancient_server_is_refused_without_asking() {
+fn a_server_before_2_7_is_refused_without_a_request() {
     let mut world = World::new(config(UNICAST));
     world.server.native = [2, 5];
     world.run(20 * MS);
@@ -142,7 +144,7 @@ fn an_ancient_server_is_refused_without_asking() {
 }
 
 #[test]
-fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
+fn multicast_accepts_the_servers_bitstream_and_sends_no_keep_alive() {
     let mut world = World::new(config(Transport::Multicast));
     world.server.native = [4, 2];
     world.server.multicast = true;
@@ -155,11 +157,9 @@ fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
             .all(|(_, sent)| !matches!(sent, Sent::Request(_)))
     );
     let version = BitstreamVersion::V4_2;
-    assert!(
-        world.events.iter().any(
-            |event| matches!(event, Event::Connected(connected) if connected.version == version)
-        )
-    );
+    assert!(world.events.iter().any(
+        |event| matches!(event, SessionEvent::Connected(connected) if connected.version == version)
+    ));
 
     let mut world = World::new(config(Transport::Multicast));
     world.server.native = [4, 5];
@@ -171,17 +171,17 @@ fn multicast_takes_what_the_server_sends_and_keeps_nothing_alive() {
 }
 
 #[test]
-fn a_server_that_streams_the_other_way_is_told_of() {
+fn a_server_with_the_other_transport_is_reported() {
     let mut world = World::new(config(UNICAST));
     world.server.multicast = true;
     world.run(20 * MS);
-    assert!(world.events.contains(&Event::TransportMismatch {
+    assert!(world.events.contains(&SessionEvent::TransportMismatch {
         server_multicast: true
     }));
 }
 
 #[test]
-fn keep_alive_and_echo_keep_their_rates() {
+fn keep_alive_and_echo_are_sent_at_their_rates() {
     let mut world = World::connected(config(UNICAST));
     for number in 0..1_000 {
         world.next_state(&Frame::at_rest(number));
@@ -199,36 +199,36 @@ fn keep_alive_and_echo_keep_their_rates() {
 #[test]
 fn frames_before_the_handshake_are_counted_and_dropped() {
     let mut world = World::new(config(UNICAST));
-    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
-    assert_eq!(world.session.counters().early, 1);
+    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.session.counters().session.early, 1);
     assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
 }
 
 #[test]
-fn another_address_is_counted_and_changes_nothing() {
+fn a_datagram_from_another_address_is_counted_and_changes_nothing() {
     let mut world = World::connected(config(UNICAST));
     let bytes = world.encode(&Frame::at_rest(1));
     let stranger: SocketAddr = "192.168.1.66:1510".parse().unwrap();
     assert_eq!(
         world
             .session
-            .handle_datagram(world.now_ns, stranger, &bytes),
-        Outcome::WrongSource
+            .handle_datagram(world.now_ns, stranger, &bytes, &mut |_| {}),
+        PlanarOutcome::WrongSource
     );
-    assert_eq!(world.session.counters().wrong_source, 1);
-    assert_eq!(world.session.counters().frames, 0);
-    // The data port is the server's as well.
+    assert_eq!(world.session.counters().session.wrong_source, 1);
+    assert_eq!(world.session.counters().session.frames, 0);
+    // The data port belongs to the server as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
         world
             .session
-            .handle_datagram(world.now_ns, data_port, &bytes),
-        Outcome::Frame(_)
+            .handle_datagram(world.now_ns, data_port, &bytes, &mut |_| {}),
+        PlanarOutcome::Frame(_)
     ));
 }
 
 #[test]
-fn a_server_that_leaves_and_returns_is_connected_to_again() {
+fn the_session_connects_again_to_a_server_that_left() {
     let mut world = World::connected(config(UNICAST));
     world.next_state(&Frame::at_rest(1));
     let mut goodbye = [0; 4];
@@ -239,7 +239,7 @@ fn a_server_that_leaves_and_returns_is_connected_to_again() {
     assert!(
         world
             .events
-            .contains(&Event::Restarted(RestartReason::ServerLeft))
+            .contains(&SessionEvent::Restarted(RestartReason::ServerLeft))
     );
     // Its numbers start again, as after any restart.
     assert!(matches!(
@@ -249,7 +249,7 @@ fn a_server_that_leaves_and_returns_is_connected_to_again() {
 }
 
 #[test]
-fn a_closed_session_says_goodbye_and_then_nothing() {
+fn a_closed_session_sends_disconnect_and_then_nothing() {
     let mut world = World::connected(config(UNICAST));
     world.sent.clear();
     world.session.close();
@@ -262,26 +262,26 @@ fn a_closed_session_says_goodbye_and_then_nothing() {
 }
 
 #[test]
-fn nonsense_in_the_configuration_is_refused_by_name() {
-    let new = |name: &str| Config::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
-    assert_eq!(new(""), Err(ConfigError::RigidBodyName { len: 0 }));
+fn an_invalid_configuration_is_refused_with_the_fields_name() {
+    let new = |name: &str| PlanarConfig::new(SERVER.ip(), UNICAST, name, UpAxis::Y).map(drop);
+    assert_eq!(new(""), Err(PlanarConfigError::RigidBodyName { len: 0 }));
     assert_eq!(
         new(&"x".repeat(256)),
-        Err(ConfigError::RigidBodyName { len: 256 })
+        Err(PlanarConfigError::RigidBodyName { len: 256 })
     );
     let mut bad = config(UNICAST);
     bad.limits.max_speed_m_s = -1.0;
     assert_eq!(
-        Session::new(bad).map(drop).unwrap_err(),
-        ConfigError::NotPositive {
+        PlanarSession::new(bad).map(drop).unwrap_err(),
+        PlanarConfigError::NotPositive {
             key: "max_speed_m_s",
             value: -1.0
         }
     );
     let mut bad = config(UNICAST);
-    bad.timing.echo_ns = 0;
+    bad.session.timing.echo_ns = 0;
     assert_eq!(
-        Session::new(bad).map(drop).unwrap_err(),
-        ConfigError::Zero { key: "echo_ns" }
+        PlanarSession::new(bad).map(drop).unwrap_err(),
+        PlanarConfigError::Session(SessionConfigError::Zero { key: "echo_ns" })
     );
 }

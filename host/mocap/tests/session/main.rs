@@ -1,11 +1,14 @@
-//! The session in virtual time, against a scripted server.
+//! The sessions in virtual time, against a scripted server.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
     reason = "test helpers fail the test that calls them"
 )]
 
+mod bits;
+mod bodies;
 mod clock;
+mod deadlines;
 mod handshake;
 mod models;
 mod poses;

@@ -1,12 +1,13 @@
-//! Which id has the name.
+//! The streaming id of the body's name.
 
+use singletrack_mocap::Binding;
 use singletrack_mocap::codec::{FrameFlags, RigidBody};
-use singletrack_mocap::{Binding, Event, PoseState};
+use singletrack_mocap::planar::PoseState;
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, config};
 
 #[test]
-fn a_name_that_is_missing_is_a_state_until_it_appears() {
+fn a_missing_name_is_a_state_until_the_name_appears() {
     let mut world = World::new(config(UNICAST));
     world.server.models = vec![("other", 3), ("Car", CAR)];
     world.run(20 * MS);
@@ -22,20 +23,20 @@ fn a_name_that_is_missing_is_a_state_until_it_appears() {
 }
 
 #[test]
-fn a_name_that_two_bodies_have_is_not_guessed_at() {
+fn a_name_of_two_bodies_is_ambiguous() {
     let mut world = World::new(config(UNICAST));
     world.server.models = vec![("car", 1), ("other", 3), ("car", CAR)];
     world.run(20 * MS);
     let ambiguous = Binding::Ambiguous { count: 2 };
     assert_eq!(world.session.binding(), ambiguous);
-    assert!(world.events.contains(&Event::Binding(ambiguous)));
+    assert!(world.bindings.contains(&ambiguous));
     assert_eq!(
         world.next_state(&Frame::at_rest(1)),
         PoseState::Unbound(ambiguous)
     );
 }
 
-/// Another body stands where the car's id used to point.
+/// Another body has the car's former id.
 fn after_swap(number: i32) -> Frame {
     let mut other = car_at(0.02, 0.0);
     other.id = CAR;
@@ -55,7 +56,7 @@ fn ids_that_change_with_the_flag_never_yield_another_bodys_pose() {
         world.next_state(&changed),
         PoseState::Unbound(Binding::Unresolved)
     );
-    // The flag may stay for a while: the definitions are read once, then slowly.
+    // The flag may stay set: the definitions are read once at once, then slowly.
     for number in 3..20 {
         let mut frame = after_swap(number);
         frame.flags = FrameFlags::MODELS_CHANGED;
@@ -78,7 +79,7 @@ fn ids_that_change_without_the_flag_are_noticed_by_polling() {
 }
 
 #[test]
-fn lost_definitions_are_asked_for_again_soon() {
+fn lost_definitions_are_soon_requested_again() {
     let mut world = World::connected(config(UNICAST));
     world.server.answers = false;
     let mut changed = Frame::at_rest(1);
@@ -94,7 +95,7 @@ fn lost_definitions_are_asked_for_again_soon() {
 fn a_damaged_definition_is_counted_and_leaves_the_binding() {
     let mut world = World::connected(config(UNICAST));
     world.receive(&[5, 0, 4, 0, 1, 0, 0, 0]);
-    assert_eq!(world.session.counters().malformed, 1);
+    assert_eq!(world.session.counters().session.malformed, 1);
     assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
     world.run(S);
     let body = RigidBody::tracked(CAR, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);

@@ -1,17 +1,18 @@
-//! Which poses are believed.
+//! Which poses are accepted.
 
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 use std::f64::consts::FRAC_PI_2;
 
+use singletrack_mocap::UpAxis;
 use singletrack_mocap::codec::RigidBody;
-use singletrack_mocap::{Pose, PoseState, RejectReason, UpAxis};
+use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config};
 
 const LEVEL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 #[track_caller]
-fn valid(state: PoseState) -> Pose {
+fn valid(state: PoseState) -> PlanarPose {
     match state {
         PoseState::Valid(pose) => pose,
         other => panic!("not valid: {other:?}"),
@@ -37,7 +38,7 @@ fn assert_rejected(body: RigidBody, reason: RejectReason) {
 }
 
 #[test]
-fn a_valid_pose_carries_what_the_frame_said() {
+fn a_valid_pose_carries_the_values_of_the_frame() {
     let mut world = world_with_car();
     let mut body = car_heading(0.3);
     body.position_m = [0.01, -0.02, 0.05];
@@ -57,7 +58,7 @@ fn a_valid_pose_carries_what_the_frame_said() {
 #[test]
 fn y_up_turns_position_and_attitude_alike() {
     let mut y_up = config(UNICAST);
-    y_up.up_axis = UpAxis::Y;
+    y_up.session.up_axis = UpAxis::Y;
     let mut world = World::connected(y_up);
     // Stream: 1 m along x, 0.1 m up, 2 m along z; a quarter turn about y.
     let body = RigidBody::tracked(
@@ -95,7 +96,7 @@ fn untracked_and_absent_are_not_poses() {
 }
 
 #[test]
-fn numbers_that_are_none_are_rejected() {
+fn numbers_that_are_not_finite_are_rejected() {
     for index in 0..3 {
         let mut body = car_at(0.0, 0.0);
         body.position_m[index] = f32::NAN;
@@ -112,7 +113,7 @@ fn numbers_that_are_none_are_rejected() {
 }
 
 #[test]
-fn a_quaternion_that_is_no_rotation_is_rejected() {
+fn a_quaternion_whose_norm_is_not_one_is_rejected() {
     for quaternion in [[0.0; 4], [0.0, 0.0, 0.0, 1.02], [1.0, 1.0, 1.0, 1.0]] {
         let body = RigidBody::tracked(CAR, [0.0; 3], quaternion);
         assert_rejected(body, RejectReason::NotUnitQuaternion);
@@ -120,14 +121,14 @@ fn a_quaternion_that_is_no_rotation_is_rejected() {
 }
 
 #[test]
-fn a_bad_fit_is_rejected() {
+fn a_large_marker_error_is_rejected() {
     let mut body = car_at(0.0, 0.0);
     body.mean_error_m = 0.005_1;
     assert_rejected(body, RejectReason::MeanError);
 }
 
 #[test]
-fn an_id_that_two_bodies_have_is_rejected() {
+fn an_id_of_two_bodies_is_rejected() {
     let mut world = world_with_car();
     let frame = Frame::new(1, &[car_at(0.0, 0.0), car_at(0.0, 0.0)]);
     assert_eq!(
@@ -145,13 +146,13 @@ fn a_jump_faster_than_the_car_is_rejected() {
 }
 
 #[test]
-fn a_pose_captured_long_before_the_last_one_is_rejected_and_opens_no_gate_for_a_jump() {
+fn a_pose_captured_long_before_the_last_one_is_rejected_and_does_not_allow_a_jump() {
     let mut world = world_with_car();
     let mut old = Frame::at_rest(1);
     old.age_ns = 600 * S;
     let state = world.next_state(&old);
     assert_eq!(state, PoseState::Rejected(RejectReason::CaptureTime));
-    // Not where a car can be that has had ten minutes to get there.
+    // The car did not have ten minutes to get there.
     let state = world.next_state(&Frame::new(2, &[car_at(3.0, 0.0)]));
     assert_eq!(state, PoseState::Rejected(RejectReason::Jump));
     valid(world.next_state(&Frame::at_rest(3)));
@@ -160,7 +161,7 @@ fn a_pose_captured_long_before_the_last_one_is_rejected_and_opens_no_gate_for_a_
 #[test]
 fn a_heading_that_flips_is_rejected() {
     assert_rejected(car_heading(PI), RejectReason::Flip);
-    // Across the branch cut is no flip.
+    // A step across the branch cut is not a flip.
     let mut world = World::connected(config(UNICAST));
     valid(world.next_state(&Frame::new(1, &[car_heading(PI - 0.01)])));
     valid(world.next_state(&Frame::new(2, &[car_heading(0.01 - PI)])));
@@ -180,9 +181,9 @@ fn an_up_axis_that_tips_over_is_rejected() {
 }
 
 #[test]
-fn many_rejects_lock_the_body_out_and_consistent_ones_let_it_in_again() {
+fn many_rejects_lock_the_body_out_and_consistent_poses_end_the_lock_out() {
     let mut world = world_with_car();
-    // Far away, so that time does not explain the jump.
+    // So far away that the elapsed time does not explain the jump.
     let elsewhere = |number| Frame::new(number, &[car_at(30.0, 0.0)]);
     for number in 1..10 {
         assert_eq!(
@@ -232,7 +233,7 @@ fn a_silent_stream_is_stale_and_its_last_pose_is_not_passed_on() {
         }
     );
     world.run(100 * MS);
-    assert_eq!(world.session.counters().stale, 1);
+    assert_eq!(world.session.counters().session.stale, 1);
     valid(world.next_state(&Frame::new(
         1,
         &[RigidBody::tracked(CAR, [0.0, 0.0, 0.05], LEVEL)],

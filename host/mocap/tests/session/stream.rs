@@ -1,6 +1,7 @@
 //! Order of frames, and streams that break.
 
-use singletrack_mocap::{Event, Outcome, Phase, PoseState, RestartReason};
+use singletrack_mocap::planar::{PlanarOutcome, PoseState};
+use singletrack_mocap::{Phase, RestartReason, SessionEvent};
 
 use crate::world::{Frame, MS, S, Sent, UNICAST, World, config};
 
@@ -14,8 +15,8 @@ fn gaps_are_counted_as_lost() {
     for number in [10, 11, 15, 16] {
         world.next_state(&Frame::at_rest(number));
     }
-    assert_eq!(world.session.counters().lost, 3);
-    assert_eq!(world.session.counters().frames, 4);
+    assert_eq!(world.session.counters().session.lost, 3);
+    assert_eq!(world.session.counters().session.frames, 4);
 }
 
 #[test]
@@ -24,17 +25,17 @@ fn frame_numbers_may_wrap() {
     for number in [i32::MAX - 1, i32::MAX, i32::MIN, i32::MIN + 2] {
         world.next_state(&Frame::at_rest(number));
     }
-    assert_eq!(world.session.counters().lost, 1);
+    assert_eq!(world.session.counters().session.lost, 1);
 }
 
 #[test]
 fn the_same_frame_twice_is_taken_once() {
     let mut world = connected();
     let bytes = world.encode(&Frame::at_rest(1));
-    assert!(matches!(world.receive(&bytes), Outcome::Frame(_)));
-    assert_eq!(world.receive(&bytes), Outcome::Duplicate);
-    assert_eq!(world.session.counters().duplicates, 1);
-    assert_eq!(world.session.counters().frames, 1);
+    assert!(matches!(world.receive(&bytes), PlanarOutcome::Frame(_)));
+    assert_eq!(world.receive(&bytes), PlanarOutcome::Duplicate);
+    assert_eq!(world.session.counters().session.duplicates, 1);
+    assert_eq!(world.session.counters().session.frames, 1);
 }
 
 #[test]
@@ -43,8 +44,8 @@ fn a_frame_that_was_overtaken_is_dropped() {
     let slow = world.encode(&Frame::at_rest(1));
     world.next_state(&Frame::at_rest(2));
     let state = world.session.pose_state(world.now_ns);
-    assert_eq!(world.receive(&slow), Outcome::Late);
-    assert_eq!(world.session.counters().late, 1);
+    assert_eq!(world.receive(&slow), PlanarOutcome::Late);
+    assert_eq!(world.session.counters().session.late, 1);
     assert_eq!(world.session.pose_state(world.now_ns), state);
 }
 
@@ -56,17 +57,17 @@ fn numbers_that_start_again_while_the_clock_goes_on_are_followed() {
         world.next_state(&Frame::at_rest(0)),
         PoseState::Valid(_)
     ));
-    assert_eq!(world.session.counters().renumbered, 1);
-    assert_eq!(world.session.counters().lost, 0);
+    assert_eq!(world.session.counters().session.renumbered, 1);
+    assert_eq!(world.session.counters().session.lost, 0);
 }
 
 #[test]
-fn a_server_that_started_again_is_connected_to_again() {
+fn the_session_connects_again_to_a_server_that_started_again() {
     let mut world = connected();
     for number in 1_000..1_100 {
         world.next_state(&Frame::at_rest(number));
     }
-    // Both its numbers and its clock begin anew.
+    // Both its numbers and its clock start again.
     world.server.ticks_at_zero = 0;
     for number in 0..100 {
         world.run(10 * MS);
@@ -74,7 +75,7 @@ fn a_server_that_started_again_is_connected_to_again() {
     }
     assert!(world.events.iter().any(|event| matches!(
         event,
-        Event::Restarted(RestartReason::FramesBackward | RestartReason::ClockBackward)
+        SessionEvent::Restarted(RestartReason::FramesBackward | RestartReason::ClockBackward)
     )));
     let PoseState::Valid(pose) = world.session.pose_state(world.now_ns) else {
         panic!("{:?}", world.session.pose_state(world.now_ns));
@@ -84,7 +85,7 @@ fn a_server_that_started_again_is_connected_to_again() {
 }
 
 #[test]
-fn a_few_old_frames_are_no_restart() {
+fn a_few_old_frames_do_not_restart_the_session() {
     let mut world = connected();
     let old: Vec<_> = (1..10)
         .map(|number| {
@@ -94,11 +95,11 @@ fn a_few_old_frames_are_no_restart() {
         .collect();
     world.next_state(&Frame::at_rest(20));
     for bytes in &old {
-        assert_eq!(world.receive(bytes), Outcome::Late);
+        assert_eq!(world.receive(bytes), PlanarOutcome::Late);
     }
     world.next_state(&Frame::at_rest(21));
-    assert_eq!(world.session.counters().restarts, 0);
-    assert_eq!(world.session.counters().late, 9);
+    assert_eq!(world.session.counters().session.restarts, 0);
+    assert_eq!(world.session.counters().session.late, 9);
 }
 
 #[test]
@@ -108,16 +109,22 @@ fn a_malformed_datagram_is_counted_and_changes_nothing() {
     let before = world.session.pose_state(world.now_ns);
     let good = world.encode(&Frame::at_rest(2));
     for len in 0..good.len() {
-        assert!(matches!(world.receive(&good[..len]), Outcome::Malformed(_)));
+        assert!(matches!(
+            world.receive(&good[..len]),
+            PlanarOutcome::Malformed(_)
+        ));
     }
-    assert_eq!(world.session.counters().malformed, good.len() as u64);
-    assert_eq!(world.session.counters().frames, 1);
+    assert_eq!(
+        world.session.counters().session.malformed,
+        good.len() as u64
+    );
+    assert_eq!(world.session.counters().session.frames, 1);
     assert_eq!(world.session.pose_state(world.now_ns), before);
     assert!(matches!(world.session.phase(), Phase::Streaming(_)));
 }
 
 #[test]
-fn a_bitstream_that_changes_underway_is_asked_about_again() {
+fn a_bitstream_that_changes_in_the_stream_is_negotiated_again() {
     let mut world = connected();
     world.next_state(&Frame::at_rest(1));
     world.server.native = [3, 1];
@@ -130,11 +137,11 @@ fn a_bitstream_that_changes_underway_is_asked_about_again() {
         world.session.pose_state(world.now_ns),
         PoseState::Valid(_)
     ));
-    assert_eq!(world.session.counters().malformed, 20);
+    assert_eq!(world.session.counters().session.malformed, 20);
 }
 
 /// A frame of another bitstream than the session's.
-fn rubbish(world: &mut World) -> Vec<u8> {
+fn undecodable(world: &mut World) -> Vec<u8> {
     let native = world.server.stream;
     world.server.stream = singletrack_mocap::codec::BitstreamVersion::V3_1;
     let bytes = world.encode(&Frame::at_rest(1_000));
@@ -143,47 +150,50 @@ fn rubbish(world: &mut World) -> Vec<u8> {
 }
 
 #[test]
-fn rubbish_between_good_frames_does_not_begin_the_conversation_anew() {
+fn undecodable_frames_between_good_ones_do_not_restart_the_session() {
     let mut world = connected();
-    let rubbish = rubbish(&mut world);
+    let undecodable = undecodable(&mut world);
     for number in 1..50 {
         world.next_state(&Frame::at_rest(number));
         for _ in 0..100 {
-            assert!(matches!(world.receive(&rubbish), Outcome::Malformed(_)));
+            assert!(matches!(
+                world.receive(&undecodable),
+                PlanarOutcome::Malformed(_)
+            ));
         }
     }
-    assert_eq!(world.session.counters().restarts, 0);
+    assert_eq!(world.session.counters().session.restarts, 0);
     assert!(matches!(world.session.phase(), Phase::Streaming(_)));
 }
 
 #[test]
-fn a_flood_of_rubbish_alone_begins_the_conversation_anew_ten_times_a_second_at_most() {
+fn a_flood_of_undecodable_frames_restarts_the_session_ten_times_a_second_at_most() {
     let mut world = connected();
-    let rubbish = rubbish(&mut world);
+    let undecodable = undecodable(&mut world);
     for _ in 0..1_000 {
         world.run(MS);
         for _ in 0..100 {
-            world.receive(&rubbish);
+            world.receive(&undecodable);
         }
     }
-    let restarts = world.session.counters().restarts;
+    let restarts = world.session.counters().session.restarts;
     assert!((1..=10).contains(&restarts), "{restarts}");
 }
 
 #[test]
-fn a_stream_that_falls_silent_is_connected_to_again() {
+fn the_session_connects_again_when_the_stream_is_silent() {
     let mut world = connected();
     world.next_state(&Frame::at_rest(1));
     world.sent.clear();
     world.run(1_990 * MS);
     assert_eq!(world.count_sent(&Sent::Connect), 0);
-    assert!(world.events.contains(&Event::Stale));
+    assert!(world.events.contains(&SessionEvent::Stale));
     world.run(20 * MS);
     assert_eq!(world.count_sent(&Sent::Connect), 1);
     assert!(
         world
             .events
-            .contains(&Event::Restarted(RestartReason::Silence))
+            .contains(&SessionEvent::Restarted(RestartReason::Silence))
     );
     assert!(matches!(
         world.next_state(&Frame::at_rest(500)),
@@ -192,7 +202,7 @@ fn a_stream_that_falls_silent_is_connected_to_again() {
 }
 
 #[test]
-fn a_server_that_answers_but_sends_no_frames_is_connected_to_again() {
+fn the_session_connects_again_when_a_server_sends_no_frames() {
     let mut world = connected();
     world.sent.clear();
     world.run(10 * S);

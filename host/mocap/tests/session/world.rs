@@ -8,9 +8,10 @@ use singletrack_mocap::codec::{
     RigidBody, RigidBodyDefinition, ServerInfo, bitstream_request,
 };
 use singletrack_mocap::encode::{self, Dataset, FrameContent};
-use singletrack_mocap::{
-    Config, Event, Observation, Outcome, PoseState, Session, Transport, UpAxis,
+use singletrack_mocap::planar::{
+    Observation, PlanarConfig, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
 };
+use singletrack_mocap::{Binding, SessionEvent, Transport, UpAxis};
 
 pub(crate) const MS: u64 = 1_000_000;
 pub(crate) const S: u64 = 1_000 * MS;
@@ -24,8 +25,8 @@ pub(crate) const UNICAST: Transport = Transport::Unicast {
     bitstream: Some(BitstreamVersion::V4_1),
 };
 
-pub(crate) fn config(transport: Transport) -> Config {
-    Config::new(SERVER.ip(), transport, "car", UpAxis::Z).unwrap()
+pub(crate) fn config(transport: Transport) -> PlanarConfig {
+    PlanarConfig::new(SERVER.ip(), transport, "car", UpAxis::Z).unwrap()
 }
 
 /// The scripted server.
@@ -39,7 +40,7 @@ pub(crate) struct Server {
     pub(crate) answers: bool,
     pub(crate) answers_echo: bool,
     pub(crate) models: Vec<(&'static str, i32)>,
-    /// What frames and definitions are encoded as.
+    /// The bitstream of frames and definitions.
     pub(crate) stream: BitstreamVersion,
     /// Ticks shown at local time 0, and the rate error of its clock.
     pub(crate) ticks_at_zero: u64,
@@ -118,7 +119,7 @@ impl Server {
     }
 }
 
-/// The part of a client's message that tests ask for.
+/// The part of a client's message that tests check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Sent {
     Connect,
@@ -129,27 +130,29 @@ pub(crate) enum Sent {
     Disconnect,
 }
 
-/// How long a datagram travels; `None` loses it. The flag says "to the server".
+/// The travel time of a datagram; `None` loses it. The flag means "to the server".
 pub(crate) type Network = Box<dyn FnMut(bool) -> Option<u64>>;
 
 pub(crate) struct World {
     pub(crate) now_ns: u64,
-    pub(crate) session: Session,
+    pub(crate) session: PlanarSession,
     pub(crate) server: Server,
     pub(crate) network: Network,
-    /// Arrival time and bytes of what is on its way to the client.
+    /// Arrival time and bytes of the datagrams on their way to the client.
     in_flight: Vec<(u64, Vec<u8>)>,
-    /// When the session sent what.
+    /// What the session sent, with its time.
     pub(crate) sent: Vec<(u64, Sent)>,
-    pub(crate) events: Vec<Event>,
+    pub(crate) events: Vec<SessionEvent>,
+    /// Events about the body's name.
+    pub(crate) bindings: Vec<Binding>,
     pub(crate) observations: Vec<Observation>,
 }
 
 impl World {
-    pub(crate) fn new(config: Config) -> Self {
+    pub(crate) fn new(config: PlanarConfig) -> Self {
         Self {
             now_ns: 1_000 * S,
-            session: Session::new(config).unwrap(),
+            session: PlanarSession::new(config).unwrap(),
             server: Server {
                 native: [4, 1],
                 bitstream_status: Some(0),
@@ -165,12 +168,13 @@ impl World {
             in_flight: vec![],
             sent: vec![],
             events: vec![],
+            bindings: vec![],
             observations: vec![],
         }
     }
 
     /// A world whose session is connected and bound.
-    pub(crate) fn connected(config: Config) -> Self {
+    pub(crate) fn connected(config: PlanarConfig) -> Self {
         let mut world = Self::new(config);
         world.run(20 * MS);
         world
@@ -197,6 +201,9 @@ impl World {
     }
 
     fn drain(&mut self) {
+        let (events, bindings) = (&mut self.events, &mut self.bindings);
+        self.session
+            .handle_timeout(self.now_ns, &mut |event| keep(event, events, bindings));
         while let Some(datagram) = self.session.poll_transmit(self.now_ns) {
             assert_eq!(datagram.destination, SERVER);
             let message = ClientMessage::decode(&datagram.bytes).unwrap();
@@ -220,9 +227,6 @@ impl World {
                 self.in_flight.push((at_server_ns + back_ns, answer));
             }
         }
-        while let Some(event) = self.session.poll_event() {
-            self.events.push(event);
-        }
     }
 
     fn deliver(&mut self) {
@@ -237,9 +241,14 @@ impl World {
     }
 
     /// Hands a datagram to the session now.
-    pub(crate) fn receive(&mut self, bytes: &[u8]) -> Outcome {
-        let outcome = self.session.handle_datagram(self.now_ns, SERVER, bytes);
-        if let Outcome::Frame(observation) = outcome {
+    pub(crate) fn receive(&mut self, bytes: &[u8]) -> PlanarOutcome {
+        let (events, bindings) = (&mut self.events, &mut self.bindings);
+        let outcome = self
+            .session
+            .handle_datagram(self.now_ns, SERVER, bytes, &mut |event| {
+                keep(event, events, bindings);
+            });
+        if let PlanarOutcome::Frame(observation) = outcome {
             self.observations.push(observation);
         }
         outcome
@@ -272,23 +281,30 @@ impl World {
     }
 
     /// Delivers a frame now.
-    pub(crate) fn frame(&mut self, frame: &Frame) -> Outcome {
+    pub(crate) fn frame(&mut self, frame: &Frame) -> PlanarOutcome {
         let bytes = self.encode(frame);
         self.receive(&bytes)
     }
 
-    /// Lets 10 ms pass, delivers a frame and tells what it says of the body.
+    /// Lets 10 ms pass, delivers a frame and returns the state of the body in it.
     #[track_caller]
     pub(crate) fn next_state(&mut self, frame: &Frame) -> PoseState {
         self.run(10 * MS);
         match self.frame(frame) {
-            Outcome::Frame(observation) => observation.state,
+            PlanarOutcome::Frame(observation) => observation.state,
             other => panic!("not taken: {other:?}"),
         }
     }
 
     pub(crate) fn count_sent(&self, what: &Sent) -> usize {
         self.sent.iter().filter(|(_, sent)| sent == what).count()
+    }
+}
+
+fn keep(event: PlanarEvent, events: &mut Vec<SessionEvent>, bindings: &mut Vec<Binding>) {
+    match event {
+        PlanarEvent::Session(event) => events.push(event),
+        PlanarEvent::Binding(binding) => bindings.push(binding),
     }
 }
 
@@ -299,7 +315,7 @@ pub(crate) struct Frame {
     pub(crate) bodies: Vec<RigidBody>,
     pub(crate) flags: FrameFlags,
     pub(crate) has_mid_exposure: bool,
-    /// How long ago it was captured.
+    /// Time since it was captured.
     pub(crate) age_ns: u64,
 }
 
@@ -331,7 +347,7 @@ pub(crate) fn car_heading(yaw_rad: f32) -> RigidBody {
     RigidBody::tracked(CAR, [0.0, 0.0, 0.05], [0.0, 0.0, sin, cos])
 }
 
-/// A small random generator for delays: reproducible, and good enough.
+/// A small reproducible random generator for delays.
 pub(crate) fn jitter(mut seed: u64) -> impl FnMut(u64) -> u64 {
     move |below_ns| {
         seed = seed

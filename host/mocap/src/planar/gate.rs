@@ -1,30 +1,30 @@
-//! Whether a pose can follow the last one that was believed.
+//! Whether a pose can follow the last accepted one.
 
 use core::f64::consts::{PI, TAU};
 
-use crate::config::PoseLimits;
-use crate::pose::{Pose, RejectReason};
+use super::config::PoseLimits;
+use super::observation::{PlanarPose, RejectReason};
 
-/// What the gate says to a pose.
+/// The gate's decision on a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Verdict {
-    Valid(Pose),
+pub(super) enum Verdict {
+    Valid(PlanarPose),
     Rejected(RejectReason),
     LockedOut(RejectReason),
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct Gate {
+pub(super) struct Gate {
     limits: PoseLimits,
-    last_valid: Option<Pose>,
-    last_implausible: Option<Pose>,
+    last_valid: Option<PlanarPose>,
+    last_implausible: Option<PlanarPose>,
     rejects: u32,
     /// Implausible poses in a row that follow each other, since the lock-out.
     consistent: u32,
 }
 
 impl Gate {
-    pub(crate) const fn new(limits: PoseLimits) -> Self {
+    pub(super) const fn new(limits: PoseLimits) -> Self {
         Self {
             limits,
             last_valid: None,
@@ -34,7 +34,7 @@ impl Gate {
         }
     }
 
-    pub(crate) fn judge(&mut self, candidate: Result<Pose, RejectReason>) -> Verdict {
+    pub(super) fn judge(&mut self, candidate: Result<PlanarPose, RejectReason>) -> Verdict {
         let pose = match candidate {
             Ok(pose) => pose,
             Err(reason) => {
@@ -70,7 +70,7 @@ impl Gate {
         self.rejects >= self.limits.max_consecutive_rejects
     }
 
-    fn accept(&mut self, mut pose: Pose, reacquired: bool) -> Verdict {
+    fn accept(&mut self, mut pose: PlanarPose, reacquired: bool) -> Verdict {
         pose.reacquired = reacquired;
         self.last_valid = Some(pose);
         self.last_implausible = None;
@@ -89,9 +89,9 @@ impl Gate {
     }
 
     /// Whether a body that was at `from` can be at `to`.
-    fn follows(&self, from: &Pose, to: &Pose) -> Result<(), RejectReason> {
-        // One pose of long ago would make the next one plausible wherever it is:
-        // the body would have had so much time to get there.
+    fn follows(&self, from: &PlanarPose, to: &PlanarPose) -> Result<(), RejectReason> {
+        // Accepting an old capture time would make the next pose plausible wherever it
+        // is: the body would have had a long time to get there.
         let backward_ns = from.capture_time_ns.saturating_sub(to.capture_time_ns);
         let uncertainty_ns = from
             .capture_uncertainty_ns

@@ -1,0 +1,24 @@
+//! The axes of the stream and those of the world frame.
+
+/// The axis that points up in the server's stream: a setting of the server that
+/// is not on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UpAxis {
+    /// y points up (Motive's default). World x is the stream's x, world y its -z.
+    Y,
+    /// z points up, as in the world frame.
+    Z,
+}
+
+impl UpAxis {
+    /// A vector of the stream in the world frame. The vector part of a quaternion
+    /// turns in the same way.
+    #[must_use]
+    pub fn to_z_up(self, [x, y, z]: [f32; 3]) -> [f64; 3] {
+        let [x, y, z] = [f64::from(x), f64::from(y), f64::from(z)];
+        match self {
+            Self::Y => [x, -z, y],
+            Self::Z => [x, y, z],
+        }
+    }
+}

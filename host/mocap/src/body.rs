@@ -1,0 +1,136 @@
+//! The rigid bodies of a frame, with whole poses.
+
+use crate::axes::UpAxis;
+use crate::codec::{RigidBodies, RigidBody};
+
+/// Where a rigid body is, in the right-handed world frame with z up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct BodyPose {
+    /// Position x, y, z of the body's pivot, in metres.
+    pub position_m: [f64; 3],
+    /// Unit quaternion x, y, z, w: it turns a vector of the body's frame into the
+    /// world frame.
+    pub orientation_xyzw: [f64; 4],
+    /// Mean distance of the markers from the model, in metres.
+    pub mean_error_m: f64,
+}
+
+/// What one frame says of one rigid body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Body {
+    /// The streaming id. The model definitions give it a name.
+    pub id: i32,
+    /// Its pose, or why there is none.
+    pub state: BodyState,
+}
+
+/// A body's pose, or why there is none.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BodyState {
+    /// The cameras see the body.
+    Tracked(BodyPose),
+    /// The server lists the body as not tracked. It repeats an old pose or zeros,
+    /// which are not passed on.
+    Untracked,
+    /// The server lists the body as tracked, but its numbers are not a pose.
+    Invalid(InvalidBody),
+}
+
+/// Why the numbers of a tracked body are not a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum InvalidBody {
+    /// A number of the pose or its mean error is not finite.
+    #[error("a number of the pose is not finite")]
+    NotFinite,
+    /// The quaternion's norm differs from one by more than the tolerance.
+    #[error("the quaternion's norm is not one")]
+    NotUnitQuaternion,
+    /// Two bodies of the frame have the id. Only a look-up by id reports this.
+    #[error("two bodies of the frame have the same id")]
+    DuplicateId,
+}
+
+/// How streamed bodies are read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct BodyReading {
+    pub(crate) up_axis: UpAxis,
+    pub(crate) quaternion_norm_tolerance: f64,
+}
+
+impl BodyReading {
+    pub(crate) fn body(&self, body: &RigidBody) -> Body {
+        let state = if body.tracking_valid() {
+            match self.pose(body) {
+                Ok(pose) => BodyState::Tracked(pose),
+                Err(invalid) => BodyState::Invalid(invalid),
+            }
+        } else {
+            BodyState::Untracked
+        };
+        Body { id: body.id, state }
+    }
+
+    fn pose(&self, body: &RigidBody) -> Result<BodyPose, InvalidBody> {
+        let [qx, qy, qz, qw] = body.orientation_xyzw;
+        let position_m = self.up_axis.to_z_up(body.position_m);
+        let vector = self.up_axis.to_z_up([qx, qy, qz]);
+        let w = f64::from(qw);
+        let mean_error_m = f64::from(body.mean_error_m);
+        let finite = position_m
+            .iter()
+            .chain(&vector)
+            .all(|value| value.is_finite());
+        if !(finite && w.is_finite() && mean_error_m.is_finite()) {
+            return Err(InvalidBody::NotFinite);
+        }
+        let norm = libm::sqrt(vector.iter().map(|v| v * v).sum::<f64>() + w * w);
+        if libm::fabs(norm - 1.0) > self.quaternion_norm_tolerance {
+            return Err(InvalidBody::NotUnitQuaternion);
+        }
+        let [x, y, z] = vector.map(|v| v / norm);
+        Ok(BodyPose {
+            position_m,
+            orientation_xyzw: [x, y, z, w / norm],
+            mean_error_m,
+        })
+    }
+}
+
+/// The bodies of a frame in wire order, tracked or not.
+#[derive(Debug, Clone)]
+pub struct Bodies<'a> {
+    pub(crate) bodies: RigidBodies<'a>,
+    pub(crate) reading: BodyReading,
+}
+
+impl Bodies<'_> {
+    /// The body with this id; `None` when the frame does not list it.
+    pub(crate) fn with_id(&self, id: i32) -> Option<Body> {
+        let mut bodies = self.bodies.clone().filter(|body| body.id == id);
+        let body = bodies.next()?;
+        Some(if bodies.next().is_some() {
+            Body {
+                id,
+                state: BodyState::Invalid(InvalidBody::DuplicateId),
+            }
+        } else {
+            self.reading.body(&body)
+        })
+    }
+}
+
+impl Iterator for Bodies<'_> {
+    type Item = Body;
+
+    fn next(&mut self) -> Option<Body> {
+        self.bodies.next().map(|body| self.reading.body(&body))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.bodies.size_hint()
+    }
+}
+
+impl ExactSizeIterator for Bodies<'_> {}

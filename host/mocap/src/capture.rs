@@ -1,0 +1,49 @@
+//! When a frame was captured, in local time.
+
+/// The capture time of a frame on the local clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CaptureTime {
+    /// The middle of the exposure, in nanoseconds of the local clock. It is never
+    /// after the frame's arrival.
+    pub time_ns: u64,
+    /// Bound on the error of `time_ns`, in nanoseconds.
+    pub uncertainty_ns: u64,
+    /// How `time_ns` was found.
+    pub source: CaptureTimeSource,
+}
+
+/// How a capture time was found, best first.
+///
+/// This enum is exhaustive: a new source is a breaking change, because every user
+/// must decide whether it trusts it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CaptureTimeSource {
+    /// Mid-exposure time, mapped by echo exchanges. The uncertainty is a bound.
+    MidExposureEcho,
+    /// Mid-exposure time, mapped by the least delay observed between sending and
+    /// receiving. The uncertainty rests on an assumed network delay.
+    MidExposureMinDelay,
+    /// The frame's timestamp, mapped by the least delay observed: the server does
+    /// not send mid-exposure time. The uncertainty rests on an assumed latency.
+    FrameTimestamp,
+}
+
+impl CaptureTimeSource {
+    /// All values.
+    pub const ALL: [Self; 3] = [
+        Self::MidExposureEcho,
+        Self::MidExposureMinDelay,
+        Self::FrameTimestamp,
+    ];
+
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::MidExposureEcho => "mid-exposure-echo",
+            Self::MidExposureMinDelay => "mid-exposure-min-delay",
+            Self::FrameTimestamp => "frame-timestamp",
+        }
+    }
+}

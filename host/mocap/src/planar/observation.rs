@@ -1,0 +1,152 @@
+//! What is known of the body: a pose in the plane, or why there is none.
+
+use crate::binding::Binding;
+use crate::body::BodyPose;
+use crate::capture::{CaptureTime, CaptureTimeSource};
+
+/// What one frame says of the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// The server's number of the frame.
+    pub frame_number: i32,
+    /// When the frame arrived, in nanoseconds of the local monotonic clock.
+    pub receive_time_ns: u64,
+    /// The state of the body.
+    pub state: PoseState,
+}
+
+/// What is known of the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PoseState {
+    /// No frame has arrived yet.
+    NoFrames,
+    /// Frames arrive, but the body's name has no id.
+    Unbound(Binding),
+    /// The cameras see the body.
+    Valid(PlanarPose),
+    /// The server lists the body as not tracked.
+    Untracked,
+    /// The frame does not list the body.
+    Absent,
+    /// The pose is not plausible.
+    Rejected(RejectReason),
+    /// Many poses in a row were not plausible. This is the reason for the newest.
+    LockedOut(RejectReason),
+    /// The stream is silent.
+    Stale {
+        /// Duration of the silence.
+        silent_ns: u64,
+    },
+}
+
+/// An accepted pose of the body, in the world frame with z up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlanarPose {
+    /// Position of the body's pivot, in metres.
+    pub x_m: f64,
+    /// Position of the body's pivot, in metres.
+    pub y_m: f64,
+    /// Height of the body's pivot, in metres.
+    pub z_m: f64,
+    /// Heading of the body's x axis in the plane, from world x towards world y,
+    /// in -pi to pi radians.
+    pub yaw_rad: f64,
+    /// Angle between the body's up axis and the world's, in radians.
+    pub tilt_rad: f64,
+    /// Mid-exposure, in nanoseconds of the local monotonic clock. It is never after
+    /// `receive_time_ns`.
+    pub capture_time_ns: u64,
+    /// Bound on the error of `capture_time_ns`, in nanoseconds.
+    pub capture_uncertainty_ns: u64,
+    /// How `capture_time_ns` was found.
+    pub capture_source: CaptureTimeSource,
+    /// When the frame arrived, in nanoseconds of the local monotonic clock.
+    pub receive_time_ns: u64,
+    /// The server's number of the frame.
+    pub frame_number: i32,
+    /// Mean distance of the markers from the model, in metres.
+    pub mean_error_m: f64,
+    /// The pose does not continue the one before: it is the first, or the first
+    /// after a lock-out.
+    pub reacquired: bool,
+}
+
+/// Why a pose is not accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum RejectReason {
+    /// A number is not finite.
+    NotFinite,
+    /// The quaternion's norm is not one.
+    NotUnitQuaternion,
+    /// Two bodies of the frame have the body's id.
+    DuplicateId,
+    /// The mean marker error is above the limit.
+    MeanError,
+    /// The frame has no usable time, one after its arrival, or one before the last
+    /// pose's.
+    CaptureTime,
+    /// The body would have moved faster than it can.
+    Jump,
+    /// The body would have turned faster than it can, or its up axis is too far
+    /// from the world's.
+    Flip,
+}
+
+impl RejectReason {
+    /// All values.
+    pub const ALL: [Self; 7] = [
+        Self::NotFinite,
+        Self::NotUnitQuaternion,
+        Self::DuplicateId,
+        Self::MeanError,
+        Self::CaptureTime,
+        Self::Jump,
+        Self::Flip,
+    ];
+
+    /// The word for this value in status, log, record and documentation.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NotFinite => "not-finite",
+            Self::NotUnitQuaternion => "not-unit-quaternion",
+            Self::DuplicateId => "duplicate-id",
+            Self::MeanError => "mean-error",
+            Self::CaptureTime => "capture-time",
+            Self::Jump => "jump",
+            Self::Flip => "flip",
+        }
+    }
+}
+
+impl PlanarPose {
+    /// Projects a pose onto the plane.
+    ///
+    /// With the quaternion (x, y, z, w), the yaw is atan2(2(wz + xy), 1 - 2(y² + z²))
+    /// and the tilt is 2 asin √(x² + y²).
+    pub(super) fn project(
+        pose: &BodyPose,
+        capture: &CaptureTime,
+        frame_number: i32,
+        receive_time_ns: u64,
+    ) -> Self {
+        let [x_m, y_m, z_m] = pose.position_m;
+        let [x, y, z, w] = pose.orientation_xyzw;
+        // The sine of the half angle, which unlike the cosine is exact near zero.
+        let tilt_rad = 2.0 * libm::asin(libm::sqrt(x * x + y * y).min(1.0));
+        Self {
+            x_m,
+            y_m,
+            z_m,
+            yaw_rad: libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            tilt_rad,
+            capture_time_ns: capture.time_ns,
+            capture_uncertainty_ns: capture.uncertainty_ns,
+            capture_source: capture.source,
+            receive_time_ns,
+            frame_number,
+            mean_error_m: pose.mean_error_m,
+            reacquired: false,
+        }
+    }
+}

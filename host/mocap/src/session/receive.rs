@@ -1,0 +1,241 @@
+//! What the session makes of the datagrams that it receives.
+
+use core::net::SocketAddr;
+
+use crate::body::{Bodies, BodyReading};
+use crate::capture::CaptureTime;
+use crate::clock::{CaptureClock, EchoSample, SampleUse};
+use crate::codec::{
+    BitstreamVersion, DecodeError, Echo, Frame, FrameFlags, MessageId, Packet, Response,
+    ServerMessage,
+};
+use crate::order::Order;
+
+use super::event::{Phase, RestartReason, SessionEvent};
+use super::frame::{DatagramOutcome, PoseFrame};
+use super::state::Session;
+
+/// This number of frames in a row that cannot be decoded, over a time for which a
+/// stream may be silent, means that the bitstream is another one.
+const UNDECODABLE: u32 = 20;
+
+/// While the flag "models changed" stays set, the definitions are read at this
+/// interval.
+const MODELS_CHANGED_NS: u64 = 1_000_000_000;
+
+impl Session {
+    /// Takes a datagram that arrived at `now_ns` from `source`.
+    ///
+    /// The result borrows the datagram: a frame's poses are read from it.
+    pub fn handle_datagram<'a>(
+        &mut self,
+        now_ns: u64,
+        source: SocketAddr,
+        datagram: &'a [u8],
+        on_event: &mut impl FnMut(SessionEvent),
+    ) -> DatagramOutcome<'a> {
+        // Frames come from the command port or the data port, replies from the
+        // command port, multicast from any port: only the address is checked.
+        if source.ip() != self.config.server {
+            self.counters.wrong_source += 1;
+            return DatagramOutcome::WrongSource;
+        }
+        let is_frame = Packet::parse(datagram)
+            .is_ok_and(|packet| packet.message_id() == Some(MessageId::Frame));
+        let version = match self.phase {
+            Phase::Streaming(version) => version,
+            _ if is_frame => {
+                self.counters.early += 1;
+                return DatagramOutcome::Ignored;
+            }
+            // Only frames and definitions depend on it.
+            _ => BitstreamVersion::NEWEST,
+        };
+        match ServerMessage::decode(datagram, version) {
+            Ok(ServerMessage::Frame(frame)) => {
+                self.undecodable = 0;
+                self.handle_frame(now_ns, &frame, on_event)
+            }
+            Ok(reply) => self.handle_reply(now_ns, reply, on_event),
+            Err(error) => {
+                self.handle_malformed(now_ns, is_frame, error, on_event);
+                DatagramOutcome::Malformed(error)
+            }
+        }
+    }
+
+    fn handle_malformed(
+        &mut self,
+        now_ns: u64,
+        is_frame: bool,
+        error: DecodeError,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) {
+        self.counters.malformed += 1;
+        if is_frame {
+            self.undecodable = self.undecodable.saturating_add(1);
+            // While other frames can be decoded, these come from another sender and
+            // are not another bitstream. A sender that is quick must not restart the
+            // session continuously.
+            let lasts_ns = now_ns.saturating_sub(self.decodable_until_ns());
+            if self.undecodable >= UNDECODABLE && lasts_ns >= self.config.timing.stale_after_ns {
+                self.restart(now_ns, RestartReason::Undecodable(error), on_event);
+            }
+        }
+    }
+
+    fn handle_reply<'a>(
+        &mut self,
+        now_ns: u64,
+        reply: ServerMessage<'a>,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) -> DatagramOutcome<'a> {
+        let used = match (reply, self.phase) {
+            (_, Phase::Closing | Phase::Closed) => false,
+            (ServerMessage::ServerInfo(info), _) => {
+                self.handle_server_info(now_ns, &info, on_event)
+            }
+            (ServerMessage::Disconnect, _) => {
+                self.restart(now_ns, RestartReason::ServerLeft, on_event);
+                let retry_ns = self.config.timing.retry_ns;
+                self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
+                true
+            }
+            (ServerMessage::Response(Response::Status(0)), Phase::Negotiating(requested)) => {
+                self.begin_streaming(now_ns, requested, on_event);
+                true
+            }
+            (
+                ServerMessage::Response(Response::Status(_)) | ServerMessage::Unrecognized,
+                Phase::Negotiating(requested),
+            ) => {
+                self.keep_bitstream(now_ns, requested, on_event);
+                true
+            }
+            (ServerMessage::ModelDefinitions(definitions), Phase::Streaming(_)) => {
+                self.definitions_current = true;
+                let poll_ns = self.config.timing.model_poll_ns;
+                self.schedule.models_read(now_ns, poll_ns);
+                return DatagramOutcome::Definitions(definitions);
+            }
+            (ServerMessage::Echo(echo), Phase::Streaming(_)) => {
+                self.handle_echo(now_ns, echo, on_event)
+            }
+            _ => false,
+        };
+        if used {
+            DatagramOutcome::Reply
+        } else {
+            self.counters.unsolicited += 1;
+            DatagramOutcome::Ignored
+        }
+    }
+
+    fn handle_echo(
+        &mut self,
+        now_ns: u64,
+        echo: Echo,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) -> bool {
+        // Only the answer to the newest request is used: an older answer is late.
+        if self.echo_stamp != Some(echo.client_stamp) || now_ns < echo.client_stamp {
+            return false;
+        }
+        self.echo_stamp = None;
+        let sample = EchoSample {
+            sent_ns: echo.client_stamp,
+            received_ns: now_ns,
+            server_ticks: echo.server_ticks,
+        };
+        match self.clock.echo_mut().map(|clock| clock.add(sample)) {
+            Some(SampleUse::Agreed) => self.counters.echoes += 1,
+            Some(SampleUse::Stepped) => {
+                self.counters.echoes += 1;
+                self.counters.clock_steps += 1;
+            }
+            Some(SampleUse::Backward) => {
+                self.restart(now_ns, RestartReason::ClockBackward, on_event);
+            }
+            None => return false,
+        }
+        true
+    }
+
+    fn handle_frame<'a>(
+        &mut self,
+        now_ns: u64,
+        frame: &Frame<'a>,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) -> DatagramOutcome<'a> {
+        match self
+            .sequence
+            .place(frame.number, CaptureClock::order_key(frame))
+        {
+            Order::Newest { lost } => self.counters.lost += lost,
+            Order::Renumbered => self.counters.renumbered += 1,
+            Order::Duplicate => {
+                self.counters.duplicates += 1;
+                return DatagramOutcome::Duplicate;
+            }
+            Order::Late => {
+                self.counters.late += 1;
+                return DatagramOutcome::Late;
+            }
+            Order::Restarted => {
+                self.counters.late += 1;
+                self.restart(now_ns, RestartReason::FramesBackward, on_event);
+                return DatagramOutcome::Late;
+            }
+        }
+        self.counters.frames += 1;
+        self.last_frame_ns = Some(now_ns);
+        self.stale = false;
+        self.watch_models(now_ns, frame.flags, on_event);
+        DatagramOutcome::Frame(PoseFrame {
+            number: frame.number,
+            receive_time_ns: now_ns,
+            capture: self.capture(frame, now_ns),
+            flags: frame.flags,
+            definitions_current: self.definitions_current,
+            bodies: Bodies {
+                bodies: frame.rigid_bodies(),
+                reading: BodyReading {
+                    up_axis: self.config.up_axis,
+                    quaternion_norm_tolerance: self.config.quaternion_norm_tolerance,
+                },
+            },
+        })
+    }
+
+    /// When the models change, an id may mean another body from this frame on: the
+    /// definitions are not valid until they have been read again.
+    fn watch_models(
+        &mut self,
+        now_ns: u64,
+        flags: FrameFlags,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) {
+        let changed = flags.contains(FrameFlags::MODELS_CHANGED);
+        if changed && !self.models_changed {
+            self.forget_definitions(on_event);
+            self.schedule.models_by(now_ns);
+        } else if changed {
+            self.schedule
+                .models_by(now_ns.saturating_add(MODELS_CHANGED_NS));
+        }
+        self.models_changed = changed;
+    }
+
+    /// When the frame was captured: never after it arrived.
+    fn capture(&mut self, frame: &Frame<'_>, now_ns: u64) -> Option<CaptureTime> {
+        let mut capture = self.clock.capture(frame, now_ns)?;
+        if capture.time_ns > now_ns {
+            if capture.time_ns - now_ns > capture.uncertainty_ns {
+                return None;
+            }
+            self.counters.capture_clamped += 1;
+            capture.time_ns = now_ns;
+        }
+        Some(capture)
+    }
+}

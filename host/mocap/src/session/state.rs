@@ -1,0 +1,191 @@
+//! What a session knows, and what its owner may ask of it.
+
+use crate::clock::CaptureClock;
+use crate::codec::{BitstreamVersion, Connection, UnsupportedVersion};
+use crate::config::{SessionConfig, SessionConfigError, Transport};
+use crate::counters::SessionCounters;
+use crate::order::Sequence;
+
+use super::event::{Phase, SessionEvent};
+use super::schedule::Schedule;
+
+/// A NatNet client without socket and clock: it follows all rigid bodies of one
+/// server.
+///
+/// [The crate's documentation](crate) describes how to call it. Create one with
+/// [`new`](Self::new); the first [`poll_transmit`](Self::poll_transmit) begins the
+/// handshake.
+///
+/// ```
+/// use singletrack_mocap::codec::ServerMessage;
+/// use singletrack_mocap::{DatagramOutcome, Session, SessionConfig, Transport, UpAxis};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let server = "192.168.1.10".parse()?;
+/// let transport = Transport::Unicast { bitstream: None };
+/// let mut session = Session::new(SessionConfig::new(server, transport, UpAxis::Y))?;
+///
+/// // The first message is CONNECT, to the server's command port.
+/// let connect = session.poll_transmit(0).expect("CONNECT is due at once");
+/// assert_eq!(connect.destination, "192.168.1.10:1510".parse()?);
+///
+/// // Without an answer it is due again half a second later.
+/// assert_eq!(session.poll_transmit(0), None);
+/// assert_eq!(session.poll_timeout(), Some(500_000_000));
+///
+/// // A datagram from another address is counted and dropped.
+/// let outcome = session.handle_datagram(1_000, "10.0.0.1:1510".parse()?, &[], &mut |_| {});
+/// assert!(matches!(outcome, DatagramOutcome::WrongSource));
+/// assert_eq!(session.counters().wrong_source, 1);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Session {
+    pub(super) config: SessionConfig,
+    pub(super) phase: Phase,
+    pub(super) schedule: Schedule,
+    /// The server's own bitstream and connection, once it has answered.
+    pub(super) server: Option<Server>,
+    pub(super) clock: CaptureClock,
+    /// Stamp of the echo request that waits for its answer.
+    pub(super) echo_stamp: Option<u64>,
+    pub(super) sequence: Sequence,
+    pub(super) definitions_current: bool,
+    /// The newest frame had the flag "models changed".
+    pub(super) models_changed: bool,
+    pub(super) last_frame_ns: Option<u64>,
+    pub(super) stale: bool,
+    /// Frames in a row that could not be decoded.
+    pub(super) undecodable: u32,
+    pub(super) counters: SessionCounters,
+}
+
+/// What a server said of itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Server {
+    pub(super) natnet_version: [u8; 4],
+    pub(super) native: Result<BitstreamVersion, UnsupportedVersion>,
+    pub(super) connection: Option<Connection>,
+}
+
+impl Session {
+    /// A session that has not connected yet.
+    ///
+    /// # Errors
+    /// A value of the configuration cannot be used.
+    pub fn new(config: SessionConfig) -> Result<Self, SessionConfigError> {
+        config.validate()?;
+        Ok(Self {
+            phase: Phase::Connecting,
+            schedule: Schedule::default(),
+            server: None,
+            clock: CaptureClock::new(None, &config.timing),
+            echo_stamp: None,
+            sequence: Sequence::default(),
+            definitions_current: false,
+            models_changed: false,
+            last_frame_ns: None,
+            stale: false,
+            undecodable: 0,
+            counters: SessionCounters::default(),
+            config,
+        })
+    }
+
+    // Requests.
+
+    /// A body that the owner needs is missing from the definitions, or its name is
+    /// ambiguous: the session requests them again within half a second, instead of
+    /// after [`Timing::model_poll_ns`](crate::Timing).
+    ///
+    /// Call it directly after the
+    /// [`Definitions`](super::DatagramOutcome::Definitions) that lack the body.
+    pub const fn request_definitions_again(&mut self) {
+        self.schedule.models_incomplete();
+    }
+
+    /// Leaves the server: [`poll_transmit`](Self::poll_transmit) returns the
+    /// disconnect message and then nothing more.
+    pub const fn close(&mut self) {
+        self.phase = Phase::Closing;
+    }
+
+    // Getters.
+
+    /// How far the session is.
+    #[must_use]
+    pub const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Whether the streaming ids have the names of the definitions read last.
+    #[must_use]
+    pub const fn definitions_current(&self) -> bool {
+        self.definitions_current
+    }
+
+    /// For how long the stream has been silent at `now_ns`, if that is longer than
+    /// [`Timing::stale_after_ns`](crate::Timing). `None` while the stream is alive
+    /// and before the first frame.
+    #[must_use]
+    pub fn stale_for_ns(&self, now_ns: u64) -> Option<u64> {
+        self.last_frame_ns
+            .map(|last_ns| now_ns.saturating_sub(last_ns))
+            .filter(|silent_ns| *silent_ns > self.config.timing.stale_after_ns)
+    }
+
+    /// What was counted so far.
+    #[must_use]
+    pub const fn counters(&self) -> SessionCounters {
+        self.counters
+    }
+
+    /// The session's configuration.
+    #[must_use]
+    pub const fn config(&self) -> &SessionConfig {
+        &self.config
+    }
+
+    // Deadlines and changes that the other files share.
+
+    pub(super) fn forget_definitions(&mut self, on_event: &mut impl FnMut(SessionEvent)) {
+        if self.definitions_current {
+            self.definitions_current = false;
+            on_event(SessionEvent::DefinitionsOutdated);
+        }
+    }
+
+    /// `None` for servers before 3.0: they have no echo and send no frequency.
+    pub(super) fn echo_due_ns(&self) -> Option<u64> {
+        let connection = self.server?.connection?;
+        connection.ticks_per_second.map(|_| self.schedule.echo_ns)
+    }
+
+    pub(super) fn keep_alive_due_ns(&self) -> Option<u64> {
+        matches!(self.config.transport, Transport::Unicast { .. })
+            .then_some(self.schedule.keep_alive_ns)
+    }
+
+    pub(super) fn stale_due_ns(&self) -> Option<u64> {
+        if self.stale {
+            return None;
+        }
+        // A stream is stale when it is silent for longer than the limit.
+        let limit_ns = self.config.timing.stale_after_ns.saturating_add(1);
+        Some(self.last_frame_ns?.saturating_add(limit_ns))
+    }
+
+    pub(super) fn silence_due_ns(&self) -> u64 {
+        self.decodable_until_ns()
+            .saturating_add(self.config.timing.reconnect_after_ns)
+    }
+
+    /// When the last frame arrived that could be decoded, or when the session began
+    /// to wait for the first.
+    pub(super) fn decodable_until_ns(&self) -> u64 {
+        self.last_frame_ns
+            .unwrap_or_default()
+            .max(self.schedule.listening_since_ns)
+    }
+}

@@ -1,0 +1,238 @@
+//! The camera session by itself: whole poses of every body.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+use std::num::NonZeroU64;
+
+use singletrack_mocap::codec::{
+    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+    RigidBody, RigidBodyDefinition, ServerInfo,
+};
+use singletrack_mocap::encode::{self, Dataset, EncodeError, FrameContent};
+use singletrack_mocap::{
+    Binding, BodyPose, BodyState, CaptureTimeSource, DatagramOutcome, InvalidBody, PoseFrame,
+    Session, SessionConfig, SessionEvent, UpAxis,
+};
+
+use crate::world::{MS, SERVER, TICKS_PER_SECOND, UNICAST};
+
+const VERSION: BitstreamVersion = BitstreamVersion::V4_1;
+
+/// A session that streams, and its server.
+struct Bench {
+    session: Session,
+    now_ns: u64,
+    number: i32,
+    events: Vec<SessionEvent>,
+    buffer: Vec<u8>,
+}
+
+impl Bench {
+    fn streaming(up_axis: UpAxis) -> Self {
+        let mut bench = Self {
+            session: Session::new(SessionConfig::new(SERVER.ip(), UNICAST, up_axis)).unwrap(),
+            now_ns: 1_000 * MS,
+            number: 0,
+            events: vec![],
+            buffer: vec![0; 65_536],
+        };
+        let info = ServerInfo {
+            application: "Scripted",
+            application_version: [1, 0, 0, 0],
+            natnet_version: VERSION.to_wire(),
+            connection: Some(Connection {
+                ticks_per_second: NonZeroU64::new(TICKS_PER_SECOND),
+                data_channel: DataChannel {
+                    port: 1511,
+                    multicast: false,
+                    group: std::net::Ipv4Addr::new(239, 255, 42, 99),
+                },
+            }),
+        };
+        bench.reply(|out| encode::server_info(&info, out));
+        bench.answer_echo();
+        bench
+    }
+
+    fn ticks(local_ns: u64) -> u64 {
+        local_ns / (1_000_000_000 / TICKS_PER_SECOND)
+    }
+
+    fn reply(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
+        let len = encode(&mut self.buffer).unwrap();
+        let (datagram, events) = (&self.buffer[..len], &mut self.events);
+        self.session
+            .handle_datagram(self.now_ns, SERVER, datagram, &mut |event| {
+                events.push(event);
+            });
+    }
+
+    fn answer_echo(&mut self) {
+        while let Some(transmit) = self.session.poll_transmit(self.now_ns) {
+            if let Ok(ClientMessage::EchoRequest { client_stamp }) =
+                ClientMessage::decode(&transmit.bytes)
+            {
+                let server_ticks = Self::ticks(self.now_ns + MS / 10);
+                self.now_ns += MS / 5;
+                let echo = Echo {
+                    client_stamp,
+                    server_ticks,
+                };
+                self.reply(|out| encode::echo_response(echo, out));
+            }
+        }
+    }
+
+    /// A frame that was captured 8 ms before it arrives.
+    fn frame(&mut self, bodies: &[RigidBody], flags: FrameFlags) -> PoseFrame<'_> {
+        self.now_ns += 10 * MS;
+        self.number += 1;
+        let content = FrameContent {
+            number: self.number,
+            rigid_bodies: bodies,
+            timestamp_s: self.now_ns as f64 * 1e-9,
+            ticks: CameraTicks {
+                mid_exposure: Self::ticks(self.now_ns - 8 * MS),
+                received: Self::ticks(self.now_ns - MS),
+                transmit: Self::ticks(self.now_ns - MS),
+            },
+            flags,
+            ..FrameContent::default()
+        };
+        let len = encode::frame(VERSION, &content, &mut self.buffer).unwrap();
+        let (datagram, events) = (&self.buffer[..len], &mut self.events);
+        let outcome = self
+            .session
+            .handle_datagram(self.now_ns, SERVER, datagram, &mut |event| {
+                events.push(event);
+            });
+        match outcome {
+            DatagramOutcome::Frame(frame) => frame,
+            other => panic!("not a frame: {other:?}"),
+        }
+    }
+}
+
+#[track_caller]
+fn tracked(state: BodyState) -> BodyPose {
+    match state {
+        BodyState::Tracked(pose) => pose,
+        other => panic!("not tracked: {other:?}"),
+    }
+}
+
+#[test]
+fn a_frame_carries_the_whole_pose_of_every_body() {
+    let mut bench = Bench::streaming(UpAxis::Z);
+    let bodies: Vec<_> = (0_i16..40)
+        .map(|id| {
+            let mut body =
+                RigidBody::tracked(id.into(), [id.into(), 0.5, -2.0], [0.5, 0.5, 0.5, 0.5]);
+            body.mean_error_m = 0.25;
+            body.with_tracking_valid(id != 7)
+        })
+        .collect();
+    let arrival_ns = bench.now_ns + 10 * MS;
+    let frame = bench.frame(&bodies, FrameFlags::default());
+    assert_eq!(frame.bodies().len(), 40);
+    for body in frame.bodies() {
+        if body.id == 7 {
+            assert_eq!(body.state, BodyState::Untracked);
+        } else {
+            let pose = tracked(body.state);
+            assert_eq!(pose.position_m, [f64::from(body.id), 0.5, -2.0]);
+            assert_eq!(pose.orientation_xyzw, [0.5; 4]);
+            assert_eq!(pose.mean_error_m, 0.25);
+        }
+    }
+    let capture = frame.capture.unwrap();
+    assert_eq!(frame.receive_time_ns, arrival_ns);
+    assert_eq!(capture.source, CaptureTimeSource::MidExposureEcho);
+    let error_ns = capture.time_ns.abs_diff(arrival_ns - 8 * MS);
+    assert!(error_ns <= capture.uncertainty_ns, "{error_ns} ns");
+    assert_eq!(frame.body(12).unwrap().id, 12);
+    assert_eq!(frame.body(40), None);
+}
+
+#[test]
+fn y_up_turns_the_whole_quaternion() {
+    let mut bench = Bench::streaming(UpAxis::Y);
+    // A quarter turn about the stream's z axis is one about the world's -y axis.
+    let half = FRAC_1_SQRT_2 as f32;
+    let body = RigidBody::tracked(1, [1.0, 2.0, 3.0], [0.0, 0.0, half, half]);
+    let frame = bench.frame(&[body], FrameFlags::default());
+    let pose = tracked(frame.body(1).unwrap().state);
+    assert_eq!(pose.position_m, [1.0, -3.0, 2.0]);
+    let expected = [0.0, -FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2];
+    for (actual, expected) in pose.orientation_xyzw.iter().zip(expected) {
+        assert!(
+            (actual - expected).abs() < 1e-7,
+            "{actual} is not {expected}"
+        );
+    }
+}
+
+#[test]
+fn a_quaternion_is_normalised_or_refused() {
+    let mut bench = Bench::streaming(UpAxis::Z);
+    let rotation = |w| RigidBody::tracked(1, [0.0; 3], [0.0, 0.0, 0.0, w]);
+    let frame = bench.frame(&[rotation(1.009)], FrameFlags::default());
+    let pose = tracked(frame.body(1).unwrap().state);
+    assert_eq!(pose.orientation_xyzw, [0.0, 0.0, 0.0, 1.0]);
+    for (body, invalid) in [
+        (rotation(1.02), InvalidBody::NotUnitQuaternion),
+        (rotation(f32::NAN), InvalidBody::NotFinite),
+        (
+            RigidBody::tracked(1, [f32::INFINITY; 3], [0.0, 0.0, 0.0, 1.0]),
+            InvalidBody::NotFinite,
+        ),
+    ] {
+        let frame = bench.frame(&[body], FrameFlags::default());
+        assert_eq!(frame.body(1).unwrap().state, BodyState::Invalid(invalid));
+    }
+}
+
+#[test]
+fn two_bodies_with_one_id_have_no_pose_by_id() {
+    let mut bench = Bench::streaming(UpAxis::Z);
+    let body = RigidBody::tracked(1, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);
+    let frame = bench.frame(
+        &[body, body.with_tracking_valid(false)],
+        FrameFlags::default(),
+    );
+    assert_eq!(
+        frame.body(1).unwrap().state,
+        BodyState::Invalid(InvalidBody::DuplicateId)
+    );
+    assert_eq!(frame.bodies().count(), 2);
+}
+
+#[test]
+fn names_are_current_from_the_definitions_to_the_next_change_of_models() {
+    let mut bench = Bench::streaming(UpAxis::Z);
+    assert!(!bench.frame(&[], FrameFlags::default()).definitions_current);
+    let datasets = [("car", 7), ("trailer", 8)].map(|(name, id)| {
+        Dataset::rigid_body(RigidBodyDefinition {
+            name,
+            id,
+            parent_id: -1,
+            offset_m: [0.0; 3],
+        })
+    });
+    let len = encode::model_definitions(VERSION, &datasets, &mut bench.buffer).unwrap();
+    let outcome =
+        bench
+            .session
+            .handle_datagram(bench.now_ns, SERVER, &bench.buffer[..len], &mut |_| {});
+    let DatagramOutcome::Definitions(definitions) = outcome else {
+        panic!("no definitions: {outcome:?}");
+    };
+    assert_eq!(Binding::resolve(&definitions, "trailer").id(), Some(8));
+    assert_eq!(Binding::resolve(&definitions, "Car"), Binding::Missing);
+    assert!(bench.frame(&[], FrameFlags::default()).definitions_current);
+
+    bench.events.clear();
+    let frame = bench.frame(&[], FrameFlags::MODELS_CHANGED);
+    assert!(!frame.definitions_current);
+    assert_eq!(bench.events, [SessionEvent::DefinitionsOutdated]);
+    assert!(!bench.session.definitions_current());
+}
