@@ -16,7 +16,7 @@ use mcap::{
 
 use crate::{Channel, RecordError};
 
-/// The profile that tells readers to expect ROS 2 messages.
+/// The profile in the header of the file: readers then expect ROS 2 messages.
 pub(crate) const PROFILE: &str = "ros2";
 /// The first word of the library in the header of our files.
 pub(crate) const LIBRARY_NAME: &str = "singletrack";

@@ -22,7 +22,7 @@ pub enum RecordError {
     #[error("{} is being written: wait until its recorder has ended", .0.display())]
     Busy(PathBuf),
     /// The container could not be written.
-    #[error("cannot write {}: {source}; what it holds up to the last second can be read", path.display())]
+    #[error("cannot write {}: {source}; its entries up to the last second can be read", path.display())]
     Write {
         /// The unfinished file.
         path: PathBuf,
@@ -89,7 +89,7 @@ pub enum RecordError {
         schema: String,
     },
     /// The file is damaged, and not only truncated.
-    #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; what comes before can be used, and `singletrack recover` saves what is whole after it", path.display())]
+    #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; the entries before can be used, and `singletrack recover` saves the undamaged ones after it", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,

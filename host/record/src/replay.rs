@@ -23,7 +23,7 @@ pub struct Replay {
 pub enum ReplayError {
     /// Ticks are missing, and with them the inputs of the pilot.
     #[error(
-        "ticks {first} to {} are not in the record; what follows rests on what they saw",
+        "ticks {first} to {} are not in the record, and the outputs after them depend on their events",
         first + count - 1
     )]
     Missing {
@@ -33,7 +33,7 @@ pub enum ReplayError {
         count: u64,
     },
     /// A tick is repeated, or follows a later one.
-    #[error("tick {found} comes where tick {expected} should be")]
+    #[error("tick {found} is in the place of tick {expected}")]
     OutOfOrder {
         /// The index found.
         found: u64,

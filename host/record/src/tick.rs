@@ -10,9 +10,10 @@ pub const MAX_EVENTS: usize = 64;
 /// Inputs, outputs and times of a control tick.
 ///
 /// It owns no memory on the heap, so that the control thread can push it through a ring.
-/// All times are nanoseconds on the host's monotonic clock.
+/// It has room for `EVENTS` events. All times are nanoseconds on the host's monotonic
+/// clock.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TickRecord {
+pub struct TickRecord<const EVENTS: usize = MAX_EVENTS> {
     /// Counts the ticks of the daemon, from 0.
     pub index: u64,
     /// The scheduled time: a point of the control grid.
@@ -27,7 +28,7 @@ pub struct TickRecord {
     /// The time passed to [`singletrack_pilot::Pilot::step`].
     pub pilot_time: Time,
     /// The events passed to it, in order.
-    pub events: heapless::Vec<Event, MAX_EVENTS>,
+    pub events: heapless::Vec<Event, EVENTS>,
     /// Events since the tick before that did not fit and were not passed to the pilot.
     pub events_dropped: u32,
     /// The output of the pilot.
@@ -36,6 +37,28 @@ pub struct TickRecord {
     pub drive: Option<DriveWrite>,
     /// The session with the board.
     pub link: LinkPhase,
+}
+
+impl<const EVENTS: usize> TickRecord<EVENTS> {
+    /// The same tick with these events instead of its own.
+    pub(crate) const fn with_events<const OTHERS: usize>(
+        &self,
+        events: heapless::Vec<Event, OTHERS>,
+    ) -> TickRecord<OTHERS> {
+        TickRecord {
+            index: self.index,
+            scheduled_ns: self.scheduled_ns,
+            start_ns: self.start_ns,
+            finish_ns: self.finish_ns,
+            skipped: self.skipped,
+            pilot_time: self.pilot_time,
+            events,
+            events_dropped: self.events_dropped,
+            output: self.output,
+            drive: self.drive,
+            link: self.link,
+        }
+    }
 }
 
 impl TickRecord {

@@ -6,10 +6,9 @@
 //! own, which takes only those that exist.
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use singletrack_control::Time;
-use singletrack_pilot::{Event, Output};
+use singletrack_pilot::Event;
 
-use crate::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
+use crate::{MAX_EVENTS, TickRecord};
 
 /// The input of a ring of ticks. It neither waits nor allocates.
 #[derive(Debug)]
@@ -26,20 +25,11 @@ pub struct TickOutput {
     events: Consumer<Event>,
 }
 
-/// A tick without its events.
-#[derive(Clone, Copy, Debug)]
+/// A tick without its events, and their number.
+#[derive(Clone, Debug)]
 struct Head {
-    index: u64,
-    scheduled_ns: u64,
-    start_ns: u64,
-    finish_ns: u64,
-    skipped: u32,
-    pilot_time: Time,
+    tick: TickRecord<0>,
     events: usize,
-    events_dropped: u32,
-    output: Output,
-    drive: Option<DriveWrite>,
-    link: LinkPhase,
 }
 
 /// A ring for `capacity` ticks, each with up to [`MAX_EVENTS`] events.
@@ -66,40 +56,18 @@ pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
 impl TickInput {
     /// Pushes a tick; false if the ring is full.
     pub fn push(&mut self, tick: &TickRecord) -> bool {
-        let TickRecord {
-            index,
-            scheduled_ns,
-            start_ns,
-            finish_ns,
-            skipped,
-            pilot_time,
-            ref events,
-            events_dropped,
-            ref output,
-            drive,
-            link,
-        } = *tick;
         // Where there is room for a tick, there is room for its events.
         if self.heads.is_full() {
             return false;
         }
-        let Ok(room) = self.events.write_chunk_uninit(events.len()) else {
+        let Ok(room) = self.events.write_chunk_uninit(tick.events.len()) else {
             return false;
         };
-        room.fill_from_iter(events.iter().copied());
+        room.fill_from_iter(tick.events.iter().copied());
         // Pushed last: a reader that sees the head sees the events as well.
         let head = Head {
-            index,
-            scheduled_ns,
-            start_ns,
-            finish_ns,
-            skipped,
-            pilot_time,
-            events: events.len(),
-            events_dropped,
-            output: *output,
-            drive,
-            link,
+            tick: tick.with_events(heapless::Vec::new()),
+            events: tick.events.len(),
         };
         self.heads.push(Some(head)).is_ok()
     }
@@ -110,26 +78,15 @@ impl TickOutput {
     pub fn pop(&mut self) -> Option<TickRecord> {
         // The head is removed last: until then its place and that of its events stay
         // taken.
-        let head = (*self.heads.peek().ok()?)?;
+        let head = self.heads.peek().ok()?.as_ref()?;
         let mut events = heapless::Vec::new();
         if let Ok(chunk) = self.events.read_chunk(head.events) {
             // At most as many as a tick has.
             events.extend(chunk);
         }
+        let tick = head.tick.with_events(events);
         let _ = self.heads.pop();
-        Some(TickRecord {
-            index: head.index,
-            scheduled_ns: head.scheduled_ns,
-            start_ns: head.start_ns,
-            finish_ns: head.finish_ns,
-            skipped: head.skipped,
-            pilot_time: head.pilot_time,
-            events,
-            events_dropped: head.events_dropped,
-            output: head.output,
-            drive: head.drive,
-            link: head.link,
-        })
+        Some(tick)
     }
 
     /// Whether the input is gone.

@@ -59,7 +59,7 @@ fn record(path: &Path) -> ! {
     let recorder = Recorder::create(path, &drive::meta()).unwrap();
     let _thread = RecorderThread::start(recorder, vec![output], |_| {}).unwrap();
     let start = Instant::now();
-    let mut told = io::stdout().lock();
+    let mut output = io::stdout().lock();
     for index in 0.. {
         let time_ns = start.elapsed().as_nanos() as u64;
         for entry in [
@@ -70,8 +70,8 @@ fn record(path: &Path) -> ! {
             assert!(input.push(entry), "the writer does not keep up");
         }
         // The ring holds three seconds. A pipe without a reader holds more.
-        told.write_all(&time_ns.to_le_bytes()).unwrap();
-        told.flush().unwrap();
+        output.write_all(&time_ns.to_le_bytes()).unwrap();
+        output.flush().unwrap();
         thread::sleep(PERIOD);
     }
     unreachable!("a lifetime of ticks")
@@ -133,12 +133,12 @@ fn kill(numbers: Range<u64>) -> Vec<(u64, u64)> {
     victims
         .into_iter()
         .map(|mut victim| {
-            let mut told = Vec::new();
+            let mut times = Vec::new();
             let mut pipe = victim.process.stdout.take().unwrap();
-            pipe.read_to_end(&mut told).unwrap();
+            pipe.read_to_end(&mut times).unwrap();
             let status = victim.process.wait().unwrap();
             assert_eq!(status.code(), None, "killed, and not before");
-            let pushed: Vec<_> = told
+            let pushed: Vec<_> = times
                 .chunks_exact(8)
                 .map(|time| u64::from_le_bytes(time.try_into().unwrap()))
                 .collect();

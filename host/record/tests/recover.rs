@@ -107,13 +107,16 @@ fn a_killed_record_becomes_a_complete_one_with_an_index() {
     let case = Case::new();
     let (bytes, _) = unfinished();
     fs::write(case.input(), &bytes).unwrap();
-    let mut told = Vec::new();
+    let mut progress = Vec::new();
     let recovery = recover(&case.input(), &case.output(), |done, of| {
-        told.push((done, of));
+        progress.push((done, of));
     })
     .unwrap();
-    assert!(told.is_sorted());
-    assert_eq!(told.last(), Some(&(bytes.len() as u64, bytes.len() as u64)));
+    assert!(progress.is_sorted());
+    assert_eq!(
+        progress.last(),
+        Some(&(bytes.len() as u64, bytes.len() as u64))
+    );
 
     assert_eq!(recovery.entries, 40);
     // Each line of the log is on the topic for other tools as well.

@@ -323,13 +323,13 @@ fn each_status_of_the_board_and_each_change_of_mode_is_a_diagnosis() {
     // Before the first tick.
     assert_eq!(levels(&mut encoder, &status(9)), [0.0, 0.0]);
     let driving = Entry::Tick(mode(Mode::Driving, None));
-    let told = Message::of(&mut encoder, &driving, StandardTopic::Diagnostics);
-    assert!(told.says("driving") && told.says("7.4") && told.says("deadbeef"));
-    assert_eq!(told.at("status"), 3.0);
+    let diagnosis = Message::of(&mut encoder, &driving, StandardTopic::Diagnostics);
+    assert!(diagnosis.says("driving") && diagnosis.says("7.4") && diagnosis.says("deadbeef"));
+    assert_eq!(diagnosis.at("status"), 3.0);
     assert!(!topics(&mut encoder, &driving).contains(&StandardTopic::Diagnostics));
     let stopping = Entry::Tick(mode(Mode::Stopping, Some(Reason::PoseTooOld)));
-    let told = Message::of(&mut encoder, &stopping, StandardTopic::Diagnostics);
-    assert!(told.says("stopping: pose-too-old"));
+    let diagnosis = Message::of(&mut encoder, &stopping, StandardTopic::Diagnostics);
+    assert!(diagnosis.says("stopping: pose-too-old"));
 }
 
 #[test]

@@ -218,7 +218,7 @@ kinds! {
 }
 
 kinds! {
-    /// What the model definitions say of the name of the car.
+    /// The binding of the name of the car by the model definitions.
     BindingKind as "BINDING" {
         Unresolved = 1 "unresolved",
         Bound = 2 "bound",

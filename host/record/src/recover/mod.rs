@@ -118,13 +118,13 @@ impl fmt::Display for Recovery {
         if self.nameless > 0 {
             write!(
                 formatter,
-                "\nlost {} messages, because nothing tells their topic",
+                "\nlost {} messages whose topic is unknown",
                 self.nameless
             )?;
         }
         if !(self.has_metadata && self.has_configuration) {
             formatter.write_str(
-                "\nlost what the record says of itself: other tools open it, singletrack does not",
+                "\nlost the metadata or the configuration: other tools open the record, singletrack does not",
             )?;
         }
         if self.missing > 0 {
@@ -145,7 +145,7 @@ impl fmt::Display for Recovery {
     }
 }
 
-/// Writes what can be read of the record at `input` to a new one at `output`, with the
+/// Writes the readable part of the record at `input` to a new one at `output`, with the
 /// index that tools expect. The old file is not changed. Messages are copied unchanged,
 /// also those of other versions of records. Nothing of a damaged chunk is copied. The
 /// metadata of the new file says what it lacks. `progress` is called with the bytes done

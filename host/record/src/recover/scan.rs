@@ -30,7 +30,7 @@ pub(super) struct Scan {
     content: Vec<u8>,
 }
 
-/// What is found where a record could begin.
+/// The result of a search for a record at a place in the file.
 pub(super) enum Found<'a> {
     Record {
         opcode: u8,
