@@ -6,14 +6,14 @@ use super::sample::TickSample;
 /// the beat of two clocks, two are a loss.
 const INTERVALS: f64 = 2.5;
 /// The same for ticks that had no word of the cameras either: frames that are merely
-/// late are no loss.
+/// late are not a loss.
 const SILENT_INTERVALS: f64 = 5.5;
 
 /// The spans in which no new pose came for longer than usual, because frames had none
 /// or because there were no frames: from the first tick
 /// that had to hold the last one until the one with the next, in s.
 ///
-/// What is usual is the median time between ticks with a new pose, so that cameras
+/// The usual interval is the median time between ticks with a new pose, so that cameras
 /// slower than the control loop are not a loss.
 pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
     let fresh: Vec<f64> = ticks
