@@ -1,5 +1,7 @@
 //! When the cameras lost the markers.
 
+use singletrack_statistics::Distribution;
+
 use super::sample::TickSample;
 
 /// How many usual intervals between new poses may pass: one tick without a pose is
@@ -21,9 +23,8 @@ pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
         .filter(|tick| !tick.held)
         .map(|tick| tick.time)
         .collect();
-    let mut intervals: Vec<f64> = fresh.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    let usual = intervals.get(intervals.len() / 2).copied();
+    let intervals = Distribution::of(fresh.windows(2).map(|pair| pair[1] - pair[0]));
+    let usual = intervals.sorted().get(intervals.count() / 2).copied();
 
     let mut spans = Vec::new();
     for run in ticks.chunk_by(|one, other| one.held == other.held) {
