@@ -101,7 +101,7 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
                     .map_err(ControlError::from)?;
             }
             Event::Input(Ok(())) => {
-                // The daemon answers what it has not yet answered, and hangs up.
+                // The daemon sends its remaining answers and closes the connection.
                 stream
                     .shutdown(Shutdown::Write)
                     .map_err(ControlError::from)?;

@@ -18,6 +18,7 @@ use std::{
 };
 
 use singletrack_record::{Encoder, Entry, Recorder, TickRecord, tick_feed};
+use singletrack_statistics::Distribution;
 
 #[path = "../tests/common/drive.rs"]
 mod drive;
@@ -184,15 +185,12 @@ impl Durations {
         self.0.iter().sum()
     }
 
-    fn print(&mut self, name: &str, unit_ns: f64) {
-        self.0.sort_unstable();
-        let last = self.0.len().saturating_sub(1);
-        let at = |part: f64| {
-            let index = (last as f64 * part) as usize;
-            let duration = self.0.get(index).copied().unwrap_or_default();
-            duration.as_nanos() as f64 / unit_ns
-        };
-        let [p50, p99, p999, max] = [0.5, 0.99, 0.999, 1.0].map(at);
+    fn print(&self, name: &str, unit_ns: f64) {
+        let durations = self.0.iter();
+        let durations =
+            Distribution::of(durations.map(|duration| duration.as_nanos() as f64 / unit_ns));
+        let [p50, p99, p999, max] =
+            [0.5, 0.99, 0.999, 1.0].map(|part| durations.quantile(part).unwrap_or_default());
         println!("{name:24}{p50:>8.1} {p99:>8.1} {p999:>8.1} {max:>8.1}");
     }
 }

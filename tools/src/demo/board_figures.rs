@@ -1,11 +1,11 @@
-//! What the UNO's image took of its processor.
+//! The UNO image's use of its processor.
 
 use serde::Serialize;
 use singletrack_sim::{ImageSize, Installation, SimulatedBoard};
 
 use super::error::DemoError;
 
-/// What the UNO's image took of its processor, from power-on to the end.
+/// The UNO image's use of its processor, from power-on to the end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct BoardFigures {
     /// Of 32,256 B beside the bootloader.
@@ -16,7 +16,7 @@ pub(super) struct BoardFigures {
     pub(super) cpu_percent: f64,
     /// The longest interrupt, in cycles of 62.5 ns.
     pub(super) isr_max_cycles: u32,
-    /// How far a pulse has come from its place, 20 ms after the one before.
+    /// The largest deviation of a pulse from 20 ms after the one before.
     pub(super) pulse_jitter_us: f64,
 }
 

@@ -89,7 +89,7 @@ fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
-/// What may be behind a stop that has nothing to do with the drive.
+/// A possible cause of a stop that is outside the drive.
 fn hint(reason: Option<Reason>) -> &'static str {
     match reason {
         Some(Reason::BoardFailsafe | Reason::ImuSilent | Reason::LinkDown) => {

@@ -2,8 +2,7 @@
 //! simulated car, in real time.
 //!
 //! The daemon's own threads run in this process, its serial port is a
-//! pseudo-terminal and its cameras are UDP packets: nothing of it knows that
-//! the car is simulated.
+//! pseudo-terminal and its cameras are UDP packets, as with a real car.
 
 mod arguments;
 mod board_figures;
@@ -43,8 +42,8 @@ const POLL: Duration = Duration::from_millis(50);
 ///
 /// # Errors
 ///
-/// What kept the car from driving to the end; what there is of record and
-/// figures is written all the same.
+/// Why the car did not drive to the end; the record and the figures so far are
+/// written all the same.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let interrupt = Interrupt::listen().map_err(DemoError::Signals)?;
     prepare(&args.out)?;

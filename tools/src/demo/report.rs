@@ -53,7 +53,7 @@ struct DemoSummary<'a> {
 /// The cameras, over the drive.
 #[derive(Serialize)]
 struct Mocap<'a> {
-    /// Frames that brought no valid pose while the car drove, whatever the reason.
+    /// Frames without a valid pose while the car drove, for any reason.
     lost: u64,
     frames: u64,
     held_ticks: u64,

@@ -1,4 +1,4 @@
-//! Which rows are printed: by time, and by what their fields hold.
+//! Chooses rows by time and by the values of their fields.
 
 use std::{cmp::Ordering, str::FromStr};
 
@@ -29,7 +29,7 @@ enum Operator {
     GreaterOrEqual,
 }
 
-/// What a field is compared with: as it was written, and as a number.
+/// The value of a condition: as it is written, and as a number.
 #[derive(Clone, Debug, PartialEq)]
 struct Wanted {
     text: String,
@@ -187,7 +187,7 @@ pub(super) enum Verdict {
     Take,
     /// It is not.
     Leave,
-    /// It is not, and none that comes after it is.
+    /// It is not, and no later row is.
     Stop,
 }
 

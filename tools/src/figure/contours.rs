@@ -4,7 +4,7 @@ use contour::contour_rings;
 
 use super::{Grid, scale::Ruler, thin::Piece};
 
-/// Stands for what is not a number: below every threshold.
+/// Stands for not a number: below every threshold.
 const BLANK: f64 = -1e300;
 /// Stands for infinity, since between two infinities there is no place.
 const FAR: f64 = 1e290;

@@ -8,11 +8,11 @@ pub type Column = Arc<[f64]>;
 /// The style of a line: distinguishable without colour, by grey, width and dashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
-    /// What should be: wide and grey, as in the paper.
+    /// The nominal value: wide and grey, as in the paper.
     Nominal,
-    /// What was: thin and black, as in the paper.
+    /// The actual value: thin and black, as in the paper.
     Actual,
-    /// What a sensor said: thin and light.
+    /// A measurement: thin and light.
     Measured,
     /// Ground truth, which only a simulation has: dashed.
     Truth,
@@ -24,7 +24,7 @@ pub enum Look {
     Boundary,
     /// The end of a range: thin, dashed.
     RangeEnd,
-    /// What is approached and not reached: thin, dashes and dots.
+    /// An asymptote: thin, dashes and dots.
     Asymptote,
 }
 

@@ -1,8 +1,7 @@
 //! Figures for print, described without saying how they are drawn.
 //!
 //! A [`Figure`] is [`Panel`]s, in one row or several, under one legend;
-//! [`Figure::to_svg`] draws it. Lengths on the page are in mm. Nothing here knows what
-//! a car is.
+//! [`Figure::to_svg`] draws it. Lengths on the page are in mm.
 //!
 //! Names and labels that are `String`s, and the names in the legend, may hold symbols
 //! between dollar signs: `"−$l_f$"` is a minus sign, an italic l and a small upright f
@@ -37,7 +36,7 @@ pub(crate) use xml::escaped;
 pub struct Figure {
     /// What it shows, in a few words; screen readers read it too.
     pub title: String,
-    /// What to see in it, in a sentence.
+    /// Its message, in a sentence.
     pub caption: String,
     /// How wide it is.
     pub width: Width,

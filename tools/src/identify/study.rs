@@ -25,7 +25,7 @@ pub const SCENARIO: &str = include_str!("../../scenarios/identify-car.toml");
 /// Another one, for validation.
 pub const VALIDATION: &str = include_str!("../../scenarios/identify-car-validation.toml");
 
-/// What the study found, for each seed in the order given.
+/// The results of the study, for each seed in the given order.
 #[derive(Clone, Debug)]
 pub struct Study {
     /// The car that was driven.
@@ -50,7 +50,7 @@ pub struct SeedResult {
     pub validation_nmpe: f64,
 }
 
-/// What all seeds together say of a parameter.
+/// The statistics of a parameter over all seeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Which.
@@ -85,7 +85,7 @@ pub enum StudyError {
         /// Why.
         source: Box<CarError>,
     },
-    /// The configuration of a drive makes no sense.
+    /// The configuration of a drive is invalid.
     #[error("seed {seed}: {source}")]
     Configuration {
         /// Under which seed.
@@ -208,7 +208,7 @@ fn simulated(text: &str, seed: u64) -> Result<DriveData, StudyError> {
     Ok(collector.until(u64::MAX >> 1))
 }
 
-/// The car as it really is, with delays and biases, which no one knows, as estimated.
+/// The true car, with the estimated delays and biases.
 fn true_values(truth: &VehicleParameters, estimated: &Values) -> Values {
     let servo = ServoParameters::default();
     let mut values = Values::of(truth).with(Parameter::ServoLag, servo.lag_s);

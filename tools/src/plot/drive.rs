@@ -1,4 +1,4 @@
-//! The drives in a record: what every tick of them saw and did, in SI units, over
+//! The drives in a record: inputs and outputs of their ticks, in SI units, over
 //! the time since the first driving tick.
 
 use std::sync::Arc;
@@ -52,7 +52,7 @@ pub struct Drive {
     /// The pilot's time of the first driving tick, in ns of the host's monotonic
     /// clock: the zero of all times below.
     pub start_ns: u64,
-    /// What ticks saw and did, in order; never empty.
+    /// The samples of its ticks, in order; never empty.
     pub ticks: Vec<TickSample>,
     /// What the board measured.
     pub board: Vec<BoardPoint>,
@@ -213,7 +213,7 @@ impl Drive {
         self.spread(self.ticks.iter().map(value))
     }
 
-    /// The same of numbers that are there already, one for each tick.
+    /// The same for given numbers, one for each tick.
     #[must_use]
     pub fn spread(&self, values: impl IntoIterator<Item = f64>) -> Column {
         with_gaps(self.ticks.iter().map(|tick| tick.time), values)
@@ -232,7 +232,7 @@ impl Drive {
         self.spread_truth(self.truth.iter().flatten().map(value))
     }
 
-    /// The same of numbers that are there already, one for each moment of the truth.
+    /// The same for given numbers, one for each sample of the ground truth.
     #[must_use]
     pub fn spread_truth(&self, values: impl IntoIterator<Item = f64>) -> Column {
         with_gaps(

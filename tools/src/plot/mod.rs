@@ -43,7 +43,7 @@ pub struct PlotArgs {
     )]
     pub figures: Vec<FigureKind>,
 
-    /// What to write [default: all; with --figure, svg].
+    /// Files to write [default: all; with --figure, svg].
     #[arg(long, value_enum, value_delimiter = ',')]
     pub format: Vec<PlotFormat>,
 
@@ -75,7 +75,7 @@ pub struct Plotted {
 ///
 /// # Errors
 ///
-/// When there is nothing to plot, or it can't be written.
+/// A record without a drive, or a file that can't be written.
 pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     let record = Record::read(&args.record)?;
     for note in &record.notes {

@@ -2,7 +2,7 @@
 
 use singletrack_pilot::Mode;
 
-/// What a tick saw and did.
+/// Inputs and outputs of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickSample {
     /// Since the first driving tick, in s.
@@ -39,7 +39,7 @@ pub struct TickSample {
     pub poses_missing: u32,
 }
 
-/// What the board measured.
+/// Measurements of the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardPoint {
     /// Since the first driving tick, in s.

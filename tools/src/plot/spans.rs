@@ -1,19 +1,21 @@
 //! When the cameras lost the markers.
 
+use singletrack_statistics::Distribution;
+
 use super::sample::TickSample;
 
 /// How many usual intervals between new poses may pass: one tick without a pose is
 /// the beat of two clocks, two are a loss.
 const INTERVALS: f64 = 2.5;
 /// The same for ticks that had no word of the cameras either: frames that are merely
-/// late are no loss.
+/// late are not a loss.
 const SILENT_INTERVALS: f64 = 5.5;
 
 /// The spans in which no new pose came for longer than usual, because frames had none
 /// or because there were no frames: from the first tick
 /// that had to hold the last one until the one with the next, in s.
 ///
-/// What is usual is the median time between ticks with a new pose, so that cameras
+/// The usual interval is the median time between ticks with a new pose, so that cameras
 /// slower than the control loop are not a loss.
 pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
     let fresh: Vec<f64> = ticks
@@ -21,9 +23,8 @@ pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
         .filter(|tick| !tick.held)
         .map(|tick| tick.time)
         .collect();
-    let mut intervals: Vec<f64> = fresh.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    let usual = intervals.get(intervals.len() / 2).copied();
+    let intervals = Distribution::of(fresh.windows(2).map(|pair| pair[1] - pair[0]));
+    let usual = intervals.sorted().get(intervals.count() / 2).copied();
 
     let mut spans = Vec::new();
     for run in ticks.chunk_by(|one, other| one.held == other.held) {

@@ -189,7 +189,7 @@ fn errors(drive: &Drive, timed: impl Iterator<Item = (f64, f64)>) -> Option<Stri
     ))
 }
 
-/// What matters most of the configuration, as far as it has it.
+/// The most important values of the configuration, if it has them.
 fn configured(text: &str) -> Vec<(&'static str, String)> {
     let Ok(table) = text.parse::<Table>() else {
         return Vec::new();

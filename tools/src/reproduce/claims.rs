@@ -1,4 +1,4 @@
-//! What is claimed, what was measured, and whether the one agrees with the other.
+//! Claims, measurements, and whether they agree.
 //!
 //! A claim is data: the quantity that it is about, and the criterion by which a
 //! number agrees with what the paper says. Nothing but [`judge`] gives verdicts.
@@ -9,12 +9,12 @@ use serde::Serialize;
 
 use super::text::number;
 
-/// What was measured, by name.
+/// The measured numbers, by name.
 #[derive(Clone, Debug, Default)]
 pub struct Measurements(BTreeMap<String, f64>);
 
 impl Measurements {
-    /// Takes in a number. What is not finite was not measured.
+    /// Adds a number. One that is not finite counts as not measured.
     pub fn add(&mut self, name: impl Into<String>, value: f64) {
         if value.is_finite() {
             self.0.insert(name.into(), value);
@@ -33,7 +33,7 @@ impl Measurements {
     }
 }
 
-/// What a number must be for a statement to hold. What is not finite never is it.
+/// The condition under which a number agrees. A number that is not finite never does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Criterion {
     /// As far as the tolerance from a value, at most.
@@ -50,7 +50,7 @@ pub enum Criterion {
 }
 
 impl Criterion {
-    /// Whether the number is such.
+    /// Whether the number meets it.
     #[must_use]
     pub fn holds(self, measured: f64) -> bool {
         if !measured.is_finite() {
@@ -98,7 +98,7 @@ pub struct Quantity {
     pub of_paper_car: bool,
 }
 
-/// What a claim is worth for which car.
+/// The cars that a claim is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// It follows from the equations, whatever the car.
@@ -109,7 +109,7 @@ pub enum Scope {
     Nobody,
 }
 
-/// Something that the paper says.
+/// A statement of the paper.
 #[derive(Clone, Debug)]
 pub struct Claim {
     /// A short name that stays.

@@ -1,5 +1,5 @@
-//! The least and the largest of what was measured. Of nothing, and of what has one that
-//! is not a number, there is none: no such number is a measurement.
+//! The least and the largest of measured values. Without values, or with one that is not a
+//! number, the result is not a number: it counts as not measured.
 
 /// The largest, or not a number.
 pub(super) fn largest(values: impl Iterator<Item = f64>) -> f64 {

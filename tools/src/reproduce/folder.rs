@@ -27,9 +27,8 @@ const CLAIMS_MARKDOWN: &str = "claims.md";
 const FIGURES: &str = "figures";
 const DATA: &str = "data";
 
-/// Makes the folder and sees that it can be written to and that nothing of somebody
-/// else's is in it. It takes minutes until there is something to write; what an earlier
-/// reproduction left stays until then.
+/// Makes the folder, and checks that it can be written to and holds no other files. An
+/// earlier reproduction stays until the new one is computed, minutes later.
 pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
     fs::create_dir_all(folder).map_err(write_error(folder))?;
     earlier(folder)?;
@@ -38,7 +37,7 @@ pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
         .map_err(write_error(folder))
 }
 
-/// What `claims.json` says of the folder.
+/// The list of files in `claims.json`.
 #[derive(Deserialize)]
 struct Contents {
     files: Vec<PathBuf>,
@@ -78,8 +77,8 @@ fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
 }
 
 /// Writes everything in place of an earlier reproduction; returns the path of the
-/// report. `claims.json`, which tells what is ours, is there before any other file, so
-/// that whatever interrupts this can be written over.
+/// report. `claims.json`, which lists the files, is written first, so that an
+/// interrupted reproduction can be overwritten.
 pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf, ReproduceError> {
     let mut texts = texts(reproduction);
     let mut files: Vec<String> = texts.iter().map(|(name, _)| name.clone()).collect();

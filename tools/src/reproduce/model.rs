@@ -1,4 +1,4 @@
-//! Model validation: the car identified from one drive, held against another.
+//! Model validation: the car identified from one drive, compared with another.
 
 use std::path::Path;
 

@@ -67,7 +67,7 @@ fn entry(section: &Section) -> String {
     )
 }
 
-/// How a claim came out, in a style sheet.
+/// The class of a verdict in the style sheet.
 const fn class(judged: &Judged) -> &'static str {
     match (judged.verdict, &judged.surprise) {
         (_, Some(_)) => "surprise",

@@ -1,4 +1,4 @@
-//! What a section of the report holds, without saying how it is written.
+//! The contents of a section of the report, independent of its format.
 
 use super::{
     Setup,
@@ -27,12 +27,12 @@ pub struct Section {
     pub tables: Vec<Table>,
     /// Numbers for the claims.
     pub measurements: Measurements,
-    /// What a reader must know: what could not be done, and why.
+    /// Notes for the reader: what could not be done, and why.
     pub notes: Vec<String>,
 }
 
 impl Section {
-    /// What was computed, if it was; else a note.
+    /// The result, or a note on its error.
     pub(super) fn or_note<T, E: std::fmt::Display>(
         &mut self,
         what: &str,

@@ -43,7 +43,7 @@ fn write(out: &mut impl Write, reproduction: &Reproduction, report: &Path) -> io
     writeln!(out, "{}", report.display())
 }
 
-/// How the claims came out, in a sentence.
+/// The number of claims by verdict, in a sentence.
 pub(super) fn counts(claims: &[Judged]) -> String {
     let count = |verdict| claims.iter().filter(|one| one.verdict == verdict).count();
     let mut text = format!(

@@ -10,7 +10,7 @@ use singletrack_core::config::{
     BoardSection, ConfigError, LawSection, LimitsSection, OuterLoopSection, ReferenceSection,
 };
 
-/// Everything that a simulation needs to know; unknown keys are refused.
+/// A scenario; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
@@ -148,7 +148,7 @@ pub enum ScenarioError {
         /// Why.
         source: std::io::Error,
     },
-    /// The file is no scenario.
+    /// The file is not a scenario.
     #[error("{}: {message}", .path.display())]
     Parse {
         /// The file.
@@ -156,13 +156,13 @@ pub enum ScenarioError {
         /// Where and why.
         message: String,
     },
-    /// A section that the daemon's configuration has too makes no sense.
+    /// A section of the daemon's configuration is invalid.
     #[error(transparent)]
     Section(#[from] ConfigError),
-    /// The law makes no sense.
+    /// The law is invalid.
     #[error("[law] {0}")]
     Law(#[from] LawError),
-    /// The vehicle makes no sense.
+    /// The vehicle is invalid.
     #[error("[vehicle] {0}")]
     Vehicle(#[from] singletrack_control::VehicleParameterError),
     /// A value outside its range.
@@ -223,7 +223,7 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Refuses what no simulation can do.
+    /// Refuses values that no simulation can have.
     fn validate(&self) -> Result<(), ScenarioError> {
         self.vehicle.validate()?;
         if let Some(believed) = &self.believed_vehicle {
@@ -325,7 +325,7 @@ impl Scenario {
     ///
     /// # Errors
     ///
-    /// A reference that makes no sense, or waypoints that can't be read.
+    /// An invalid reference, or waypoints that can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
         self.reference.reference()
     }

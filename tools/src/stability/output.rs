@@ -32,7 +32,7 @@ pub(super) fn print_csv(rows: impl IntoIterator<Item = Vec<String>>) -> io::Resu
     out.flush()
 }
 
-/// Writes a document: what was looked at, and `points`.
+/// Writes a document: car, law and `points`.
 pub(super) fn write_json(subject: &Subject, points: &impl Serialize) -> io::Result<()> {
     let document = json!({
         "law": match subject.law {

@@ -24,7 +24,7 @@ impl Subject {
     ///
     /// # Errors
     ///
-    /// A parameter with which there is no steady motion.
+    /// Parameters without a steady motion.
     pub fn at(&self, speed: f64, deviation: f64) -> Result<ClosedLoop, StabilityError> {
         Ok(ClosedLoop::new(
             self.vehicle,
@@ -36,7 +36,7 @@ impl Subject {
         .believing(self.belief))
     }
 
-    /// The deviations that the paper looks at: all meaningful ones, and for the
+    /// The deviations of the paper: all meaningful ones, and for the
     /// front-point law as far down as its bifurcations lie.
     #[must_use]
     pub fn usual_deviations(&self) -> Grid {

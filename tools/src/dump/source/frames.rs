@@ -67,7 +67,7 @@ pub(super) struct Frames {
     begin: u64,
     /// Its first bytes.
     bytes: Vec<u8>,
-    /// What the last greeting said, if it was not our version.
+    /// The version in the last greeting, if it is not ours.
     other_version: Option<u16>,
     /// How many frames were whole.
     pub(super) whole: u64,
@@ -116,7 +116,7 @@ impl Frames {
         None
     }
 
-    /// What the bytes end with, if that is not a zero.
+    /// The stretch at the end of the bytes that no zero ends.
     pub(super) fn finish(&mut self) -> Option<Found> {
         let content = (self.taken > self.begin).then(|| {
             let detail = "the bytes end in the middle of a frame".to_owned();
@@ -189,7 +189,7 @@ fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
 }
 
 impl Content {
-    /// Whatever can come in a direction, an example of each.
+    /// An example of every type of frame in a direction.
     fn examples(direction: Direction) -> Vec<Self> {
         // Zeros are a payload of every message.
         let zeros = [0; MAX_PAYLOAD_LENGTH];
@@ -359,7 +359,7 @@ impl Found {
     }
 }
 
-/// What can come in a direction. Every frame has an offset and a length.
+/// The kinds of frames in a direction. Every frame has an offset and a length.
 pub(in crate::dump) fn kinds(direction: Direction) -> Vec<Kind> {
     Content::examples(direction)
         .iter()
@@ -381,7 +381,7 @@ pub(in crate::dump) fn kinds(direction: Direction) -> Vec<Kind> {
 }
 
 /// The fields of a record's entry that come over the line: all from the board's
-/// clock on. What is before is the host's addition.
+/// clock on. The host adds those before.
 fn recorded(entry: &Entry, field: &mut dyn FnMut(&str, Value)) {
     let names = entry.topic().fields();
     for (name, value) in names

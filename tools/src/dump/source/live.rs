@@ -1,4 +1,4 @@
-//! What the running daemon sees, as it sees it.
+//! Rows of the running daemon.
 
 use std::{
     io::{self, Read, Write},

@@ -27,7 +27,7 @@ use super::DumpError;
 /// The longest time that a source waits for more.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// What is known of a row before its fields are read.
+/// A row before its fields are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Row {
     /// Which of the source's kinds it is.
@@ -56,7 +56,7 @@ pub(super) enum Next {
     End,
 }
 
-/// How a source ended, and what can be said of it as a whole.
+/// How a source ended, with figures of the whole source.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Close {
     /// A note for standard error.
@@ -83,14 +83,14 @@ pub(super) trait Source {
     /// Replaces `values` with the fields of the row, in the order of its kind.
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
 
-    /// Adds the row to `json` as one object, with all that there is of it.
+    /// Adds the row to `json` as one object with all its fields.
     fn write_json(&mut self, json: &mut String) -> Result<(), DumpError>;
 
     /// How it ended.
     fn close(&self) -> Close;
 }
 
-/// What a name on the command line stands for.
+/// The source that the command line names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Place {
     /// The running daemon.
@@ -121,7 +121,7 @@ impl fmt::Display for Place {
 const MCAP_MAGIC: [u8; 5] = *b"\x89MCAP";
 
 impl Place {
-    /// Finds out what a name stands for.
+    /// The source with this name.
     pub(super) fn of(path: &Path, raw: bool) -> Self {
         let name = path.to_string_lossy();
         if path.as_os_str() == "-" {

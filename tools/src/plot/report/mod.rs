@@ -1,7 +1,7 @@
 //! `report.html`: a drive to look around in, in one file that needs nothing else.
 //!
-//! What stands in it is readable without JavaScript, and what is printed are the
-//! figures for print; the script puts canvases in their place.
+//! The page is readable without JavaScript, and prints the figures for print; the
+//! script puts canvases in their place.
 
 mod data;
 

@@ -32,7 +32,7 @@ use crate::{
 pub(in crate::stability) struct FiguresArgs {
     #[command(flatten)]
     subject: LoopArgs,
-    /// Folder for the SVG files; made if it is not there
+    /// Folder for the SVG files; created if needed
     #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
     /// Which figures to draw

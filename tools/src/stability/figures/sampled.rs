@@ -1,4 +1,4 @@
-//! What the paper leaves out: the loop in ticks, late, and with a pose now and then.
+//! What the paper leaves out: the loop in ticks, with delay and with missing poses.
 
 use singletrack_analysis::stability::MarginLimits;
 
