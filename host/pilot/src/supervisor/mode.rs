@@ -1,32 +1,34 @@
-//! What the pilot is doing.
+//! The modes of the pilot.
 
 use core::fmt;
 
-/// What the pilot is doing.
+/// The mode of the pilot. The table of transitions is in `supervisor`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// There is no board to talk to.
+    /// There is no usable link to a board.
     Disconnected,
-    /// Something is missing for a drive; the reason says what.
+    /// The arming check fails; the reason is why, or why the last drive ended.
     Idle,
-    /// Everything is there; waiting to be armed.
+    /// The arming check passes; the pilot waits for an arm request.
     Ready,
-    /// Waiting for the board to arm.
+    /// The board has been asked to arm.
     Arming,
-    /// Following the reference.
+    /// The car follows the reference.
     Driving,
-    /// Blind for longer than a pose may be held: the speed ramps down with the
-    /// wheels held. A pose that comes back in time goes on with the drive.
+    /// The last pose is too old to drive with: the speed ramps down, the steering is
+    /// held. The drive goes on if fresh poses come in time.
     Slowing,
-    /// Slowing down to a stop, wheels held. Driving again takes an explicit arm.
+    /// The speed ramps down to zero, the steering is held; then the board is disarmed.
+    /// The next drive needs an arm request.
     Stopping,
-    /// An emergency stop, or a state that can't be. A disarm request clears it;
-    /// after an emergency stop so does a board that was reset.
+    /// An emergency stop, or a state at which the law is singular. A disarm request
+    /// clears it, unless the board is still latched. After an emergency stop, a reset of
+    /// the board clears it too.
     Fault,
 }
 
 impl Mode {
-    /// All of them.
+    /// Every mode, in the order of declaration.
     pub const ALL: [Self; 8] = [
         Self::Disconnected,
         Self::Idle,
@@ -38,7 +40,7 @@ impl Mode {
         Self::Fault,
     ];
 
-    /// The name of the mode in status, log and record.
+    /// The word for the mode in status, log and record.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -53,8 +55,7 @@ impl Mode {
         }
     }
 
-    /// Whether a drive has begun, or is about to, and has not come to its end:
-    /// the car may move, and nothing is reconfigured.
+    /// Whether a drive is underway: the car may move, and no configuration is replaced.
     #[must_use]
     pub const fn is_underway(self) -> bool {
         matches!(
@@ -63,7 +64,7 @@ impl Mode {
         )
     }
 
-    /// Whether the board is sent commands.
+    /// Whether the pilot sends drive commands to the board.
     #[must_use]
     pub const fn commands(self) -> bool {
         matches!(self, Self::Driving | Self::Slowing | Self::Stopping)
