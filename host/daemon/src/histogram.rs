@@ -1,11 +1,11 @@
-//! Durations, counted in buckets of about one percent.
+//! A histogram of durations, with buckets of at most 1.6 % of their value.
 
 use serde::Serialize;
 
-/// Buckets in every power of two: below this many nanoseconds, one each.
+/// Buckets per power of two. Below this many nanoseconds, each value has its own bucket.
 const FINE: u64 = 64;
 const FINE_BITS: u32 = FINE.ilog2();
-/// Enough for every u64.
+/// The number of buckets for every `u64`.
 const BUCKETS: usize = ((64 - FINE_BITS + 1) as usize) * FINE as usize;
 
 /// Durations in nanoseconds.
@@ -16,13 +16,12 @@ pub(crate) struct Histogram {
     max_ns: u64,
 }
 
-/// What a histogram boils down to, in microseconds; zeros if nothing was
-/// counted.
+/// Percentiles of durations, in microseconds; zeros without values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Percentiles {
-    /// Half of the values are at most this, to 1.6 %.
+    /// The median, to 1.6 %.
     pub p50: f64,
-    /// 99 % of the values are at most this, to 1.6 %.
+    /// The 99th percentile, to 1.6 %.
     pub p99: f64,
     /// The largest value.
     pub max: f64,
@@ -56,8 +55,7 @@ impl Histogram {
         }
     }
 
-    /// The end of the bucket that holds the value which `percent` of all do
-    /// not exceed.
+    /// The end of the bucket of this percentile.
     fn quantile(&self, percent: u64) -> u64 {
         let rank = (self.count * percent).div_ceil(100);
         let mut seen = 0;
@@ -76,7 +74,7 @@ fn bucket(ns: u64) -> usize {
         return ns as usize;
     }
     let shift = ns.ilog2() - FINE_BITS;
-    // The shifted value lies from FINE to 2 FINE.
+    // The shifted value is at least FINE and below 2 FINE.
     ((u64::from(shift) + 1) * FINE + (ns >> shift) - FINE) as usize
 }
 
@@ -110,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn percentiles_are_those_of_the_values() {
+    fn percentiles_agree_with_the_values() {
         let mut histogram = Histogram::default();
         assert_eq!(histogram.percentiles(), Percentiles::default());
         for us in 1..=1_000_u64 {
