@@ -1,4 +1,5 @@
-//! The clock of everything: `CLOCK_MONOTONIC`, which nobody sets.
+//! The clocks: `CLOCK_MONOTONIC` for every time in the daemon, and the wall clock for
+//! names and mappings.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -10,33 +11,33 @@ use rustix::{
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Now, in nanoseconds of `CLOCK_MONOTONIC`.
+/// The present time, in nanoseconds of `CLOCK_MONOTONIC`.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     nanoseconds(now.tv_sec, now.tv_nsec)
 }
 
-/// Of a `timespec`, whose numbers have 32 bits on the Odroid.
+/// Converts a `timespec`, whose fields have 32 bits on the Odroid.
 pub(crate) fn nanoseconds(seconds: impl TryInto<u64>, nanoseconds: impl TryInto<u64>) -> u64 {
-    // The clock starts with the machine, and is never negative.
+    // The clock counts from the start of the machine and is never negative.
     seconds.try_into().unwrap_or(0) * SECOND_NS + nanoseconds.try_into().unwrap_or(0)
 }
 
-/// Sleeps until `deadline_ns` of `CLOCK_MONOTONIC`, or not at all if that is past.
+/// Sleeps until `deadline_ns` of `CLOCK_MONOTONIC`; returns at once if it has passed.
 pub(crate) fn sleep_until(deadline_ns: u64) {
     let deadline = Timespec {
-        // 2^63 s and 10^9 ns fit every width that these have.
+        // The seconds have 64 bits on every platform; the nanoseconds are below 10^9.
         tv_sec: (deadline_ns / SECOND_NS) as _,
         tv_nsec: (deadline_ns % SECOND_NS) as _,
     };
-    // Interrupted by a signal, it sleeps on.
+    // A signal interrupts the sleep.
     while let Err(rustix::io::Errno::INTR) =
         clock_nanosleep_absolute(rustix::thread::ClockId::Monotonic, &deadline)
     {}
 }
 
-/// Nanoseconds since 1970 on the wall; 0 if the clock says it is earlier.
+/// Nanoseconds of the wall clock since 1970; 0 before 1970.
 pub(crate) fn wall_ns() -> u64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -45,7 +46,7 @@ pub(crate) fn wall_ns() -> u64 {
         })
 }
 
-/// A time on the wall in UTC, as `20250131T235959Z`.
+/// A time in UTC as `20250131T235959Z`.
 pub(crate) fn compact_utc(wall_ns: u64) -> String {
     // All that fits into 64 bits is within the calendar: 1970 to 2554.
     Timestamp::from_nanosecond(i128::from(wall_ns))
@@ -59,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_those_of_the_calendar() {
+    fn dates_agree_with_the_calendar() {
         for (seconds, text) in [
             (0, "19700101T000000Z"),
             (951_782_399, "20000228T235959Z"),
@@ -74,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deadline_is_not_undercut() {
+    fn a_sleep_does_not_end_before_its_deadline() {
         let deadline = monotonic_ns() + 2_000_000;
         sleep_until(deadline);
         assert!(monotonic_ns() >= deadline);

@@ -1,9 +1,9 @@
-//! The thread that takes what the real-time threads tell, and passes it on: to
-//! the log, the record, the figures and whoever watches.
+//! The collector's thread: distributes the output of the real-time threads to the log,
+//! the record, the figures, the live view and the watchers.
 
 use std::{
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
         mpsc,
     },
@@ -15,84 +15,46 @@ use rtrb::Consumer;
 use singletrack_core::{Report, cameras::CameraReport};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Mode, Reason};
-use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput, Topic};
-use tokio::sync::broadcast;
+use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
+    shared_status::SharedStatus,
     snapshot::TickView,
-    summary::Tally,
     wall_watch::WallWatch,
 };
 
-/// How long the collector sleeps when nobody wakes it.
+/// The longest sleep: the control thread wakes the collector after every tick.
 const NAP: Duration = Duration::from_millis(20);
 
-/// Lines that a watcher may be behind before it misses some.
-const WATCH_CAPACITY: usize = 1_024;
-
-/// The latest of everything.
-#[derive(Debug, Default)]
-pub(crate) struct Latest {
-    pub(crate) tick: Option<TickView>,
-    pub(crate) board: Option<(BoardMode, StopCause)>,
-    pub(crate) board_status: Option<Status>,
-    pub(crate) tally: Tally,
-    /// Why the record has ended before the daemon did.
-    pub(crate) record_error: Option<String>,
-}
-
-/// What everybody but the control thread may look at.
-#[derive(Debug)]
-pub(crate) struct Board {
-    latest: Mutex<Latest>,
-    /// Records as JSON lines.
-    pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
-}
-
-impl Board {
-    pub(crate) fn new() -> Self {
-        Self {
-            latest: Mutex::default(),
-            watchers: broadcast::Sender::new(WATCH_CAPACITY),
-        }
-    }
-
-    /// Not for the control thread.
-    pub(crate) fn latest(&self) -> MutexGuard<'_, Latest> {
-        // Whoever panicked with it left figures, not promises.
-        self.latest.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Everything on the collector's thread.
+/// The collector and its inputs and outputs.
 pub(crate) struct Collector {
     pub(crate) ticks: TickOutput,
     pub(crate) reports: Consumer<Report>,
     pub(crate) cameras: Consumer<CameraReport>,
-    /// For the record alone; what of it is to be logged has been.
+    /// Entries of other threads for the record. They are already logged.
     pub(crate) entries: mpsc::Receiver<Entry>,
-    /// Whether somebody sets the clock on the wall.
+    /// Detects steps of the wall clock.
     pub(crate) wall: WallWatch,
-    pub(crate) board: Arc<Board>,
+    pub(crate) status: Arc<SharedStatus>,
     pub(crate) record: Option<FeedInput>,
-    /// What goes to it is also shown live.
+    /// The live view gets the same entries as the record.
     pub(crate) live: Option<FeedInput>,
-    /// Entries that the record has no room for.
+    /// Entries that found no room in the record's ring.
     pub(crate) record_dropped: u64,
-    pub(crate) told: Option<(Mode, Option<Reason>)>,
-    /// Everybody else has ended.
+    /// The mode and reason that were logged last.
+    pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
+    /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
 
 impl Collector {
-    /// Runs until it is told to stop and everything is passed on.
+    /// Runs until `stop` is set and every ring is empty.
     pub(crate) fn run(mut self) {
         loop {
-            // Asked first: what was told before the stop is passed on.
+            // Read before the rings: entries from before the stop are distributed.
             let stopping = self.stop.load(Ordering::Acquire);
-            self.pass_on();
+            self.distribute();
             if stopping {
                 return;
             }
@@ -100,13 +62,13 @@ impl Collector {
         }
     }
 
-    fn pass_on(&mut self) {
+    fn distribute(&mut self) {
         let now_ns = monotonic_ns();
-        if let Some(step) = self.wall.look(now_ns, wall_ns()) {
+        if let Some(step) = self.wall.update(now_ns, wall_ns()) {
             self.log(
                 now_ns,
                 Level::Info,
-                format!("{step}; times in the record go on as before"),
+                format!("{step}; times in the record are not affected"),
             );
         }
         while let Ok(entry) = self.entries.try_recv() {
@@ -118,13 +80,13 @@ impl Collector {
         while let Ok(report) = self.cameras.pop() {
             match report {
                 CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
-                CameraReport::Counters(counters) => self.board.latest().tally.mocap(&counters),
+                CameraReport::Counters(counters) => self.status.latest().tally.mocap(&counters),
             }
         }
         while let Some(tick) = self.ticks.pop() {
-            self.mode(tick.start_ns, tick.output.mode, tick.output.reason);
+            self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             {
-                let mut latest = self.board.latest();
+                let mut latest = self.status.latest();
                 latest.tick = Some(TickView::from(&tick));
                 latest.tally.tick(&tick);
             }
@@ -136,29 +98,29 @@ impl Collector {
         match report {
             Report::Telemetry(record) => {
                 let telemetry = &record.telemetry;
-                self.board.latest().board = Some((telemetry.mode, telemetry.stop_cause));
+                self.status.latest().board = Some((telemetry.mode, telemetry.stop_cause));
                 self.entry(Entry::Telemetry(record));
             }
             Report::Status(record) => {
-                self.board.latest().board_status = Some(record.status);
+                self.status.latest().board_status = Some(record.status);
                 self.entry(Entry::Status(record));
             }
             Report::Link { time_ns, event } => {
                 let (level, text) = describe(&event);
                 self.log(time_ns, level, text);
             }
-            Report::Counters(counters) => self.board.latest().tally.line(&counters),
+            Report::Counters(counters) => self.status.latest().tally.line(&counters),
         }
     }
 
-    /// Logs a change of mode, with the word that explains it.
-    fn mode(&mut self, time_ns: u64, mode: Mode, reason: Option<Reason>) {
-        if self.told == Some((mode, reason)) {
+    /// Logs a change of mode or reason.
+    fn log_mode(&mut self, time_ns: u64, mode: Mode, reason: Option<Reason>) {
+        if self.logged_mode == Some((mode, reason)) {
             return;
         }
-        self.told = Some((mode, reason));
+        self.logged_mode = Some((mode, reason));
         let level = match (mode, reason) {
-            // As it was meant to end.
+            // An expected end is no warning.
             (Mode::Stopping, Some(Reason::Requested | Reason::ReferenceFinished)) => Level::Info,
             (Mode::Fault, _) | (Mode::Stopping, Some(_)) => Level::Warning,
             _ => Level::Info,
@@ -185,28 +147,28 @@ impl Collector {
     }
 
     fn entry(&mut self, entry: Entry) {
-        if self.board.watchers.receiver_count() > 0 {
+        if self.status.watchers.receiver_count() > 0 {
             let mut line = String::new();
             entry.write_json(&mut line);
-            // Without watchers nobody misses it.
-            let _ = self.board.watchers.send((entry.topic(), Arc::from(line)));
+            // An error means that the last watcher has left.
+            let _ = self.status.watchers.send((entry.topic(), Arc::from(line)));
         }
         if let Some(live) = &mut self.live {
-            // What viewers miss, the record has.
+            // Viewers may miss entries; the record has them.
             let _ = live.push(entry.clone());
         }
         if let Some(record) = &mut self.record
             && !record.push(entry)
         {
-            // Of a record that has ended it is known why.
-            if self.record_dropped == 0 && self.board.latest().record_error.is_none() {
+            // A record that has ended is reported elsewhere.
+            if self.record_dropped == 0 && self.status.latest().record_error.is_none() {
                 tracing::warn!(
                     time_ns = monotonic_ns(),
                     "the record is incomplete: the disk does not keep up"
                 );
             }
             self.record_dropped += 1;
-            self.board
+            self.status
                 .latest()
                 .tally
                 .record_dropped(self.record_dropped);
@@ -214,7 +176,7 @@ impl Collector {
     }
 }
 
-/// An event of the link for the log.
+/// The level and the text of a link event for the log.
 fn describe(event: &LinkEvent) -> (Level, String) {
     let version = |[major, minor, patch]: [u8; 3]| format!("{major}.{minor}.{patch}");
     match event {
@@ -230,7 +192,7 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         LinkEvent::VersionMismatch(mismatch) => (Level::Error, mismatch.to_string()),
         LinkEvent::ConfigurationAccepted { hash } => (
             Level::Info,
-            format!("board took its configuration, {hash:08x}"),
+            format!("board accepted its configuration, hash {hash:08x}"),
         ),
         LinkEvent::ConfigurationRefused { reason } => (
             Level::Error,
@@ -242,7 +204,7 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         ),
         LinkEvent::Acknowledged { request, .. } => (
             Level::Info,
-            format!("board did as asked: {}", request.name()),
+            format!("board acknowledged: {}", request.name()),
         ),
         LinkEvent::Refused {
             request, reason, ..
@@ -259,7 +221,7 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         }
         LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", cause.name())),
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
-            (Level::Debug, "board reported".to_owned())
+            (Level::Debug, "message from the board".to_owned())
         }
     }
 }

@@ -1,4 +1,5 @@
-//! The control thread: absolute deadlines, in real time if the system lets it.
+//! The control thread: one tick per absolute deadline, with real-time scheduling if the
+//! system grants it.
 
 use std::{
     sync::{
@@ -12,41 +13,41 @@ use singletrack_core::{LineCounters, control_loop::ControlLoop, grid::Grid, line
 
 use crate::clock::{monotonic_ns, sleep_until};
 
-/// What others see of the control thread.
+/// Flags that the control thread shares with the others.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Signs {
-    /// Ticks that it has done: proof that it lives, whatever becomes of records.
+pub(crate) struct ControlThreadState {
+    /// Ticks done. The watchdog relies on it, and not on records, which may be dropped.
     pub(crate) ticks: Arc<AtomicU64>,
-    /// It has ended, however it did.
+    /// Set when the thread has ended, by a panic too.
     pub(crate) ended: Arc<AtomicBool>,
-    /// Others ask it to end at once.
-    pub(crate) give_up: Arc<AtomicBool>,
+    /// Asks the thread to end at once, without stopping the car.
+    pub(crate) abort: Arc<AtomicBool>,
 }
 
-/// Runs until the loop is done, or it is to give up; `collector` is woken after
-/// every tick.
+/// Runs until the loop is done or `state.abort` is set. Wakes `collector` after every
+/// tick.
 pub(crate) fn run<L: Line>(
     mut control: ControlLoop<L>,
     period_ns: u64,
-    signs: &Signs,
+    state: &ControlThreadState,
     collector: &Thread,
 ) -> LineCounters {
     let mut grid = Grid::new(monotonic_ns(), period_ns);
-    while !control.is_done() && !signs.give_up.load(Ordering::Relaxed) {
+    while !control.is_done() && !state.abort.load(Ordering::Relaxed) {
         grid.leave(monotonic_ns());
         sleep_until(grid.next_ns());
         control.tick(grid.enter(monotonic_ns()), &monotonic_ns);
-        signs.ticks.fetch_add(1, Ordering::Relaxed);
+        state.ticks.fetch_add(1, Ordering::Relaxed);
         collector.unpark();
         grid.slide(control.slide_ns());
     }
     control.counters()
 }
 
-/// Raised when the control thread ends, however it does.
-pub(crate) struct Ended(pub(crate) Arc<AtomicBool>);
+/// Sets the flag when it is dropped: when the control thread returns or panics.
+pub(crate) struct SetOnDrop(pub(crate) Arc<AtomicBool>);
 
-impl Drop for Ended {
+impl Drop for SetOnDrop {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Release);
     }

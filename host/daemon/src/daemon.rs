@@ -1,4 +1,4 @@
-//! The daemon: all threads together.
+//! The daemon: starts and ends every thread.
 
 use std::{
     fs::File,
@@ -14,29 +14,30 @@ use std::{
 };
 
 use singletrack_core::{
-    Host, HostOptions, LineCounters, Requests, Stalled,
+    Host, HostOptions, LineCounters, Stalled,
     config::{Config, ConfigError},
     control_loop::{ControlLoop, ControlRequest},
     reconfigure::ChangeError,
     serial::ReaderCounters,
-    setpoint_slot::SetpointSender,
 };
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
-use singletrack_pilot::{Mode, RealTimeState, Reason, Request};
-use singletrack_record::{ClockMapping, RecorderThread};
+use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Reason};
+use singletrack_record::ClockMapping;
 use tracing::{error, info, warn};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
-    collector::{Board, Collector},
-    control_thread::{self, Ended, Signs},
-    live::{LiveError, LiveThread, LiveView},
+    collector::Collector,
+    control_thread::{self, ControlThreadState, SetOnDrop},
+    handle::DaemonHandle,
+    live::{LiveError, LiveThread},
     mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},
     realtime::{self, RealTimeStatus},
     reconfigure::{ConfigurationView, Reconfigurer},
-    recording::{self, RecordingError},
+    recording::{self, RecordingError, RunningRecord},
     serial_reader,
+    shared_status::SharedStatus,
     snapshot::Snapshot,
     socket::{BoundSocket, SocketError, SocketThread},
     summary::Summary,
@@ -44,132 +45,92 @@ use crate::{
     wall_watch::WallWatch,
 };
 
-/// How the daemon is started, beside its configuration.
+/// What a start needs besides the configuration.
 #[derive(Clone, Debug, Default)]
 pub struct StartOptions {
-    /// Arms once, as soon as the pilot is ready.
+    /// Arm once, as soon as the pilot is ready.
     pub arm: bool,
-    /// Keeps the whole process in memory, and the processors from idling deeply if
-    /// the configuration asks for real time; as far as the system allows it.
+    /// Lock the process's memory and, if the configuration asks for real-time scheduling,
+    /// keep the processors from idling deeply. A refusal of the system is reported in
+    /// [`RealTimeStatus::refusals`] and is not an error.
     pub lock_memory: bool,
-    /// Where the record goes, instead of a new file in the configured folder.
+    /// The file of the record, instead of a new one in the configured folder.
     pub record: Option<PathBuf>,
-    /// For the record: the seed of the simulation that is driven.
+    /// The seed of the simulation, for the metadata of the record.
     pub seed: Option<u64>,
 }
 
 /// Why the daemon does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// The configuration makes no sense.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// No socket to the cameras.
+    /// The sockets to the cameras can't be opened.
     #[error(transparent)]
     MotionCapture(#[from] MocapSocketError),
-    /// No record.
+    /// The record can't be created.
     #[error(transparent)]
     Record(#[from] RecordingError),
-    /// No control socket.
+    /// The control socket can't be created.
     #[error(transparent)]
     Socket(#[from] SocketError),
-    /// No live view.
+    /// The live view can't listen.
     #[error(transparent)]
     Live(#[from] LiveError),
-    /// No thread.
+    /// A thread can't be started.
     #[error("can't start the {name} thread: {source}")]
     Thread {
-        /// Which one.
+        /// The name of the thread.
         name: &'static str,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// Why the daemon did not end well. The board goes to neutral by itself.
+/// Why the daemon did not end in order. The board puts the car to neutral by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
     /// The control thread panicked.
     #[error("the control thread has panicked; the board stops the car by itself")]
     Panicked,
-    /// The control thread does not end.
+    /// The control thread did not end in time.
     #[error("the control thread does not end; the board stops the car by itself")]
     Stuck,
 }
 
-/// What may be known and asked from anywhere but the control thread.
-#[derive(Clone, Debug)]
-pub(crate) struct View {
-    pub(crate) board: Arc<Board>,
-    pub(crate) requests: Requests,
-    pub(crate) setpoints: SetpointSender,
-    pub(crate) reconfigurer: Reconfigurer,
-    realtime: RealTimeStatus,
-    live: Option<LiveView>,
-}
-
-impl View {
-    pub(crate) fn snapshot(&self) -> Snapshot {
-        let latest = self.board.latest();
-        Snapshot {
-            tick: latest.tick,
-            board: latest.board,
-            board_status: latest.board_status,
-            figures: latest.tally.figures(),
-            realtime: self.realtime.clone(),
-            configuration: self.reconfigurer.view(),
-            live: self.live.as_ref().map(LiveView::status),
-            record_error: latest.record_error.clone(),
-        }
-    }
-}
-
-/// A running daemon. Dropped, it disarms and ends.
+/// A running daemon. If it is dropped, it disarms the board and ends.
 #[derive(Debug)]
 pub struct Daemon {
-    view: View,
+    handle: DaemonHandle,
     control: Option<JoinHandle<LineCounters>>,
-    signs: Signs,
+    control_state: ControlThreadState,
     stop: StopFlag,
     reader: Option<JoinHandle<ReaderCounters>>,
     receiver: Option<JoinHandle<(MocapCounters, u64)>>,
     collector_stop: Arc<AtomicBool>,
     collector: Option<JoinHandle<()>>,
-    recorder: Option<Recording>,
-    /// The path of a record that could not be written to the end.
+    record: Option<RunningRecord>,
+    /// The path of a record whose recorder failed.
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
     live: Option<LiveThread>,
-    /// Open, it keeps the processors from idling deeply.
-    _idle: Option<File>,
+    /// Keeps the processors from idling deeply while it is open.
+    _idle_bound: Option<File>,
 }
 
-struct Recording {
-    thread: RecorderThread,
-    path: PathBuf,
-}
-
-impl core::fmt::Debug for Recording {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        formatter
-            .debug_struct("Recording")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
-    }
-}
-
-/// How long a control thread may take to end, beyond what it takes to stop the
-/// car.
-const END_PATIENCE: Duration = Duration::from_secs(4);
+/// The longest wait for the control thread to stop the car and end.
+const END_TIMEOUT: Duration = Duration::from_secs(4);
 
 impl Daemon {
-    /// Starts all threads. The port need not be there: it is opened when it is.
+    /// Starts all threads. The serial port is opened as soon as it exists.
     ///
-    /// Block the signals that are to be handled before: threads inherit that.
+    /// Block the signals that the caller handles before the call: threads inherit the
+    /// mask.
     ///
     /// # Errors
     ///
-    /// What stands in the way, with the fix. Nothing runs then.
+    /// [`StartError`], with what to do about it. No thread runs then.
     pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
         let seed = wall_ns() ^ u64::from(std::process::id());
         let host = Host::new(
@@ -185,8 +146,8 @@ impl Daemon {
             && realtime::lock_memory()
                 .map_err(|refusal| refusals.push(refusal))
                 .is_ok();
-        let asks = options.lock_memory && config.control.realtime_priority > 0;
-        let idle = asks
+        let wants_real_time = options.lock_memory && config.control.realtime_priority > 0;
+        let idle_bound = wants_real_time
             .then(|| realtime::bound_idle().map_err(|refusal| refusals.push(refusal)))
             .and_then(Result::ok);
         let sockets = MocapSockets::open(&config.motion_capture)?;
@@ -210,16 +171,16 @@ impl Daemon {
             false => (None, None),
         };
         let started = recording::start(&config, options.record, options.seed, begin)?;
-        let (recorder, record) = match started {
-            Some((thread, input, path)) => (Some(Recording { thread, path }), Some(input)),
+        let (running_record, record) = match started {
+            Some((record, input)) => (Some(record), Some(input)),
             None => (None, None),
         };
 
-        let board = Arc::new(Board::new());
+        let status = Arc::new(SharedStatus::new());
         let (entries_in, entries) = mpsc::channel();
         let mut daemon = Self {
-            view: View {
-                board: Arc::clone(&board),
+            handle: DaemonHandle {
+                status: Arc::clone(&status),
                 reconfigurer: Reconfigurer::new(
                     host.configurations,
                     host.requests.clone(),
@@ -230,23 +191,23 @@ impl Daemon {
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,
-                    idle_bounded: idle.is_some(),
+                    idle_bounded: idle_bound.is_some(),
                     refusals,
                 },
                 live: live_thread.as_ref().map(|thread| thread.view.clone()),
             },
             control: None,
-            signs: Signs::default(),
+            control_state: ControlThreadState::default(),
             stop: stop.clone(),
             reader: None,
             receiver: None,
             collector_stop: Arc::new(AtomicBool::new(false)),
             collector: None,
-            recorder,
+            record: running_record,
             broken_record: None,
             socket: None,
             live: live_thread,
-            _idle: idle,
+            _idle_bound: idle_bound,
         };
 
         let collector = Collector {
@@ -255,11 +216,11 @@ impl Daemon {
             cameras: host.camera_reports,
             entries,
             wall: WallWatch::default(),
-            board,
+            status,
             record,
             live,
             record_dropped: 0,
-            told: None,
+            logged_mode: None,
             stop: Arc::clone(&daemon.collector_stop),
         };
         let collector = spawn("collector", move || collector.run())?;
@@ -267,17 +228,18 @@ impl Daemon {
         daemon.collector = Some(collector);
 
         daemon.start_control(&config, host.control, collector_thread)?;
-        let (serial, reader_stop) = (config.serial, stop.clone());
+        let (serial, cameras) = (config.serial, config.motion_capture);
+        let reader_stop = stop.clone();
         let reader = host.reader;
         daemon.reader = Some(spawn("serial", move || {
             serial_reader::run(reader, serial, &reader_stop)
         })?);
         let receiver = host.receiver;
         daemon.receiver = Some(spawn("mocap", move || {
-            mocap_receiver::run(receiver, sockets, &stop)
+            mocap_receiver::run(receiver, sockets, &cameras, &stop)
         })?);
         if let Some(socket) = socket {
-            let started = SocketThread::start(socket, daemon.view.clone());
+            let started = SocketThread::start(socket, daemon.handle.clone());
             daemon.socket = Some(started.map_err(|source| StartError::Thread {
                 name: "socket",
                 source,
@@ -286,7 +248,7 @@ impl Daemon {
         Ok(daemon)
     }
 
-    /// Starts the control thread and waits for what the system grants it.
+    /// Starts the control thread, and waits until it knows what the system grants it.
     fn start_control(
         &mut self,
         config: &Config,
@@ -295,22 +257,22 @@ impl Daemon {
     ) -> Result<(), StartError> {
         let priority = config.control.realtime_priority;
         let period_ns = config.control.period_ns();
-        let signs = self.signs.clone();
-        let memory_locked = self.view.realtime.memory_locked;
+        let state = self.control_state.clone();
+        let memory_locked = self.handle.realtime.memory_locked;
         let (granted_in, granted) = mpsc::sync_channel(1);
         self.control = Some(spawn("control", move || {
-            let _ended = Ended(Arc::clone(&signs.ended));
+            let _ended = SetOnDrop(Arc::clone(&state.ended));
             realtime::touch_memory(control.rings_mut());
             let granted = realtime::make_punctual(priority);
             control.real_time(RealTimeState {
                 fifo: matches!(granted, Ok(Some(_))),
                 memory_locked,
             });
-            // The starter waits for it.
+            // `start_control` waits for it.
             let _ = granted_in.send(granted);
-            control_thread::run(control, period_ns, &signs, &collector)
+            control_thread::run(control, period_ns, &state, &collector)
         })?);
-        let status = &mut self.view.realtime;
+        let status = &mut self.handle.realtime;
         match granted.recv() {
             Ok(Ok(priority)) => status.fifo_priority = priority,
             Ok(Err(refusal)) => status.refusals.push(refusal),
@@ -326,127 +288,125 @@ impl Daemon {
             memory_locked = status.memory_locked,
             idle_bounded = status.idle_bounded,
             period_ms = config.control.period_ms,
-            "control thread runs"
+            "control thread started"
         );
         Ok(())
     }
 
-    /// How the daemon is doing.
+    /// The present status: the last tick, the board, and the figures so far.
     #[must_use]
     pub fn snapshot(&self) -> Snapshot {
-        self.view.snapshot()
+        self.handle.snapshot()
     }
 
-    /// Asks the pilot for something. What comes of it shows in
-    /// [`snapshot`](Self::snapshot).
+    /// Passes a request to the pilot. The effect shows in [`snapshot`](Self::snapshot)
+    /// after the next tick.
     ///
     /// # Errors
     ///
-    /// When the control thread takes no requests.
-    pub fn request(&self, request: Request) -> Result<(), Stalled> {
-        self.view.requests.push(ControlRequest::Pilot(request))
+    /// [`Stalled`] if the control thread takes no requests.
+    pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
+        self.handle.requests.push(ControlRequest::Pilot(request))
     }
 
-    /// Reads the configuration anew and has controller and board take it over,
-    /// all of it or nothing. Returns its number.
+    /// Reloads the configuration and puts all of it in force, for controller and board.
+    /// Returns its number.
     ///
     /// # Errors
     ///
-    /// Why the configuration in force stays: the new one makes no sense or takes
-    /// a restart, or the car drives.
+    /// [`ChangeError`] if the new configuration is invalid or needs a restart, or if the
+    /// car drives. The configuration in force stays then.
     pub fn reload(&self, path: &Path) -> Result<u32, ChangeError> {
-        self.view.reconfigurer.reload(path)
+        self.handle.reconfigurer.reload(path)
     }
 
-    /// Which configuration is in force.
+    /// The number of the configuration in force, and the last attempt to change it.
     #[must_use]
     pub fn configuration(&self) -> ConfigurationView {
-        self.view.reconfigurer.view()
+        self.handle.reconfigurer.view()
     }
 
-    /// Begins to end: the car slows down and stops, the board is disarmed.
+    /// Begins a shutdown: the car slows down and stops, then the board is disarmed.
     ///
     /// # Errors
     ///
-    /// When the control thread takes no requests.
+    /// [`Stalled`] if the control thread takes no requests.
     pub fn begin_stop(&self) -> Result<(), Stalled> {
-        self.view.requests.push(ControlRequest::Finish)
+        self.handle.requests.push(ControlRequest::Finish)
     }
 
-    /// Begins to end at once: the board is disarmed while the car drives.
+    /// Begins an immediate shutdown: the board is disarmed even if the car drives.
     ///
     /// # Errors
     ///
-    /// When the control thread takes no requests.
+    /// [`Stalled`] if the control thread takes no requests.
     pub fn begin_abort(&self) -> Result<(), Stalled> {
-        self.view.requests.push(ControlRequest::Abort)
+        self.handle.requests.push(ControlRequest::Abort)
     }
 
-    /// Looks whether the record is still written; logs it once when it is not,
-    /// and the drive goes on without.
-    pub fn look_after_record(&mut self) {
-        let has_ended = |recording: &mut Recording| !recording.thread.is_writing();
-        let Some(Recording { thread, path }) = self.recorder.take_if(has_ended) else {
+    /// Logs once if the recorder has failed. The drive goes on without a record.
+    pub fn check_record(&mut self) {
+        let has_ended = |record: &mut RunningRecord| !record.thread.is_writing();
+        let Some(RunningRecord { thread, path }) = self.record.take_if(has_ended) else {
             return;
         };
         let reason = match thread.finish() {
             Ok(_) => "its thread has ended".to_owned(),
             Err(error) => recording::with_causes(&error),
         };
-        error!("nothing is recorded any more: {reason}");
-        self.view.board.latest().record_error = Some(reason);
+        error!("recording has ended: {reason}");
+        self.handle.status.latest().record_error = Some(reason);
         self.broken_record = Some(path);
     }
 
-    /// Why nothing is recorded any more; none while all is well.
+    /// Why the record ended before the daemon; `None` if it has not.
     #[must_use]
     pub fn record_error(&self) -> Option<String> {
-        self.view.board.latest().record_error.clone()
+        self.handle.status.latest().record_error.clone()
     }
 
-    /// How many ticks the control thread has done.
+    /// The number of ticks that the control thread has done.
     #[must_use]
     pub fn ticks(&self) -> u64 {
-        self.signs.ticks.load(Ordering::Relaxed)
+        self.control_state.ticks.load(Ordering::Relaxed)
     }
 
-    /// The pilot's mode and why the car does not drive, after the last tick that
-    /// is known of.
+    /// The pilot's mode and reason after the last tick; disconnected before the first.
     #[must_use]
     pub fn mode(&self) -> (Mode, Option<Reason>) {
-        let tick = self.view.board.latest().tick;
+        let tick = self.handle.status.latest().tick;
         tick.map_or((Mode::Disconnected, None), |tick| (tick.mode, tick.reason))
     }
 
-    /// Whether the control thread has ended: on request, or by a panic.
+    /// Whether the control thread has ended, on request or by a panic.
     #[must_use]
     pub fn has_ended(&self) -> bool {
-        self.signs.ended.load(Ordering::Acquire)
+        self.control_state.ended.load(Ordering::Acquire)
     }
 
-    /// Stops the car, ends all threads and says what it came to.
+    /// Stops the car, ends all threads and returns the figures of the run.
     ///
     /// # Errors
     ///
-    /// When the control thread did not end well.
+    /// [`StopError`] if the control thread panicked or did not end in time.
     pub fn stop(mut self) -> Result<Summary, StopError> {
         self.end(ControlRequest::Finish)
     }
 
     fn end(&mut self, how: ControlRequest) -> Result<Summary, StopError> {
         let control = self.end_control(how);
-        // The others serve the control thread: they end after it.
+        // The other threads serve the control thread, so they end after it.
         self.stop.raise();
         if let Some(socket) = self.socket.take() {
             socket.stop();
         }
-        let mut tally = TallyAtEnd::default();
+        let mut counts = EndCounts::default();
         if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
-            tally.serial_bytes = counters.bytes_dropped;
+            counts.serial_bytes = counters.bytes_dropped;
         }
         if let Some(Ok((counters, dropped))) = self.receiver.take().map(JoinHandle::join) {
-            tally.mocap = Some(counters);
-            tally.observations = dropped;
+            counts.mocap = Some(counters);
+            counts.observations = dropped;
         }
         self.collector_stop.store(true, Ordering::Release);
         if let Some(collector) = self.collector.take() {
@@ -458,53 +418,53 @@ impl Daemon {
         drop(self.live.take());
         let (record, record_error) = self.end_record();
         let counters = control.inspect_err(|_| {
-            // There will be no summary to say so.
+            // An error returns no summary that could report it.
             if let Some(error) = &record_error {
                 warn!("the record is incomplete: {error}");
             }
         })?;
-        let mut latest = self.view.board.latest();
+        let mut latest = self.handle.status.latest();
         latest.tally.line(&counters);
-        if let Some(counters) = &tally.mocap {
+        if let Some(counters) = &counts.mocap {
             latest.tally.mocap(counters);
         }
         latest
             .tally
-            .dropped_on_the_way(tally.observations, tally.serial_bytes);
+            .dropped_inputs(counts.observations, counts.serial_bytes);
         Ok(Summary {
             figures: latest.tally.figures(),
-            realtime: self.view.realtime.clone(),
+            realtime: self.handle.realtime.clone(),
             record,
             record_error,
         })
     }
 
-    /// The record's path, and what is wrong with it.
+    /// Closes the record. Returns its path, and the error if it is incomplete.
     fn end_record(&mut self) -> (Option<PathBuf>, Option<String>) {
-        match self.recorder.take() {
+        match self.record.take() {
             None => (
                 self.broken_record.take(),
-                self.view.board.latest().record_error.clone(),
+                self.handle.status.latest().record_error.clone(),
             ),
-            Some(Recording { thread, path }) => match thread.finish() {
+            Some(RunningRecord { thread, path }) => match thread.finish() {
                 Ok(finished) => (Some(finished.path), None),
                 Err(error) => (Some(path), Some(recording::with_causes(&error))),
             },
         }
     }
 
-    /// Has the control thread stop the car, and waits for it.
+    /// Asks the control thread to end, and waits for it.
     fn end_control(&mut self, how: ControlRequest) -> Result<LineCounters, StopError> {
         let Some(control) = self.control.take() else {
             return Err(StopError::Panicked);
         };
-        if !self.has_ended() && self.view.requests.push(how).is_err() {
-            self.signs.give_up.store(true, Ordering::Relaxed);
+        if !self.has_ended() && self.handle.requests.push(how).is_err() {
+            self.control_state.abort.store(true, Ordering::Relaxed);
         }
         let begin = Instant::now();
         while !control.is_finished() {
-            if begin.elapsed() > END_PATIENCE {
-                self.signs.give_up.store(true, Ordering::Relaxed);
+            if begin.elapsed() > END_TIMEOUT {
+                self.control_state.abort.store(true, Ordering::Relaxed);
                 return Err(StopError::Stuck);
             }
             thread::sleep(Duration::from_millis(1));
@@ -513,9 +473,9 @@ impl Daemon {
     }
 }
 
-/// What the threads beside the control thread counted.
+/// Counts of the input threads, known when they have ended.
 #[derive(Default)]
-struct TallyAtEnd {
+struct EndCounts {
     serial_bytes: u64,
     observations: u64,
     mocap: Option<MocapCounters>,

@@ -1,5 +1,5 @@
-//! The daemon that drives the car, as a library: threads, sockets, serial port and
-//! service around the host loop of [`singletrack_core`].
+//! The daemon that drives the car, as a library: the threads, the sockets, the serial port
+//! and the service around the host loop of [`singletrack_core`].
 //!
 //! ```text
 //! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
@@ -8,8 +8,8 @@
 //! set-points ------slot--/
 //! ```
 //!
-//! The control thread waits for nothing but its deadline: what comes to it and
-//! from it goes through bounded rings; what finds no room is dropped and counted.
+//! The control thread waits only for its deadline. Its inputs and outputs go through
+//! bounded rings; what finds no room in a ring is dropped and counted.
 
 pub mod notify;
 pub mod realtime;
@@ -21,11 +21,13 @@ mod clock;
 mod collector;
 mod control_thread;
 mod daemon;
+mod handle;
 mod live;
 mod mocap_receiver;
 mod mocap_socket;
 mod recording;
 mod serial_reader;
+mod shared_status;
 mod snapshot;
 mod summary;
 mod system;

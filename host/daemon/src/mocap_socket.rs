@@ -1,4 +1,4 @@
-//! The sockets to the motion capture.
+//! The UDP sockets to the motion capture.
 
 use std::{
     io,
@@ -6,14 +6,13 @@ use std::{
     os::fd::{AsFd, BorrowedFd},
 };
 
-use socket2::{Domain, Protocol, Socket, Type};
-
 use singletrack_core::{
     cameras::Channel,
     config::{MotionCaptureSection, TransportKind},
 };
+use socket2::{Domain, Protocol, Socket, Type};
 
-/// Why there is no socket.
+/// Why a socket can't be opened, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[error("motion capture: can't {action} {address}: {source}; {fix}")]
 pub struct MocapSocketError {
@@ -23,7 +22,7 @@ pub struct MocapSocketError {
     fix: &'static str,
 }
 
-/// Unicast: one socket for everything. Multicast: frames come to their own.
+/// One socket for unicast; a second one for the frames of multicast.
 #[derive(Debug)]
 pub(crate) struct MocapSockets {
     command: UdpSocket,
@@ -43,7 +42,7 @@ impl MocapSockets {
         Ok(Self { command, data })
     }
 
-    /// What to poll.
+    /// The sockets, to poll them for datagrams.
     pub(crate) fn files(&self) -> heapless::Vec<BorrowedFd<'_>, 2> {
         core::iter::once(&self.command)
             .chain(&self.data)
@@ -51,7 +50,7 @@ impl MocapSockets {
             .collect()
     }
 
-    /// The next datagram that waits in a socket.
+    /// The next datagram that waits; `None` if there is none.
     pub(crate) fn receive(
         &self,
         channel: Channel,
@@ -61,7 +60,7 @@ impl MocapSockets {
             Channel::Command => &self.command,
             Channel::Data => self.data.as_ref()?,
         };
-        // A datagram that can't be received is one that is lost.
+        // An error counts as a lost datagram.
         socket.recv_from(buffer).ok()
     }
 
@@ -75,7 +74,7 @@ fn bind(address: SocketAddrV4, fix: &'static str) -> Result<UdpSocket, MocapSock
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
         socket.set_nonblocking(true)?;
         if address.port() != 0 {
-            // Other clients on this computer listen to the same group.
+            // Other clients on this computer may listen to the same group.
             socket.set_reuse_address(true)?;
         }
         socket.bind(&address.into())?;
@@ -90,7 +89,7 @@ fn bind(address: SocketAddrV4, fix: &'static str) -> Result<UdpSocket, MocapSock
 }
 
 fn join(config: &MotionCaptureSection) -> Result<UdpSocket, MocapSocketError> {
-    // Bound to the group, it gets what is sent there and nothing else.
+    // Bound to the group's address, the socket receives its datagrams only.
     let address = SocketAddrV4::new(config.group, config.data_port);
     let socket = bind(
         address,

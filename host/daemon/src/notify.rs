@@ -1,8 +1,8 @@
-//! What the service manager is told: the datagrams of `sd_notify(3)`.
+//! Notifications for the service manager: the datagrams of `sd_notify(3)`.
 //!
-//! systemd names its socket in `NOTIFY_SOCKET`, and in `WATCHDOG_USEC` how long
-//! it waits for a sign of life before it kills the service. Started by hand,
-//! nobody is told anything.
+//! systemd gives its socket in `NOTIFY_SOCKET`, and in `WATCHDOG_USEC` the longest time
+//! between two signs of life before it kills the service. Without these variables
+//! nothing is sent.
 
 use std::{
     env,
@@ -19,23 +19,23 @@ use std::{
     time::Duration,
 };
 
-/// How long a manager that does not read its socket may hold up who tells it
-/// something. Without a limit it would be forever.
-const PATIENCE: Duration = Duration::from_millis(50);
+/// The longest time that a notification may block if the manager does not read its
+/// socket.
+const SEND_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Why the service manager can't be told anything.
+/// Why the service manager can't be notified.
 #[derive(Debug, thiserror::Error)]
 pub enum NotifyError {
-    /// Neither a path nor an abstract name.
+    /// `NOTIFY_SOCKET` is neither a path nor an abstract name.
     #[error(
         "NOTIFY_SOCKET is {0:?}: only /paths and @abstract names are known; \
          is it set by systemd, or left over?"
     )]
     Address(OsString),
-    /// The system says no.
+    /// The socket can't be opened.
     #[error("NOTIFY_SOCKET {0:?}: {1}")]
     Socket(OsString, io::Error),
-    /// No time.
+    /// `WATCHDOG_USEC` is not a positive number.
     #[error("WATCHDOG_USEC is {0:?}: it must be a number of microseconds above 0")]
     Watchdog(OsString),
 }
@@ -48,11 +48,11 @@ pub struct ServiceManager {
 }
 
 impl ServiceManager {
-    /// The one that the environment names.
+    /// The manager named by the environment; one that is never notified if there is none.
     ///
     /// # Errors
     ///
-    /// What it names makes no sense.
+    /// A variable of the environment is invalid, or the socket can't be opened.
     pub fn from_environment() -> Result<Self, NotifyError> {
         Self::new(
             env::var_os("NOTIFY_SOCKET"),
@@ -62,7 +62,7 @@ impl ServiceManager {
         )
     }
 
-    /// `process`: this one; a watchdog that is meant for another is not ours.
+    /// `process` is this process: a watchdog with another `WATCHDOG_PID` is ignored.
     fn new(
         socket: Option<OsString>,
         watchdog_usec: Option<OsString>,
@@ -84,7 +84,7 @@ impl ServiceManager {
         let address = address(&name)?;
         let open = || -> io::Result<UnixDatagram> {
             let socket = UnixDatagram::unbound()?;
-            socket.set_write_timeout(Some(PATIENCE))?;
+            socket.set_write_timeout(Some(SEND_TIMEOUT))?;
             Ok(socket)
         };
         let socket = open().map_err(|error| NotifyError::Socket(name, error))?;
@@ -94,43 +94,43 @@ impl ServiceManager {
         })
     }
 
-    /// How long it waits for a sign of life; none if it does not.
+    /// The longest time between two signs of life; `None` without a watchdog.
     #[must_use]
     pub const fn watchdog(&self) -> Option<Duration> {
         self.watchdog
     }
 
-    /// Everything runs.
+    /// The start, or a reload, is complete.
     pub fn ready(&self, status: &str) {
-        self.tell(&format!("READY=1\nSTATUS={}", one_line(status)));
+        self.send(&format!("READY=1\nSTATUS={}", one_line(status)));
     }
 
-    /// How it is going.
+    /// A new status line.
     pub fn status(&self, status: &str) {
-        self.tell(&format!("STATUS={}", one_line(status)));
+        self.send(&format!("STATUS={}", one_line(status)));
     }
 
-    /// The configuration is read anew, from `monotonic_ns` on.
+    /// A reload of the configuration began at `monotonic_ns` of `CLOCK_MONOTONIC`.
     pub fn reloading(&self, monotonic_ns: u64) {
-        self.tell(&reloading(monotonic_ns));
+        self.send(&reloading(monotonic_ns));
     }
 
-    /// The end has begun.
+    /// The shutdown has begun.
     pub fn stopping(&self, status: &str) {
-        self.tell(&format!("STOPPING=1\nSTATUS={}", one_line(status)));
+        self.send(&format!("STOPPING=1\nSTATUS={}", one_line(status)));
     }
 
-    /// A sign of life.
+    /// A sign of life for the watchdog.
     pub fn alive(&self) {
-        self.tell("WATCHDOG=1");
+        self.send("WATCHDOG=1");
     }
 
-    fn tell(&self, state: &str) {
+    fn send(&self, state: &str) {
         if let Some((socket, address)) = &self.peer
             && let Err(error) = socket.send_to_addr(state.as_bytes(), address)
         {
-            // It is told again, or it has gone: nothing to stop a car for.
-            tracing::debug!(%error, state, "the service manager does not listen");
+            // The next notification repeats the state; no reason to stop the car.
+            tracing::debug!(%error, state, "the service manager was not notified");
         }
     }
 }
@@ -144,19 +144,19 @@ fn address(name: &OsStr) -> Result<SocketAddr, NotifyError> {
     address.map_err(|error| NotifyError::Socket(name.to_owned(), error))
 }
 
-/// In 64 bits: microseconds of `CLOCK_MONOTONIC` pass 2^31 after 36 minutes and
-/// 2^32 after 72.
+/// The notification of a reload. The time needs 64 bits: microseconds of
+/// `CLOCK_MONOTONIC` exceed 2^31 after 36 minutes and 2^32 after 72.
 fn reloading(monotonic_ns: u64) -> String {
     format!("RELOADING=1\nMONOTONIC_USEC={}", monotonic_ns / 1_000)
 }
 
-/// A line break would begin another assignment.
+/// The text without line breaks: a line break would begin another assignment.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// When to give a sign of life: twice in the manager's patience, and only while
-/// the controller ticks.
+/// When to send a sign of life: twice per interval of the manager, and only while the
+/// control thread ticks.
 #[derive(Clone, Copy, Debug)]
 pub struct Watchdog {
     period_ns: u64,
@@ -165,18 +165,18 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// `patience`: how long the manager waits.
+    /// A watchdog for a manager that allows `interval` between two signs of life.
     #[must_use]
-    pub fn new(patience: Duration) -> Self {
+    pub fn new(interval: Duration) -> Self {
         Self {
-            period_ns: u64::try_from(patience.as_nanos() / 2).unwrap_or(u64::MAX),
+            period_ns: u64::try_from(interval.as_nanos() / 2).unwrap_or(u64::MAX),
             due_ns: 0,
             ticks: 0,
         }
     }
 
-    /// Whether to give one at `now_ns`, after `ticks` ticks. None is due without
-    /// a tick since the last.
+    /// Whether to send one at `now_ns`, with `ticks` ticks done. Without a tick since the
+    /// last one, none is due.
     pub const fn is_due(&mut self, now_ns: u64, ticks: u64) -> bool {
         if now_ns < self.due_ns || ticks == self.ticks {
             return false;
@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn monotonic_microseconds_are_right_beyond_36_and_72_minutes_on_32_bits() {
-        // As clock_gettime fills in a 32-bit timespec.
+        // A 32-bit timespec, as clock_gettime fills it in.
         for (seconds, nanoseconds_part, text) in [
             (0_i32, 0_i32, "0"),
             (1, 999, "1000000"),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn signs_of_life_come_twice_in_the_patience_while_ticks_pass() {
+    fn signs_of_life_are_due_twice_per_interval_while_ticks_pass() {
         let mut watchdog = Watchdog::new(Duration::from_micros(200));
         let due: Vec<u64> = (1..=100)
             .filter(|tick| watchdog.is_due(tick * 10_000, *tick))
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_controller_that_hangs_gives_no_sign_of_life_and_one_that_goes_on_does() {
+    fn no_sign_of_life_is_due_while_the_controller_hangs() {
         let mut watchdog = Watchdog::new(Duration::from_micros(200));
         assert!(!watchdog.is_due(0, 0), "no tick at all");
         assert!(watchdog.is_due(1, 1));
@@ -233,25 +233,25 @@ mod tests {
     }
 
     #[test]
-    fn a_status_is_one_assignment_whatever_is_in_it() {
+    fn a_status_is_always_one_assignment() {
         assert_eq!(one_line("a\nWATCHDOG=1\r\n\tb"), "a WATCHDOG=1 b");
     }
 
     #[test]
-    fn a_watchdog_of_another_process_is_not_ours() {
+    fn the_watchdog_of_another_process_is_ignored() {
         let manager = |usec: &str, pid: Option<&str>| {
             ServiceManager::new(
-                Some("@nobody".into()),
+                Some("@example".into()),
                 Some(usec.into()),
                 pid.map(Into::into),
                 7,
             )
         };
-        let patience = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog();
+        let interval = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog();
         let two_seconds = Some(Duration::from_secs(2));
-        assert_eq!(patience(manager("2000000", None)), two_seconds);
-        assert_eq!(patience(manager("2000000", Some("7"))), two_seconds);
-        assert_eq!(patience(manager("2000000", Some("8"))), None);
+        assert_eq!(interval(manager("2000000", None)), two_seconds);
+        assert_eq!(interval(manager("2000000", Some("7"))), two_seconds);
+        assert_eq!(interval(manager("2000000", Some("8"))), None);
         for wrong in ["", "0", "-1", "2s"] {
             let error = manager(wrong, None).unwrap_err().to_string();
             assert!(error.contains("WATCHDOG_USEC"), "{error}");
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_is_not_known_is_named() {
+    fn an_unknown_kind_of_address_is_named() {
         let error = ServiceManager::new(Some("vsock:2:1".into()), None, None, 7).unwrap_err();
         assert!(error.to_string().contains("vsock:2:1"), "{error}");
         assert!(

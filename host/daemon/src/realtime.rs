@@ -1,6 +1,8 @@
-//! What the system grants a thread that must not be late.
+//! Real-time scheduling, locked memory and bounded idling of the processors.
 //!
-//! All of it is best effort: without it the car drives, and everybody is told.
+//! Each is best effort: without it the daemon runs, and logs what was refused and how to
+//! grant it. `supervisor.require_real_time` makes scheduling and memory a condition to
+//! drive.
 
 use core::num::NonZeroU64;
 use std::{
@@ -21,50 +23,48 @@ use crate::system;
 /// What the system granted the control thread.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RealTimeStatus {
-    /// Its `SCHED_FIFO` priority; none if it is scheduled like any other thread.
+    /// Its `SCHED_FIFO` priority; `None` with the default scheduling.
     pub fifo_priority: Option<u8>,
-    /// Whether the process stays in memory.
+    /// Whether the memory of the process is locked.
     pub memory_locked: bool,
-    /// Whether the processors are kept from idling so deeply that waking up takes
-    /// long.
+    /// Whether the processors are kept from deep idle states, which take long to leave.
     pub idle_bounded: bool,
-    /// What was not granted, and how to change that.
+    /// What was refused, and how to grant it.
     pub refusals: Vec<String>,
 }
 
-/// Where Linux takes the longest wake-up that somebody can bear with, in µs, for as
-/// long as it is open.
-const WAKE_UP: &str = "/dev/cpu_dma_latency";
+/// While this file is open, Linux keeps the wake-up latency of the processors below the
+/// value written to it, in µs.
+const LATENCY_FILE: &str = "/dev/cpu_dma_latency";
 
-/// Keeps the processors from idling deeply while the file is open: a thread that
-/// sleeps 10 ms at a time is otherwise woken up late by as long as that takes, be
-/// it a governor's saving or a virtual machine's host.
+/// Keeps the processors from idling deeply while the returned file is open. The control
+/// thread sleeps for most of its 10 ms; a processor in a deep idle state, or one that a
+/// virtual machine's host has halted, would wake it up late.
 pub(crate) fn bound_idle() -> Result<File, String> {
     let refusal = |error| {
         format!(
-            "the processors may idle deeply: {WAKE_UP}: {error}; let the daemon's group write to it, \
-             as the shipped udev rule does"
+            "the processors may idle deeply: {LATENCY_FILE}: {error}; allow the daemon's group to write to \
+             it, as the shipped udev rule does"
         )
     };
     let mut file = OpenOptions::new()
         .write(true)
-        .open(WAKE_UP)
+        .open(LATENCY_FILE)
         .map_err(refusal)?;
     file.write_all(&0_i32.to_ne_bytes()).map_err(refusal)?;
     Ok(file)
 }
 
-/// So much of its stack a control thread may use, in bytes; a tick takes a tenth
-/// of it.
+/// The part of its stack that the control thread may use, in bytes: ten times the need of
+/// a tick.
 const STACK: usize = 512 * 1_024;
 
-/// Keeps the process in memory, if it may lock as much as it likes.
-///
-/// With a limit, `MCL_FUTURE` would make some later allocation fail.
+/// Locks the memory of the process, present and future, if there is no limit on it. With
+/// a limit, `MCL_FUTURE` would make a later allocation fail.
 ///
 /// # Errors
 ///
-/// What was not granted, and how to change that.
+/// What was refused, and how to grant it.
 pub fn lock_memory() -> Result<(), String> {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let capable =
@@ -79,8 +79,9 @@ pub fn lock_memory() -> Result<(), String> {
         .map_err(|error| format!("memory is not locked: mlockall: {error}"))
 }
 
-/// Has the memory there that a control thread on the calling thread will write
-/// to: its stack and the room of these rings. If memory is locked, it is already.
+/// Writes to the memory that the control thread will use, on the thread itself: its stack
+/// and the free room of these rings. A later write then causes no page fault, also without
+/// locked memory.
 pub fn touch_memory<L>(rings: &mut Rings<L>) {
     system::touch_stack::<STACK>();
     system::touch_room(&mut rings.reports);
@@ -88,14 +89,14 @@ pub fn touch_memory<L>(rings: &mut Rings<L>) {
     system::touch_room(&mut rings.reconfigured);
 }
 
-/// Makes the calling thread a real-time thread.
+/// Schedules the calling thread with `SCHED_FIFO` at `priority` and returns the priority;
+/// 0 keeps the default scheduling and returns `None`.
 ///
 /// # Errors
 ///
-/// What was not granted, and how to change that.
+/// What was refused, and how to grant it.
 pub fn make_punctual(priority: u8) -> Result<Option<u8>, String> {
-    // For when the thread is not scheduled in real time: its timers are not
-    // to be bundled with others'. Without it they are 50 µs later.
+    // Without real-time scheduling, timers are grouped with others and 50 µs later.
     let _ = set_current_timer_slack(NonZeroU64::new(1));
     if priority == 0 {
         return Ok(None);

@@ -1,7 +1,7 @@
-//! Changes of configuration that are requested while the daemon runs.
+//! Changes of the configuration while the daemon runs.
 //!
-//! The file is read and checked on the requester's thread; the control thread takes it
-//! over as a whole or not at all, see [`singletrack_core::reconfigure`].
+//! The configuration is read and validated on the requester's thread. The control thread
+//! applies all of it or nothing, see [`singletrack_core::reconfigure`].
 
 use std::{
     path::Path,
@@ -21,49 +21,49 @@ use tracing::{info, warn};
 
 use crate::clock::monotonic_ns;
 
-/// How long the control thread may take to answer: many ticks.
-const PATIENCE: Duration = Duration::from_millis(200);
+/// The longest time until the control thread takes a change: many ticks.
+const CHANGE_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// How often it is looked for.
-const LOOK: Duration = Duration::from_millis(1);
+/// Interval at which the requester polls for the outcome.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// Which configuration is in force.
+/// The configuration in force, for the status.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ConfigurationView {
     /// 1 for the one that the daemon started with, one more for each change.
     pub number: u32,
-    /// What came of the last attempt to change it; none before the first.
+    /// The last attempt to change it; `None` before the first.
     pub last_change: Option<ChangeView>,
 }
 
-/// What came of an attempt to change the configuration.
+/// The outcome of an attempt to change the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ChangeView {
-    /// Who asked: "reload" or "set-reference".
+    /// The kind of request: "reload" or "set-reference".
     pub by: &'static str,
-    /// Why nothing has changed; none if it has.
+    /// Why the configuration did not change; `None` if it did.
     pub error: Option<String>,
 }
 
-/// Where anybody but the control thread asks for another configuration.
+/// Changes the configuration on behalf of any thread but the control thread.
 #[derive(Clone, Debug)]
 pub(crate) struct Reconfigurer(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
     requests: Requests,
-    /// For the record.
-    told: mpsc::Sender<Entry>,
+    /// Entries for the record.
+    entries: mpsc::Sender<Entry>,
     /// Held for as long as a change is under way.
     state: Mutex<State>,
-    /// Never held for long.
+    /// For the status. It is locked for short times only.
     view: Mutex<(ConfigurationView, bool)>,
 }
 
 #[derive(Debug)]
 struct State {
     configurations: Configurations,
-    /// Who requested the change under way.
+    /// The kind of request of the change under way.
     by: &'static str,
 }
 
@@ -71,11 +71,11 @@ impl Reconfigurer {
     pub(crate) fn new(
         configurations: Configurations,
         requests: Requests,
-        told: mpsc::Sender<Entry>,
+        entries: mpsc::Sender<Entry>,
     ) -> Self {
         Self(Arc::new(Shared {
             requests,
-            told,
+            entries,
             view: Mutex::new((
                 ConfigurationView {
                     number: configurations.number(),
@@ -90,12 +90,13 @@ impl Reconfigurer {
         }))
     }
 
-    /// Reloads the configuration.
+    /// Reads the file and puts it in force. Blocks for up to twice [`CHANGE_TIMEOUT`].
     pub(crate) fn reload(&self, path: &Path) -> Result<u32, ChangeError> {
         self.change("reload", |_| Ok(Config::read(path)?))
     }
 
-    /// The configuration in force with another reference.
+    /// Replaces the reference of the configuration in force. Blocks like
+    /// [`reload`](Self::reload).
     pub(crate) fn set_reference(&self, reference: ReferenceSection) -> Result<u32, ChangeError> {
         self.change("set-reference", |configurations| {
             configurations.with_reference(reference)
@@ -107,7 +108,7 @@ impl Reconfigurer {
         view.unwrap_or_else(PoisonError::into_inner).0.clone()
     }
 
-    /// Whether the reference in force is made of set-points.
+    /// Whether the reference in force is external, so that set-points have an effect.
     pub(crate) fn takes_setpoints(&self) -> bool {
         let view = self.0.view.lock();
         view.unwrap_or_else(PoisonError::into_inner).1
@@ -118,13 +119,13 @@ impl Reconfigurer {
         by: &'static str,
         make: impl FnOnce(&Configurations) -> Result<Config, ChangeError>,
     ) -> Result<u32, ChangeError> {
-        // A panic of another requester left no half of a change.
+        // A panic of another requester leaves a consistent state.
         let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         let result = self.try_change(&mut state, by, make);
         if let Err(error) = &result {
             let number = state.configurations.number();
             warn!("{by}: configuration {number} stays: {error}");
-            self.tell(ChangeView {
+            self.publish(ChangeView {
                 by,
                 error: Some(error.to_string()),
             });
@@ -138,18 +139,18 @@ impl Reconfigurer {
         by: &'static str,
         make: impl FnOnce(&Configurations) -> Result<Config, ChangeError>,
     ) -> Result<u32, ChangeError> {
-        // A change that was returned after its requester had given up.
+        // The outcome of an earlier change whose requester had timed out.
         self.settle(state);
         let config = make(&state.configurations)?;
-        let patience_ns = u64::try_from(PATIENCE.as_nanos()).unwrap_or(u64::MAX);
-        let until_ns = monotonic_ns().saturating_add(patience_ns);
+        let timeout_ns = u64::try_from(CHANGE_TIMEOUT.as_nanos()).unwrap_or(u64::MAX);
+        let until_ns = monotonic_ns().saturating_add(timeout_ns);
         state
             .configurations
             .begin(config, until_ns, &self.0.requests)?;
         state.by = by;
-        // Twice as long: in the first half it may still be taken over.
-        for _ in 0..2 * PATIENCE.as_millis() / LOOK.as_millis() {
-            thread::sleep(LOOK);
+        // Twice as long: up to the timeout, the control thread may still apply it.
+        for _ in 0..2 * CHANGE_TIMEOUT.as_millis() / POLL_INTERVAL.as_millis() {
+            thread::sleep(POLL_INTERVAL);
             if let Some(outcome) = self.settle(state) {
                 return outcome;
             }
@@ -157,7 +158,7 @@ impl Reconfigurer {
         Err(Stalled.into())
     }
 
-    /// Takes in the outcome of the change under way.
+    /// The outcome of the change under way, if it has come; logs and records a success.
     fn settle(&self, state: &mut State) -> Option<Result<u32, ChangeError>> {
         let outcome = state.configurations.settle()?;
         if outcome.is_ok() {
@@ -166,19 +167,22 @@ impl Reconfigurer {
         Some(outcome)
     }
 
-    /// Logs what is in force now; the record gets all of it.
+    /// Logs, records and publishes the configuration that is now in force.
     fn record(&self, by: &'static str, configurations: &Configurations) {
         let number = configurations.number();
         info!("{by}: configuration {number} is in force");
         let time_ns = monotonic_ns();
         let (level, text) = match configurations.in_force().to_toml() {
             Ok(toml) => {
-                // Without a collector there is no record either.
-                let _ = self.0.told.send(Entry::Configuration(ConfigurationRecord {
-                    time_ns,
-                    number,
-                    toml,
-                }));
+                // An error means that the collector, and with it the record, has ended.
+                let _ = self
+                    .0
+                    .entries
+                    .send(Entry::Configuration(ConfigurationRecord {
+                        time_ns,
+                        number,
+                        toml,
+                    }));
                 (
                     Level::Info,
                     format!("{by}: configuration {number} is in force"),
@@ -189,7 +193,7 @@ impl Reconfigurer {
                 format!("{by}: configuration {number} is in force and can't be recorded: {error}"),
             ),
         };
-        let _ = self.0.told.send(Entry::Log(Log {
+        let _ = self.0.entries.send(Entry::Log(Log {
             time_ns,
             level,
             text,
@@ -200,7 +204,7 @@ impl Reconfigurer {
         view.0.last_change = Some(ChangeView { by, error: None });
     }
 
-    fn tell(&self, change: ChangeView) {
+    fn publish(&self, change: ChangeView) {
         let mut view = self.0.view.lock().unwrap_or_else(PoisonError::into_inner);
         view.0.last_change = Some(change);
     }

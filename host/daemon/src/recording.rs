@@ -1,5 +1,6 @@
-//! The record of a run: where it goes, and what it says of itself.
+//! The record of a run: its file name, and its start.
 
+use core::fmt;
 use std::{
     error::Error,
     fs, io,
@@ -13,36 +14,52 @@ use singletrack_record::{
 
 use crate::clock::compact_utc;
 
-/// Entries that may wait for the disk: some 3 s at 350 a second.
+/// Entries that may wait for the disk: about 3 s at 350 per second.
 const CAPACITY: usize = 1_024;
 
-/// Why there is no record.
+/// Why the record can't be created.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// No folder.
+    /// The configured folder can't be created.
     #[error("can't make record.directory {}: {source}; choose another, or set record.enabled = false", path.display())]
     Directory {
         /// The folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// The record can't tell with which configuration it was made.
+    /// The configuration can't be written into the metadata.
     #[error("can't write the configuration into the record: {0}; every path in it must be UTF-8")]
     Configuration(#[from] toml::ser::Error),
-    /// No file.
+    /// The file can't be created.
     #[error("{0}; choose another record.directory, or set record.enabled = false")]
     Record(#[from] RecordError),
 }
 
-/// Starts the record of a run: at `path`, or under a new name in the
-/// configured folder. None if the configuration wants none and no path is given.
+/// A record that is being written.
+pub(crate) struct RunningRecord {
+    pub(crate) thread: RecorderThread,
+    pub(crate) path: PathBuf,
+}
+
+impl fmt::Debug for RunningRecord {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("RunningRecord")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Starts the record of a run, at `path` or under a new name in the configured folder.
+/// Returns the ring for its entries too; `None` if records are disabled and no path is
+/// given.
 pub(crate) fn start(
     config: &Config,
     path: Option<PathBuf>,
     seed: Option<u64>,
     start: ClockMapping,
-) -> Result<Option<(RecorderThread, FeedInput, PathBuf)>, RecordingError> {
+) -> Result<Option<(RunningRecord, FeedInput)>, RecordingError> {
     if path.is_none() && !config.record.enabled {
         return Ok(None);
     }
@@ -61,11 +78,11 @@ pub(crate) fn start(
     let recorder = Recorder::create(&path, &meta)?;
     let (input, output) = feed(CAPACITY);
     let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
-    Ok(Some((thread, input, path)))
+    Ok(Some((RunningRecord { thread, path }, input)))
 }
 
-/// An error with what is behind it: that a disk is full is known to the last in
-/// the chain alone.
+/// The error with its causes: only the last one says, for instance, that the disk is
+/// full.
 pub(crate) fn with_causes(error: &RecordError) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -79,7 +96,7 @@ pub(crate) fn with_causes(error: &RecordError) -> String {
     text
 }
 
-/// A name that no record has: two daemons may start in the same second.
+/// A name that no file has yet: two daemons may start in the same second.
 fn free_name(directory: &Path, time: &str) -> PathBuf {
     (1..)
         .map(|number| match number {
@@ -103,7 +120,7 @@ mod tests {
     };
 
     #[test]
-    fn a_configuration_that_can_not_be_written_is_an_error_and_leaves_no_file() {
+    fn a_configuration_that_can_not_be_recorded_is_an_error_and_leaves_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
         config.record.directory = folder.path().join("records");

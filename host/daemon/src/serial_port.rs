@@ -1,4 +1,4 @@
-//! The serial port: how it is opened, and its write half.
+//! The serial port: opening, reading and writing it.
 
 use std::{
     io,
@@ -16,60 +16,59 @@ use singletrack_protocol::{Drive, Message, frame_length};
 
 use crate::system;
 
-/// Why a port is not open.
+/// Why the port can't be opened, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
-    /// There is no such device.
+    /// The device does not exist.
     #[error("{}: no such device; plug the board in, or correct serial.port", .0.display())]
     NotFound(PathBuf),
-    /// We may not.
-    #[error("{}: permission denied; add the user to the group dialout and log in anew", .0.display())]
+    /// The user has no permission.
+    #[error("{}: permission denied; add the user to the group dialout and log in again", .0.display())]
     Permission(PathBuf),
-    /// Someone else has it.
+    /// Another program has locked the port.
     #[error("{}: in use by another program; stop it (a second singletrackd, a serial monitor, ModemManager)", .0.display())]
     Busy(PathBuf),
-    /// It is no serial port, or does not do what one does.
-    #[error("{}: {reason}; is it the board's serial port, and {baud} baud a rate that it knows?", path.display())]
+    /// The device is not a serial port, or does not support the settings.
+    #[error("{}: {reason}; is it the board's serial port, and does it support {baud} baud?", path.display())]
     Other {
         /// The device.
         path: PathBuf,
-        /// The rate.
+        /// The configured baud rate.
         baud: u32,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
 }
 
-/// An open port: the half that is read.
+/// The read half of an open port.
 #[derive(Debug)]
 pub struct ReadHalf {
     file: OwnedFd,
 }
 
-/// The half that is written, by one thread.
+/// The write half of an open port, for one thread.
 #[derive(Debug)]
 pub struct WriteHalf {
     file: OwnedFd,
-    /// The last frame was written in part: the next must not be joined to it.
+    /// The last frame was written in part. The next one must be separated from it.
     torn: bool,
 }
 
 /// Length of a drive command on the wire.
 const DRIVE_LENGTH: usize = frame_length(Drive::PAYLOAD_LENGTH);
 
-/// A line that has not yet sent more than this takes another frame: two
-/// commands wait at most.
+/// The largest output queue of the port, in bytes, for which another frame is written: at
+/// most two commands wait.
 const MAX_QUEUED: usize = DRIVE_LENGTH;
 
-/// Room for the longest frame behind a zero.
+/// The longest frame, and a zero before it.
 const BUFFER: usize = core::mem::size_of::<Transmit>() + 1;
 
-/// Opens a port for us alone, without touching its DTR line: on an UNO that is
-/// the reset.
+/// Opens and locks the port without changing its DTR line, which resets an UNO.
 ///
 /// # Errors
 ///
-/// What is wrong with the port, and what to do about it.
+/// [`PortError`], with what to do about it.
 pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), PortError> {
     let other = |reason: String| PortError::Other {
         path: path.to_owned(),
@@ -93,11 +92,11 @@ pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), PortError> 
         })?;
     let file = system::file_of(port);
     let prepared = || -> rustix::io::Result<OwnedFd> {
-        // Closing must not drop DTR either.
+        // Closing the port must not drop DTR either.
         let mut settings = tcgetattr(&file)?;
         settings.control_modes.remove(ControlModes::HUPCL);
         tcsetattr(&file, OptionalActions::Now, &settings)?;
-        // What waits there belongs to a connection of before.
+        // The queues hold bytes of an earlier connection.
         tcflush(&file, QueueSelector::IOFlush)?;
         rustix::fs::fcntl_setfl(&file, OFlags::NONBLOCK)?;
         rustix::io::fcntl_dupfd_cloexec(&file, 0)
@@ -113,8 +112,8 @@ pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), PortError> 
 }
 
 impl ReadHalf {
-    /// Reads what is there: none if nothing is, an error or zero bytes if the
-    /// line has hung up.
+    /// Reads the bytes that wait. `None` if there are none; an error or zero bytes if the
+    /// port has hung up.
     pub fn read(&self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         match rustix::io::read(&self.file, buffer) {
             Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => None,
@@ -131,8 +130,8 @@ impl AsFd for ReadHalf {
 
 impl Line for WriteHalf {
     fn write_frame(&mut self, frame: &[u8]) -> Sent {
-        // A pseudo-terminal always says zero; a device that has gone says so
-        // when it is written to.
+        // A pseudo-terminal always reports zero. An error of a lost device shows in the
+        // write below.
         if system::queued_output(&self.file).unwrap_or(0) > MAX_QUEUED {
             return Sent::Dropped;
         }

@@ -1,4 +1,4 @@
-//! The thread of the serial reader: waits for the port, and polls.
+//! The thread of the serial reader: waits for the port or its bytes, and polls.
 
 use std::{os::fd::AsFd, path::PathBuf, time::Duration};
 
@@ -20,8 +20,8 @@ struct Device {
     path: PathBuf,
     baud: u32,
     read: Option<ReadHalf>,
-    /// Why it was not opened: logged once, not at every attempt.
-    trouble: String,
+    /// The last error of an attempt to open it. An equal one is not logged again.
+    last_error: String,
 }
 
 impl Port for Device {
@@ -31,15 +31,15 @@ impl Port for Device {
         match serial_port::open(&self.path, self.baud) {
             Ok((read, write)) => {
                 info!(port = %self.path.display(), baud = self.baud, "serial port open");
-                self.trouble.clear();
+                self.last_error.clear();
                 self.read = Some(read);
                 Some(write)
             }
             Err(error) => {
-                let trouble = error.to_string();
-                if trouble != self.trouble {
-                    warn!("no serial port: {trouble}");
-                    self.trouble = trouble;
+                let error = error.to_string();
+                if error != self.last_error {
+                    warn!("can't open the serial port: {error}");
+                    self.last_error = error;
                 }
                 None
             }
@@ -63,7 +63,7 @@ impl Port for Device {
     }
 }
 
-/// Runs until `stop` is raised.
+/// Runs until `stop` is raised. Returns the counters.
 pub(crate) fn run(
     mut reader: SerialReader<WriteHalf>,
     config: SerialSection,
@@ -73,7 +73,7 @@ pub(crate) fn run(
         path: config.port,
         baud: config.baud,
         read: None,
-        trouble: String::new(),
+        last_error: String::new(),
     };
     loop {
         let wait = reader.poll(&monotonic_ns, &mut device);

@@ -1,4 +1,5 @@
-//! The main thread: signals in, the service manager told, until the daemon ends.
+//! The main thread: handles signals and notifies the service manager until the daemon
+//! ends.
 
 use std::{
     path::PathBuf,
@@ -16,29 +17,30 @@ use singletrackd::{
 use tracing::{error, info, warn};
 
 use crate::{
+    log::log_summary,
     signals::{Signal, Signals},
-    tell,
 };
 
-/// How long the control thread may take to stop the car and to end, after the
-/// first signal.
-const STOP_PATIENCE: Duration = Duration::from_secs(4);
+/// The longest time from the first signal until the control thread has stopped the car
+/// and ended.
+const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// How often the main thread looks around.
-const LOOK_AROUND: Duration = Duration::from_millis(10);
+/// Interval at which the main thread checks the daemon.
+const CHECK_INTERVAL: Duration = Duration::from_millis(10);
 
-/// A daemon under the eyes of whoever started it.
+/// A daemon, its signals and its service manager.
 pub(crate) struct Service {
     daemon: Daemon,
-    /// Its configuration.
+    /// The file of the configuration, for a reload.
     path: PathBuf,
     manager: ServiceManager,
     watchdog: Option<Watchdog>,
-    /// What the manager was last told; none before everything runs.
-    told: Option<String>,
+    /// The last status sent to the manager; `None` before it was notified that the
+    /// daemon is ready.
+    sent_status: Option<String>,
     /// When the first signal to end came.
-    ending: Option<Instant>,
-    /// It was started from a terminal.
+    ending_since: Option<Instant>,
+    /// Whether the process was started from a terminal.
     has_terminal: bool,
 }
 
@@ -49,29 +51,30 @@ impl Service {
             path,
             watchdog: manager.watchdog().map(Watchdog::new),
             manager,
-            told: None,
-            ending: None,
+            sent_status: None,
+            ending_since: None,
             has_terminal: has_terminal(),
         }
     }
 
-    /// Until a signal says otherwise.
+    /// Runs until a signal ends the daemon, or its control thread ends by itself.
     pub(crate) fn run(mut self, signals: &Signals) -> ExitCode {
         while !self.daemon.has_ended() {
-            // A control thread that is stuck does not keep the process.
+            // A stuck control thread must not keep the process alive.
             if self
-                .ending
-                .is_some_and(|begin| begin.elapsed() > STOP_PATIENCE)
+                .ending_since
+                .is_some_and(|begin| begin.elapsed() > STOP_TIMEOUT)
             {
                 error!("the control thread does not end");
                 break;
             }
-            self.report();
-            let asked = match signals.wait(LOOK_AROUND) {
+            self.notify();
+            let result = match signals.wait(CHECK_INTERVAL) {
                 None => continue,
                 Some(Signal::End(name)) => self.begin_end(name),
-                // Who is there no more does not ask twice: shell and system both say so.
-                Some(Signal::Reload) if self.has_lost_terminal() => match self.ending {
+                // A closed terminal sends SIGHUP twice, from the shell and from the system:
+                // the second one is not a second request to end.
+                Some(Signal::Reload) if self.has_lost_terminal() => match self.ending_since {
                     None => self.begin_end("SIGHUP"),
                     Some(_) => Ok(()),
                 },
@@ -80,7 +83,7 @@ impl Service {
                     Ok(())
                 }
             };
-            if let Err(error) = asked {
+            if let Err(error) = result {
                 error!("{error}");
                 break;
             }
@@ -88,20 +91,21 @@ impl Service {
         self.end()
     }
 
-    /// Tells the manager what has changed, and that the controller ticks.
-    fn report(&mut self) {
-        self.daemon.look_after_record();
+    /// Sends the manager a changed status, and a sign of life while the control thread
+    /// ticks.
+    fn notify(&mut self) {
+        self.daemon.check_record();
         let ticks = self.daemon.ticks();
         if ticks == 0 {
             return;
         }
         let status = self.status();
-        if self.told.as_ref() != Some(&status) {
-            match self.told {
+        if self.sent_status.as_ref() != Some(&status) {
+            match self.sent_status {
                 None => self.manager.ready(&status),
                 Some(_) => self.manager.status(&status),
             }
-            self.told = Some(status);
+            self.sent_status = Some(status);
         }
         if let Some(watchdog) = &mut self.watchdog
             && watchdog.is_due(monotonic_ns(), ticks)
@@ -135,52 +139,52 @@ impl Service {
         status
     }
 
-    /// What comes of it stands in the status.
+    /// Reloads the configuration. The result is in the status.
     fn reload(&mut self) {
-        if self.told.is_none() || self.ending.is_some() {
-            warn!("SIGHUP: the configuration is not read anew while singletrackd starts or ends");
+        if self.sent_status.is_none() || self.ending_since.is_some() {
+            warn!("SIGHUP: the configuration is not reloaded while singletrackd starts or ends");
             return;
         }
         self.manager.reloading(monotonic_ns());
-        // The daemon logs what comes of it.
+        // The daemon logs an error.
         let _ = self.daemon.reload(&self.path);
         let status = self.status();
         self.manager.ready(&status);
-        self.told = Some(status);
+        self.sent_status = Some(status);
     }
 
-    /// Whoever started it has gone: the window is closed, the connection broken.
+    /// Whether the terminal that started the process has been closed.
     fn has_lost_terminal(&self) -> bool {
         self.has_terminal && !has_terminal()
     }
 
-    /// First the car, then the log.
+    /// Asks the daemon to end before anything is logged. A second signal disarms at once.
     fn begin_end(&mut self, signal: &str) -> Result<(), Stalled> {
-        let asked = match self.ending {
+        let result = match self.ending_since {
             None => {
-                let asked = self.daemon.begin_stop();
+                let result = self.daemon.begin_stop();
                 info!(signal, "stopping");
                 self.manager
                     .stopping(&format!("{signal}: stopping the car"));
-                asked
+                result
             }
             Some(_) => {
-                let asked = self.daemon.begin_abort();
+                let result = self.daemon.begin_abort();
                 warn!(signal, "disarming at once");
-                asked
+                result
             }
         };
-        self.ending.get_or_insert_with(Instant::now);
-        asked
+        self.ending_since.get_or_insert_with(Instant::now);
+        result
     }
 
     fn end(self) -> ExitCode {
-        if self.ending.is_none() {
+        if self.ending_since.is_none() {
             self.manager.stopping("the control thread has ended");
         }
         match self.daemon.stop() {
             Ok(summary) => {
-                tell(&summary);
+                log_summary(&summary);
                 match &summary.record_error {
                     None => ExitCode::SUCCESS,
                     Some(error) => {

@@ -1,28 +1,28 @@
-//! The signals that end the daemon or have it read its configuration anew.
+//! The signals that end the daemon or reload its configuration.
 
 #![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
 
 use std::{io, mem::MaybeUninit, ptr, time::Duration};
 
-/// What a signal asks for.
+/// The meaning of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Signal {
-    /// SIGTERM or SIGINT: stop the car and end. Its name.
+    /// SIGTERM or SIGINT: stop the car and end. The name is for the log.
     End(&'static str),
-    /// SIGHUP: read the configuration anew.
+    /// SIGHUP: reload the configuration.
     Reload,
 }
 
-/// SIGTERM, SIGINT and SIGHUP, which are delivered to nobody but
-/// [`wait`](Self::wait).
+/// SIGTERM, SIGINT and SIGHUP, blocked in every thread and received by
+/// [`wait`](Self::wait) only.
 pub(crate) struct Signals(libc::sigset_t);
 
 impl Signals {
-    /// Blocks them for this thread and those that it starts from now on.
+    /// Blocks the signals for this thread and the threads that it starts from now on.
     pub(crate) fn block() -> io::Result<Self> {
         let mut set = MaybeUninit::<libc::sigset_t>::uninit();
-        // SAFETY: sigemptyset initialises the set, which is only then used; the
-        // signals exist; the old mask is not asked for.
+        // SAFETY: sigemptyset initialises the set before its use; the signals exist; a null
+        // pointer for the old mask is allowed.
         let (set, result) = unsafe {
             libc::sigemptyset(set.as_mut_ptr());
             let mut set = set.assume_init();
@@ -38,13 +38,14 @@ impl Signals {
         Ok(Self(set))
     }
 
-    /// Waits for one of them; none when time is up.
+    /// Waits for a signal; `None` after the timeout.
     pub(crate) fn wait(&self, timeout: Duration) -> Option<Signal> {
         let timeout = libc::timespec {
             tv_sec: timeout.as_secs() as _,
             tv_nsec: timeout.subsec_nanos() as _,
         };
-        // SAFETY: set and time outlive the call; who sent the signal is not asked.
+        // SAFETY: set and time outlive the call; a null pointer for the signal's details is
+        // allowed.
         let signal =
             unsafe { libc::sigtimedwait(&raw const self.0, ptr::null_mut(), &raw const timeout) };
         match signal {

@@ -1,4 +1,4 @@
-//! How the daemon is doing right now.
+//! A snapshot of the daemon's status.
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
@@ -10,54 +10,54 @@ use crate::{
     live::LiveStatus, realtime::RealTimeStatus, reconfigure::ConfigurationView, summary::Figures,
 };
 
-/// How the daemon is doing: the last tick, what the board last said, and the
+/// The status of the daemon: the last tick, the last messages of the board, and the
 /// figures so far.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// The last tick; none before the first.
+    /// The last tick; `None` before the first.
     pub tick: Option<TickView>,
-    /// The board's own mode and why it last stopped, by its last telemetry.
+    /// The board's own mode and the cause of its last stop, from its last telemetry.
     pub board: Option<(BoardMode, StopCause)>,
-    /// What the board last said of itself.
+    /// The last status message of the board.
     pub board_status: Option<Status>,
     /// The figures so far.
     pub figures: Figures,
     /// What the system granted the control thread.
     pub realtime: RealTimeStatus,
-    /// Which configuration is in force.
+    /// The configuration in force.
     pub configuration: ConfigurationView,
-    /// The live view, if there is one.
+    /// The live view; `None` if it is disabled.
     pub live: Option<LiveStatus>,
-    /// Why the record has ended although the daemon has not, such as a full disk.
+    /// Why the record ended before the daemon, such as a full disk.
     pub record_error: Option<String>,
 }
 
-/// What a tick saw and decided, without its events.
+/// The result of a tick, without its events.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickView {
-    /// Its number, from 0.
+    /// The number of the tick, from 0.
     pub index: u64,
-    /// When it began, on `CLOCK_MONOTONIC`.
+    /// When the tick began, on `CLOCK_MONOTONIC`.
     pub start_ns: u64,
-    /// The pilot's mode after it.
+    /// The pilot's mode after the tick.
     pub mode: Mode,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Reason>,
-    /// The session with the board.
+    /// The phase of the session with the board.
     pub link: LinkPhase,
-    /// Whether no new valid pose had come.
+    /// Whether no pose was accepted since the last tick.
     pub held: bool,
-    /// Time since the first driving tick, in s.
+    /// Time since the first driving tick, in s; `None` outside a drive.
     pub drive_time_s: Option<f64>,
-    /// The state that it acted on.
+    /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
-    /// Where P is.
+    /// Position of P, in m.
     pub point: Option<Position>,
-    /// Where P should be.
+    /// Wanted position and velocity of P.
     pub reference: Option<ReferencePoint>,
-    /// Steering after limits, in rad.
+    /// Steering after the limits, in rad.
     pub steering_rad: f64,
-    /// Speed after limits, in m/s.
+    /// Speed of G after the limits, in m/s.
     pub speed_m_s: f64,
 }
 
@@ -94,7 +94,7 @@ impl Snapshot {
         self.tick.and_then(|tick| tick.reason)
     }
 
-    /// For the control socket.
+    /// The status in the format of the control socket.
     pub(crate) fn to_json(&self) -> Value {
         let tick = self.tick.as_ref();
         json!({

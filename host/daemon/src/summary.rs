@@ -1,5 +1,6 @@
-//! What a run came to, in numbers.
+//! The figures of a run: counts and times since the daemon started.
 
+use core::fmt;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -11,120 +12,185 @@ use singletrack_statistics::{DurationHistogram, Percentiles};
 
 use crate::realtime::RealTimeStatus;
 
-/// What a run came to.
+/// The figures of a run at its end, and its record.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// The figures.
+    /// Counts and times.
     #[serde(flatten)]
     pub figures: Figures,
     /// What the system granted the control thread.
     pub realtime: RealTimeStatus,
-    /// The record, if there is one.
+    /// The file of the record; `None` if records are disabled.
     pub record: Option<PathBuf>,
-    /// Why there is no complete record although there should be one.
+    /// Why the record is incomplete.
     pub record_error: Option<String>,
 }
 
 /// Counts and times since the daemon started.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Figures {
-    /// Control ticks.
+    /// Control ticks done.
     pub ticks: u64,
-    /// Of those, ticks that drove the car.
+    /// Ticks in the mode driving.
     pub driving_ticks: u64,
     /// Points of the control grid at which no tick ran.
     pub deadline_misses: u64,
-    /// How late ticks began.
+    /// Time from a tick's deadline to its start, in µs.
     pub lateness_us: Percentiles,
-    /// From mid-exposure to the command that rests on it leaving; ticks without
-    /// a new pose are not in it.
+    /// Time from the mid-exposure of a pose to the drive command that rests on it, in µs;
+    /// without the ticks that had no new pose.
     pub capture_to_command_us: Percentiles,
-    /// How long ticks took.
+    /// Duration of a tick, in µs.
     pub tick_duration_us: Percentiles,
-    /// The line to the board.
+    /// The serial line to the board.
     pub frames: Frames,
-    /// The cameras.
+    /// The motion capture.
     pub mocap: MocapFigures,
-    /// What found no room somewhere on its way; zeros are good.
+    /// Data dropped because a ring or list was full.
     pub dropped: Dropped,
 }
 
-/// The line to the board, counted.
+/// Counts of the serial line to the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Frames {
-    /// Frames made for the board.
+    /// Frames for the board.
     pub sent: u64,
-    /// Good frames from the board.
+    /// Valid frames from the board.
     pub received: u64,
-    /// Frames whose checksum was wrong.
+    /// Frames with a wrong checksum.
     pub crc_errors: u64,
-    /// Frames damaged otherwise.
+    /// Frames with other damage.
     pub decode_errors: u64,
-    /// Drive commands that were written.
+    /// Drive commands written to the port.
     pub drives_written: u64,
-    /// Drive commands that were not, because the line was stuck, silent or closed.
+    /// Drive commands not written because the port was full or closed, or the board silent.
     pub drives_withheld: u64,
-    /// Telemetry records that the board made and the host never saw.
+    /// Telemetry records of the board that did not reach the host.
     pub telemetry_missing: u64,
-    /// Times that the board was silent for too long.
+    /// Times that the link was lost because the board was silent.
     pub links_lost: u64,
     /// Times that the port hung up.
     pub hang_ups: u64,
     /// Times that the board restarted.
     pub board_restarts: u64,
-    /// Requests that the board never answered.
+    /// Requests that the board did not answer.
     pub requests_unanswered: u64,
 }
 
-/// The cameras, counted.
+/// Counts of the motion capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MocapFigures {
-    /// Frames taken.
+    /// Frames received in order.
     pub frames: u64,
-    /// Frames that never came.
+    /// Frames missing between two received ones.
     pub lost: u64,
-    /// Driving ticks with no new valid pose since the tick before.
+    /// Driving ticks without an accepted pose since the last tick.
     pub held_ticks: u64,
-    /// Frames without a valid pose that driving ticks saw.
+    /// Frames without a valid pose during driving ticks.
     pub missing_while_driving: u64,
     /// Frames with a valid pose.
     pub valid: u64,
-    /// Frames with the body untracked.
+    /// Frames with the rigid body not tracked.
     pub untracked: u64,
-    /// Frames without the body.
+    /// Frames without the rigid body.
     pub absent: u64,
-    /// Frames with a pose not believed.
+    /// Frames with an implausible pose.
     pub rejected: u64,
     /// Frames older than the newest.
     pub late: u64,
-    /// Frames that came twice.
+    /// Frames received twice.
     pub duplicates: u64,
-    /// Datagrams that could not be decoded.
+    /// Datagrams that do not decode.
     pub malformed: u64,
     /// Datagrams from another address.
     pub wrong_source: u64,
-    /// Times the stream became silent.
+    /// Times that the stream stopped.
     pub stale: u64,
-    /// Times the session began anew.
+    /// Times that the session restarted.
     pub restarts: u64,
 }
 
-/// What found no room, counted.
+/// Counts of dropped data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Dropped {
-    /// Events that a tick could not take in.
+    /// Events beyond the limit of a tick.
     pub events: u64,
-    /// Observations on their way to the control thread; known at the end.
+    /// Observations of the cameras for the control thread; known at the end.
     pub observations: u64,
-    /// Bytes of the line on their way to the control thread; known at the end.
+    /// Bytes from the serial line for the control thread; known at the end.
     pub serial_bytes: u64,
-    /// Reports of the control thread.
+    /// Reports of the control thread to the collector.
     pub reports: u64,
-    /// Entries that the record does not hold.
+    /// Entries missing in the record.
     pub record_entries: u64,
 }
 
-/// [`Figures`] in the making.
+impl fmt::Display for Frames {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            formatter,
+            "{} frames sent, {} received, {} damaged; {} drive commands written, {} withheld; \
+             {} telemetry records missing; link lost {}, port hung up {}, board restarted {}, \
+             requests unanswered {}",
+            self.sent,
+            self.received,
+            self.crc_errors.saturating_add(self.decode_errors),
+            self.drives_written,
+            self.drives_withheld,
+            self.telemetry_missing,
+            times(self.links_lost),
+            times(self.hang_ups),
+            times(self.board_restarts),
+            self.requests_unanswered,
+        )
+    }
+}
+
+impl fmt::Display for MocapFigures {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            formatter,
+            "{} frames received, {} lost, {} late, {} duplicate; poses: {} valid, {} untracked, \
+             {} absent, {} rejected; while driving: {} ticks without a new pose, {} frames without \
+             a pose; datagrams: {} malformed, {} from another address; stream stopped {}, session \
+             restarted {}",
+            self.frames,
+            self.lost,
+            self.late,
+            self.duplicates,
+            self.valid,
+            self.untracked,
+            self.absent,
+            self.rejected,
+            self.held_ticks,
+            self.missing_while_driving,
+            self.malformed,
+            self.wrong_source,
+            times(self.stale),
+            times(self.restarts),
+        )
+    }
+}
+
+impl fmt::Display for Dropped {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            formatter,
+            "{} events, {} observations, {} bytes from the serial line, {} reports, {} record \
+             entries",
+            self.events, self.observations, self.serial_bytes, self.reports, self.record_entries,
+        )
+    }
+}
+
+fn times(count: u64) -> String {
+    match count {
+        1 => "once".to_owned(),
+        count => format!("{count} times"),
+    }
+}
+
+/// Accumulates [`Figures`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
     figures: Figures,
@@ -200,7 +266,7 @@ impl Tally {
         self.figures.dropped.record_entries = entries;
     }
 
-    pub(crate) fn dropped_on_the_way(&mut self, observations: u64, serial_bytes: u64) {
+    pub(crate) fn dropped_inputs(&mut self, observations: u64, serial_bytes: u64) {
         self.figures.dropped.observations = observations;
         self.figures.dropped.serial_bytes = serial_bytes;
     }
@@ -212,5 +278,33 @@ impl Tally {
             tick_duration_us: self.duration.percentiles(),
             ..self.figures.clone()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_words_in_the_log() {
+        let frames = Frames {
+            sent: 12,
+            received: 34,
+            crc_errors: 2,
+            decode_errors: 1,
+            links_lost: 1,
+            ..Frames::default()
+        };
+        let text = frames.to_string();
+        assert!(
+            text.starts_with("12 frames sent, 34 received, 3 damaged;")
+                && text.contains("link lost once, port hung up 0 times"),
+            "{text}"
+        );
+        let dropped = Dropped {
+            serial_bytes: 7,
+            ..Dropped::default()
+        };
+        assert!(dropped.to_string().contains("7 bytes from the serial line"));
     }
 }

@@ -1,4 +1,4 @@
-//! What neither the standard library nor rustix offers safely.
+//! System calls that neither the standard library nor rustix offers safely.
 
 #![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
 
@@ -11,17 +11,17 @@ use std::{
 use rtrb::Producer;
 use serialport::TTYPort;
 
-/// The open file of a serial port, which is not closed.
+/// Takes the open file out of a serial port.
 pub(crate) fn file_of(port: TTYPort) -> OwnedFd {
-    // SAFETY: the port gives its open descriptor away and forgets it.
+    // SAFETY: the port gives up its open descriptor, which has no other owner.
     unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) }
 }
 
-/// Bytes written to a line that have not left it yet.
+/// The number of bytes in the output queue of a line.
 pub(crate) fn queued_output(line: &impl AsFd) -> io::Result<usize> {
     let mut queued: libc::c_int = 0;
-    // SAFETY: the descriptor is open for the length of the borrow, and
-    // TIOCOUTQ stores one int, for which there is room.
+    // SAFETY: the descriptor is open for the length of the borrow, and TIOCOUTQ stores one
+    // int in `queued`.
     let result = unsafe { libc::ioctl(line.as_fd().as_raw_fd(), libc::TIOCOUTQ, &raw mut queued) };
     if result == -1 {
         return Err(io::Error::last_os_error());
@@ -29,13 +29,13 @@ pub(crate) fn queued_output(line: &impl AsFd) -> io::Result<usize> {
     Ok(usize::try_from(queued).unwrap_or(0))
 }
 
-/// Schedules the calling thread first in, first out at `priority`; threads that
-/// it starts are not.
+/// Schedules the calling thread with `SCHED_FIFO` at `priority`. Threads that it starts
+/// have the default scheduling.
 pub(crate) fn schedule_fifo(priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority.into(),
     };
-    // SAFETY: the parameters outlive the call, which changes this thread alone.
+    // SAFETY: the parameters outlive the call, which changes this thread only.
     let result = unsafe {
         libc::sched_setscheduler(
             0,
@@ -49,25 +49,24 @@ pub(crate) fn schedule_fifo(priority: u8) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes to all free room of a ring, so that it is there when it is needed: the
-/// first write to a page that is not is a page fault.
+/// Writes to all free slots of a ring, so that a later write causes no page fault.
 pub(crate) fn touch_room<T>(ring: &mut Producer<T>) {
     let room = ring.slots();
     if let Ok(mut chunk) = ring.write_chunk_uninit(room) {
         let (first, second) = chunk.as_mut_slices();
         for slots in [first, second] {
-            // SAFETY: whatever bytes are in it, a slot is still uninitialised; it
-            // is not handed over.
+            // SAFETY: the slots stay uninitialised and are not committed to the ring.
             unsafe { slots.as_mut_ptr().write_bytes(0, slots.len()) };
         }
     }
 }
 
-/// Writes to so much of the calling thread's stack.
+/// Writes to the next `BYTES` of the calling thread's stack, so that a later write causes
+/// no page fault.
 #[inline(never)]
 pub(crate) fn touch_stack<const BYTES: usize>() {
     let mut room = MaybeUninit::<[u8; BYTES]>::uninit();
-    // SAFETY: it is as long as that; the writes are volatile, so they happen.
+    // SAFETY: every offset is below the length; volatile writes are not optimised away.
     unsafe {
         let start = room.as_mut_ptr().cast::<u8>();
         for page in (0..BYTES).step_by(1_024) {

@@ -1,4 +1,4 @@
-//! A flag that wakes whoever polls it.
+//! A flag that ends threads while they wait for files.
 
 use std::{
     io,
@@ -9,18 +9,18 @@ use std::{
 
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 
-/// Tells threads to end, wherever they wait.
+/// Asks threads to end, and wakes those that wait with it.
 #[derive(Clone, Debug)]
 pub(crate) struct StopFlag(Arc<OwnedFd>);
 
-/// What a thread was woken by.
+/// Why a thread woke up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Woken {
-    /// One of its files has something to say.
+    /// One of its files is readable or has hung up.
     Ready,
-    /// Time is up.
+    /// The timeout has passed.
     Timeout,
-    /// It is to end.
+    /// The flag has been raised.
     Stop,
 }
 
@@ -32,24 +32,24 @@ impl StopFlag {
         )?)))
     }
 
-    /// Sets the flag for good.
+    /// Raises the flag, for ever.
     pub(crate) fn raise(&self) {
-        // It only fails when the flag has been set 2^64 - 2 times.
+        // It fails only after 2^64 - 2 calls.
         let _ = rustix::io::write(&*self.0, &1_u64.to_ne_bytes());
     }
 
-    /// Waits for `files`, of which there are at most two.
+    /// Waits for the flag, the timeout or one of at most two `files`.
     pub(crate) fn wait(&self, files: &[BorrowedFd<'_>], timeout: Duration) -> Woken {
         let mut polled = heapless::Vec::<PollFd<'_>, 3>::new();
         for file in [self.0.as_fd()].iter().chain(files) {
-            // The capacity is that of the contract.
+            // The capacity is the flag and two files.
             let _ = polled.push(PollFd::from_borrowed_fd(*file, PollFlags::IN));
         }
         let timeout = Timespec {
             tv_sec: timeout.as_secs() as _,
             tv_nsec: timeout.subsec_nanos() as _,
         };
-        // Interrupted by a signal, whoever waits looks around and waits again.
+        // After an interruption by a signal, the caller polls and waits again.
         let _ = poll(&mut polled, Some(&timeout));
         let ready = |file: &PollFd<'_>| !file.revents().is_empty();
         match polled.split_first() {

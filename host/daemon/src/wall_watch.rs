@@ -1,14 +1,14 @@
-//! Whether somebody sets the clock on the wall.
+//! Detects steps of the wall clock, for the log.
 //!
-//! Nothing here depends on it: a record maps its times to the wall once, at its
-//! beginning. Who compares the record with others wants to know.
+//! The daemon does not depend on the wall clock: a record maps its times to it once, at its
+//! start. The log line helps to compare a record with others.
 
 use core::fmt;
 
-/// Less than this is nobody's doing: the two clocks are read one after the other.
+/// The smallest step: the two clocks are read one after the other.
 const SMALLEST_STEP_NS: i64 = 100_000_000;
 
-/// How far the clock on the wall was set forward, in ns.
+/// A step of the wall clock, in ns; positive forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct WallStep(pub(crate) i64);
 
@@ -22,19 +22,19 @@ impl fmt::Display for WallStep {
     }
 }
 
-/// Compares the clock on the wall with one that nobody sets.
+/// Compares the wall clock with the monotonic one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct WallWatch {
-    /// Wall minus monotonic, as last told.
+    /// Wall minus monotonic time, as last reported.
     known_ns: Option<i64>,
-    /// Whether the last look showed another difference.
+    /// Whether the last reading showed another difference.
     suspected: bool,
 }
 
 impl WallWatch {
-    /// Takes in what both clocks say. Tells of a step when two looks in a row show
-    /// it: between the reading of one clock and of the other anything may come.
-    pub(crate) fn look(&mut self, monotonic_ns: u64, wall_ns: u64) -> Option<WallStep> {
+    /// Handles a reading of both clocks. Returns a step when two readings in a row show it:
+    /// the thread may be delayed between the clocks of one reading.
+    pub(crate) fn update(&mut self, monotonic_ns: u64, wall_ns: u64) -> Option<WallStep> {
         let difference_ns = wall_ns.wrapping_sub(monotonic_ns) as i64;
         let step_ns = difference_ns.wrapping_sub(*self.known_ns.get_or_insert(difference_ns));
         let differs = step_ns.unsigned_abs() >= SMALLEST_STEP_NS.unsigned_abs();
@@ -54,28 +54,32 @@ mod tests {
     const SECOND_NS: u64 = 1_000_000_000;
 
     #[test]
-    fn a_step_of_an_hour_is_told_once_and_the_way_back_too() {
+    fn a_step_of_an_hour_and_back_is_reported_once_each() {
         let mut watch = WallWatch::default();
-        let mut told = Vec::new();
-        for look in 0..60_u64 {
-            let hour = if (20..40).contains(&look) { 3_600 } else { 0 };
-            let monotonic = 1_000 * SECOND_NS + look * SECOND_NS / 50;
-            let step = watch.look(monotonic, monotonic + (1_000_000 + hour) * SECOND_NS);
-            told.extend(step.map(|step| (look, step)));
+        let mut reported = Vec::new();
+        for reading in 0..60_u64 {
+            let hour = if (20..40).contains(&reading) {
+                3_600
+            } else {
+                0
+            };
+            let monotonic = 1_000 * SECOND_NS + reading * SECOND_NS / 50;
+            let step = watch.update(monotonic, monotonic + (1_000_000 + hour) * SECOND_NS);
+            reported.extend(step.map(|step| (reading, step)));
         }
         let hour = WallStep(3_600 * SECOND_NS as i64);
-        assert_eq!(told, [(21, hour), (41, WallStep(-hour.0))]);
+        assert_eq!(reported, [(21, hour), (41, WallStep(-hour.0))]);
         assert_eq!(hour.to_string(), "the wall clock was set by +3600.000 s");
     }
 
     #[test]
-    fn a_pause_between_the_two_readings_is_no_step() {
+    fn a_pause_within_one_reading_is_no_step() {
         let mut watch = WallWatch::default();
-        for look in 0..50_u64 {
-            let monotonic = look * SECOND_NS;
-            let pause = if look % 7 == 3 { SECOND_NS } else { 0 };
+        for reading in 0..50_u64 {
+            let monotonic = reading * SECOND_NS;
+            let pause = if reading % 7 == 3 { SECOND_NS } else { 0 };
             assert_eq!(
-                watch.look(monotonic, 5 * SECOND_NS + monotonic + pause),
+                watch.update(monotonic, 5 * SECOND_NS + monotonic + pause),
                 None
             );
         }

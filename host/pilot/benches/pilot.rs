@@ -7,7 +7,7 @@ use singletrack_control::{
 };
 use singletrack_pilot::{
     BoardHealth, BoardSample, BoardState, Event, Fence, LinkState, Mode, Pilot, PilotConfig,
-    RealTimeState, Request, SupervisorConfig, WatchConfig,
+    PilotRequest, RealTimeState, SupervisorConfig, WatchConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;
@@ -40,7 +40,7 @@ fn law() -> Option<FrontPointLaw> {
     FrontPointLaw::new(0.1368, 0.35, 0.26).ok()
 }
 
-/// A standing car, seen and heard.
+/// Telemetry and a pose of a standing car.
 fn events(tick: u64, state: BoardState) -> [Event; 2] {
     let now = Time(tick * TICK_NS);
     [
@@ -82,7 +82,7 @@ fn control_tick(criterion: &mut Criterion) {
             }),
         ],
     );
-    let mut step = |state, request: Option<Request>| {
+    let mut step = |state, request: Option<PilotRequest>| {
         tick += 1;
         let [board, pose] = events(tick, state);
         match request {
@@ -96,7 +96,7 @@ fn control_tick(criterion: &mut Criterion) {
     for _ in 0..200 {
         step(BoardState::Neutral, None);
     }
-    step(BoardState::Neutral, Some(Request::Arm));
+    step(BoardState::Neutral, Some(PilotRequest::Arm));
     let output = step(BoardState::Armed, None);
     assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
     criterion.bench_function(

@@ -1,41 +1,43 @@
-//! What the pilot is told between two ticks.
+//! The inputs of a tick: everything that reached the pilot since the last one.
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
 
 use crate::words::words;
 
-/// Something that happened since the last tick.
+/// An input of the pilot since the last tick.
 ///
-/// The list of events is all that a [`crate::Pilot`] knows of the world: the
-/// same list gives the same outputs, bit for bit.
+/// Events are the only inputs of a [`crate::Pilot`] besides its configuration: the
+/// same events at the same ticks give the same outputs, bit for bit. A record holds
+/// them, so that a drive can be replayed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// The cameras saw the car.
+    /// The cameras measured a pose of the car.
     Pose(PoseSample),
-    /// The cameras looked and did not see the car, or what they saw can't be.
+    /// A frame of the cameras brought no usable pose.
     PoseMissing(PoseMissing),
-    /// The board reported.
+    /// Telemetry from the board.
     Board(BoardSample),
-    /// The link to the board came up or went down.
+    /// The state of the link to the board changed.
     Link(LinkState),
-    /// Someone asks for something.
-    Request(Request),
+    /// A person or a program asks the pilot for something.
+    Request(PilotRequest),
     /// The board refused to arm.
     ArmRefused,
-    /// The board said how it is.
+    /// The board's status: battery and stop switch, every 0.2 s.
     Health(BoardHealth),
-    /// How well frames cross the line to the board.
+    /// The share of damaged frames on the serial line.
     Line(LineHealth),
-    /// What the system granted the controller; told once, before anything drives.
+    /// What the system granted the control thread. It comes once, with the first tick.
     RealTime(RealTimeState),
-    /// Where P should be and how fast it should move, from outside.
+    /// A set-point for P from outside.
     Setpoint(Setpoint),
-    /// From here on the pilot has another configuration
-    /// ([`crate::Pilot::reconfigure`]), which has this number.
+    /// The configuration with this number is in force from here on. The caller has
+    /// passed it to [`crate::Pilot::reconfigure`]; the event marks the place for a
+    /// replay.
     Reconfigured(u32),
 }
 
-/// What the board says of itself, a few times a second.
+/// The board's own condition, from its status message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoardHealth {
     /// Voltage of the battery, in mV.
@@ -44,18 +46,18 @@ pub struct BoardHealth {
     pub stop_input_open: bool,
 }
 
-/// Damaged frames as a part of all over about a second, 0 to 1; none while too
-/// few came to tell.
+/// Damaged frames as a fraction of all frames over about one second, 0 to 1; `None`
+/// while there were too few frames to measure it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineHealth {
-    /// Of those that the host received.
+    /// Of the frames that the host received.
     pub to_host: Option<f64>,
-    /// Of those that the board received.
+    /// Of the frames that the board received.
     pub to_board: Option<f64>,
 }
 
 impl LineHealth {
-    /// The worse of the two directions; 0 while neither can be told.
+    /// The larger fraction of the two directions; 0 while neither is measured.
     #[must_use]
     pub fn worst(&self) -> f64 {
         self.to_host
@@ -64,58 +66,59 @@ impl LineHealth {
     }
 }
 
-/// What the system granted the controller.
+/// What the system granted the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealTimeState {
-    /// Whether it is scheduled in real time.
+    /// Whether the thread has real-time scheduling (`SCHED_FIFO`).
     pub fifo: bool,
-    /// Whether its memory stays in place.
+    /// Whether the process's memory is locked.
     pub memory_locked: bool,
 }
 
 words! {
     /// Why a frame brought no pose.
     pub enum PoseMissing {
-        /// The body was in the frame, marked as not tracked.
+        /// The frame has the rigid body, marked as not tracked.
         Untracked = "untracked",
-        /// The body was not in the frame.
+        /// The frame does not have the rigid body.
         Absent = "absent",
-        /// The stream has gone silent.
+        /// No frames arrive any more.
         Stale = "stale",
         /// The pose was not plausible.
         Rejected = "rejected",
-        /// So many poses in a row were not plausible that none can be trusted.
+        /// Too many poses in a row were not plausible: the rigid body is locked out until
+        /// an accepted pose comes.
         Untrustworthy = "untrustworthy",
     }
 }
 
-/// What the board measured, in the car's axes (forward, left, up).
+/// One record of telemetry, in the car's axes (forward, left, up).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardSample {
     /// When the board made the record, on the host's clock.
     pub time: Time,
-    /// The IMU's sample; none if it is silent or was reported before.
+    /// The IMU's sample; `None` if there was no new one.
     pub inertial: Option<InertialSample>,
-    /// Speed of the rear axle by the motor pulses, in m/s.
+    /// Speed of the rear axle from the motor pulses, in m/s.
     pub motor_speed: f64,
-    /// The board's safety machine.
+    /// The state of the board's own safety machine.
     pub state: BoardState,
 }
 
 words! {
-    /// The board's safety machine, as far as the pilot cares.
+    /// The states of the board's safety machine that the pilot distinguishes.
     pub enum BoardState {
-        /// Starting up.
+        /// The board is starting up.
         Booting = "booting",
-        /// At neutral; can be armed.
+        /// The ESC is at neutral; the board can be armed.
         Neutral = "neutral",
-        /// Armed, waiting for the first command.
+        /// Armed; no drive command has come yet.
         Armed = "armed",
-        /// Obeying commands.
+        /// The board follows drive commands.
         Driving = "driving",
-        /// Stopped by itself; can be armed again.
+        /// The board stopped the car by itself; it can be armed again.
         Failsafe = "failsafe",
-        /// Stopped until it is reset.
+        /// Stopped until the board is reset.
         EmergencyStopped = "emergency-stopped",
     }
 }
@@ -123,28 +126,28 @@ words! {
 words! {
     /// The link to the board.
     pub enum LinkState {
-        /// No board, or none that has its configuration yet.
+        /// No board answers, or the board has no configuration yet.
         Down = "down",
         /// The board speaks another version of the protocol.
         VersionDiffers = "version-differs",
-        /// The board does not take its configuration.
+        /// The board refuses its configuration.
         ConfigurationRefused = "configuration-refused",
-        /// The board does not take its configuration because an emergency stop is
-        /// latched until it is reset.
+        /// The board refuses its configuration because an emergency stop is latched until
+        /// it is reset.
         EmergencyStopped = "emergency-stopped",
-        /// The board answers, has the configuration and reports.
+        /// The board answers, has its configuration and sends telemetry.
         Ready = "ready",
     }
 }
 
 words! {
-    /// What a person or program asks of the pilot.
-    pub enum Request {
-        /// Start driving along the reference.
+    /// What a person or a program asks of the pilot.
+    pub enum PilotRequest {
+        /// Start to follow the reference. It is refused unless every arming check passes.
         Arm = "arm",
         /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
         Disarm = "disarm",
-        /// Neutral now, until the board is reset.
+        /// Put the motor to neutral now, until the board is reset.
         EmergencyStop = "emergency-stop",
     }
 }

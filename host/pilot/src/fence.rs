@@ -1,23 +1,22 @@
-//! Where the car may be.
+//! The geofence: the polygon on the floor that the car must not leave.
 
 use heapless::Vec;
 use libm::{fabs, sqrt};
-
 use singletrack_control::{Position, Velocity};
 
-/// The most corners that a fence can have.
+/// The most corners that a geofence can have.
 pub const MAX_FENCE_CORNERS: usize = 16;
 
-/// A fence that encloses nothing, or not one thing.
+/// Why corners and margin are not a geofence.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FenceError {
-    /// Fewer than three corners, or more than fit.
+    /// Fewer than 3 corners, or more than [`MAX_FENCE_CORNERS`].
     #[error("{count} corners: give 3 to {MAX_FENCE_CORNERS}, in order")]
     Corners {
         /// How many were given.
         count: usize,
     },
-    /// A coordinate that is no number.
+    /// A coordinate is infinite or NaN.
     #[error("corner {index} is ({x}, {y}): both must be finite")]
     NotFinite {
         /// Index of the corner, from 0.
@@ -27,17 +26,17 @@ pub enum FenceError {
         /// Its y, in m.
         y: f64,
     },
-    /// Two sides that cross or touch.
+    /// Two sides cross or touch.
     #[error(
-        "the sides from corner {first} and from corner {second} meet: give the corners in order, all round"
+        "the sides from corner {first} and from corner {second} meet: give the corners in order around the area"
     )]
     Crosses {
-        /// Index of the corner where the one begins.
+        /// Index of the corner where one side begins.
         first: usize,
-        /// Index of the corner where the other begins.
+        /// Index of the corner where the other side begins.
         second: usize,
     },
-    /// A margin that is negative or no number.
+    /// The margin is negative, infinite or NaN.
     #[error("the margin is {margin}: it must be finite and not negative")]
     Margin {
         /// The margin, in m.
@@ -45,8 +44,8 @@ pub enum FenceError {
     },
 }
 
-/// A polygon on the floor that the car's centre of mass must not leave, and must
-/// be able to stop inside.
+/// A geofence: a polygon that the car's centre of mass must not leave, and must be
+/// able to stop inside. World frame, in m.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fence {
     corners: Vec<Position, MAX_FENCE_CORNERS>,
@@ -54,12 +53,14 @@ pub struct Fence {
 }
 
 impl Fence {
-    /// The fence through these corners, in order (m, world frame), kept at a
-    /// distance of `margin` (m) at least: half the car's length, for instance.
+    /// A geofence with these corners in order, in either direction (m, world frame).
+    /// The centre of mass keeps at least `margin` (m) from every side: half the car's
+    /// length, for instance.
     ///
     /// # Errors
     ///
-    /// Corners that enclose nothing or cross over.
+    /// The wrong number of corners, a value that is not finite, a negative margin, or
+    /// sides that cross or touch.
     pub fn new(corners: &[Position], margin: f64) -> Result<Self, FenceError> {
         if !(margin.is_finite() && margin >= 0.0) {
             return Err(FenceError::Margin { margin });
@@ -87,7 +88,7 @@ impl Fence {
     ///
     /// # Errors
     ///
-    /// Widths that enclose nothing.
+    /// As for [`Fence::new`]: a width of zero makes the sides meet.
     pub fn rectangle(centre: Position, width: Velocity, margin: f64) -> Result<Self, FenceError> {
         let (x, y) = (0.5 * width.x, 0.5 * width.y);
         Self::new(
@@ -101,13 +102,14 @@ impl Fence {
         )
     }
 
-    /// The corners, in order.
+    /// The corners, in the order given (m, world frame).
     #[must_use]
     pub fn corners(&self) -> &[Position] {
         &self.corners
     }
 
-    /// How far a point is inside the fence less its margin, in m; negative outside.
+    /// The distance from `point` to the nearest side minus the margin, in m; negative
+    /// outside and inside the margin.
     #[must_use]
     pub fn clearance(&self, point: &Position) -> f64 {
         let distance = self
@@ -122,7 +124,8 @@ impl Fence {
         inside - self.margin
     }
 
-    /// Whether the straight way from `point` along `way` (m) stays inside.
+    /// Whether the straight path from `point` by `way` (m) stays inside: both ends keep
+    /// the margin, and the path crosses no side. False if a coordinate is not finite.
     #[must_use]
     pub fn contains_way(&self, point: &Position, way: &Velocity) -> bool {
         let end = point + way;
@@ -132,13 +135,13 @@ impl Fence {
         finite
             && self.clearance(point) >= 0.0
             && self.clearance(&end) >= 0.0
-            // Both ends may be inside with a corner of the fence in between.
+            // Both ends may be inside with a corner of the polygon between them.
             && self
                 .sides()
                 .all(|(_, from, to)| !sides_meet(point, &end, &from, &to))
     }
 
-    /// Every side with the index of its first corner.
+    /// Every side: the index of its first corner, and both corners.
     fn sides(&self) -> impl Iterator<Item = (usize, Position, Position)> + '_ {
         let next = self.corners.iter().cycle().skip(1);
         self.corners
@@ -148,7 +151,8 @@ impl Fence {
             .map(|(index, (from, to))| (index, *from, *to))
     }
 
-    /// By how often a ray from the point crosses the sides.
+    /// Whether the polygon encloses the point: a ray from it along x crosses the sides
+    /// an odd number of times.
     fn encloses(&self, point: &Position) -> bool {
         self.sides().fold(false, |inside, (_, from, to)| {
             let spans = (from.y > point.y) != (to.y > point.y);
@@ -164,7 +168,7 @@ impl Fence {
             for (second, c, d) in self.sides().skip(first + 1) {
                 let neighbours = second == first + 1 || (first == 0 && second == count - 1);
                 let meet = if neighbours {
-                    // They share a corner; they must not fold back on each other.
+                    // They share a corner, and must not lie on each other.
                     let (shared, one, other) = if second == first + 1 {
                         (b, a, d)
                     } else {
@@ -196,7 +200,7 @@ fn distance_to_side(point: &Position, from: &Position, to: &Position) -> f64 {
     sqrt(off.norm_squared())
 }
 
-/// Whether two straight lines from a to b and from c to d have a point in common.
+/// Whether the segments from a to b and from c to d have a point in common.
 fn sides_meet(a: &Position, b: &Position, c: &Position, d: &Position) -> bool {
     let turn = |p: &Position, q: &Position, r: &Position| (q - p).perp(&(r - p));
     let (abc, abd) = (turn(a, b, c), turn(a, b, d));
@@ -221,9 +225,8 @@ mod tests {
         Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.0).unwrap()
     }
 
-    /// A room with a corner taken out: x from 0 to 2, y from 0 to 2, without
-    /// what is beyond (1, 1).
-    fn ell() -> Fence {
+    /// An L: the square from (0, 0) to (2, 2) without the part beyond (1, 1).
+    fn l_shape() -> Fence {
         let corners = [
             (0.0, 0.0),
             (2.0, 0.0),
@@ -251,7 +254,7 @@ mod tests {
         let with_margin =
             Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.2).unwrap();
         assert!((with_margin.clearance(&Position::origin()) - 0.8).abs() < 1e-12);
-        // From inside the margin across the fence and beyond, from any side.
+        // From inside the margin to beyond the side, at every side.
         for distance in [0.81, 0.9, 1.0, 1.1] {
             for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
                 let point = distance * Position::new(x, y);
@@ -263,23 +266,23 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_ends_outside_or_cuts_a_corner_is_not_inside() {
+    fn a_path_that_ends_outside_or_cuts_a_corner_is_not_inside() {
         let way = |x: f64, y: f64, dx: f64, dy: f64| {
-            ell().contains_way(&Position::new(x, y), &Velocity::new(dx, dy))
+            l_shape().contains_way(&Position::new(x, y), &Velocity::new(dx, dy))
         };
         assert!(way(0.5, 0.5, 1.0, 0.2));
         assert!(!way(0.5, 0.5, 1.6, 0.0), "beyond the side");
         assert!(
             !way(0.5, 1.5, 1.2, -0.9),
-            "both ends inside, a corner between"
+            "both ends inside, a corner between them"
         );
-        assert!(!way(1.5, 1.5, 0.0, 0.0), "in the part that is taken out");
+        assert!(!way(1.5, 1.5, 0.0, 0.0), "in the part that is cut out");
         assert!(!way(-0.1, 0.5, 0.5, 0.0), "begins outside");
         assert!(!way(f64::NAN, 0.5, 0.0, 0.0) && !way(0.5, 0.5, f64::NAN, 0.0));
     }
 
     #[test]
-    fn what_encloses_nothing_is_refused() {
+    fn corners_that_enclose_no_area_are_rejected() {
         let new = |corners: &[(f64, f64)]| {
             let corners: std::vec::Vec<_> =
                 corners.iter().map(|&(x, y)| Position::new(x, y)).collect();

@@ -1,10 +1,15 @@
-//! Whether and when the car drives: the events of a tick, the supervisor with its
-//! modes, the watches over sensors and timing, the geofence, and the [`Pilot`] that
-//! joins them with the estimator, the outer loop and the law of
-//! [`singletrack_control`].
+//! Decides at every tick whether the car drives, and with which command.
 //!
-//! Nothing here reads a clock, allocates, or calls the platform's mathematics
-//! library: the same configuration and the same events at the same ticks give the
+//! | module | holds |
+//! |---|---|
+//! | `event` | the inputs of a tick |
+//! | `watch` | monitors of sensors and timing |
+//! | `fence` | the geofence |
+//! | `supervisor` | the modes, and the checks that refuse or end a drive |
+//! | `pilot` | the [`Pilot`]: all of these with the estimator, the outer loop and the law of [`singletrack_control`] |
+//!
+//! The crate reads no clock, allocates nothing, and calls no mathematics of the
+//! platform: the same configuration and the same events at the same ticks give the
 //! same outputs, bit for bit, in every build and on every machine.
 
 #![no_std]
@@ -20,10 +25,13 @@ mod watch;
 mod words;
 
 pub use event::{
-    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,
-    Request,
+    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PilotRequest, PoseMissing,
+    RealTimeState,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
 pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
 pub use watch::{ImuVerdict, WatchConfig};
+
+/// The earlier name of [`PilotRequest`].
+pub type Request = PilotRequest;

@@ -1,104 +1,105 @@
-//! The whole controller as one value.
+//! The whole controller as one value: events of a tick in, one command out.
 
 use core::f64::consts::PI;
 
 use libm::{copysign, cos, fabs, sin};
-
-use crate::{
-    BoardRequest, BoardSample, Conditions, Event, Fence, Mode, Reason, Supervisor,
-    SupervisorConfig, WatchConfig,
-    watch::{BlindWatch, ImuWatch, SpeedWatch, TickWatch},
-};
 use singletrack_control::{
     Actuation, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits, OuterLoop,
     PoseSample, PoseVerdict, Position, Reference, ReferencePoint, Time, TrackingLoop, Velocity,
     direction,
 };
 
-/// Everything that a [`Pilot`] is told once.
+use crate::{
+    event::{BoardSample, Event},
+    fence::Fence,
+    supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
+    watch::{BlindWatch, ImuWatch, SpeedWatch, TickWatch, WatchConfig},
+};
+
+/// The configuration of a [`Pilot`], in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PilotConfig {
-    /// The law, with p and the believed `l_f`.
+    /// The law, with p and the assumed `l_f`.
     pub law: FrontPointLaw,
     /// The position loop.
     pub tracking: TrackingLoop,
-    /// Where P should be, from the first driving tick on.
+    /// The path of P; its time counts from the first driving tick.
     pub reference: Reference,
-    /// What the car may do.
+    /// Limits of speed, acceleration and steering.
     pub limits: Limits,
-    /// How the state is estimated.
+    /// Parameters of the estimator.
     pub estimator: EstimatorConfig,
-    /// When to stop.
+    /// The limits at which the car slows down or stops.
     pub supervisor: SupervisorConfig,
-    /// What the senses may say, and how punctual a tick must be.
+    /// The limits of plausible sensors and of tick timing.
     pub watch: WatchConfig,
-    /// Where the car may be.
+    /// The geofence.
     pub fence: Fence,
-    /// The deceleration that the car really has when it is told to stop, m/s²: a
-    /// motor at neutral may brake less than `stop_deceleration` asks for.
+    /// The measured deceleration of the car during a stop, m/s². It bounds the braking
+    /// distance: a motor at neutral may brake less than `stop_deceleration` commands.
     pub braking: f64,
-    /// Deceleration of a stop, m/s².
+    /// The commanded deceleration of a stop, m/s².
     pub stop_deceleration: f64,
     /// The control period, s.
     pub period: f64,
 }
 
-/// What the board is to do until the next tick.
+/// A command to the board, in force until the next tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveCommand {
     /// Speed of the rear axle, m/s.
     pub rear_speed: f64,
-    /// Steering angle, rad, left positive.
+    /// Steering angle, rad; positive to the left.
     pub steering: f64,
-    /// Mid-exposure of the last accepted pose behind it.
+    /// Mid-exposure of the last accepted pose that the command rests on.
     pub pose_time: Time,
 }
 
-/// What a tick saw and decided.
+/// The result of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Output {
     /// The mode after the tick.
     pub mode: Mode,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Reason>,
-    /// The state that it acted on.
+    /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
-    /// Whether no new valid pose came since the tick before.
+    /// Whether no pose was accepted since the last tick.
     pub held: bool,
-    /// Time since the first driving tick, s; none when not driving.
+    /// Time since the first driving tick, s; `None` outside a drive.
     pub drive_time: Option<f64>,
-    /// Where P should be and how fast it should move.
+    /// Wanted position and velocity of P, from the reference.
     pub reference: Option<ReferencePoint>,
-    /// Where P is, as far as the law knows.
+    /// Position of P, from the estimate and the commanded steering.
     pub point: Option<Position>,
-    /// The velocity wanted of P, m/s.
+    /// Wanted velocity of P after the position loop, m/s.
     pub point_velocity: Option<Velocity>,
-    /// Speed of G and steering after limits.
+    /// Speed of G and steering, after the limits.
     pub actuation: Actuation,
-    /// Whether the car is turning round.
+    /// Whether the car turns around to a wanted velocity behind it.
     pub turning_round: bool,
-    /// What to send to the board.
+    /// The drive command for the board.
     pub command: Option<DriveCommand>,
-    /// What to ask of the board.
+    /// The request to the board.
     pub request: Option<BoardRequest>,
 }
 
-/// A drive is underway: nothing is reconfigured then.
+/// The configuration was not replaced because a drive is underway, in this mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the car drives (mode {0}): disarm it first")]
 pub struct Underway(pub Mode);
 
-/// From the decision to stop until the car begins to, s: a tick, the board, the
-/// motor's lag.
+/// The time from the decision to stop until the car decelerates, s: a tick, the board
+/// and the lag of the motor.
 const REACTION: f64 = 0.1;
 
-/// Above this speed yaw rate and speed tell the bend, m/s.
+/// The lowest speed at which yaw rate over speed gives the curvature, m/s.
 const BENDS_FROM: f64 = 0.1;
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
-/// It reads no clock and keeps no secret: the same configuration and the same
-/// events at the same ticks give the same outputs, bit for bit.
+/// It reads no clock: the same configuration and the same events at the same ticks give
+/// the same outputs, bit for bit.
 #[derive(Clone, Debug)]
 pub struct Pilot {
     config: PilotConfig,
@@ -116,7 +117,7 @@ pub struct Pilot {
 }
 
 impl Pilot {
-    /// A pilot that has seen nothing.
+    /// A pilot before its first event: disconnected, without an estimate.
     #[must_use]
     pub fn new(config: PilotConfig) -> Self {
         Self {
@@ -135,12 +136,12 @@ impl Pilot {
         }
     }
 
-    /// Another configuration, from the next tick on. What is known of board and
-    /// requests stays; the estimate begins anew.
+    /// Replaces the configuration from the next tick on. The state of board, line and
+    /// requests is kept; the estimate restarts.
     ///
     /// # Errors
     ///
-    /// While a drive is underway. Nothing changes then.
+    /// [`Underway`] while a drive is underway; nothing changes then.
     pub fn reconfigure(&mut self, config: &PilotConfig) -> Result<(), Underway> {
         let mode = self.mode();
         if mode.is_underway() {
@@ -167,8 +168,8 @@ impl Pilot {
         self.supervisor.reason()
     }
 
-    /// One control tick: takes in what happened since the last one and decides
-    /// what the car does until the next.
+    /// One control tick: handles the events since the last tick, in their order, and
+    /// returns the command until the next one.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let mut held = true;
         for event in events {
@@ -180,7 +181,7 @@ impl Pilot {
             self.pose_time = None;
         }
         let speed = estimate.map_or(0.0, |estimate| estimate.speed);
-        // The fastest that anybody says it is.
+        // The largest of all speeds: estimated, measured and commanded.
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
             .max(fabs(self.law.actuation().speed));
@@ -266,7 +267,8 @@ impl Pilot {
         output
     }
 
-    /// One tick of driving.
+    /// A tick in [`Mode::Driving`]: reference, position loop, law. Fails where the law is
+    /// singular.
     fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
         let time = self
             .drive_start
@@ -288,7 +290,7 @@ impl Pilot {
                 self.config.period,
             )
             .map_err(|_| Reason::LawSingular)?;
-        // A blind car has no business speeding up.
+        // Without a fresh pose the car must not accelerate.
         let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));
             self.law.actuation()
@@ -304,7 +306,7 @@ impl Pilot {
         Ok(())
     }
 
-    /// Takes in an event; true for a pose that was accepted.
+    /// Handles an event; true if it is a pose and was accepted.
     fn handle(&mut self, event: &Event) -> bool {
         match event {
             Event::Pose(pose) => return self.handle_pose(pose),
@@ -321,7 +323,7 @@ impl Pilot {
                     external.handle(setpoint);
                 }
             }
-            // Whoever replays it has called `reconfigure`.
+            // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }
         false
@@ -344,9 +346,11 @@ impl Pilot {
         accepted
     }
 
-    /// Whether the car is inside the fence, and would be after a stop that begins
-    /// now, from wherever it may have got to since it was last seen. It goes on
-    /// along its bend: the wheels are held.
+    /// Whether the car is inside the geofence, and stays inside if it stops now.
+    ///
+    /// The path ahead is the distance since the last pose, the reaction distance and the
+    /// braking distance v²/2a, at the speed `pace` (m/s). It follows the present curvature,
+    /// because a stop holds the steering.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
         let braking = 0.5 * pace * pace / self.config.braking;
         let ahead = self.blind.distance() + pace * REACTION + braking;
@@ -357,7 +361,7 @@ impl Pilot {
         };
         let way = |distance: f64| {
             let distance = copysign(distance, estimate.speed);
-            // The chord of an arc that turns by this much.
+            // The arc turns by this angle; its chord is sin(turn/2)/(turn/2) as long.
             let turn = (curvature * distance).clamp(-PI, PI);
             let chord = if turn == 0.0 {
                 distance
@@ -387,12 +391,12 @@ impl Pilot {
         }
     }
 
-    /// Forgets the drive; the reason stays told.
+    /// Ends the drive: clears its start and the state of the law, and keeps the reason.
     fn stand_by(&mut self, was: Mode) {
         self.drive_start = None;
         self.law.reset();
-        // A track that lost the car must find it anew: nothing is at stake
-        // while the car stands.
+        // While the car stands, the estimate may restart: it has lost the car if the last
+        // pose was implausible.
         let lost = self.estimator.implausible_in_a_row() > 0;
         if lost && !was.commands() {
             self.estimator.reset();
@@ -400,7 +404,8 @@ impl Pilot {
     }
 }
 
-/// The board drives the rear axle, whose speed is the forward part of G's.
+/// The command for the board. The motor drives the rear axle, whose speed is the forward
+/// component of G's: v cos β.
 fn command(estimate: &Estimate, actuation: &Actuation) -> DriveCommand {
     DriveCommand {
         rear_speed: actuation.speed * cos(estimate.sideslip),

@@ -1,4 +1,4 @@
-//! The fence as a shape: what it encloses, whatever its corners.
+//! The geometry of the geofence, with arbitrary corners.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -10,8 +10,8 @@ fn positions(corners: &[(f64, f64)]) -> Vec<Position> {
     corners.iter().map(|&(x, y)| Position::new(x, y)).collect()
 }
 
-/// Whether the corners go all round the point, by the angles under which it sees
-/// their sides: slow, and another way than the fence's own.
+/// Whether the polygon encloses the point, by the sum of the angles of its sides as seen
+/// from the point: slow, and independent of the geofence's own method.
 fn winds_around(corners: &[Position], point: &Position) -> bool {
     let next = corners.iter().cycle().skip(1);
     let turned: f64 = corners
@@ -24,8 +24,8 @@ fn winds_around(corners: &[Position], point: &Position) -> bool {
 
 type Corner = (i32, i32);
 
-/// Whether two sides have a point in common, exactly: two convex shapes have none
-/// just when their shadows along or across one of them are apart.
+/// Whether two sides have a point in common, exactly. Two segments are separate if and
+/// only if their projections along or across one of them are.
 fn meet(one: [Corner; 2], other: [Corner; 2]) -> bool {
     let along = |[from, to]: [Corner; 2]| (to.0 - from.0, to.1 - from.1);
     let axes = [along(one), along(other)].map(|(x, y)| [(x, y), (-y, x)]);
@@ -39,7 +39,7 @@ fn meet(one: [Corner; 2], other: [Corner; 2]) -> bool {
     })
 }
 
-/// Whether two sides meet elsewhere than where one goes on from the other.
+/// Whether two sides meet, apart from the corner that neighbours share.
 fn sides_meet(corners: &[Corner], first: usize, second: usize) -> bool {
     let count = corners.len();
     let side = |index: usize| [corners[index], corners[(index + 1) % count]];
@@ -54,7 +54,7 @@ fn sides_meet(corners: &[Corner], first: usize, second: usize) -> bool {
     }
 }
 
-/// Corners in order around the origin, near and far by turns.
+/// Corners in order around the origin, at random distances.
 fn star() -> impl Strategy<Value = Vec<Position>> {
     (
         proptest::collection::vec(1..=8_u8, 3..=16),
@@ -86,13 +86,13 @@ proptest! {
     })]
 
     #[test]
-    fn a_point_is_inside_just_when_the_fence_goes_round_it(
+    fn a_point_is_inside_if_and_only_if_the_polygon_winds_around_it(
         corners in star(),
         (x, y) in (-9.0..9.0, -9.0..9.0),
         level_with in any::<prop::sample::Index>(),
     ) {
         let fence = Fence::new(&corners, 0.0).unwrap();
-        // A point level with a corner, too: a ray from it meets two sides at once.
+        // Also a point level with a corner: a ray from it meets two sides at once.
         let level = corners[level_with.index(corners.len())].y;
         for point in [Position::new(x, y), Position::new(x, level)] {
             let clearance = fence.clearance(&point);
@@ -104,9 +104,9 @@ proptest! {
         }
     }
 
-    /// On a small grid sides touch, overlap and fold back all the time.
+    /// On a small grid, sides often touch and overlap.
     #[test]
-    fn a_fence_is_refused_just_when_two_of_its_sides_meet_and_they_are_named(
+    fn corners_are_rejected_if_and_only_if_two_sides_meet_and_the_error_names_them(
         corners in proptest::collection::vec((0..5_i32, 0..5_i32), 3..7),
     ) {
         let metres: Vec<_> = corners
@@ -125,7 +125,7 @@ proptest! {
     }
 
     #[test]
-    fn a_way_stays_inside_just_when_all_of_it_does(
+    fn a_path_is_inside_if_and_only_if_all_its_points_are(
         corners in star(),
         (x, y) in (-4.0..4.0, -4.0..4.0),
         (dx, dy) in (-4.0..4.0, -4.0..4.0),
@@ -135,7 +135,7 @@ proptest! {
         let least = (0..=60)
             .map(|step| fence.clearance(&(point + f64::from(step) / 60.0 * way)))
             .fold(f64::INFINITY, f64::min);
-        // Samples are a tenth of a metre apart; what they leave open is left open.
+        // The samples are up to a tenth of a metre apart: closer cases are not decided.
         if least.abs() > 0.05 {
             prop_assert_eq!(fence.contains_way(&point, &way), least > 0.0);
         }
@@ -143,7 +143,7 @@ proptest! {
 }
 
 #[test]
-fn a_triangle_encloses_what_is_between_its_corners() {
+fn the_clearance_of_a_triangle_is_known() {
     let fence = Fence::new(&positions(&[(0.0, 0.0), (4.0, 0.0), (0.0, 3.0)]), 0.0).unwrap();
     for (x, y, clearance) in [
         // The centre of the inscribed circle.
@@ -160,8 +160,8 @@ fn a_triangle_encloses_what_is_between_its_corners() {
 }
 
 #[test]
-fn sides_in_one_line_do_not_meet_unless_they_overlap() {
-    // Two arms that end on the same line, upright and lying down.
+fn collinear_sides_meet_only_if_they_overlap() {
+    // A U, upright and on its side: its arms end on the same line.
     let arms = [
         (0.0, 0.0),
         (3.0, 0.0),
@@ -176,7 +176,7 @@ fn sides_in_one_line_do_not_meet_unless_they_overlap() {
         let fence = Fence::new(&positions(&corners), 0.0);
         assert!(fence.is_ok(), "{fence:?}");
     }
-    // The second arm bent over onto the end of the first.
+    // The second arm bent onto the end of the first.
     let bent = arms.map(|corner| {
         if corner == (2.0, 2.0) {
             (0.5, 2.0)

@@ -1,4 +1,4 @@
-//! The pilot inside its fence, or not.
+//! The pilot and its geofence.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -10,12 +10,12 @@ use singletrack_control::{
 };
 use singletrack_pilot::{Fence, Mode, PilotConfig, Reason};
 
-/// 0.1 s until it brakes, then 1.5 m/s².
-fn way_of_a_stop(speed: f64) -> f64 {
+/// The distance of a stop, in m: 0.1 s of reaction, then 1.5 m/s².
+fn stopping_distance(speed: f64) -> f64 {
     0.1 * speed + speed * speed / 3.0
 }
 
-/// Straight on at `speed` (m/s), with a fence across the way at x = 4 m.
+/// A drive along x at `speed` (m/s), with a side of the geofence at x = 4 m.
 fn towards_the_fence(speed: f64) -> Bench {
     let corners = [(-5.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-5.0, 5.0)];
     let mut bench = Bench::with(PilotConfig {
@@ -34,7 +34,7 @@ fn towards_the_fence(speed: f64) -> Bench {
 }
 
 #[test]
-fn a_car_stops_inside_its_fence_from_any_speed() {
+fn a_car_stops_inside_its_geofence_from_any_speed() {
     for speed in [0.4, 0.8, 1.5] {
         let mut bench = towards_the_fence(speed);
         let (output, _) = bench.run_until_idle();
@@ -45,7 +45,7 @@ fn a_car_stops_inside_its_fence_from_any_speed() {
 }
 
 #[test]
-fn a_stop_begins_where_reaction_and_braking_reach_the_fence() {
+fn a_stop_begins_where_reaction_and_braking_reach_the_geofence() {
     for speed in [0.4, 0.8, 1.5] {
         let mut bench = towards_the_fence(speed);
         let mut ticks = 0;
@@ -53,18 +53,21 @@ fn a_stop_begins_where_reaction_and_braking_reach_the_fence() {
             ticks += 1;
             assert!(ticks < 2_000);
         }
-        let way = way_of_a_stop(speed);
+        let needed = stopping_distance(speed);
         let left = 4.0 - bench.position.x;
-        assert!((left - way).abs() < 0.03, "{speed} m/s: {left} for {way}");
+        assert!(
+            (left - needed).abs() < 0.03,
+            "{speed} m/s: {left} for {needed}"
+        );
     }
 }
 
 #[test]
-fn a_car_that_goes_blind_stops_inside_its_fence_all_the_same() {
+fn a_car_that_loses_its_poses_stops_inside_its_geofence() {
     for speed in [0.4, 0.8, 1.5] {
-        // Just before it would begin to stop: what it goes while the pose is held,
-        // and is not seen to go, would lead it out.
-        let blind_from = 4.0 - way_of_a_stop(speed) - 0.06;
+        // Just before a stop would begin: the distance that the car goes while the pose is
+        // held would take it outside.
+        let blind_from = 4.0 - stopping_distance(speed) - 0.06;
         let mut bench = towards_the_fence(speed);
         while bench.position.x < blind_from {
             assert_eq!(bench.step().mode, Mode::Driving);
@@ -79,10 +82,9 @@ fn a_car_that_goes_blind_stops_inside_its_fence_all_the_same() {
     }
 }
 
-/// Two rounds of a circle inside a fence of 16 sides at a distance of `room` (m)
-/// from its centre, from a good start; and how far from the centre the car ever
-/// was, on a circle of its own.
-fn rounds(room: f64) -> (Mode, f64) {
+/// Two laps of a circle inside a geofence of 16 sides at `room` (m) from its centre.
+/// Returns the last mode and the farthest distance of the car from the centre, in m.
+fn two_laps(room: f64) -> (Mode, f64) {
     let corner = room / (core::f64::consts::PI / 16.0).cos();
     let corners: Vec<_> = (0..16)
         .map(|index| {
@@ -109,17 +111,17 @@ fn rounds(room: f64) -> (Mode, f64) {
     (Mode::Driving, farthest)
 }
 
-/// Straight on from a circle of 0.75 m, the way of a stop would end 0.15 m outside.
+/// The straight continuation of a stop from a circle of 0.75 m would end 0.15 m outside.
 #[test]
-fn in_a_bend_the_car_is_taken_to_go_on_along_it() {
-    let (mode, farthest) = rounds(3.0);
+fn the_path_of_a_stop_follows_the_curvature() {
+    let (mode, farthest) = two_laps(3.0);
     assert_eq!(mode, Mode::Driving);
-    assert_eq!(rounds(farthest + 0.02).0, Mode::Driving);
-    assert_eq!(rounds(farthest - 0.01).0, Mode::Stopping);
+    assert_eq!(two_laps(farthest + 0.02).0, Mode::Driving);
+    assert_eq!(two_laps(farthest - 0.01).0, Mode::Stopping);
 }
 
 #[test]
-fn a_car_outside_its_fence_is_not_armed() {
+fn a_car_outside_its_geofence_is_not_armed() {
     let mut bench = Bench::new();
     bench.position = Position::new(10.5, 0.0);
     let output = bench.run(100);

@@ -1,5 +1,5 @@
-//! The pilot on a car that does exactly what it is told: modes, reasons, and
-//! what becomes of every way to go blind.
+//! The pilot on an ideal car that follows every command exactly: modes, reasons, and
+//! losses of poses.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -11,8 +11,8 @@ use singletrack_control::{
     VehicleParameters, Velocity, VelocityStep, VelocitySteps,
 };
 use singletrack_pilot::{
-    BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig, Reason,
-    Request, Underway,
+    BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
+    PilotRequest, Reason, Underway,
 };
 
 #[test]
@@ -26,11 +26,11 @@ fn it_drives_only_after_an_explicit_request() {
 }
 
 #[test]
-fn a_request_made_too_early_is_refused_with_a_reason_and_not_kept() {
+fn an_arm_request_that_comes_too_early_is_refused_with_a_reason_and_not_kept() {
     let mut bench = Bench::new();
     bench.pose = Pose::Missing;
     bench.run(100);
-    let output = bench.step_with(Some(Request::Arm));
+    let output = bench.step_with(Some(PilotRequest::Arm));
     assert_eq!(
         (output.mode, output.reason),
         (Mode::Idle, Some(Reason::NoPose))
@@ -42,7 +42,7 @@ fn a_request_made_too_early_is_refused_with_a_reason_and_not_kept() {
 }
 
 #[test]
-fn a_short_marker_loss_is_driven_through_with_the_last_pose() {
+fn the_car_drives_through_a_short_marker_loss_with_the_last_pose() {
     let mut bench = Bench::new();
     bench.drive();
     bench.pose = Pose::Missing;
@@ -64,7 +64,7 @@ fn a_short_marker_loss_is_driven_through_with_the_last_pose() {
 }
 
 #[test]
-fn a_long_marker_loss_ends_in_a_stop_that_says_why() {
+fn a_long_marker_loss_ends_in_a_stop_with_a_reason() {
     let mut bench = Bench::new();
     bench.drive();
     bench.pose = Pose::Missing;
@@ -72,7 +72,7 @@ fn a_long_marker_loss_ends_in_a_stop_that_says_why() {
     assert_eq!(output.reason, Some(Reason::PoseTooOld));
     // Hold, then ramp: 0.3 s, and 0.5 m/s at 1.5 m/s².
     assert!(seconds < 0.9, "{seconds} s");
-    // And goes on saying so when the markers are back, until the next drive.
+    // The reason stays when the markers are back, until the next drive.
     bench.pose = Pose::Seen;
     let output = bench.run(100);
     assert_eq!(
@@ -82,10 +82,10 @@ fn a_long_marker_loss_ends_in_a_stop_that_says_why() {
 }
 
 #[test]
-fn a_stop_stays_told_until_the_next_drive() {
+fn the_reason_of_a_stop_stays_until_the_next_drive() {
     let mut bench = Bench::new();
     bench.drive();
-    bench.step_with(Some(Request::Disarm));
+    bench.step_with(Some(PilotRequest::Disarm));
     let (output, _) = bench.run_until_idle();
     assert_eq!(output.reason, Some(Reason::Requested));
     let output = bench.run(50);
@@ -94,7 +94,7 @@ fn a_stop_stays_told_until_the_next_drive() {
         (Mode::Ready, Some(Reason::Requested))
     );
     assert_eq!(bench.pilot.reason(), Some(Reason::Requested));
-    bench.step_with(Some(Request::Arm));
+    bench.step_with(Some(PilotRequest::Arm));
     let output = bench.run(3);
     assert_eq!((output.mode, output.reason), (Mode::Driving, None));
 }
@@ -118,7 +118,7 @@ fn a_silent_imu_ends_the_drive() {
 }
 
 #[test]
-fn poses_that_gyro_and_speed_cannot_explain_are_refused_and_end_the_drive() {
+fn poses_that_gyro_and_speed_cannot_explain_are_rejected_and_end_the_drive() {
     let mut bench = Bench::new();
     bench.drive();
     let before = bench.step().estimate.unwrap();
@@ -126,7 +126,7 @@ fn poses_that_gyro_and_speed_cannot_explain_are_refused_and_end_the_drive() {
     let after = bench.step().estimate.unwrap();
     assert!(
         (after.position - before.position).norm() < 0.02,
-        "one jump moves nothing"
+        "one jump does not move the estimate"
     );
     let (output, seconds) = bench.run_until_idle();
     assert_eq!(output.reason, Some(Reason::PoseImplausible));
@@ -157,7 +157,7 @@ fn a_lost_link_ends_the_drive_at_once_and_its_return_does_not_start_it() {
 }
 
 #[test]
-fn a_board_that_stops_by_itself_is_followed_and_not_armed_again() {
+fn a_board_that_stops_by_itself_ends_the_drive_and_is_not_armed_again() {
     let mut bench = Bench::new();
     bench.drive();
     bench.board = BoardState::Failsafe;
@@ -174,22 +174,22 @@ fn a_board_that_stops_by_itself_is_followed_and_not_armed_again() {
 }
 
 #[test]
-fn an_emergency_stop_is_passed_on_in_any_mode_and_latched() {
+fn an_emergency_stop_while_driving_goes_to_the_board_and_latches() {
     let mut bench = Bench::new();
     bench.drive();
-    let output = bench.step_with(Some(Request::EmergencyStop));
+    let output = bench.step_with(Some(PilotRequest::EmergencyStop));
     assert_eq!(output.request, Some(BoardRequest::EmergencyStop));
     assert!(output.command.is_none());
     assert_eq!(output.mode, Mode::Fault);
-    let output = bench.step_with(Some(Request::Disarm));
+    let output = bench.step_with(Some(PilotRequest::Disarm));
     assert_eq!(output.mode, Mode::Fault, "the board is still stopped");
     for _ in 0..100 {
-        assert!(bench.step_with(Some(Request::Arm)).command.is_none());
+        assert!(bench.step_with(Some(PilotRequest::Arm)).command.is_none());
     }
 }
 
 #[test]
-fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
+fn a_car_without_poses_slows_down_and_drives_on_when_poses_return() {
     let mut bench = Bench::new();
     bench.drive();
     bench.pose = Pose::Missing;
@@ -206,16 +206,16 @@ fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
     assert!(slowing.drive_time.is_some() && slowing.command.is_some());
     let steering = bench.steering;
     bench.step();
-    assert_eq!(bench.steering, steering, "the wheels are held");
+    assert_eq!(bench.steering, steering, "the steering is held");
     bench.pose = Pose::Seen;
     assert_eq!(bench.run(2).mode, Mode::Slowing);
     let output = bench.step();
     assert_eq!((output.mode, output.reason), (Mode::Driving, None));
-    // No jump: the speed rises as fast as it may.
+    // The speed does not jump: it rises with the largest acceleration.
     let before = bench.speed;
     bench.step();
     assert!(bench.speed > before && bench.speed <= before + 0.0201);
-    // The reference has gone on meanwhile.
+    // The time of the reference has gone on.
     assert!(output.drive_time > slowing.drive_time);
 }
 
@@ -223,7 +223,7 @@ fn a_car_that_is_not_seen_slows_down_and_drives_on_when_it_is_seen_again() {
 fn a_blind_car_does_not_speed_up() {
     let mut bench = Bench::new();
     bench.run(100);
-    bench.step_with(Some(Request::Arm));
+    bench.step_with(Some(PilotRequest::Arm));
     bench.run(12);
     bench.pose = Pose::Missing;
     bench.run(6);
@@ -239,7 +239,7 @@ fn a_blind_car_does_not_speed_up() {
 }
 
 #[test]
-fn a_fast_car_may_hold_a_pose_for_less_long() {
+fn a_fast_car_holds_a_pose_for_a_shorter_time() {
     let held_for = |velocity: f64| {
         let mut bench = Bench::with(PilotConfig {
             reference: Reference::VelocitySteps(
@@ -257,7 +257,7 @@ fn a_fast_car_may_hold_a_pose_for_less_long() {
             .take_while(|_| bench.step().mode == Mode::Driving)
             .count()
     };
-    // 0.15 m at 1.5 m/s are 0.1 s; at 0.4 m/s the 0.3 s come first.
+    // 0.15 m at 1.5 m/s are 0.1 s; at 0.4 m/s the limit of 0.3 s comes first.
     assert!((9..=11).contains(&held_for(1.5)), "{}", held_for(1.5));
     assert!((28..=30).contains(&held_for(0.4)), "{}", held_for(0.4));
 }
@@ -282,7 +282,7 @@ fn an_imu_that_hangs_or_is_biased_ends_the_drive() {
         bench.gyro_bias = bias;
         bench.noisy = noisy;
         if !noisy {
-            // What it measured last, over and over.
+            // The last measurement, repeated.
             bench.stuck = Some(0.1);
         }
         let (output, seconds) = bench.run_until_idle();
@@ -312,7 +312,7 @@ fn setpoint(bench: &Bench, velocity: Velocity, position: Option<Position>) -> Ev
 }
 
 #[test]
-fn set_points_from_outside_are_followed_until_they_are_no_longer_renewed() {
+fn external_set_points_are_followed_until_the_last_one_is_too_old() {
     let mut bench = Bench::with(PilotConfig {
         reference: Reference::External(External::new(0.2).unwrap()),
         ..config()
@@ -325,7 +325,7 @@ fn set_points_from_outside_are_followed_until_they_are_no_longer_renewed() {
     let mut outputs = Vec::new();
     for tick in 0..200 {
         if tick == 10 {
-            bench.extra.push(Event::Request(Request::Arm));
+            bench.extra.push(Event::Request(PilotRequest::Arm));
         }
         let event = setpoint(&bench, Velocity::new(0.5, 0.0), None);
         bench.extra.push(event);
@@ -335,7 +335,7 @@ fn set_points_from_outside_are_followed_until_they_are_no_longer_renewed() {
     assert_eq!((last.mode, last.reason), (Mode::Driving, None));
     assert_eq!(last.point_velocity, Some(Velocity::new(0.5, 0.0)));
     assert!((bench.speed - 0.5).abs() < 0.01);
-    // One that is no number is as good as none.
+    // A set-point with a NaN is ignored.
     for _ in 0..20 {
         let event = setpoint(&bench, Velocity::new(f64::NAN, 0.0), None);
         bench.extra.push(event);
@@ -349,7 +349,7 @@ fn set_points_from_outside_are_followed_until_they_are_no_longer_renewed() {
 }
 
 #[test]
-fn a_position_from_outside_is_approached_by_the_position_loop() {
+fn the_position_loop_approaches_an_external_position() {
     let mut bench = Bench::with(PilotConfig {
         reference: Reference::External(External::new(0.2).unwrap()),
         ..config()
@@ -357,7 +357,7 @@ fn a_position_from_outside_is_approached_by_the_position_loop() {
     let target = Position::new(2.0, 0.3);
     for tick in 0..1_500 {
         if tick == 100 {
-            bench.extra.push(Event::Request(Request::Arm));
+            bench.extra.push(Event::Request(PilotRequest::Arm));
         }
         let event = setpoint(&bench, Velocity::zeros(), Some(target));
         bench.extra.push(event);
@@ -368,7 +368,7 @@ fn a_position_from_outside_is_approached_by_the_position_loop() {
 }
 
 #[test]
-fn it_is_given_another_configuration_only_while_no_drive_is_underway() {
+fn the_configuration_is_replaced_only_while_no_drive_is_underway() {
     let other = PilotConfig {
         limits: Limits {
             max_speed: 0.2,
@@ -382,18 +382,18 @@ fn it_is_given_another_configuration_only_while_no_drive_is_underway() {
         bench.pilot.reconfigure(&other),
         Err(Underway(Mode::Driving))
     );
-    bench.step_with(Some(Request::Disarm));
+    bench.step_with(Some(PilotRequest::Disarm));
     assert_eq!(
         bench.pilot.reconfigure(&other),
         Err(Underway(Mode::Stopping))
     );
     bench.run_until_idle();
     assert_eq!(bench.pilot.reconfigure(&other), Ok(()));
-    // The estimate begins anew; what is known of the board stays.
+    // The estimate restarts; the state of the board is kept.
     let output = bench.step();
     assert_eq!(output.mode, Mode::Idle);
     assert_eq!(bench.run(100).mode, Mode::Ready);
-    bench.step_with(Some(Request::Arm));
+    bench.step_with(Some(PilotRequest::Arm));
     bench.run(200);
     assert!((bench.speed - 0.2).abs() < 0.01, "{}", bench.speed);
 }
@@ -414,15 +414,15 @@ fn the_same_events_give_the_same_bits() {
 }
 
 #[test]
-fn whoever_says_stop_in_the_same_tick_as_arm_is_obeyed() {
+fn a_disarm_in_the_same_tick_as_an_arm_wins() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(100).mode, Mode::Ready);
     bench.tick += 1;
     let output = bench.pilot.step(
         bench.now(),
         &[
-            Event::Request(Request::Arm),
-            Event::Request(Request::Disarm),
+            Event::Request(PilotRequest::Arm),
+            Event::Request(PilotRequest::Disarm),
         ],
     );
     assert_ne!(output.request, Some(BoardRequest::Arm));
@@ -432,7 +432,7 @@ fn whoever_says_stop_in_the_same_tick_as_arm_is_obeyed() {
 }
 
 #[test]
-fn an_emergency_stop_asked_for_without_a_link_is_not_forgotten() {
+fn an_emergency_stop_requested_without_a_link_is_not_forgotten() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(100).mode, Mode::Ready);
     bench.tick += 1;
@@ -440,19 +440,19 @@ fn an_emergency_stop_asked_for_without_a_link_is_not_forgotten() {
         bench.now(),
         &[
             Event::Link(LinkState::Down),
-            Event::Request(Request::EmergencyStop),
+            Event::Request(PilotRequest::EmergencyStop),
         ],
     );
     assert_eq!(output.request, Some(BoardRequest::EmergencyStop));
     bench.tick += 1;
     bench.pilot.step(bench.now(), &AT_START);
     for _ in 0..200 {
-        let output = bench.step_with(Some(Request::Arm));
+        let output = bench.step_with(Some(PilotRequest::Arm));
         assert_eq!(output.mode, Mode::Fault);
         assert_eq!(output.reason, Some(Reason::EmergencyStop));
     }
-    // A person clears it.
-    bench.step_with(Some(Request::Disarm));
+    // An explicit disarm clears it.
+    bench.step_with(Some(PilotRequest::Disarm));
     assert_eq!(bench.run(5).mode, Mode::Ready);
 }
 
@@ -460,7 +460,7 @@ fn an_emergency_stop_asked_for_without_a_link_is_not_forgotten() {
 fn a_board_that_was_reset_after_an_emergency_stop_can_be_armed_again() {
     let mut bench = Bench::new();
     bench.drive();
-    bench.step_with(Some(Request::EmergencyStop));
+    bench.step_with(Some(PilotRequest::EmergencyStop));
     bench.run(20);
     assert_eq!(bench.pilot.mode(), Mode::Fault);
     bench.board = BoardState::Neutral;
@@ -471,7 +471,7 @@ fn a_board_that_was_reset_after_an_emergency_stop_can_be_armed_again() {
 fn a_link_that_flaps_does_not_clear_a_fault() {
     let mut bench = Bench::new();
     bench.drive();
-    bench.step_with(Some(Request::EmergencyStop));
+    bench.step_with(Some(PilotRequest::EmergencyStop));
     for link in [LinkState::Down, LinkState::Ready] {
         bench.tick += 1;
         let output = bench.pilot.step(bench.now(), &[Event::Link(link)]);
@@ -480,7 +480,7 @@ fn a_link_that_flaps_does_not_clear_a_fault() {
 }
 
 #[test]
-fn poses_that_come_later_than_the_prediction_reaches_still_move_the_estimate() {
+fn poses_older_than_the_prediction_reaches_still_move_the_estimate() {
     let latency = 45_000_000;
     let mut pilot = Pilot::new(config());
     pilot.step(Time(1), &[Event::Link(LinkState::Ready)]);
@@ -520,7 +520,7 @@ fn poses_that_come_later_than_the_prediction_reaches_still_move_the_estimate() {
 }
 
 #[test]
-fn an_imu_that_was_away_has_the_estimate_settle_anew() {
+fn the_estimate_settles_again_after_an_imu_was_silent() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(100).mode, Mode::Ready);
     bench.imu = false;
@@ -532,10 +532,10 @@ fn an_imu_that_was_away_has_the_estimate_settle_anew() {
 }
 
 #[test]
-fn what_is_wrong_now_is_told_rather_than_why_the_last_drive_ended() {
+fn a_present_failure_replaces_the_reason_of_the_last_stop() {
     let mut bench = Bench::new();
     bench.drive();
-    bench.step_with(Some(Request::Disarm));
+    bench.step_with(Some(PilotRequest::Disarm));
     let (output, _) = bench.run_until_idle();
     assert_eq!(output.reason, Some(Reason::Requested));
     bench.pose = Pose::Missing;
@@ -543,7 +543,7 @@ fn what_is_wrong_now_is_told_rather_than_why_the_last_drive_ended() {
 }
 
 #[test]
-fn a_board_that_is_armed_from_before_is_not_driven_but_disarmed_on_request() {
+fn a_board_that_is_still_armed_is_not_driven_and_is_disarmed_on_request() {
     let mut bench = Bench::new();
     bench.board = BoardState::Armed;
     let output = bench.run(100);
@@ -551,12 +551,12 @@ fn a_board_that_is_armed_from_before_is_not_driven_but_disarmed_on_request() {
         (output.mode, output.reason),
         (Mode::Idle, Some(Reason::BoardArmed))
     );
-    let output = bench.step_with(Some(Request::Disarm));
+    let output = bench.step_with(Some(PilotRequest::Disarm));
     assert_eq!(output.request, Some(BoardRequest::Disarm));
 }
 
 #[test]
-fn a_car_that_was_carried_away_while_it_stood_is_found_again() {
+fn a_standing_car_that_was_carried_to_another_place_is_found_again() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(100).mode, Mode::Ready);
     bench.position = Position::new(2.0, -1.0);
@@ -568,7 +568,7 @@ fn a_car_that_was_carried_away_while_it_stood_is_found_again() {
 }
 
 #[test]
-fn the_board_is_told_the_speed_of_the_rear_axle() {
+fn the_command_has_the_speed_of_the_rear_axle() {
     let vehicle = VehicleParameters::paper();
     let mut bench = Bench::with(PilotConfig {
         reference: Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5).unwrap()),
@@ -579,8 +579,8 @@ fn the_board_is_told_the_speed_of_the_rear_axle() {
     bench.drive();
     let output = bench.run(1_000);
     let command = output.command.unwrap();
-    assert!(command.steering > 0.2, "it does not turn");
-    // G and the rear axle turn about one point, which lies beside the rear axle.
+    assert!(command.steering > 0.2, "the car does not turn");
+    // G and the rear axle turn about one point, beside the rear axle.
     let yaw_rate = command.rear_speed * command.steering.tan() / vehicle.wheelbase_m();
     let sideways = vehicle.rear_axle_distance_m * yaw_rate;
     let speed = command.rear_speed.hypot(sideways);

@@ -1,11 +1,11 @@
-//! The supervisor alone: what refuses a drive, what slows it down, what ends it.
+//! The supervisor alone: the conditions that refuse, slow down and end a drive.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::Time;
 use singletrack_pilot::{
     BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState, Mode,
-    PoseMissing, RealTimeState, Reason, Request, Supervisor, SupervisorConfig,
+    PilotRequest, PoseMissing, RealTimeState, Reason, Supervisor, SupervisorConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;
@@ -14,22 +14,22 @@ const HEALTHY: BoardHealth = BoardHealth {
     stop_input_open: false,
 };
 
-/// A supervisor, and what it is shown.
+/// A supervisor and its inputs.
 struct Bench {
     supervisor: Supervisor,
     conditions: Conditions,
-    /// What the board tells at every tick, once it is connected.
+    /// The status message of every tick, once the board is connected.
     health: Option<BoardHealth>,
     /// Age of the last accepted pose, in ms.
     pose_age_ms: u64,
     imu_age_ms: u64,
 }
 
-/// Something that goes wrong, and the word for it.
-type Trouble = (&'static str, Reason, fn(&mut Bench));
+/// A failure: its description, its reason, and how to cause it.
+type Failure = (&'static str, Reason, fn(&mut Bench));
 
-/// What is wrong at any time.
-const TROUBLES: [Trouble; 15] = [
+/// Failures at any time.
+const FAILURES: [Failure; 15] = [
     ("an open stop switch", Reason::StopInputOpen, |bench| {
         bench.health = Some(BoardHealth {
             stop_input_open: true,
@@ -42,12 +42,12 @@ const TROUBLES: [Trouble; 15] = [
             ..HEALTHY
         };
         bench.health = Some(empty);
-        // With that of the next tick, the third in a row.
+        // The report of the next tick is the third in a row.
         bench.supervisor.handle_health(empty);
         bench.supervisor.handle_health(empty);
     }),
     (
-        "damage on the way to the host",
+        "damaged frames from the board",
         Reason::LineNoisy,
         |bench| {
             bench.supervisor.handle_line(LineHealth {
@@ -56,33 +56,29 @@ const TROUBLES: [Trouble; 15] = [
             });
         },
     ),
-    (
-        "damage on the way to the board",
-        Reason::LineNoisy,
-        |bench| {
-            bench.supervisor.handle_line(LineHealth {
-                to_host: Some(0.0),
-                to_board: Some(0.51),
-            });
-        },
-    ),
+    ("damaged frames to the board", Reason::LineNoisy, |bench| {
+        bench.supervisor.handle_line(LineHealth {
+            to_host: Some(0.0),
+            to_board: Some(0.51),
+        });
+    }),
     ("a silent IMU", Reason::ImuSilent, |bench| {
         bench.imu_age_ms = 101;
     }),
-    ("an IMU that never spoke", Reason::ImuSilent, |bench| {
+    ("an IMU without a sample", Reason::ImuSilent, |bench| {
         bench.conditions.imu_time = None;
         bench.imu_age_ms = u64::MAX;
     }),
     ("an IMU that repeats itself", Reason::ImuStuck, |bench| {
         bench.conditions.imu = ImuVerdict::Stuck;
     }),
-    ("an IMU that can't be", Reason::ImuImplausible, |bench| {
+    ("an implausible IMU", Reason::ImuImplausible, |bench| {
         bench.conditions.imu = ImuVerdict::Implausible;
     }),
     ("no pose", Reason::NoPose, |bench| {
         bench.pose_age_ms = u64::MAX;
     }),
-    ("poses that can't be", Reason::PoseImplausible, |bench| {
+    ("implausible poses", Reason::PoseImplausible, |bench| {
         bench.conditions.implausible = 20;
     }),
     ("untrustworthy cameras", Reason::PoseImplausible, |bench| {
@@ -90,10 +86,10 @@ const TROUBLES: [Trouble; 15] = [
             .supervisor
             .handle_pose_missing(PoseMissing::Untrustworthy);
     }),
-    ("markers lost for long", Reason::PoseTooOld, |bench| {
+    ("a long marker loss", Reason::PoseTooOld, |bench| {
         bench.pose_age_ms = 601;
     }),
-    ("the fence", Reason::OutsideFence, |bench| {
+    ("the geofence", Reason::OutsideFence, |bench| {
         bench.conditions.inside_fence = false;
     }),
     ("a late controller", Reason::DeadlineMissed, |bench| {
@@ -104,16 +100,16 @@ const TROUBLES: [Trouble; 15] = [
     }),
 ];
 
-/// What is wrong with a drive only.
-const DRIVING_TROUBLES: [Trouble; 4] = [
+/// Failures during a drive only.
+const DRIVING_FAILURES: [Failure; 4] = [
     (
-        "a motor that tells another speed",
+        "motor pulses of another speed",
         Reason::MotorSpeedMismatch,
         |bench| {
             bench.conditions.speed_mismatch = true;
         },
     ),
-    ("too fast a car", Reason::Overspeed, |bench| {
+    ("overspeed", Reason::Overspeed, |bench| {
         bench.conditions.overspeed = true;
     }),
     (
@@ -123,15 +119,19 @@ const DRIVING_TROUBLES: [Trouble; 4] = [
             bench.conditions.reference_finished = true;
         },
     ),
-    ("a long way blind", Reason::BlindTooFar, |bench| {
-        bench.conditions.blind_distance = 0.451;
-    }),
+    (
+        "a long distance without a pose",
+        Reason::BlindTooFar,
+        |bench| {
+            bench.conditions.blind_distance = 0.451;
+        },
+    ),
 ];
 
-/// What is wrong before a drive only.
-const STANDING_TROUBLES: [Trouble; 8] = [
+/// Failures before a drive only.
+const STANDING_FAILURES: [Failure; 8] = [
     (
-        "a battery that would end a drive soon",
+        "a battery below the arming limit",
         Reason::BatteryLow,
         |bench| {
             bench.health = Some(BoardHealth {
@@ -144,7 +144,7 @@ const STANDING_TROUBLES: [Trouble; 8] = [
         bench.pose_age_ms = 51;
     }),
     (
-        "a filter that has seen little",
+        "a filter with too few poses",
         Reason::EstimateUnsettled,
         |bench| {
             bench.conditions.poses = 49;
@@ -159,7 +159,7 @@ const STANDING_TROUBLES: [Trouble; 8] = [
     ("a car that is shaken", Reason::ImuNotStill, |bench| {
         bench.conditions.imu_still = false;
     }),
-    ("a board that starts", Reason::BoardBooting, |bench| {
+    ("a board that starts up", Reason::BoardBooting, |bench| {
         bench.supervisor.handle_board(BoardState::Booting);
     }),
     ("a board that is armed", Reason::BoardArmed, |bench| {
@@ -168,7 +168,7 @@ const STANDING_TROUBLES: [Trouble; 8] = [
 ];
 
 impl Bench {
-    /// With everything there.
+    /// Connected, with every condition good.
     fn new() -> Self {
         let mut bench = Self::unconnected(SupervisorConfig::paper());
         bench.connect();
@@ -230,7 +230,7 @@ impl Bench {
         (self.supervisor.mode(), self.supervisor.reason(), request)
     }
 
-    fn ask(&mut self, request: Request) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+    fn ask(&mut self, request: PilotRequest) -> (Mode, Option<Reason>, Option<BoardRequest>) {
         self.supervisor.handle_request(request);
         self.step()
     }
@@ -239,7 +239,7 @@ impl Bench {
         let mut bench = Self::new();
         assert_eq!(bench.step(), (Mode::Ready, None, None));
         assert_eq!(
-            bench.ask(Request::Arm),
+            bench.ask(PilotRequest::Arm),
             (Mode::Arming, None, Some(BoardRequest::Arm))
         );
         bench
@@ -253,7 +253,7 @@ impl Bench {
         bench.conditions.commanded_speed = 0.5;
         bench.conditions.speed = 0.5;
         bench.conditions.motor_speed = 0.5;
-        // A drive goes on with what would not let it begin.
+        // It would refuse a drive, and does not end one.
         bench.conditions.imu_still = false;
         assert_eq!(bench.step(), (Mode::Driving, None, None));
         bench
@@ -269,10 +269,10 @@ impl Bench {
         bench
     }
 
-    /// After a drive that was ended by request, with nothing wrong.
+    /// After a drive that ended by request, with every condition good.
     fn driven() -> Self {
         let mut bench = Self::driving();
-        bench.ask(Request::Disarm);
+        bench.ask(PilotRequest::Disarm);
         bench.conditions = Self::new().conditions;
         assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
         bench.supervisor.handle_board(BoardState::Neutral);
@@ -280,24 +280,24 @@ impl Bench {
         bench
     }
 
-    /// What a trouble before makes of one now.
-    fn then(&mut self, trouble: fn(&mut Self)) -> (Mode, Option<Reason>, Option<BoardRequest>) {
-        trouble(self);
+    /// Causes a failure and steps once.
+    fn after(&mut self, failure: fn(&mut Self)) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+        failure(self);
         self.step()
     }
 }
 
 #[test]
-fn everything_that_is_missing_refuses_a_drive_by_name() {
-    for (name, reason, trouble) in TROUBLES.into_iter().chain(STANDING_TROUBLES) {
+fn every_failure_refuses_a_drive_with_its_reason() {
+    for (name, reason, failure) in FAILURES.into_iter().chain(STANDING_FAILURES) {
         let mut bench = Bench::new();
         assert_eq!(
-            bench.then(trouble),
+            bench.after(failure),
             (Mode::Idle, Some(reason), None),
             "{name}"
         );
         assert_eq!(
-            bench.ask(Request::Arm),
+            bench.ask(PilotRequest::Arm),
             (Mode::Idle, Some(reason), None),
             "{name}: asked to arm"
         );
@@ -305,11 +305,11 @@ fn everything_that_is_missing_refuses_a_drive_by_name() {
 }
 
 #[test]
-fn everything_that_goes_wrong_while_the_board_arms_takes_that_back() {
-    for (name, reason, trouble) in TROUBLES {
+fn every_failure_while_the_board_arms_disarms_it() {
+    for (name, reason, failure) in FAILURES {
         let mut bench = Bench::arming();
         assert_eq!(
-            bench.then(trouble),
+            bench.after(failure),
             (Mode::Idle, Some(reason), Some(BoardRequest::Disarm)),
             "{name}"
         );
@@ -317,16 +317,16 @@ fn everything_that_goes_wrong_while_the_board_arms_takes_that_back() {
 }
 
 #[test]
-fn everything_that_goes_wrong_stops_a_drive_by_name_and_for_good() {
-    let troubles = TROUBLES.into_iter().chain(DRIVING_TROUBLES);
-    for (name, reason, trouble) in troubles {
+fn every_failure_stops_a_drive_with_its_reason_and_for_good() {
+    let failures = FAILURES.into_iter().chain(DRIVING_FAILURES);
+    for (name, reason, failure) in failures {
         for mut bench in [Bench::driving(), Bench::slowing()] {
             assert_eq!(
-                bench.then(trouble),
+                bench.after(failure),
                 (Mode::Stopping, Some(reason), None),
                 "{name}"
             );
-            // All is well again: it stops all the same, and stays.
+            // The failure is gone: the car stops all the same, and stays stopped.
             bench.connect();
             bench.supervisor.handle_board(BoardState::Driving);
             bench.supervisor.handle_line(LineHealth {
@@ -353,22 +353,22 @@ fn everything_that_goes_wrong_stops_a_drive_by_name_and_for_good() {
 }
 
 #[test]
-fn why_a_drive_ended_stays_told_only_while_nothing_but_settling_is_missing() {
-    for (name, reason, trouble) in TROUBLES.into_iter().chain(STANDING_TROUBLES) {
+fn the_reason_of_a_stop_stays_only_while_the_car_settles() {
+    for (name, reason, failure) in FAILURES.into_iter().chain(STANDING_FAILURES) {
         let mut bench = Bench::driven();
         let settles = matches!(
             reason,
             Reason::Moving | Reason::ImuNotStill | Reason::EstimateUnsettled | Reason::BoardArmed
         );
-        let told = if settles { Reason::Requested } else { reason };
+        let shown = if settles { Reason::Requested } else { reason };
         assert_eq!(
-            bench.then(trouble),
-            (Mode::Idle, Some(told), None),
+            bench.after(failure),
+            (Mode::Idle, Some(shown), None),
             "{name}"
         );
-        // Whoever asks is told what is missing.
+        // An arm request is answered with the present reason.
         assert_eq!(
-            bench.ask(Request::Arm),
+            bench.ask(PilotRequest::Arm),
             (Mode::Idle, Some(reason), None),
             "{name}"
         );
@@ -376,21 +376,21 @@ fn why_a_drive_ended_stays_told_only_while_nothing_but_settling_is_missing() {
 }
 
 #[test]
-fn what_would_not_let_a_drive_begin_lets_it_go_on() {
-    for (name, _, trouble) in STANDING_TROUBLES {
+fn failures_of_the_arming_check_alone_do_not_end_a_drive() {
+    for (name, _, failure) in STANDING_FAILURES {
         if name.starts_with("a board") {
             continue;
         }
         let mut bench = Bench::driving();
-        assert_eq!(bench.then(trouble), (Mode::Driving, None, None), "{name}");
+        assert_eq!(bench.after(failure), (Mode::Driving, None, None), "{name}");
     }
 }
 
 #[test]
-fn nothing_is_armed_before_everything_has_been_told() {
-    type Tell = (Reason, fn(&mut Supervisor));
+fn arming_needs_every_input_once() {
+    type Input = (Reason, fn(&mut Supervisor));
     let mut bench = Bench::unconnected(SupervisorConfig::paper());
-    let steps: [Tell; 5] = [
+    let inputs: [Input; 5] = [
         (Reason::LinkDown, |supervisor| {
             supervisor.handle_link(LinkState::VersionDiffers);
         }),
@@ -407,13 +407,16 @@ fn nothing_is_armed_before_everything_has_been_told() {
             supervisor.handle_health(HEALTHY);
         }),
     ];
-    for (reason, tell) in steps {
-        let (mode, told, request) = bench.ask(Request::Arm);
-        assert_eq!((told, request), (Some(reason), None));
+    for (reason, give) in inputs {
+        let (mode, shown, request) = bench.ask(PilotRequest::Arm);
+        assert_eq!((shown, request), (Some(reason), None));
         assert!(matches!(mode, Mode::Disconnected | Mode::Idle));
-        tell(&mut bench.supervisor);
+        give(&mut bench.supervisor);
     }
-    assert_eq!(bench.ask(Request::Arm).1, Some(Reason::RealTimeUnknown));
+    assert_eq!(
+        bench.ask(PilotRequest::Arm).1,
+        Some(Reason::RealTimeUnknown)
+    );
     bench.supervisor.handle_real_time(RealTimeState {
         fifo: false,
         memory_locked: false,
@@ -422,7 +425,7 @@ fn nothing_is_armed_before_everything_has_been_told() {
 }
 
 #[test]
-fn real_time_is_demanded_only_if_the_configuration_does() {
+fn real_time_is_required_only_if_the_configuration_requires_it() {
     for (fifo, memory_locked) in [(false, false), (true, false), (false, true), (true, true)] {
         let mut bench = Bench::unconnected(SupervisorConfig {
             require_real_time: true,
@@ -439,7 +442,7 @@ fn real_time_is_demanded_only_if_the_configuration_does() {
 }
 
 #[test]
-fn a_link_that_is_lost_forgets_what_the_board_said_of_itself() {
+fn a_lost_link_clears_the_state_of_the_board() {
     let mut bench = Bench::new();
     bench.supervisor.handle_line(LineHealth {
         to_host: Some(0.9),
@@ -458,14 +461,14 @@ fn a_link_that_is_lost_forgets_what_the_board_said_of_itself() {
 }
 
 #[test]
-fn a_link_that_says_again_that_it_is_ready_forgets_nothing() {
+fn a_repeated_ready_keeps_the_state_of_the_board() {
     let mut bench = Bench::driving();
     bench.supervisor.handle_link(LinkState::Ready);
     assert_eq!(bench.step(), (Mode::Driving, None, None));
 }
 
 #[test]
-fn a_board_that_no_longer_tells_its_health_ends_the_drive_within_a_second() {
+fn a_board_without_status_messages_ends_the_drive_after_a_second() {
     let mut bench = Bench::driving();
     bench.health = None;
     for tick in 0..100 {
@@ -485,7 +488,7 @@ fn battery(battery_mv: u16) -> Option<BoardHealth> {
 }
 
 #[test]
-fn a_battery_that_sags_for_two_reports_drives_on() {
+fn a_battery_that_sags_for_two_reports_does_not_end_the_drive() {
     let mut bench = Bench::driving();
     for battery_mv in [6_399, 6_399, 6_400, 6_399, 6_399] {
         bench.health = battery(battery_mv);
@@ -498,7 +501,7 @@ fn a_battery_that_sags_for_two_reports_drives_on() {
 }
 
 #[test]
-fn a_battery_or_a_line_at_its_limit_is_good_enough() {
+fn battery_and_line_at_their_limits_pass() {
     let mut bench = Bench::new();
     bench.health = battery(6_800);
     bench.supervisor.handle_line(LineHealth {
@@ -514,7 +517,7 @@ fn a_battery_or_a_line_at_its_limit_is_good_enough() {
 }
 
 #[test]
-fn a_pose_is_held_for_its_time_and_its_way() {
+fn a_pose_is_held_up_to_its_time_and_distance() {
     let mut bench = Bench::driving();
     bench.pose_age_ms = 300;
     bench.conditions.blind_distance = 0.15;
@@ -527,7 +530,7 @@ fn a_pose_is_held_for_its_time_and_its_way() {
 }
 
 #[test]
-fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
+fn a_slowing_car_drives_on_after_three_fresh_poses_and_not_before() {
     let mut bench = Bench::slowing();
     for age_ms in [600, 299, 51] {
         bench.pose_age_ms = age_ms;
@@ -535,7 +538,7 @@ fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
     }
     bench.pose_age_ms = 50;
     for _ in 0..2 {
-        // One pose may be of anything.
+        // A single pose may be of another body.
         bench.conditions.poses += 1;
         assert_eq!(
             bench.step(),
@@ -544,13 +547,13 @@ fn a_slowing_car_drives_on_when_a_fresh_pose_comes_and_not_before() {
     }
     bench.conditions.poses += 1;
     assert_eq!(bench.step(), (Mode::Driving, None, None));
-    // Nothing of it is told after the drive.
-    bench.ask(Request::Disarm);
+    // The reason of the slowing does not stay.
+    bench.ask(PilotRequest::Disarm);
     assert_eq!(bench.supervisor.reason(), Some(Reason::Requested));
 }
 
 #[test]
-fn a_blind_car_slows_to_the_end_of_its_budget_and_then_stops_for_good() {
+fn a_slowing_car_stops_for_good_beyond_its_blind_distance() {
     let mut bench = Bench::slowing();
     bench.pose_age_ms = 600;
     bench.conditions.blind_distance = 0.45;
@@ -563,7 +566,7 @@ fn a_blind_car_slows_to_the_end_of_its_budget_and_then_stops_for_good() {
 }
 
 #[test]
-fn a_slowing_car_that_has_come_to_rest_waits_for_the_end_of_its_budget() {
+fn a_slowing_car_at_rest_stops_for_good_beyond_its_blind_time() {
     let mut bench = Bench::slowing();
     bench.conditions.commanded_speed = 0.0;
     bench.pose_age_ms = 600;
@@ -576,7 +579,7 @@ fn a_slowing_car_that_has_come_to_rest_waits_for_the_end_of_its_budget() {
 }
 
 #[test]
-fn an_estimate_that_began_anew_while_the_car_slowed_down_is_believed_after_some_poses() {
+fn an_estimate_that_restarted_while_slowing_needs_three_poses() {
     let mut bench = Bench::slowing();
     bench.pose_age_ms = 10;
     for (poses, mode) in [(1, Mode::Slowing), (2, Mode::Slowing), (3, Mode::Driving)] {
@@ -586,15 +589,15 @@ fn an_estimate_that_began_anew_while_the_car_slowed_down_is_believed_after_some_
 }
 
 #[test]
-fn an_emergency_stop_before_does_not_clear_a_fault_of_the_law() {
+fn an_earlier_emergency_stop_does_not_clear_a_fault_of_the_law() {
     let mut bench = Bench::driving();
-    bench.ask(Request::EmergencyStop);
+    bench.ask(PilotRequest::EmergencyStop);
     bench.supervisor.handle_board(BoardState::EmergencyStopped);
     assert_eq!(bench.step().0, Mode::Fault);
     bench.supervisor.handle_board(BoardState::Neutral);
     bench.conditions = Bench::new().conditions;
     bench.step();
-    bench.ask(Request::Arm);
+    bench.ask(PilotRequest::Arm);
     bench.supervisor.handle_board(BoardState::Armed);
     assert_eq!(bench.step().0, Mode::Driving);
     let now = bench.conditions.now;
@@ -603,11 +606,11 @@ fn an_emergency_stop_before_does_not_clear_a_fault_of_the_law() {
     for _ in 0..100 {
         assert_eq!(bench.step(), (Mode::Fault, Some(Reason::LawSingular), None));
     }
-    assert_eq!(bench.ask(Request::Disarm).0, Mode::Idle);
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
 }
 
 #[test]
-fn a_configuration_refused_over_an_emergency_stop_is_told_as_that() {
+fn a_configuration_refused_for_an_emergency_stop_has_that_reason() {
     let mut bench = Bench::new();
     bench.supervisor.handle_link(LinkState::EmergencyStopped);
     assert_eq!(
@@ -617,9 +620,9 @@ fn a_configuration_refused_over_an_emergency_stop_is_told_as_that() {
 }
 
 #[test]
-fn a_slowing_car_obeys_a_disarm_and_follows_a_board_that_stopped() {
+fn a_slowing_car_stops_on_a_disarm_and_when_its_board_has_stopped() {
     assert_eq!(
-        Bench::slowing().ask(Request::Disarm),
+        Bench::slowing().ask(PilotRequest::Disarm),
         (Mode::Stopping, Some(Reason::Requested), None)
     );
     for (state, mode, reason) in [
@@ -639,15 +642,15 @@ fn a_slowing_car_obeys_a_disarm_and_follows_a_board_that_stopped() {
 }
 
 #[test]
-fn a_stopping_car_that_is_seen_is_disarmed_when_it_stands() {
+fn a_stopping_car_with_poses_is_disarmed_when_it_stands() {
     let mut bench = Bench::driving();
-    bench.ask(Request::Disarm);
+    bench.ask(PilotRequest::Disarm);
     bench.conditions.commanded_speed = 0.0;
     for _ in 0..100 {
-        assert_eq!(bench.step().0, Mode::Stopping, "it rolls");
+        assert_eq!(bench.step().0, Mode::Stopping, "the car rolls");
     }
     bench.conditions.motor_speed = -0.03;
-    assert_eq!(bench.step().0, Mode::Stopping, "it still rolls");
+    assert_eq!(bench.step().0, Mode::Stopping, "the car still rolls");
     bench.conditions.motor_speed = 0.029;
     assert_eq!(
         bench.step(),
@@ -660,14 +663,18 @@ fn a_stopping_car_that_is_seen_is_disarmed_when_it_stands() {
 }
 
 #[test]
-fn a_stopping_car_that_is_not_seen_is_disarmed_a_tenth_of_a_second_after_it_was_told_to_stand() {
+fn a_stopping_car_without_poses_is_disarmed_a_tenth_of_a_second_after_the_command_to_stand() {
     let mut bench = Bench::slowing();
     bench.pose_age_ms = 601;
     bench.step();
     for _ in 0..3 {
-        assert_eq!(bench.step().0, Mode::Stopping, "it is told to roll");
+        assert_eq!(
+            bench.step().0,
+            Mode::Stopping,
+            "the command is not zero yet"
+        );
     }
-    // Told at the tick before.
+    // The command of the tick before.
     bench.conditions.commanded_speed = 0.0;
     for tick in 1..10 {
         assert_eq!(bench.step().0, Mode::Stopping, "{tick}");
@@ -677,9 +684,9 @@ fn a_stopping_car_that_is_not_seen_is_disarmed_a_tenth_of_a_second_after_it_was_
 }
 
 #[test]
-fn a_stop_that_takes_too_long_ends_in_a_disarm() {
+fn a_stop_ends_with_a_disarm_after_its_timeout() {
     let mut bench = Bench::driving();
-    bench.ask(Request::Disarm);
+    bench.ask(PilotRequest::Disarm);
     for _ in 0..150 {
         assert_eq!(
             bench.step(),
@@ -697,7 +704,7 @@ fn a_stop_that_takes_too_long_ends_in_a_disarm() {
 }
 
 #[test]
-fn a_board_that_refuses_or_does_not_answer_is_not_waited_for() {
+fn arming_ends_on_refusal_timeout_disarm_and_emergency_stop() {
     let mut bench = Bench::arming();
     bench.supervisor.handle_arm_refused();
     assert_eq!(
@@ -721,7 +728,7 @@ fn a_board_that_refuses_or_does_not_answer_is_not_waited_for() {
         )
     );
     assert_eq!(
-        Bench::arming().ask(Request::Disarm),
+        Bench::arming().ask(PilotRequest::Disarm),
         (
             Mode::Idle,
             Some(Reason::Requested),
@@ -737,7 +744,7 @@ fn a_board_that_refuses_or_does_not_answer_is_not_waited_for() {
 }
 
 #[test]
-fn other_limits_hold_from_the_next_tick_on() {
+fn new_limits_hold_from_the_next_tick_on() {
     let mut bench = Bench::new();
     bench.pose_age_ms = 60;
     assert_eq!(bench.step().1, Some(Reason::PoseTooOld));
@@ -749,7 +756,7 @@ fn other_limits_hold_from_the_next_tick_on() {
 }
 
 #[test]
-fn a_battery_is_not_looked_at_when_its_limits_are_zero() {
+fn limits_of_zero_disable_the_check_of_the_battery() {
     let mut bench = Bench::unconnected(SupervisorConfig {
         min_battery: 0.0,
         arm_battery: 0.0,
@@ -762,9 +769,9 @@ fn a_battery_is_not_looked_at_when_its_limits_are_zero() {
     }
 }
 
-/// Whoever reads status, log and record knows them by these.
+/// Readers of status, log and record depend on these words.
 #[test]
-fn the_words_for_the_modes_stay_what_they_are() {
+fn the_words_for_the_modes_do_not_change() {
     assert_eq!(
         Mode::ALL.map(Mode::name),
         [
@@ -781,7 +788,7 @@ fn the_words_for_the_modes_stay_what_they_are() {
 }
 
 #[test]
-fn modes_say_what_they_mean() {
+fn modes_and_reasons_are_consistent_with_their_words() {
     let underway = [Mode::Arming, Mode::Driving, Mode::Slowing, Mode::Stopping];
     for mode in Mode::ALL {
         assert_eq!(mode.is_underway(), underway.contains(&mode));

@@ -1,4 +1,4 @@
-//! The live view's thread and its server.
+//! The thread and the WebSocket server of the live view.
 
 use std::{
     io,
@@ -20,20 +20,20 @@ use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping, Encoder, FeedInput, FeedOutput, feed};
 use tokio::runtime::{self, Runtime};
 
-use super::{LiveError, LiveView};
+use super::status::{LiveError, LiveView};
 
-/// Entries that may wait to be encoded, most of a second.
+/// Entries that may wait to be encoded: most of a second.
 const CAPACITY: usize = 256;
 
-/// Messages that may wait for a viewer beyond what the kernel takes: older ones show a
-/// car that has gone on.
+/// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
+/// date.
 const BACKLOG: usize = 400;
 
-/// How often the thread looks for entries.
-const LOOK: Duration = Duration::from_millis(5);
+/// Interval at which the thread polls its ring.
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// How long viewers may take to hear that it is over.
-const GOODBYE: Duration = Duration::from_millis(50);
+/// The longest wait for viewers when the server closes.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(50);
 
 /// The server's thread.
 #[derive(Debug)]
@@ -44,8 +44,8 @@ pub(crate) struct LiveThread {
 }
 
 impl LiveThread {
-    /// Listens. Entries go in at the other end of the ring that is returned; `start`
-    /// is that of the record.
+    /// Starts to listen. Returns the ring for the entries to publish. `start` is the
+    /// clock mapping of the record, so that times agree.
     pub(crate) fn start(
         section: LiveSection,
         start: ClockMapping,
@@ -60,7 +60,7 @@ impl LiveThread {
         let (input, output) = feed(CAPACITY);
         let stop = Arc::new(AtomicBool::new(false));
         let viewers = Arc::new(AtomicU64::new(0));
-        let (listens_in, listens) = mpsc::sync_channel(1);
+        let (port_in, port_out) = mpsc::sync_channel(1);
         let thread = thread::Builder::new()
             .name("live".to_owned())
             .spawn({
@@ -69,24 +69,24 @@ impl LiveThread {
                     let server = match Server::start(&runtime, address) {
                         Ok(server) => server,
                         Err(error) => {
-                            // The starter waits for it.
-                            let _ = listens_in.send(Err(error));
+                            // `start` waits for it.
+                            let _ = port_in.send(Err(error));
                             return;
                         }
                     };
-                    let _ = listens_in.send(Ok(server.handle.port()));
+                    let _ = port_in.send(Ok(server.handle.port()));
                     server.run(&runtime, Encoder::new(start), output, &viewers, &stop);
                 }
             })
             .map_err(failed)?;
-        let port = listens
+        let port = port_out
             .recv()
             .map_err(|_| LiveError::Server("its thread has ended".to_owned()))??;
         let address = SocketAddr::new(section.address, port);
         if !section.address.is_loopback() {
-            tracing::warn!(%address, "the live view is open to the network: whoever reaches it sees the car");
+            tracing::warn!(%address, "the live view listens beyond loopback and has no authentication");
         }
-        tracing::info!(%address, "live view");
+        tracing::info!(%address, "live view started");
         let view = LiveView { address, viewers };
         let thread = Some(thread);
         Ok((Self { view, stop, thread }, input))
@@ -105,9 +105,9 @@ impl Drop for LiveThread {
 }
 
 struct Server {
-    /// The others hold on to it weakly.
+    /// The channels and the server hold it weakly.
     _context: Arc<Context>,
-    /// By [`Channel::index`].
+    /// Indexed by [`Channel::index`].
     channels: Vec<Arc<RawChannel>>,
     handle: WebSocketServerHandle,
 }
@@ -137,7 +137,7 @@ impl Server {
         let server = WebSocketServer::new()
             .name(concat!("singletrackd ", env!("CARGO_PKG_VERSION")))
             .context(&context)
-            // Viewers can do nothing but subscribe.
+            // Viewers can only subscribe.
             .capabilities([])
             .message_backlog_size(BACKLOG)
             .bind(address.ip().to_string(), address.port());
@@ -149,7 +149,7 @@ impl Server {
         })
     }
 
-    /// Tells what comes until it is told to stop.
+    /// Publishes entries until `stop` is set.
     fn run(
         self,
         runtime: &Runtime,
@@ -168,7 +168,7 @@ impl Server {
                 let count = handle.client_count();
                 viewers.store(count as u64, Ordering::Relaxed);
                 while let Some(entry) = entries.pop() {
-                    // Also when nobody watches: diagnostics tell of changes.
+                    // Also without viewers: diagnostics are encoded on changes only.
                     let Ok(publications) = encoder.encode(&entry) else {
                         continue;
                     };
@@ -183,10 +183,10 @@ impl Server {
                         }
                     }
                 }
-                tokio::time::sleep(LOOK).await;
+                tokio::time::sleep(POLL_INTERVAL).await;
             }
-            // Viewers that do not listen need not be waited for.
-            let _ = tokio::time::timeout(GOODBYE, handle.stop().wait()).await;
+            // A viewer that does not close its connection is not waited for.
+            let _ = tokio::time::timeout(CLOSE_TIMEOUT, handle.stop().wait()).await;
         });
     }
 }

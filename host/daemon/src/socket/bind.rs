@@ -1,4 +1,4 @@
-//! Where the control socket is, and whose it is.
+//! Creates the file of the control socket and listens on it.
 
 use std::{
     fs, io,
@@ -14,64 +14,64 @@ use socket2::{Domain, SockAddr, Socket, Type};
 /// Owner and group may connect.
 const PERMISSIONS: u32 = 0o660;
 
-/// Why there is no control socket.
+/// Why the control socket can't be created, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
-    /// A daemon listens there.
+    /// Another daemon listens on the path.
     #[error("{}: another singletrackd listens there; stop it, or choose another socket.path", .0.display())]
     InUse(PathBuf),
-    /// Something else is there.
-    #[error("{}: there is something that is no socket; remove it, or choose another socket.path", .0.display())]
+    /// The path is not a socket.
+    #[error("{}: this file is not a socket; remove it, or choose another socket.path", .0.display())]
     Occupied(PathBuf),
-    /// Its folder can't be made.
+    /// The folder can't be created.
     #[error(
-        "can't make {}, the folder of socket.path: {source}; choose a socket.path in a folder that you \
+        "can't create {}, the folder of socket.path: {source}; choose a socket.path in a folder that you \
          may write to, such as one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
         path.display()
     )]
     Folder {
         /// The folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// The system says no.
+    /// Another system call failed.
     #[error(
         "{}: can't {action}: {source}; choose a socket.path in a folder that you may write to, such as \
          one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
         path.display()
     )]
     Io {
-        /// What was attempted.
+        /// The failed action.
         action: &'static str,
         /// The path.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// A listening socket, which removes its file.
+/// A listening socket and its file.
 #[derive(Debug)]
 pub(crate) struct BoundSocket {
     pub(super) listener: UnixListener,
     pub(super) file: SocketFile,
 }
 
-/// Removed when it is dropped.
+/// The file of the socket, removed when this value is dropped.
 #[derive(Debug)]
 pub(super) struct SocketFile(PathBuf);
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // If someone else has removed it, so much the better.
+        // An error means that the file is gone already.
         let _ = fs::remove_file(&self.0);
     }
 }
 
 impl BoundSocket {
-    /// Listens at `path`, whose folder is made if it is missing; a socket that
-    /// a killed daemon left is replaced.
+    /// Listens on `path`. Creates its folder if necessary, and replaces the socket that a
+    /// killed daemon left.
     pub(crate) fn bind(path: &Path) -> Result<Self, SocketError> {
         let failure = |action| {
             move |source| SocketError::Io {
@@ -91,13 +91,13 @@ impl BoundSocket {
                 if !metadata.file_type().is_socket() {
                     return Err(SocketError::Occupied(path.to_owned()));
                 }
-                if has_listener(path).map_err(failure("look who listens"))? {
+                if has_listener(path).map_err(failure("check who listens"))? {
                     return Err(SocketError::InUse(path.to_owned()));
                 }
                 fs::remove_file(path).map_err(failure("remove the old socket"))?;
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(failure("look at it")(error)),
+            Err(error) => return Err(failure("read its metadata")(error)),
         }
         let listener = UnixListener::bind(path).map_err(failure("listen"))?;
         let file = SocketFile(path.to_owned());
@@ -110,8 +110,8 @@ impl BoundSocket {
     }
 }
 
-/// Whether a process listens there, even one that has been stopped and accepts
-/// nobody: a connection that waits for its turn would wait for good.
+/// Whether a process listens on the path. The connection is non-blocking: a stopped process
+/// accepts no client, and a client in its queue would wait for ever.
 fn has_listener(path: &Path) -> io::Result<bool> {
     let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
     socket.set_nonblocking(true)?;
@@ -119,7 +119,7 @@ fn has_listener(path: &Path) -> io::Result<bool> {
         Ok(()) => Ok(true),
         Err(error) => match error.kind() {
             io::ErrorKind::ConnectionRefused | io::ErrorKind::NotFound => Ok(false),
-            // Its queue is full.
+            // The queue of the listener is full.
             io::ErrorKind::WouldBlock => Ok(true),
             _ => Err(error),
         },
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_folder_is_made_and_one_that_can_not_be_is_named() {
+    fn a_missing_folder_is_created_or_named_in_the_error() {
         let folder = tempfile::tempdir().unwrap();
         let socket = BoundSocket::bind(&folder.path().join("a/b/control.sock")).unwrap();
         drop(socket);
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dead_daemons_socket_is_replaced_and_a_living_ones_is_not() {
+    fn the_socket_of_a_dead_daemon_is_replaced_and_that_of_a_live_one_is_not() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("control.sock");
         drop(UnixListener::bind(&path).unwrap());
@@ -173,13 +173,13 @@ mod tests {
     }
 
     #[test]
-    fn a_daemon_that_has_been_stopped_and_accepts_nobody_is_found_at_once() {
+    fn a_stopped_daemon_that_accepts_no_client_is_detected_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("control.sock");
         let stopped = Socket::new(Domain::UNIX, Type::STREAM, None).unwrap();
         stopped.bind(&SockAddr::unix(&path).unwrap()).unwrap();
         stopped.listen(0).unwrap();
-        // Its queue takes one.
+        // The queue holds one client.
         let _waiting = UnixStream::connect(&path).unwrap();
         assert!(matches!(
             BoundSocket::bind(&path),

@@ -1,4 +1,4 @@
-//! A client's line, as a command.
+//! Parses a client's line into a command.
 
 use core::str::FromStr;
 
@@ -7,38 +7,39 @@ use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::config::ReferenceSection;
 use singletrack_record::Topic;
 
-use super::SOCKET_VERSION;
+/// The version of the protocol. Client and daemon must have the same one.
+pub const SOCKET_VERSION: u32 = 1;
 
-/// What a client may send.
+/// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// One line answers it, at once.
+    /// A question or request, answered by one line.
     Ask(Question),
-    /// One line answers it, when it has been tried.
+    /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
-    /// Nothing answers it.
+    /// A set-point, answered only if it has no effect.
     Setpoint(Setpoint),
-    /// A stream answers it.
+    /// A subscription, answered by a stream of entries.
     Watch {
-        /// What of; none: all.
+        /// The topics; empty for all.
         topics: Vec<Topic>,
     },
 }
 
-/// What is answered in one line.
+/// A command without arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
-    /// How the daemon is doing.
+    /// The status of daemon, board and figures.
     Status,
-    /// Drive along the reference.
+    /// Arm, and follow the reference.
     Arm,
     /// Slow down, stop and disarm.
     Disarm,
-    /// Neutral at once, until the board is reset.
+    /// Emergency stop: neutral at once, until the board is reset.
     Stop,
 }
 
-/// A line as it comes.
+/// The keys of a line, before validation.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
@@ -51,17 +52,18 @@ struct Line {
     time_ns: Option<u64>,
 }
 
-/// Beyond these a set-point is a mistake, whatever the limits of the car: in m/s
-/// and m.
-const FASTEST: f64 = 100.0;
-const FARTHEST: f64 = 10_000.0;
+/// The largest velocity of a set-point, m/s: beyond it the set-point is a mistake for any
+/// car.
+const MAX_VELOCITY: f64 = 100.0;
+/// The largest coordinate of a set-point, m.
+const MAX_COORDINATE: f64 = 10_000.0;
 
 impl Command {
-    /// Of a line that was read at `now_ns` of `CLOCK_MONOTONIC`.
+    /// Parses a line that was read at `now_ns` of `CLOCK_MONOTONIC`.
     ///
     /// # Errors
     ///
-    /// What is wrong with it, in the words of the answer.
+    /// The text of the answer: what is wrong, and what to write instead.
     pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, String> {
         let mut line: Line = serde_json::from_slice(line).map_err(|error| {
             format!("{error}; write {{\"version\":{SOCKET_VERSION},\"command\":\"status\"}}")
@@ -98,7 +100,7 @@ impl Command {
                 ));
             }
         };
-        line.refuse_the_rest()?;
+        line.refuse_other_keys()?;
         Ok(command)
     }
 }
@@ -110,9 +112,9 @@ impl Line {
             .take()
             .ok_or("setpoint needs velocity_m_s, such as [0.4,0.0]")?;
         let position = self.position_m.take();
-        within("velocity_m_s", velocity, FASTEST)?;
+        within("velocity_m_s", velocity, MAX_VELOCITY)?;
         if let Some(position) = position {
-            within("position_m", position, FARTHEST)?;
+            within("position_m", position, MAX_COORDINATE)?;
         }
         let time_ns = self.time_ns.take().unwrap_or(now_ns);
         if time_ns > now_ns {
@@ -127,8 +129,8 @@ impl Line {
         })
     }
 
-    /// What the command has not taken it does not have.
-    fn refuse_the_rest(&self) -> Result<(), String> {
+    /// Refuses the keys that the command does not have.
+    fn refuse_other_keys(&self) -> Result<(), String> {
         for (key, is_there, owner) in [
             ("topics", self.topics.is_some(), "watch"),
             ("reference", self.reference.is_some(), "set-reference"),
@@ -163,7 +165,7 @@ mod tests {
     const NOW: u64 = 1_000;
 
     #[test]
-    fn lines_that_are_no_commands_are_told_what_would_be() {
+    fn invalid_lines_are_answered_with_what_to_write() {
         for (line, part) in [
             (r#""#, "write {"),
             (r#"status"#, "write {"),
@@ -231,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_read() {
+    fn valid_lines_are_parsed() {
         let setpoint = |position, time| {
             Command::Setpoint(Setpoint {
                 position,

@@ -1,11 +1,11 @@
-//! What clients say, and what they are answered.
+//! Serves one client: reads its lines and answers them.
 
 use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
 use singletrack_core::{config::ReferenceSection, control_loop::ControlRequest};
-use singletrack_pilot::{Mode, Reason, Request};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
@@ -17,40 +17,40 @@ use tokio::{
     task::spawn_blocking,
 };
 
-use super::{
-    CLIENTS, SOCKET_VERSION,
-    command::{Command, Question},
-};
-use crate::{clock::monotonic_ns, daemon::View};
+use super::command::{Command, Question, SOCKET_VERSION};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
 
-/// The longest line that is read.
+/// The largest number of clients at a time.
+pub(super) const CLIENTS: usize = 32;
+
+/// The longest line, in bytes.
 const LONGEST_LINE: u64 = 4_096;
 
-/// How long a client that finds no place may take to say what it wants.
-const REFUSAL_PATIENCE: Duration = Duration::from_secs(1);
+/// The longest wait for the first line of a client beyond [`CLIENTS`].
+const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long an arm command waits for the car to drive.
-const ARM_PATIENCE: Duration = Duration::from_secs(2);
+/// The longest wait of an arm command for its outcome.
+const ARM_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How often it looks.
-const ARM_LOOK: Duration = Duration::from_millis(5);
+/// Interval at which an arm command polls for its outcome.
+const ARM_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// However many are connected, a stop is heard.
-pub(super) async fn refuse(stream: UnixStream, view: &View) -> io::Result<()> {
+/// Serves a client beyond [`CLIENTS`]: only a stop or a disarm is obeyed.
+pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Result<()> {
     let (read, mut write) = stream.into_split();
     let mut line = Vec::new();
     let mut read = BufReader::new(read).take(LONGEST_LINE);
-    let heard = tokio::time::timeout(REFUSAL_PATIENCE, read.read_until(b'\n', &mut line)).await;
-    let answer = match (heard, Command::parse(&line, monotonic_ns())) {
+    let first_line = tokio::time::timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line)).await;
+    let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
         (Ok(Ok(_)), Ok(Command::Ask(question @ (Question::Stop | Question::Disarm)))) => {
-            answer(question, view).await
+            answer(question, daemon).await
         }
         _ => failure(format!("{CLIENTS} clients are connected; close one")),
     };
     send(&mut write, &answer).await
 }
 
-pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
+pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Result<()> {
     let (read, mut write) = stream.into_split();
     let mut read = BufReader::new(read);
     let mut line = Vec::new();
@@ -64,8 +64,8 @@ pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
             return Ok(());
         }
         if !line.ends_with(b"\n") && count as u64 == LONGEST_LINE {
-            // Answered only after its end: a connection that is closed while its
-            // client still writes loses the answer.
+            // The rest is read first: a client that is still writing would not read the
+            // answer.
             skip_line(&mut read).await?;
             let answer = failure(format!("a line is at most {LONGEST_LINE} bytes long"));
             send(&mut write, &answer).await?;
@@ -74,24 +74,24 @@ pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
         match Command::parse(&line, monotonic_ns()) {
             Ok(Command::Watch { topics }) => {
                 let mut rest = [0];
-                // A watcher says nothing more; it may be gone long before there
-                // is something to tell it.
+                // A watcher sends no more lines. Reading detects that it has disconnected, also
+                // while there are no entries.
                 return tokio::select! {
-                    watched = watch(&mut write, view, &topics) => watched,
-                    gone = read.read(&mut rest) => gone.map(drop),
+                    result = watch(&mut write, daemon, &topics) => result,
+                    closed = read.read(&mut rest) => closed.map(drop),
                 };
             }
             Ok(Command::Ask(question)) => {
-                send(&mut write, &answer(question, view).await).await?;
+                send(&mut write, &answer(question, daemon).await).await?;
             }
             Ok(Command::SetReference(reference)) => {
-                send(&mut write, &set_reference(reference, view).await).await?;
+                send(&mut write, &set_reference(reference, daemon).await).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {
-                if view.reconfigurer.takes_setpoints() {
-                    view.setpoints.send(&setpoint);
+                if daemon.reconfigurer.takes_setpoints() {
+                    daemon.setpoints.send(&setpoint);
                 } else {
-                    let error = "set-points are not obeyed: reference.kind is not \"external\"; \
+                    let error = "set-points are not in use: reference.kind is not \"external\"; \
                                  change it with set-reference or in the configuration";
                     send(&mut write, &failure(error)).await?;
                 }
@@ -101,7 +101,7 @@ pub(super) async fn serve(stream: UnixStream, view: &View) -> io::Result<()> {
     }
 }
 
-/// Reads up to the end of the line, or of what there is, and keeps nothing.
+/// Reads and discards up to the end of the line or of the stream.
 async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
     loop {
         let bytes = read.fill_buf().await?;
@@ -122,34 +122,46 @@ fn failure(error: impl fmt::Display) -> Value {
     json!({ "version": SOCKET_VERSION, "ok": false, "error": error.to_string() })
 }
 
-async fn answer(question: Question, view: &View) -> Value {
-    let asked = |request| {
-        let pushed = view.requests.push(ControlRequest::Pilot(request));
+async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
+    let push = |request| {
+        let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
+    // No mode in an answer: the effect of a request shows after the next tick only.
     let done = match question {
         Question::Status => {
             return json!({
                 "version": SOCKET_VERSION,
                 "ok": true,
-                "status": view.snapshot().to_json(),
+                "status": daemon.snapshot().to_json(),
             });
         }
-        Question::Arm => arm(view).await,
-        Question::Disarm => asked(Request::Disarm),
-        Question::Stop => asked(Request::EmergencyStop),
+        Question::Arm => arm(daemon).await,
+        Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
+            (Ok(()), Some(note)) => {
+                return json!({ "version": SOCKET_VERSION, "ok": true, "note": note });
+            }
+            (result, _) => result,
+        },
+        Question::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {
-        // No mode: a disarm or a stop shows in it only after the next tick.
         Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
         Err(error) => failure(error),
     }
 }
 
-async fn set_reference(reference: ReferenceSection, view: &View) -> Value {
-    let reconfigurer = view.reconfigurer.clone();
-    // It reads files and waits for the control thread; the other clients, who may
-    // want to say stop, do not wait for it.
+/// What a disarm does not change, if an emergency stop is in force.
+fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
+    let stopped = matches!(snapshot.mode(), Mode::Fault | Mode::Disconnected)
+        && snapshot.reason() == Some(Reason::EmergencyStop);
+    stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
+}
+
+async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Value {
+    let reconfigurer = daemon.reconfigurer.clone();
+    // It reads files and waits for the control thread. On a thread of its own, it does not
+    // delay a stop of another client.
     let changed = spawn_blocking(move || reconfigurer.set_reference(reference)).await;
     match changed {
         Ok(Ok(number)) => json!({
@@ -162,20 +174,21 @@ async fn set_reference(reference: ReferenceSection, view: &View) -> Value {
     }
 }
 
-/// Asks for a drive and waits for it.
-async fn arm(view: &View) -> Result<(), String> {
-    let before = view.snapshot();
+/// Requests to arm and waits for the outcome.
+async fn arm(daemon: &DaemonHandle) -> Result<(), String> {
+    let before = daemon.snapshot();
     if before.mode() != Mode::Ready {
-        return Err(cannot_arm(before.mode(), before.reason()));
+        return Err(not_ready(before.mode(), before.reason()));
     }
-    view.requests
-        .push(ControlRequest::Pilot(Request::Arm))
+    daemon
+        .requests
+        .push(ControlRequest::Pilot(PilotRequest::Arm))
         .map_err(|error| error.to_string())?;
     let asked_ns = monotonic_ns();
-    let looks = ARM_PATIENCE.as_millis() / ARM_LOOK.as_millis();
-    for _ in 0..looks {
-        tokio::time::sleep(ARM_LOOK).await;
-        if let Some(outcome) = view
+    let polls = ARM_TIMEOUT.as_millis() / ARM_POLL_INTERVAL.as_millis();
+    for _ in 0..polls {
+        tokio::time::sleep(ARM_POLL_INTERVAL).await;
+        if let Some(outcome) = daemon
             .snapshot()
             .tick
             .and_then(|tick| arm_outcome(asked_ns, tick.start_ns, tick.mode, tick.reason))
@@ -186,22 +199,48 @@ async fn arm(view: &View) -> Result<(), String> {
     Err("can't arm: the control thread does not answer".to_owned())
 }
 
-/// What a tick says about a request to arm; none while that is open.
+/// The outcome of a request to arm by a tick; `None` while it is open.
 fn arm_outcome(
     asked_ns: u64,
     tick_start_ns: u64,
     mode: Mode,
     reason: Option<Reason>,
 ) -> Option<Result<(), String>> {
-    // A tick that began before may not have seen the request.
+    // A tick that began before the request may not have seen it.
     if tick_start_ns <= asked_ns {
         return None;
     }
     match mode {
         Mode::Driving => Some(Ok(())),
         Mode::Arming => None,
-        // The attempt has ended, even if nobody was looking while it was made.
+        // The attempt has ended, even if no poll saw it in progress.
         mode => Some(Err(cannot_arm(mode, reason))),
+    }
+}
+
+/// Why a pilot that is not ready can't be armed.
+///
+/// A pilot that settles after a drive still shows the reason of its end, which is not what
+/// an arm request fails on.
+fn not_ready(mode: Mode, reason: Option<Reason>) -> String {
+    match (mode, reason) {
+        (
+            Mode::Idle,
+            Some(
+                Reason::Requested
+                | Reason::ReferenceFinished
+                | Reason::BoardRefused
+                | Reason::BoardTimeout
+                | Reason::MotorSpeedMismatch
+                | Reason::Overspeed
+                | Reason::BlindTooFar
+                | Reason::LawSingular,
+            ),
+        ) => format!(
+            "{}: car and estimate are settling; try again in a second",
+            cannot_arm(mode, None)
+        ),
+        _ => cannot_arm(mode, reason),
     }
 }
 
@@ -212,8 +251,12 @@ fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
     }
 }
 
-async fn watch(write: &mut OwnedWriteHalf, view: &View, topics: &[Topic]) -> io::Result<()> {
-    let mut entries = view.board.watchers.subscribe();
+async fn watch(
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+    topics: &[Topic],
+) -> io::Result<()> {
+    let mut entries = daemon.status.watchers.subscribe();
     send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
     loop {
         match entries.recv().await {
@@ -240,18 +283,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_arm_is_answered_by_the_first_tick_after_it_that_is_not_arming() {
+    fn an_arm_is_answered_by_the_first_later_tick_that_is_not_arming() {
         let outcome = |start_ns, mode, reason| arm_outcome(100, start_ns, mode, reason);
         assert_eq!(outcome(100, Mode::Ready, None), None);
         assert_eq!(outcome(101, Mode::Arming, None), None);
         assert_eq!(outcome(101, Mode::Driving, None), Some(Ok(())));
-        for (mode, reason, words) in [
+        for (mode, reason, part) in [
             (Mode::Ready, Reason::BoardRefused, "ready: board-refused"),
             (Mode::Idle, Reason::ImuSilent, "idle: imu-silent"),
             (Mode::Disconnected, Reason::LinkDown, "link-down"),
         ] {
             let error = outcome(101, mode, Some(reason)).unwrap().unwrap_err();
-            assert!(error.contains(words), "{error}");
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_arm_of_a_settling_pilot_does_not_name_the_reason_of_the_last_stop() {
+        let error = not_ready(Mode::Idle, Some(Reason::Requested));
+        assert!(
+            error.starts_with("can't arm: mode idle: ") && error.contains("settling"),
+            "{error}"
+        );
+        for (mode, reason) in [
+            (Mode::Idle, Reason::NoPose),
+            (Mode::Stopping, Reason::Requested),
+        ] {
+            assert_eq!(
+                not_ready(mode, Some(reason)),
+                cannot_arm(mode, Some(reason))
+            );
         }
     }
 }

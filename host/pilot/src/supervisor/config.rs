@@ -3,41 +3,41 @@
 /// The supervisor's limits, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SupervisorConfig {
-    /// A pose may be held for so long after its mid-exposure, s; then the car
-    /// slows down.
+    /// The longest age of a pose to drive with, from its mid-exposure, s. Beyond it the
+    /// car slows down.
     pub hold: f64,
-    /// And for so far, m: what `hold` allows at a walk is too long at speed.
+    /// The farthest that the car may go without a pose before it slows down, m: at
+    /// speed, `hold` alone would let it go too far.
     pub hold_distance: f64,
-    /// Blind for longer than this, s, a slowing car stops for good.
+    /// The age of the last pose at which a slowing car stops for good, s.
     pub blind: f64,
-    /// And having gone farther than this, m.
+    /// The distance without a pose at which a slowing car stops for good, m.
     pub blind_distance: f64,
-    /// A pose must be younger than this to arm, and for a slowing car to drive
-    /// on, s.
+    /// The longest age of a pose to arm, and for a slowing car to drive on, s.
     pub fresh: f64,
-    /// No inertial sample for this long stops the car, s.
+    /// The longest time without an inertial sample, s.
     pub imu_silence: f64,
-    /// To arm, the yaw rate must have been below this for a while, rad/s...
+    /// To arm, the yaw rate must have been below this for 20 samples, rad/s...
     pub still_yaw_rate: f64,
     /// ...and the acceleration below this, m/s².
     pub still_acceleration: f64,
-    /// How long the board may take to arm, s.
+    /// The longest time that the board may take to arm, s.
     pub arm_timeout: f64,
-    /// Poses that the estimate needs to settle.
+    /// The number of accepted poses after which the estimate has settled.
     pub settling_poses: u32,
-    /// This many implausible poses in a row stop the car.
+    /// The number of implausible poses in a row that stops the car.
     pub max_implausible: u32,
-    /// Slowing down may take this long; then the board is disarmed anyway, s.
+    /// The longest time for a stop, s; then the board is disarmed in any case.
     pub stop_timeout: f64,
-    /// Below this speed the car stands, m/s.
+    /// The car stands below this speed, m/s.
     pub standing_speed: f64,
-    /// A battery below this is not driven with, V; 0 does not look.
+    /// The lowest battery voltage to drive with, V; 0 disables the check.
     pub min_battery: f64,
-    /// A battery must be above this to arm, V; 0 does not look.
+    /// The lowest battery voltage to arm with, V; 0 disables the check.
     pub arm_battery: f64,
-    /// More than this part of the frames damaged, either way, stops the car.
+    /// The largest fraction of damaged frames, in either direction, 0 to 1.
     pub max_damaged: f64,
-    /// Whether the car is only driven in real time.
+    /// Whether the car may drive only with real-time scheduling and locked memory.
     pub require_real_time: bool,
 }
 

@@ -1,118 +1,74 @@
 //! When the car may drive, and when it must stop.
+//!
+//! [`Supervisor::step`] runs once per tick, after the events of the tick. It is the
+//! only code that changes the mode. The module `checks` holds the checks that the table
+//! names; [`SupervisorConfig`] holds their limits.
+//!
+//! | from | to | when | request to the board |
+//! |---|---|---|---|
+//! | any | `Fault` | an emergency stop is requested, also without a link | `EmergencyStop` |
+//! | `Driving` | `Fault` | the law is singular ([`Supervisor::fault`]) | `Disarm` |
+//! | any but `Fault` | `Disconnected` | the link is not ready | |
+//! | `Disconnected`, `Idle`, `Ready` | `Idle` | the arming check fails | `Disarm`, if one is requested and the board is armed |
+//! | `Disconnected`, `Idle`, `Ready` | `Ready` | the arming check passes | |
+//! | `Disconnected`, `Idle`, `Ready` | `Arming` | it passes in the tick that has an arm request | `Arm` |
+//! | `Arming` | `Driving` | the board reports that it is armed | |
+//! | `Arming` | `Idle` | a disarm request, a refusal, a failed check, or `arm_timeout` | `Disarm` |
+//! | `Driving` | `Slowing` | the last pose is older than `hold` or `hold_distance` | |
+//! | `Slowing` | `Driving` | three fresh poses have come | |
+//! | `Driving`, `Slowing` | `Stopping` | a disarm request, the end of the reference, a failed driving check, or a pose beyond `blind` or `blind_distance` | |
+//! | `Stopping` | `Idle` | the car stands, or `stop_timeout` | `Disarm` |
+//! | `Driving`, `Slowing`, `Stopping` | `Idle` | the board has stopped the car by itself | |
+//! | `Arming`, `Driving`, `Slowing`, `Stopping` | `Fault` | the board has latched an emergency stop | |
+//! | `Fault` | `Idle` | a disarm request while the board is not latched | `Disarm` |
+//! | `Fault` | `Idle` | the board was latched and has been reset | |
+//!
+//! `Arming` is reached by an explicit request only. The request is judged in its tick
+//! and not kept. A disarm in the same tick wins over an arm.
 
+mod checks;
+mod conditions;
 mod config;
 mod mode;
 mod reason;
 
-use singletrack_control::Time;
-
-use crate::{
-    BoardHealth, BoardState, ImuVerdict, LineHealth, LinkState, PoseMissing, RealTimeState,
-    Request, words::words,
-};
-
+pub use conditions::{BoardRequest, Conditions};
 pub use config::SupervisorConfig;
 pub use mode::Mode;
 pub use reason::Reason;
 
-words! {
-    /// What the supervisor asks of the board.
-    pub enum BoardRequest {
-        /// Arm.
-        Arm = "arm",
-        /// Disarm.
-        Disarm = "disarm",
-        /// Stop until reset.
-        EmergencyStop = "emergency-stop",
-    }
-}
+use checks::LatestState;
+use singletrack_control::Time;
 
-/// What the supervisor judges by, at a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Conditions {
-    /// The tick's time.
-    pub now: Time,
-    /// Mid-exposure of the last accepted pose.
-    pub pose_time: Option<Time>,
-    /// How far the car may have gone since, m.
-    pub blind_distance: f64,
-    /// Poses accepted so far.
-    pub poses: u32,
-    /// Poses in a row that were implausible.
-    pub implausible: u32,
-    /// When the last inertial sample was made.
-    pub imu_time: Option<Time>,
-    /// What to think of the inertial samples.
-    pub imu: ImuVerdict,
-    /// Whether the IMU has felt no movement for a while.
-    pub imu_still: bool,
-    /// Speed of the car, m/s.
-    pub speed: f64,
-    /// Speed by the motor pulses, m/s.
-    pub motor_speed: f64,
-    /// Whether motor and cameras tell different speeds.
-    pub speed_mismatch: bool,
-    /// Whether the car is much faster than it may be.
-    pub overspeed: bool,
-    /// The speed that the car was last told, m/s.
-    pub commanded_speed: f64,
-    /// Whether the car is inside the fence and can stop there.
-    pub inside_fence: bool,
-    /// Whether ticks came too late.
-    pub late: bool,
-    /// Whether set-points are to come from outside and do not.
-    pub setpoint_stale: bool,
-    /// Whether the reference has ended.
-    pub reference_finished: bool,
-}
+use crate::event::{
+    BoardHealth, BoardState, LineHealth, LinkState, PilotRequest, PoseMissing, RealTimeState,
+};
 
-/// How long a car that is not seen must have been told to stand before the board
-/// is disarmed although its wheels still turn, s: a car that coasts needs no
-/// commands, and the last pose behind them does not get younger.
+/// The time between the command to stand and the disarm of a car that the cameras do
+/// not see, s. Its wheels may still turn: a motor at neutral needs no commands, and the
+/// pose behind them only grows older.
 const REST: f64 = 0.1;
 
-/// A board that has not told its health for so long is not known to be well, s:
-/// five of its reports.
-const HEALTH_SILENCE: f64 = 1.0;
-
-/// So many reports in a row make a low battery, 0.6 s: it sags when the car
-/// starts off.
-const BATTERY_LOW_REPORTS: u32 = 3;
-
-/// So many poses must have come before a car that slows down drives on: one alone
-/// may be of anything.
+/// The number of poses after which a slowing car drives on: a single one may be of
+/// another body.
 const POSES_TO_GO_ON: u32 = 3;
 
-/// The battery's voltage, in V.
-fn volts(health: &BoardHealth) -> f64 {
-    f64::from(health.battery_mv) / 1_000.0
-}
-
-/// The pilot's modes.
+/// The state machine of the modes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
     config: SupervisorConfig,
     mode: Mode,
     reason: Option<Reason>,
-    /// Why the last drive, or the attempt at one, ended.
+    /// Why the last drive, or the last attempt to arm, ended.
     ended: Option<Reason>,
+    /// When the mode began.
     since: Time,
-    /// Since when a stopping car has been told to stand.
+    /// Since when a stopping car has been commanded to stand.
     resting: Option<Time>,
-    link: LinkState,
-    board: Option<BoardState>,
-    health: Option<BoardHealth>,
-    /// Whether the board has told its health since the last tick, and when it did.
-    health_heard: bool,
-    health_time: Time,
-    /// Reports in a row of a battery too low to drive with.
-    battery_low: u32,
-    line: Option<LineHealth>,
-    real_time: Option<RealTimeState>,
-    /// Poses accepted when the car began to slow down.
+    latest: LatestState,
+    /// The number of accepted poses when the car began to slow down.
     poses_before: u32,
-    untrustworthy: bool,
-    /// The board has been seen to latch the emergency stop.
+    /// Whether the board has reported a latched emergency stop since the fault began.
     latched: bool,
     arm_requested: bool,
     stop_requested: bool,
@@ -121,7 +77,7 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor without a board.
+    /// A supervisor in [`Mode::Disconnected`], before any event.
     #[must_use]
     pub const fn new(config: SupervisorConfig) -> Self {
         Self {
@@ -131,16 +87,8 @@ impl Supervisor {
             ended: None,
             since: Time(0),
             resting: None,
-            link: LinkState::Down,
-            board: None,
-            health: None,
-            health_heard: false,
-            health_time: Time(0),
-            battery_low: 0,
-            line: None,
-            real_time: None,
+            latest: LatestState::new(),
             poses_before: 0,
-            untrustworthy: false,
             latched: false,
             arm_requested: false,
             stop_requested: false,
@@ -149,7 +97,7 @@ impl Supervisor {
         }
     }
 
-    /// The mode.
+    /// The mode after the last step.
     #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
@@ -161,131 +109,123 @@ impl Supervisor {
         self.reason
     }
 
-    /// When the mode began.
+    /// The tick at which the mode began.
     #[must_use]
     pub const fn since(&self) -> Time {
         self.since
     }
 
-    /// Other limits, from now on. What it knows of the world and why the last
-    /// drive ended stays.
+    /// Replaces the limits from the next step on. The state of board and line and the
+    /// reason why the last drive ended are kept.
     pub const fn reconfigure(&mut self, config: SupervisorConfig) {
         self.config = config;
     }
 
-    /// Takes note of the link.
+    /// The link to the board changed. Unless it is ready, the state of board and line is
+    /// forgotten: the next board may be another one.
     pub const fn handle_link(&mut self, link: LinkState) {
-        self.link = link;
-        if !matches!(link, LinkState::Ready) {
-            // What it said may have been another board's.
-            self.board = None;
-            self.health = None;
-            self.line = None;
-        }
+        self.latest.set_link(link);
     }
 
-    /// Takes note of what the board says of itself.
+    /// A status message of the board. A low battery is counted against
+    /// [`SupervisorConfig::min_battery`].
     pub fn handle_health(&mut self, health: BoardHealth) {
-        self.health = Some(health);
-        self.health_heard = true;
-        self.battery_low = if volts(&health) < self.config.min_battery {
-            self.battery_low.saturating_add(1)
-        } else {
-            0
-        };
+        self.latest.set_health(health, &self.config);
     }
 
-    /// Takes note of how well frames cross the line.
+    /// The share of damaged frames was measured.
     pub const fn handle_line(&mut self, line: LineHealth) {
-        self.line = Some(line);
+        self.latest.set_line(line);
     }
 
-    /// Takes note of what the system granted.
+    /// The system granted or refused real-time scheduling and locked memory.
     pub const fn handle_real_time(&mut self, state: RealTimeState) {
-        self.real_time = Some(state);
+        self.latest.set_real_time(state);
     }
 
-    /// Takes note of the board's state.
+    /// Telemetry shows the state of the board's safety machine.
     pub const fn handle_board(&mut self, board: BoardState) {
-        self.board = Some(board);
+        self.latest.set_board(board);
     }
 
-    /// Takes note of the board's refusal to arm.
+    /// The board refused to arm. It counts only in [`Mode::Arming`].
     pub const fn handle_arm_refused(&mut self) {
         self.arm_refused = true;
     }
 
-    /// Takes note of a frame without a pose.
+    /// A frame of the cameras brought no pose. [`PoseMissing::Untrustworthy`] holds until
+    /// the next accepted pose.
     pub const fn handle_pose_missing(&mut self, missing: PoseMissing) {
-        if matches!(missing, PoseMissing::Untrustworthy) {
-            self.untrustworthy = true;
-        }
+        self.latest.set_pose_missing(missing);
     }
 
-    /// Takes note of a good pose.
+    /// The estimator accepted a pose.
     pub const fn handle_pose(&mut self) {
-        self.untrustworthy = false;
+        self.latest.set_pose_accepted();
     }
 
-    /// Takes note of a request.
-    pub const fn handle_request(&mut self, request: Request) {
+    /// A request from a person or a program, judged in the next step.
+    pub const fn handle_request(&mut self, request: PilotRequest) {
         match request {
-            Request::Arm => self.arm_requested = true,
-            Request::Disarm => {
+            PilotRequest::Arm => self.arm_requested = true,
+            PilotRequest::Disarm => {
                 self.stop_requested = true;
-                // Whoever says stop last is obeyed.
+                // A disarm revokes an arm before it.
                 self.arm_requested = false;
             }
-            Request::EmergencyStop => self.emergency_requested = true,
+            PilotRequest::EmergencyStop => self.emergency_requested = true,
         }
     }
 
-    /// Judges the tick's conditions and moves between modes.
+    /// Runs the checks, changes the mode by the table of the module, and returns what to
+    /// ask of the board.
     pub fn step(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
         let arm = core::mem::take(&mut self.arm_requested);
         let stop = core::mem::take(&mut self.stop_requested);
         let emergency = core::mem::take(&mut self.emergency_requested);
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
-        if core::mem::take(&mut self.health_heard) {
-            self.health_time = now;
-        }
+        self.latest.begin_tick(now);
 
         if emergency {
-            // Even without a link: it is repeated until the board confirms it.
+            // Also without a link: the session repeats it until the board confirms it.
             self.latched = false;
             self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
             return Some(BoardRequest::EmergencyStop);
         }
         if self.mode == Mode::Fault {
-            return self.faulted(stop, now);
+            return self.fault_step(stop, now);
         }
-        let unlinked = match self.link {
-            LinkState::Down => Some(Reason::LinkDown),
-            LinkState::VersionDiffers => Some(Reason::VersionDiffers),
-            LinkState::ConfigurationRefused => Some(Reason::ConfigurationRefused),
-            LinkState::EmergencyStopped => Some(Reason::EmergencyStop),
-            LinkState::Ready => None,
-        };
+        let unlinked = self.latest.check_link();
         if unlinked.is_some() {
             self.enter(Mode::Disconnected, unlinked, now);
             return None;
         }
         match self.mode {
-            Mode::Disconnected | Mode::Idle | Mode::Ready => self.wait(arm, stop, conditions),
-            Mode::Arming => self.arming(stop, refused, conditions),
-            Mode::Driving | Mode::Slowing => self.driving(stop, conditions),
-            Mode::Stopping => self.stopping(conditions),
+            Mode::Disconnected | Mode::Idle | Mode::Ready => {
+                self.standing_step(arm, stop, conditions)
+            }
+            Mode::Arming => self.arming_step(stop, refused, conditions),
+            Mode::Driving | Mode::Slowing => self.driving_step(stop, conditions),
+            Mode::Stopping => self.stopping_step(conditions),
             Mode::Fault => None,
         }
     }
 
-    /// Stays stopped until somebody clears it.
-    fn faulted(&mut self, stop: bool, now: Time) -> Option<BoardRequest> {
-        let latched = self.board == Some(BoardState::EmergencyStopped);
+    /// Enters [`Mode::Fault`] at once, because the controller has no command for this
+    /// state. Returns the request to the board.
+    pub fn fault(&mut self, reason: Reason, now: Time) -> BoardRequest {
+        self.latched = false;
+        self.enter(Mode::Fault, Some(reason), now);
+        BoardRequest::Disarm
+    }
+
+    fn fault_step(&mut self, stop: bool, now: Time) -> Option<BoardRequest> {
+        let board = self.latest.board();
+        let latched = board == Some(BoardState::EmergencyStopped);
         self.latched |= latched;
         let board_was_reset =
-            self.latched && matches!(self.board, Some(BoardState::Booting | BoardState::Neutral));
+            self.latched && matches!(board, Some(BoardState::Booting | BoardState::Neutral));
         if (stop && !latched) || board_was_reset {
             self.latched = false;
             self.enter(Mode::Idle, self.reason, now);
@@ -294,29 +234,28 @@ impl Supervisor {
         None
     }
 
-    /// Stops at once: the controller has no answer.
-    pub fn fault(&mut self, reason: Reason, now: Time) -> BoardRequest {
-        self.latched = false;
-        self.enter(Mode::Fault, Some(reason), now);
-        BoardRequest::Disarm
-    }
-
-    fn wait(&mut self, arm: bool, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
+    fn standing_step(
+        &mut self,
+        arm: bool,
+        stop: bool,
+        conditions: &Conditions,
+    ) -> Option<BoardRequest> {
         let now = conditions.now;
-        let armed = matches!(self.board, Some(BoardState::Armed | BoardState::Driving));
-        match self.missing(conditions) {
-            Some(missing) => {
-                // What ended a drive stays told while the car comes to rest,
-                // until something else is wrong.
+        let board = self.latest.board();
+        let armed = matches!(board, Some(BoardState::Armed | BoardState::Driving));
+        match self.latest.arming_check(conditions, &self.config) {
+            Some(failed) => {
+                // While the car only settles, the reason why the last drive ended stays
+                // in place, except in the tick of a refused arm request.
                 let settling = matches!(
-                    missing,
+                    failed,
                     Reason::Moving
                         | Reason::ImuNotStill
                         | Reason::EstimateUnsettled
                         | Reason::BoardArmed
                 );
-                let told = self.ended.filter(|_| settling && !arm);
-                self.enter(Mode::Idle, told.or(Some(missing)), now);
+                let ended = self.ended.filter(|_| settling && !arm);
+                self.enter(Mode::Idle, ended.or(Some(failed)), now);
                 (stop && armed).then_some(BoardRequest::Disarm)
             }
             None if arm => {
@@ -331,105 +270,7 @@ impl Supervisor {
         }
     }
 
-    /// The first thing that is missing for a drive.
-    fn missing(&self, conditions: &Conditions) -> Option<Reason> {
-        match self.board {
-            None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
-            Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
-            Some(BoardState::Neutral | BoardState::Failsafe) => {}
-        }
-        let standing = conditions.motor_speed.abs() < self.config.standing_speed
-            && conditions.speed.abs() < self.config.standing_speed;
-        self.unfit_to_start(conditions.now)
-            .or_else(|| self.senseless(conditions))
-            .or_else(|| self.unseen(conditions, self.config.fresh))
-            .or_else(|| {
-                let unsettled = conditions.poses < self.config.settling_poses;
-                unsettled.then_some(Reason::EstimateUnsettled)
-            })
-            .or_else(|| (!standing).then_some(Reason::Moving))
-            .or_else(|| (!conditions.imu_still).then_some(Reason::ImuNotStill))
-            .or_else(|| self.astray(conditions))
-    }
-
-    /// What board, line and computer lack for a drive to begin.
-    fn unfit_to_start(&self, now: Time) -> Option<Reason> {
-        let low = |health: BoardHealth| volts(&health) < self.config.arm_battery;
-        self.unfit(now).or_else(|| {
-            let low = self.health.is_some_and(low);
-            low.then_some(Reason::BatteryLow)
-        })
-    }
-
-    /// What they lack for a drive to go on.
-    fn unfit(&self, now: Time) -> Option<Reason> {
-        let config = &self.config;
-        let heard = now.seconds_since(self.health_time) <= HEALTH_SILENCE;
-        let Some(health) = self.health.filter(|_| heard) else {
-            return Some(Reason::BatteryUnknown);
-        };
-        if health.stop_input_open {
-            return Some(Reason::StopInputOpen);
-        }
-        if self.battery_low >= BATTERY_LOW_REPORTS {
-            return Some(Reason::BatteryLow);
-        }
-        match self.real_time {
-            None => return Some(Reason::RealTimeUnknown),
-            Some(granted) if !(granted.fifo && granted.memory_locked) => {
-                if config.require_real_time {
-                    return Some(Reason::RealTimeRefused);
-                }
-            }
-            Some(_) => {}
-        }
-        self.line
-            .is_some_and(|line| line.worst() > config.max_damaged)
-            .then_some(Reason::LineNoisy)
-    }
-
-    /// What the IMU lacks.
-    fn senseless(&self, conditions: &Conditions) -> Option<Reason> {
-        let heard = conditions
-            .imu_time
-            .is_some_and(|time| conditions.now.seconds_since(time) <= self.config.imu_silence);
-        match conditions.imu {
-            _ if !heard => Some(Reason::ImuSilent),
-            ImuVerdict::Stuck => Some(Reason::ImuStuck),
-            ImuVerdict::Implausible => Some(Reason::ImuImplausible),
-            ImuVerdict::Good => None,
-        }
-    }
-
-    /// What the cameras lack, with poses no older than `pose_limit` seconds.
-    fn unseen(&self, conditions: &Conditions, pose_limit: f64) -> Option<Reason> {
-        if self.untrustworthy || conditions.implausible >= self.config.max_implausible {
-            return Some(Reason::PoseImplausible);
-        }
-        match conditions.pose_time {
-            None => Some(Reason::NoPose),
-            Some(time) if conditions.now.seconds_since(time) > pose_limit => {
-                Some(Reason::PoseTooOld)
-            }
-            Some(_) => None,
-        }
-    }
-
-    /// Where the car should not be, and what nobody tells it.
-    fn astray(&self, conditions: &Conditions) -> Option<Reason> {
-        if !conditions.inside_fence {
-            Some(Reason::OutsideFence)
-        } else if conditions.late {
-            Some(Reason::DeadlineMissed)
-        } else if conditions.setpoint_stale {
-            Some(Reason::SetpointStale)
-        } else {
-            None
-        }
-    }
-
-    fn arming(
+    fn arming_step(
         &mut self,
         stop: bool,
         refused: bool,
@@ -437,60 +278,47 @@ impl Supervisor {
     ) -> Option<BoardRequest> {
         let now = conditions.now;
         if stop {
-            return self.give_up(Reason::Requested, now);
+            return self.abort_arming(Reason::Requested, now);
         }
-        if self.board == Some(BoardState::EmergencyStopped) {
+        if self.latest.board() == Some(BoardState::EmergencyStopped) {
             self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
             return None;
         }
         if refused {
-            return self.give_up(Reason::BoardRefused, now);
+            return self.abort_arming(Reason::BoardRefused, now);
         }
-        let missing = self
-            .unfit_to_start(now)
-            .or_else(|| self.senseless(conditions))
-            .or_else(|| self.unseen(conditions, self.config.fresh))
-            .or_else(|| self.astray(conditions));
-        if let Some(reason) = missing {
-            return self.give_up(reason, now);
+        if let Some(reason) = self.latest.check_while_arming(conditions, &self.config) {
+            return self.abort_arming(reason, now);
         }
-        if self.board == Some(BoardState::Armed) {
+        if self.latest.board() == Some(BoardState::Armed) {
             self.enter(Mode::Driving, None, now);
         } else if now.seconds_since(self.since) > self.config.arm_timeout {
-            return self.give_up(Reason::BoardTimeout, now);
+            return self.abort_arming(Reason::BoardTimeout, now);
         }
         None
     }
 
-    fn give_up(&mut self, reason: Reason, now: Time) -> Option<BoardRequest> {
+    fn abort_arming(&mut self, reason: Reason, now: Time) -> Option<BoardRequest> {
         self.enter(Mode::Idle, Some(reason), now);
         Some(BoardRequest::Disarm)
     }
 
-    fn driving(&mut self, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
+    fn driving_step(&mut self, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
         let now = conditions.now;
-        if let Some(request) = self.board_stopped(now) {
-            return request;
+        if self.follow_stopped_board(now) {
+            return None;
         }
         let reason = if stop {
             Some(Reason::Requested)
         } else if conditions.reference_finished {
             Some(Reason::ReferenceFinished)
         } else {
-            self.unfit(now)
-                .or_else(|| self.senseless(conditions))
-                .or_else(|| self.unseen(conditions, self.config.blind))
-                .or_else(|| self.astray(conditions))
-                .or(match conditions {
-                    _ if conditions.speed_mismatch => Some(Reason::MotorSpeedMismatch),
-                    _ if conditions.overspeed => Some(Reason::Overspeed),
-                    _ => None,
-                })
+            self.latest.check_while_driving(conditions, &self.config)
         };
         let too_far = conditions.blind_distance > self.config.blind_distance;
         match reason.or(too_far.then_some(Reason::BlindTooFar)) {
             Some(reason) => self.enter(Mode::Stopping, Some(reason), now),
-            None => match self.blind(conditions) {
+            None => match self.check_hold(conditions) {
                 Some(reason) => {
                     if self.mode != Mode::Slowing {
                         self.poses_before = conditions.poses;
@@ -503,37 +331,42 @@ impl Supervisor {
         None
     }
 
-    /// Whether the car has not been seen for longer, or farther, than a pose may
-    /// be held. A car that has begun to slow down wants fresh ones.
-    fn blind(&self, conditions: &Conditions) -> Option<Reason> {
+    /// Why the car must slow down, or go on to slow down: the last pose is beyond `hold`
+    /// or `hold_distance`, or a slowing car has not had [`POSES_TO_GO_ON`] fresh poses
+    /// yet.
+    fn check_hold(&self, conditions: &Conditions) -> Option<Reason> {
         let slowing = self.mode == Mode::Slowing;
-        let limit = if slowing {
+        let max_age = if slowing {
             self.config.fresh
         } else {
             self.config.hold
         };
         let too_far = conditions.blind_distance > self.config.hold_distance;
-        // An estimate that began anew counts from zero.
+        // An estimate that was reset counts from zero.
         let since = conditions.poses.checked_sub(self.poses_before);
         let returned = since.unwrap_or(conditions.poses) >= POSES_TO_GO_ON;
-        self.unseen(conditions, limit)
+        self.latest
+            .check_pose(conditions, max_age, &self.config)
             .or(too_far.then_some(Reason::BlindTooFar))
             .or(self.reason.filter(|_| slowing && !returned))
     }
 
-    fn stopping(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
+    fn stopping_step(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
         let now = conditions.now;
-        if let Some(request) = self.board_stopped(now) {
-            return request;
+        if self.follow_stopped_board(now) {
+            return None;
         }
         if conditions.commanded_speed != 0.0 {
             self.resting = None;
         }
         let resting = *self.resting.get_or_insert(now);
-        let unseen = self.unseen(conditions, self.config.fresh).is_some();
+        let blind = self
+            .latest
+            .check_pose(conditions, self.config.fresh, &self.config)
+            .is_some();
         let stands = conditions.commanded_speed == 0.0
             && (conditions.motor_speed.abs() < self.config.standing_speed
-                || (unseen && now.seconds_since(resting) >= REST));
+                || (blind && now.seconds_since(resting) >= REST));
         if stands || now.seconds_since(self.since) > self.config.stop_timeout {
             self.enter(Mode::Idle, self.reason, now);
             return Some(BoardRequest::Disarm);
@@ -541,22 +374,18 @@ impl Supervisor {
         None
     }
 
-    /// Follows a board that has stopped the car: nothing to ask of it then.
-    fn board_stopped(&mut self, now: Time) -> Option<Option<BoardRequest>> {
-        let reason = match self.board {
-            Some(BoardState::Armed | BoardState::Driving) => return None,
-            Some(BoardState::EmergencyStopped) => Reason::EmergencyStop,
+    /// Leaves the drive if the board is no longer armed; true if so. There is nothing to
+    /// ask of the board then.
+    fn follow_stopped_board(&mut self, now: Time) -> bool {
+        let (mode, reason) = match self.latest.board() {
+            Some(BoardState::Armed | BoardState::Driving) => return false,
+            Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
             None | Some(BoardState::Booting | BoardState::Neutral | BoardState::Failsafe) => {
-                Reason::BoardFailsafe
+                (Mode::Idle, Reason::BoardFailsafe)
             }
         };
-        let mode = if reason == Reason::EmergencyStop {
-            Mode::Fault
-        } else {
-            Mode::Idle
-        };
         self.enter(mode, Some(reason), now);
-        Some(None)
+        true
     }
 
     fn enter(&mut self, mode: Mode, reason: Option<Reason>, now: Time) {

@@ -1,34 +1,35 @@
-//! What the pilot is doing.
+//! The modes of the pilot.
 
 use crate::words::words;
 
 words! {
-    /// What the pilot is doing.
+    /// The mode of the pilot. The table of transitions is in `supervisor`.
     pub enum Mode {
-        /// There is no board to talk to.
+        /// There is no usable link to a board.
         Disconnected = "disconnected",
-        /// Something is missing for a drive; the reason says what.
+        /// The arming check fails; the reason is why, or why the last drive ended.
         Idle = "idle",
-        /// Everything is there; waiting to be armed.
+        /// The arming check passes; the pilot waits for an arm request.
         Ready = "ready",
-        /// Waiting for the board to arm.
+        /// The board has been asked to arm.
         Arming = "arming",
-        /// Following the reference.
+        /// The car follows the reference.
         Driving = "driving",
-        /// Blind for longer than a pose may be held: the speed ramps down with the
-        /// wheels held. A pose that comes back in time goes on with the drive.
+        /// The last pose is too old to drive with: the speed ramps down, the steering is
+        /// held. The drive goes on if fresh poses come in time.
         Slowing = "slowing",
-        /// Slowing down to a stop, wheels held. Driving again takes an explicit arm.
+        /// The speed ramps down to zero, the steering is held; then the board is disarmed.
+        /// The next drive needs an arm request.
         Stopping = "stopping",
-        /// An emergency stop, or a state that can't be. A disarm request clears it;
-        /// after an emergency stop so does a board that was reset.
+        /// An emergency stop, or a state at which the law is singular. A disarm request
+        /// clears it, unless the board is still latched. After an emergency stop, a reset of
+        /// the board clears it too.
         Fault = "fault",
     }
 }
 
 impl Mode {
-    /// Whether a drive has begun, or is about to, and has not come to its end:
-    /// the car may move, and nothing is reconfigured.
+    /// Whether a drive is underway: the car may move, and no configuration is replaced.
     #[must_use]
     pub const fn is_underway(self) -> bool {
         matches!(
@@ -37,7 +38,7 @@ impl Mode {
         )
     }
 
-    /// Whether the board is sent commands.
+    /// Whether the pilot sends drive commands to the board.
     #[must_use]
     pub const fn commands(self) -> bool {
         matches!(self, Self::Driving | Self::Slowing | Self::Stopping)

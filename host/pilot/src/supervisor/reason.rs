@@ -1,19 +1,20 @@
-//! Why the car does not drive, or stopped.
+//! The reasons why the car does not drive, or stopped.
 
 use crate::words::words;
 
 words! {
-    /// Why the car does not drive, or stopped. One word in status, log and record.
+    /// Why the car does not drive, or stopped. Each reason has one word, the same in
+    /// status, log and record; `docs/reasons.md` lists them.
     pub enum Reason {
         /// No board answers.
         LinkDown = "link-down",
         /// The board speaks another version of the protocol.
         VersionDiffers = "version-differs",
-        /// The board does not take its configuration.
+        /// The board refuses its configuration.
         ConfigurationRefused = "configuration-refused",
         /// The board is starting up.
         BoardBooting = "board-booting",
-        /// The board is still armed from before.
+        /// The board is still armed from an earlier drive.
         BoardArmed = "board-armed",
         /// The board stopped the car by itself.
         BoardFailsafe = "board-failsafe",
@@ -23,30 +24,30 @@ words! {
         StopInputOpen = "stop-input-open",
         /// The board refused to arm.
         BoardRefused = "board-refused",
-        /// The board did not answer in time.
+        /// The board did not arm within `arm_timeout`.
         BoardTimeout = "board-timeout",
-        /// Too many frames on the line to the board are damaged.
+        /// Too many frames on the serial line are damaged, in one direction or both.
         LineNoisy = "line-noisy",
-        /// The board has not told the battery's voltage.
+        /// No recent status message: battery and stop switch are unknown.
         BatteryUnknown = "battery-unknown",
-        /// The battery is low.
+        /// The battery's voltage is below its limit.
         BatteryLow = "battery-low",
-        /// Nobody has said whether the controller runs in real time.
+        /// The control thread has not yet reported what the system granted it.
         RealTimeUnknown = "real-time-unknown",
-        /// The system did not grant what the configuration demands: real-time
-        /// scheduling and locked memory.
+        /// The configuration requires real-time scheduling and locked memory, and the
+        /// system did not grant both.
         RealTimeRefused = "real-time-refused",
-        /// The controller was late: too long once, or too often.
+        /// One tick came much too late, or too many were missed in a second.
         DeadlineMissed = "deadline-missed",
         /// No inertial sample for too long.
         ImuSilent = "imu-silent",
-        /// The inertial samples can't be: out of range, or the gyro's bias is.
+        /// The inertial samples or the gyro's bias are out of range.
         ImuImplausible = "imu-implausible",
-        /// The inertial samples repeat themselves: the sensor hangs.
+        /// The inertial samples are equal to the last bit: the sensor hangs.
         ImuStuck = "imu-stuck",
-        /// The IMU feels movement before the car was armed.
+        /// The IMU measures movement before the car is armed.
         ImuNotStill = "imu-not-still",
-        /// No pose yet.
+        /// No pose has been accepted yet.
         NoPose = "no-pose",
         /// The last accepted pose is too old.
         PoseTooOld = "pose-too-old",
@@ -54,23 +55,23 @@ words! {
         BlindTooFar = "blind-too-far",
         /// Too many poses in a row were implausible.
         PoseImplausible = "pose-implausible",
-        /// The car is outside the fence, or could not stop inside.
+        /// The car is outside the geofence, or could not stop inside it.
         OutsideFence = "outside-fence",
-        /// The estimate has not settled.
+        /// The estimate has not had enough poses yet.
         EstimateUnsettled = "estimate-unsettled",
-        /// The car moves before it was armed.
+        /// The car moves before it is armed.
         Moving = "moving",
-        /// The motor's pulses and the cameras tell different speeds.
+        /// The motor pulses and the cameras measure different speeds.
         MotorSpeedMismatch = "motor-speed-mismatch",
-        /// The car is much faster than it may be.
+        /// The car is faster than its limit by more than the margin.
         Overspeed = "overspeed",
-        /// No set-point for too long: whoever sends them has stopped, or not begun.
+        /// The last external set-point is too old, or none has come.
         SetpointStale = "setpoint-stale",
-        /// The reference has come to its end.
+        /// The reference has ended.
         ReferenceFinished = "reference-finished",
-        /// Someone asked.
+        /// A disarm was requested.
         Requested = "requested",
-        /// The law has no answer at this state.
+        /// The law is singular at this state.
         LawSingular = "law-singular",
     }
 }

@@ -1,8 +1,9 @@
-//! How far the car has gone since it was last seen.
+//! The distance since the last accepted pose.
 
 use singletrack_control::Time;
 
-/// The way since the mid-exposure of the last accepted pose.
+/// Integrates the farthest distance that the car may have gone since the mid-exposure
+/// of the last accepted pose; zero before the first one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct BlindWatch {
     distance: f64,
@@ -10,23 +11,23 @@ pub(crate) struct BlindWatch {
 }
 
 impl BlindWatch {
-    /// The car was seen at `capture`.
+    /// A pose with its mid-exposure at `capture` was accepted: the distance restarts there.
     pub(crate) const fn seen(&mut self, capture: Time) {
         self.distance = 0.0;
         self.until = Some(capture);
     }
 
-    /// Time has gone on to `now`, at a speed of `pace` (m/s) at most.
+    /// Adds the time up to `now`, at a speed of at most `pace` (m/s).
     pub(crate) fn advance(&mut self, now: Time, pace: f64) {
         if let Some(until) = self.until {
-            // A pace that is no number is no reason to believe in standstill.
+            // A pace that is not finite must not count as standstill.
             let pace = if pace.is_finite() { pace } else { f64::MAX };
             self.distance += pace * now.seconds_since(until);
             self.until = Some(now);
         }
     }
 
-    /// The way so far, in m.
+    /// The distance, in m.
     pub(crate) const fn distance(&self) -> f64 {
         self.distance
     }
@@ -37,11 +38,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_way_counts_from_mid_exposure_and_a_pose_takes_it_back() {
+    fn the_distance_counts_from_mid_exposure_and_a_pose_restarts_it() {
         let at = |ms: u64| Time(ms * 1_000_000);
         let mut blind = BlindWatch::default();
         blind.advance(at(1_000), 1.0);
-        assert_eq!(blind.distance(), 0.0, "never seen: others say so");
+        assert_eq!(blind.distance(), 0.0, "no pose yet");
         blind.seen(at(990));
         blind.advance(at(1_000), 1.0);
         blind.advance(at(1_020), 2.0);

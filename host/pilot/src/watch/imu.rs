@@ -1,23 +1,23 @@
-//! Whether the inertial samples can be.
+//! Plausibility and stillness of the inertial samples.
 
 use libm::{fabs, hypot};
-
-use super::WatchConfig;
 use singletrack_control::InertialSample;
 
-/// What to think of the IMU.
+use super::config::WatchConfig;
+
+/// Whether the inertial samples are plausible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImuVerdict {
-    /// Nothing speaks against it.
+    /// Within range and changing.
     #[default]
     Good,
-    /// It says what can't be.
+    /// Too many samples in a row, or the gyro bias, are out of range.
     Implausible,
-    /// It says the same over and over, to the last bit; a sensor has noise.
+    /// Samples repeat to the last bit. A working sensor has noise.
     Stuck,
 }
 
-/// Looks at every inertial sample.
+/// Counts implausible, equal and still inertial samples in a row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ImuWatch {
     last: Option<InertialSample>,
@@ -26,10 +26,12 @@ pub(crate) struct ImuWatch {
     still: u32,
 }
 
-/// So many samples in a row must be still before the car is: 0.2 s at 100 Hz.
+/// The number of still samples in a row after which the car is still: 0.2 s at 100 Hz.
 const STILL_SAMPLES: u32 = 20;
 
 impl ImuWatch {
+    /// A new sample. Below both limits, for yaw rate (rad/s) and acceleration (m/s²), it
+    /// counts as still.
     pub(crate) fn handle(
         &mut self,
         sample: &InertialSample,
@@ -37,7 +39,7 @@ impl ImuWatch {
         (still_yaw_rate, still_acceleration): (f64, f64),
     ) {
         let acceleration = hypot(sample.forward_acceleration, sample.left_acceleration);
-        // False for what is no number, too.
+        // NaN is not possible either: the comparison is false.
         let possible =
             fabs(sample.yaw_rate) <= config.max_yaw_rate && acceleration <= config.max_acceleration;
         count(&mut self.impossible, !possible);
@@ -52,7 +54,7 @@ impl ImuWatch {
         self.last = Some(*sample);
     }
 
-    /// The verdict, with the gyro bias that the estimator believes in (rad/s).
+    /// The verdict on the samples so far and the estimated gyro bias (rad/s).
     pub(crate) fn verdict(&self, gyro_bias: f64, config: &WatchConfig) -> ImuVerdict {
         if config.stuck_samples > 0 && self.equal >= config.stuck_samples {
             ImuVerdict::Stuck
@@ -65,13 +67,13 @@ impl ImuWatch {
         }
     }
 
-    /// Whether it has felt no movement for a while.
+    /// Whether the last [`STILL_SAMPLES`] samples were still.
     pub(crate) const fn is_still(&self) -> bool {
         self.still >= STILL_SAMPLES
     }
 }
 
-/// Counts in a row.
+/// Counts repetitions; restarts from zero.
 const fn count(counter: &mut u32, again: bool) {
     *counter = if again { counter.saturating_add(1) } else { 0 };
 }
@@ -103,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn single_impossible_samples_are_passed_over_and_a_row_is_not() {
+    fn four_impossible_samples_are_tolerated_and_five_in_a_row_are_not() {
         for impossible in [
             sample(10.1, 0.0),
             sample(-10.1, 0.1),
@@ -134,7 +136,7 @@ mod tests {
 
     #[test]
     fn samples_that_repeat_to_the_last_bit_are_stuck() {
-        // The first one repeats nothing.
+        // The first sample is not a repetition.
         assert_eq!(verdict([sample(0.1, 0.2); 25]), ImuVerdict::Good);
         assert_eq!(verdict([sample(0.1, 0.2); 26]), ImuVerdict::Stuck);
         let off = WatchConfig {
@@ -158,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_still_after_a_while_without_movement() {
+    fn it_is_still_after_twenty_samples_without_movement() {
         let still = |count| after(std::vec![sample(0.05, -0.5); count]).is_still();
         assert!(!still(19) && still(20));
         for moved in [sample(0.1, 0.0), sample(0.0, 1.0), sample(f64::NAN, 0.0)] {

@@ -1,47 +1,48 @@
-//! Whether motor pulses and cameras tell the same speed.
+//! Comparison of the speeds from motor pulses and cameras, and overspeed.
 
 use libm::fabs;
-
-use super::WatchConfig;
 use singletrack_control::{Position, Time, direction};
 
-/// Compares the two over spans of some tenths of a second.
+use super::config::WatchConfig;
+
+/// Compares the two speeds over spans of [`SPAN`].
 ///
-/// The estimator can't tell: it fuses both. A pulse sensor that counts double
-/// makes the board drive at half the speed; one that misses pulses at more than
-/// was asked for.
+/// The estimator fuses both and so cannot detect a difference. With a pulse sensor that
+/// counts double, the board drives at half the commanded speed; with one that misses
+/// pulses, faster than commanded.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SpeedWatch {
     span: Option<Span>,
     /// Spans in a row that did not match.
     mismatches: u32,
-    /// Ticks in a row that were too fast.
+    /// Ticks in a row with too high a speed.
     too_fast: u32,
 }
 
-/// From one pose on.
+/// A span of poses, from the one at `start`.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     start: Time,
     position: Position,
-    /// The pose that came last.
+    /// The time of the latest pose.
     newest: Time,
-    /// Sum of the motor's speeds, and their number.
+    /// Sum of the speeds from the motor, in m/s, and their number.
     motor_speed: f64,
     samples: u32,
 }
 
-/// How long a span is, s.
+/// The shortest span, s.
 const SPAN: f64 = 0.2;
-/// A gap between poses beyond this ends the span: the way between is not known.
+/// The longest gap between two poses of a span, s: beyond it the path between them is
+/// unknown, and a new span begins.
 const GAP: f64 = 0.1;
-/// So many spans in a row make a mismatch.
+/// The number of differing spans in a row that make a mismatch.
 const MISMATCHES: u32 = 2;
-/// So many ticks in a row are too fast.
+/// The number of fast ticks in a row that make an overspeed.
 const TOO_FAST: u32 = 5;
 
 impl SpeedWatch {
-    /// The motor's speed by its pulses, in m/s.
+    /// A speed of the rear axle from the motor pulses, in m/s.
     pub(crate) fn motor(&mut self, speed: f64) {
         if let Some(span) = &mut self.span {
             span.motor_speed += speed;
@@ -49,7 +50,8 @@ impl SpeedWatch {
         }
     }
 
-    /// An accepted pose of the centre of mass.
+    /// An accepted pose: position of the centre of mass in m, yaw in rad. The camera
+    /// speed of a span is the displacement along the yaw over its duration.
     pub(crate) fn pose(&mut self, time: Time, position: Position, yaw: f64, config: &WatchConfig) {
         let fresh = Span {
             start: time,
@@ -73,11 +75,11 @@ impl SpeedWatch {
         }
         if span.samples > 0 {
             let seen = (position - span.position).dot(&direction(yaw)) / duration;
-            let told = span.motor_speed / f64::from(span.samples);
+            let measured = span.motor_speed / f64::from(span.samples);
             let allowed =
-                config.speed_margin + config.speed_ratio * f64::max(fabs(seen), fabs(told));
-            // False for what is no number, too.
-            self.mismatches = if fabs(seen - told) <= allowed {
+                config.speed_margin + config.speed_ratio * f64::max(fabs(seen), fabs(measured));
+            // A NaN counts as a mismatch: the comparison is false.
+            self.mismatches = if fabs(seen - measured) <= allowed {
                 0
             } else {
                 self.mismatches.saturating_add(1)
@@ -86,7 +88,7 @@ impl SpeedWatch {
         self.span = Some(fresh);
     }
 
-    /// A tick with the speed believed and the highest allowed, in m/s.
+    /// A tick with the estimated speed and the speed limit, in m/s.
     pub(crate) fn tick(&mut self, speed: f64, max_speed: f64, config: &WatchConfig) {
         self.too_fast = if fabs(speed) > max_speed + config.overspeed_margin {
             self.too_fast.saturating_add(1)
@@ -95,19 +97,19 @@ impl SpeedWatch {
         };
     }
 
-    /// Forgets what a drive before has shown.
+    /// Forgets the samples of the last drive.
     pub(crate) const fn reset(&mut self) {
         self.span = None;
         self.mismatches = 0;
         self.too_fast = 0;
     }
 
-    /// Whether the two tell different speeds.
+    /// Whether the speeds differ.
     pub(crate) const fn is_mismatched(&self) -> bool {
         self.mismatches >= MISMATCHES
     }
 
-    /// Whether the car is much faster than it may be.
+    /// Whether the car exceeds its limit by more than the margin.
     pub(crate) const fn is_overspeed(&self) -> bool {
         self.too_fast >= TOO_FAST
     }
@@ -117,11 +119,11 @@ impl SpeedWatch {
 mod tests {
     use super::*;
 
-    /// A second of a car that really moves at `seen` while its motor tells `told`.
-    fn after_a_second(seen: f64, told: f64) -> SpeedWatch {
+    /// One second of a car that moves at `seen` while its pulses show `counted`, in m/s.
+    fn after_a_second(seen: f64, counted: f64) -> SpeedWatch {
         let mut watch = SpeedWatch::default();
         for tick in 0..100_u64 {
-            watch.motor(told);
+            watch.motor(counted);
             let position = Position::new(0.0, seen * 0.01 * tick as f64);
             watch.pose(
                 Time(tick * 10_000_000),
@@ -134,8 +136,8 @@ mod tests {
     }
 
     #[test]
-    fn doubled_missing_and_reversed_pulses_are_noticed() {
-        for (seen, told) in [
+    fn doubled_missing_and_reversed_pulses_are_a_mismatch() {
+        for (seen, counted) in [
             (0.4, 0.8),
             (0.2, 0.4),
             (0.8, 0.4),
@@ -144,25 +146,31 @@ mod tests {
             (0.0, 0.3),
             (0.4, f64::NAN),
         ] {
-            assert!(after_a_second(seen, told).is_mismatched(), "{seen} {told}");
+            assert!(
+                after_a_second(seen, counted).is_mismatched(),
+                "{seen} {counted}"
+            );
         }
     }
 
     #[test]
-    fn what_slip_tyre_and_delay_explain_is_not() {
-        for (seen, told) in [
+    fn differences_from_slip_tyre_and_delay_are_no_mismatch() {
+        for (seen, counted) in [
             (0.0, 0.0),
             (0.4, 0.45),
             (0.45, 0.4),
             (1.5, 1.2),
             (-0.3, -0.35),
         ] {
-            assert!(!after_a_second(seen, told).is_mismatched(), "{seen} {told}");
+            assert!(
+                !after_a_second(seen, counted).is_mismatched(),
+                "{seen} {counted}"
+            );
         }
     }
 
     #[test]
-    fn one_span_is_not_enough_and_one_that_matches_clears() {
+    fn a_mismatch_needs_two_spans_and_one_matching_span_clears_it() {
         let mut watch = SpeedWatch::default();
         let mut mismatched = std::vec::Vec::new();
         for tick in 0..100_u64 {
@@ -179,8 +187,8 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_between_poses_is_no_span() {
-        // Beyond 100 ms nothing is known of the way between.
+    fn a_gap_between_poses_begins_a_new_span() {
+        // Beyond 100 ms the path between two poses is unknown.
         for (apart_ms, mismatched) in [(100, true), (101, false), (110, false)] {
             let mut watch = SpeedWatch::default();
             for pose in 0..20_u64 {
@@ -197,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_alone_contradict_nobody() {
+    fn poses_without_motor_samples_are_no_mismatch() {
         let mut watch = SpeedWatch::default();
         for tick in 0..100_u64 {
             watch.pose(
@@ -211,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_forgets_everything_that_was_noticed() {
+    fn a_reset_clears_mismatch_and_overspeed() {
         let mut watch = after_a_second(0.4, 0.8);
         for _ in 0..5 {
             watch.tick(2.0, 1.5, &WatchConfig::paper());
@@ -222,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_car_that_stays_too_fast_is_noticed_in_either_direction() {
+    fn five_fast_ticks_are_an_overspeed_in_either_direction() {
         for speed in [2.0, -2.0] {
             let mut watch = SpeedWatch::default();
             for _ in 0..4 {
@@ -237,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_car_at_the_margin_is_not_too_fast() {
+    fn a_car_at_the_margin_is_no_overspeed() {
         let config = WatchConfig {
             overspeed_margin: 0.5,
             ..WatchConfig::paper()

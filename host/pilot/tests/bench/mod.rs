@@ -1,4 +1,4 @@
-//! A car that does exactly what it is told, and the pilot that drives it.
+//! An ideal car that follows every command exactly, and its pilot.
 
 #![allow(dead_code, reason = "each test file uses its own part")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
@@ -10,12 +10,12 @@ use singletrack_control::{
 };
 use singletrack_pilot::{
     BoardHealth, BoardRequest, BoardSample, BoardState, Event, Fence, LinkState, Mode, Output,
-    Pilot, PilotConfig, PoseMissing, RealTimeState, Request, SupervisorConfig, WatchConfig,
+    Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, SupervisorConfig, WatchConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;
 
-/// What is told once, before anything drives.
+/// The events before the first drive.
 pub(crate) const AT_START: [Event; 3] = [
     Event::RealTime(RealTimeState {
         fifo: false,
@@ -28,7 +28,7 @@ pub(crate) const AT_START: [Event; 3] = [
     }),
 ];
 
-/// A kinematic car with perfect sensors, and the pilot that drives it.
+/// A kinematic car with perfect sensors, and its pilot.
 pub(crate) struct Bench {
     pub(crate) pilot: Pilot,
     pub(crate) tick: u64,
@@ -40,14 +40,14 @@ pub(crate) struct Bench {
     pub(crate) link: bool,
     pub(crate) imu: bool,
     pub(crate) pose: Pose,
-    /// Pulses told for each that there was.
+    /// Counted pulses per true pulse.
     pub(crate) pulses: f64,
     pub(crate) gyro_bias: f64,
     pub(crate) noisy: bool,
-    /// The yaw rate that the IMU hangs at.
+    /// The yaw rate at which the IMU hangs.
     pub(crate) stuck: Option<f64>,
-    /// Five times a second.
-    pub(crate) tells_health: bool,
+    /// Whether the board sends its status message, five times a second.
+    pub(crate) sends_health: bool,
     /// Events of the next tick.
     pub(crate) extra: Vec<Event>,
 }
@@ -107,7 +107,7 @@ impl Bench {
             gyro_bias: 0.0,
             noisy: true,
             stuck: None,
-            tells_health: true,
+            sends_health: true,
             extra: Vec::new(),
         }
     }
@@ -116,7 +116,7 @@ impl Bench {
         Time(self.tick * TICK_NS)
     }
 
-    pub(crate) fn step_with(&mut self, request: Option<Request>) -> Output {
+    pub(crate) fn step_with(&mut self, request: Option<PilotRequest>) -> Output {
         self.tick += 1;
         let wheelbase = VehicleParameters::paper().wheelbase_m();
         let yaw_rate = self.speed * self.steering.tan() / wheelbase;
@@ -129,13 +129,13 @@ impl Bench {
         if self.tick == 1001 {
             events.extend(AT_START);
         }
-        // A sensor has noise.
+        // A working sensor has noise.
         let noise = if self.tick.is_multiple_of(2) {
             1e-3
         } else {
             -1e-3
         };
-        if self.link && self.tells_health && self.tick.is_multiple_of(20) {
+        if self.link && self.sends_health && self.tick.is_multiple_of(20) {
             events.push(AT_START[2]);
         }
         if self.link {
@@ -201,15 +201,15 @@ impl Bench {
 
     pub(crate) fn drive(&mut self) {
         assert_eq!(self.run(100).mode, Mode::Ready);
-        self.step_with(Some(Request::Arm));
+        self.step_with(Some(PilotRequest::Arm));
         let output = self.run(3);
         assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
         self.run(100);
         assert!(self.speed > 0.3);
     }
 
-    /// Runs until the pilot no longer drives or stops; returns the last output
-    /// and the seconds that it took to stand.
+    /// Runs until the pilot sends no more commands. Returns the last output, and the time
+    /// until the car stood, in s.
     pub(crate) fn run_until_idle(&mut self) -> (Output, f64) {
         let mut stood = None;
         for tick in 0..1_000 {

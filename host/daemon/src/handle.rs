@@ -1,0 +1,38 @@
+//! Access to the running daemon for every thread but the control thread.
+
+use std::sync::Arc;
+
+use singletrack_core::{Requests, setpoint_slot::SetpointSender};
+
+use crate::{
+    live::LiveView, realtime::RealTimeStatus, reconfigure::Reconfigurer,
+    shared_status::SharedStatus, snapshot::Snapshot,
+};
+
+/// Reads the daemon's status and passes requests to the control thread.
+#[derive(Clone, Debug)]
+pub(crate) struct DaemonHandle {
+    pub(crate) status: Arc<SharedStatus>,
+    pub(crate) requests: Requests,
+    pub(crate) setpoints: SetpointSender,
+    pub(crate) reconfigurer: Reconfigurer,
+    pub(crate) realtime: RealTimeStatus,
+    pub(crate) live: Option<LiveView>,
+}
+
+impl DaemonHandle {
+    /// Copies the present status.
+    pub(crate) fn snapshot(&self) -> Snapshot {
+        let latest = self.status.latest();
+        Snapshot {
+            tick: latest.tick,
+            board: latest.board,
+            board_status: latest.board_status,
+            figures: latest.tally.figures(),
+            realtime: self.realtime.clone(),
+            configuration: self.reconfigurer.view(),
+            live: self.live.as_ref().map(LiveView::status),
+            record_error: latest.record_error.clone(),
+        }
+    }
+}

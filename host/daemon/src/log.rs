@@ -1,0 +1,132 @@
+//! The log of the program: set-up, and the summary at the end.
+
+use std::{
+    env,
+    ffi::OsString,
+    io::{self, IsTerminal},
+};
+
+use clap::ValueEnum;
+use singletrackd::{Dropped, Summary};
+use tracing::{info, warn};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+use tracing_subscriber::EnvFilter;
+
+/// Lines that may wait to be written; more are dropped.
+const LOG_LINES: usize = 4_096;
+
+/// The format of the log.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One JSON object per line.
+    Json,
+}
+
+/// Starts the log on stderr. The guard writes the lines that wait when it is dropped.
+///
+/// A thread that logs never waits for the reader of the log: lines are dropped instead.
+pub(crate) fn start_log(format: LogFormat) -> WorkerGuard {
+    let (writer, guard) = NonBlockingBuilder::default()
+        .lossy(true)
+        .buffered_lines_limit(LOG_LINES)
+        .finish(io::stderr());
+    let (filter, error) = log_filter(env::var_os(EnvFilter::DEFAULT_ENV));
+    let colour = wants_colour(io::stderr().is_terminal(), env::var_os("NO_COLOR"));
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(colour)
+        .with_writer(writer)
+        // An error of the log's own output has no place to be reported.
+        .log_internal_errors(false);
+    match format {
+        LogFormat::Text => log.with_target(false).init(),
+        LogFormat::Json => log.json().init(),
+    }
+    if let Some(error) = error {
+        warn!("{error}");
+    }
+    guard
+}
+
+/// Logs the figures of a run.
+pub(crate) fn log_summary(summary: &Summary) {
+    let figures = &summary.figures;
+    info!("serial line: {}", figures.frames);
+    info!("motion capture: {}", figures.mocap);
+    if figures.dropped != Dropped::default() {
+        warn!("dropped for want of room: {}", figures.dropped);
+    }
+    info!(
+        ticks = figures.ticks,
+        driving_ticks = figures.driving_ticks,
+        deadline_misses = figures.deadline_misses,
+        lateness_p99_us = figures.lateness_us.p99,
+        lateness_max_us = figures.lateness_us.max,
+        record = summary
+            .record
+            .as_ref()
+            .map(|path| path.display().to_string()),
+        "singletrackd ends"
+    );
+}
+
+/// Whether the log is coloured: on a terminal, unless `NO_COLOR` is set and not empty
+/// (<https://no-color.org>).
+fn wants_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
+    is_terminal && no_color.is_none_or(|value| value.is_empty())
+}
+
+/// The filter from `RUST_LOG`. If the value is invalid, the default filter and the error.
+fn log_filter(value: Option<OsString>) -> (EnvFilter, Option<String>) {
+    let default = || EnvFilter::new("info");
+    let Some(value) = value.filter(|value| !value.is_empty()) else {
+        return (default(), None);
+    };
+    let error = match value.to_str().map(EnvFilter::try_new) {
+        Some(Ok(filter)) => return (filter, None),
+        Some(Err(error)) => error.to_string(),
+        None => "it is not UTF-8".to_owned(),
+    };
+    let error = format!(
+        "RUST_LOG is {value:?}: {error}; \"info\" is used instead. Write a level, or target=level"
+    );
+    (default(), Some(error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bad_log_filter_is_reported_and_a_missing_one_is_not() {
+        for (value, filter, reported) in [
+            (None, "info", false),
+            (Some(""), "info", false),
+            (Some("debug"), "debug", false),
+            (Some("singletrackd=loud"), "info", true),
+        ] {
+            let (used, error) = log_filter(value.map(OsString::from));
+            assert_eq!(used.to_string(), filter);
+            assert_eq!(error.is_some(), reported, "{error:?}");
+            if let Some(error) = error {
+                assert!(error.contains("singletrackd=loud"), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn only_a_terminal_without_no_color_gets_colours() {
+        for (is_terminal, no_color, coloured) in [
+            (true, None, true),
+            (true, Some(""), true),
+            (true, Some("1"), false),
+            (false, None, false),
+            (false, Some("1"), false),
+        ] {
+            let found = wants_colour(is_terminal, no_color.map(OsString::from));
+            assert_eq!(found, coloured, "{is_terminal} {no_color:?}");
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! The latest state of board, line, computer and cameras, and the checks that refuse
+//! or end a drive.
+//!
+//! Every check returns the first reason against a drive, `None` if there is none. The
+//! order of the checks decides which of several reasons status, log and record show.
+
+use singletrack_control::Time;
+
+use super::{Conditions, Reason, SupervisorConfig};
+use crate::{
+    event::{BoardHealth, BoardState, LineHealth, LinkState, PoseMissing, RealTimeState},
+    watch::ImuVerdict,
+};
+
+/// The longest time without a status message of the board, s: five of its periods.
+/// Beyond it the state of battery and stop switch is unknown.
+const HEALTH_SILENCE: f64 = 1.0;
+
+/// The number of low reports in a row that make a low battery, 0.6 s: the voltage sags
+/// when the car starts off.
+const BATTERY_LOW_REPORTS: u32 = 3;
+
+/// The battery's voltage, in V.
+fn volts(health: &BoardHealth) -> f64 {
+    f64::from(health.battery_mv) / 1_000.0
+}
+
+/// The latest value of every event that describes a state.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct LatestState {
+    link: LinkState,
+    board: Option<BoardState>,
+    health: Option<BoardHealth>,
+    /// Whether a status message has come since the last tick.
+    health_heard: bool,
+    /// The tick that saw the last status message.
+    health_time: Time,
+    /// Reports in a row of a battery too low to drive with.
+    battery_low: u32,
+    line: Option<LineHealth>,
+    real_time: Option<RealTimeState>,
+    /// Whether the cameras' session has locked the rigid body out.
+    untrustworthy: bool,
+}
+
+impl LatestState {
+    pub(super) const fn new() -> Self {
+        Self {
+            link: LinkState::Down,
+            board: None,
+            health: None,
+            health_heard: false,
+            health_time: Time(0),
+            battery_low: 0,
+            line: None,
+            real_time: None,
+            untrustworthy: false,
+        }
+    }
+
+    pub(super) const fn set_link(&mut self, link: LinkState) {
+        self.link = link;
+        if !matches!(link, LinkState::Ready) {
+            // The next board may be another one.
+            self.board = None;
+            self.health = None;
+            self.line = None;
+        }
+    }
+
+    pub(super) fn set_health(&mut self, health: BoardHealth, config: &SupervisorConfig) {
+        self.health = Some(health);
+        self.health_heard = true;
+        self.battery_low = if volts(&health) < config.min_battery {
+            self.battery_low.saturating_add(1)
+        } else {
+            0
+        };
+    }
+
+    pub(super) const fn set_line(&mut self, line: LineHealth) {
+        self.line = Some(line);
+    }
+
+    pub(super) const fn set_real_time(&mut self, state: RealTimeState) {
+        self.real_time = Some(state);
+    }
+
+    pub(super) const fn set_board(&mut self, board: BoardState) {
+        self.board = Some(board);
+    }
+
+    pub(super) const fn set_pose_missing(&mut self, missing: PoseMissing) {
+        if matches!(missing, PoseMissing::Untrustworthy) {
+            self.untrustworthy = true;
+        }
+    }
+
+    pub(super) const fn set_pose_accepted(&mut self) {
+        self.untrustworthy = false;
+    }
+
+    /// Dates a status message that has come since the last tick.
+    pub(super) fn begin_tick(&mut self, now: Time) {
+        if core::mem::take(&mut self.health_heard) {
+            self.health_time = now;
+        }
+    }
+
+    /// The state of the board's safety machine; `None` before the first telemetry.
+    pub(super) const fn board(&self) -> Option<BoardState> {
+        self.board
+    }
+
+    /// The link, as a reason for [`super::Mode::Disconnected`].
+    pub(super) const fn check_link(&self) -> Option<Reason> {
+        match self.link {
+            LinkState::Down => Some(Reason::LinkDown),
+            LinkState::VersionDiffers => Some(Reason::VersionDiffers),
+            LinkState::ConfigurationRefused => Some(Reason::ConfigurationRefused),
+            LinkState::EmergencyStopped => Some(Reason::EmergencyStop),
+            LinkState::Ready => None,
+        }
+    }
+
+    /// The arming check: everything that must hold before the board is asked to arm.
+    pub(super) fn arming_check(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        match self.board {
+            None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
+            Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
+            Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
+            Some(BoardState::Neutral | BoardState::Failsafe) => {}
+        }
+        let standing = conditions.motor_speed.abs() < config.standing_speed
+            && conditions.speed.abs() < config.standing_speed;
+        self.check_health_to_arm(conditions.now, config)
+            .or_else(|| check_imu(conditions, config))
+            .or_else(|| self.check_pose(conditions, config.fresh, config))
+            .or_else(|| {
+                let unsettled = conditions.poses < config.settling_poses;
+                unsettled.then_some(Reason::EstimateUnsettled)
+            })
+            .or_else(|| (!standing).then_some(Reason::Moving))
+            .or_else(|| (!conditions.imu_still).then_some(Reason::ImuNotStill))
+            .or_else(|| check_fence_and_deadlines(conditions))
+    }
+
+    /// What must still hold while the board arms.
+    pub(super) fn check_while_arming(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        self.check_health_to_arm(conditions.now, config)
+            .or_else(|| check_imu(conditions, config))
+            .or_else(|| self.check_pose(conditions, config.fresh, config))
+            .or_else(|| check_fence_and_deadlines(conditions))
+    }
+
+    /// What must hold while the car drives; else it stops.
+    pub(super) fn check_while_driving(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        self.check_health(conditions.now, config)
+            .or_else(|| check_imu(conditions, config))
+            .or_else(|| self.check_pose(conditions, config.blind, config))
+            .or_else(|| check_fence_and_deadlines(conditions))
+            .or(match conditions {
+                _ if conditions.speed_mismatch => Some(Reason::MotorSpeedMismatch),
+                _ if conditions.overspeed => Some(Reason::Overspeed),
+                _ => None,
+            })
+    }
+
+    /// [`check_health`](Self::check_health) with the battery limit for arming, which is
+    /// higher: the battery must last for a drive.
+    fn check_health_to_arm(&self, now: Time, config: &SupervisorConfig) -> Option<Reason> {
+        let low = |health: BoardHealth| volts(&health) < config.arm_battery;
+        self.check_health(now, config).or_else(|| {
+            let low = self.health.is_some_and(low);
+            low.then_some(Reason::BatteryLow)
+        })
+    }
+
+    /// Stop switch, battery, real-time grants and serial line.
+    fn check_health(&self, now: Time, config: &SupervisorConfig) -> Option<Reason> {
+        let heard = now.seconds_since(self.health_time) <= HEALTH_SILENCE;
+        let Some(health) = self.health.filter(|_| heard) else {
+            return Some(Reason::BatteryUnknown);
+        };
+        if health.stop_input_open {
+            return Some(Reason::StopInputOpen);
+        }
+        if self.battery_low >= BATTERY_LOW_REPORTS {
+            return Some(Reason::BatteryLow);
+        }
+        match self.real_time {
+            None => return Some(Reason::RealTimeUnknown),
+            Some(granted) if !(granted.fifo && granted.memory_locked) => {
+                if config.require_real_time {
+                    return Some(Reason::RealTimeRefused);
+                }
+            }
+            Some(_) => {}
+        }
+        self.line
+            .is_some_and(|line| line.worst() > config.max_damaged)
+            .then_some(Reason::LineNoisy)
+    }
+
+    /// The poses: plausible, and the last accepted one no older than `max_age` (s).
+    pub(super) fn check_pose(
+        &self,
+        conditions: &Conditions,
+        max_age: f64,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        if self.untrustworthy || conditions.implausible >= config.max_implausible {
+            return Some(Reason::PoseImplausible);
+        }
+        match conditions.pose_time {
+            None => Some(Reason::NoPose),
+            Some(time) if conditions.now.seconds_since(time) > max_age => Some(Reason::PoseTooOld),
+            Some(_) => None,
+        }
+    }
+}
+
+/// The inertial samples: recent and plausible.
+fn check_imu(conditions: &Conditions, config: &SupervisorConfig) -> Option<Reason> {
+    let heard = conditions
+        .imu_time
+        .is_some_and(|time| conditions.now.seconds_since(time) <= config.imu_silence);
+    match conditions.imu {
+        _ if !heard => Some(Reason::ImuSilent),
+        ImuVerdict::Stuck => Some(Reason::ImuStuck),
+        ImuVerdict::Implausible => Some(Reason::ImuImplausible),
+        ImuVerdict::Good => None,
+    }
+}
+
+/// The geofence, the timing of the ticks, and the age of an external set-point.
+const fn check_fence_and_deadlines(conditions: &Conditions) -> Option<Reason> {
+    if !conditions.inside_fence {
+        Some(Reason::OutsideFence)
+    } else if conditions.late {
+        Some(Reason::DeadlineMissed)
+    } else if conditions.setpoint_stale {
+        Some(Reason::SetpointStale)
+    } else {
+        None
+    }
+}
