@@ -1,4 +1,4 @@
-//! What the paper's figures take to compute, on one core.
+//! The computation time of the paper's stability figures, on one core.
 
 use std::hint::black_box;
 

@@ -1,25 +1,25 @@
 //! The measured quantities.
 
-/// What is measured.
+/// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Channel {
     /// Position along x.
     X,
     /// Position along y.
     Y,
-    /// Yaw by the cameras.
+    /// Yaw from the cameras.
     Yaw,
-    /// Yaw rate by the gyro.
+    /// Yaw rate from the gyro.
     YawRate,
     /// Acceleration to the left.
     Left,
 }
 
 impl Channel {
-    /// All of them.
+    /// All channels.
     pub const ALL: [Self; 5] = [Self::X, Self::Y, Self::Yaw, Self::YawRate, Self::Left];
 
-    /// Its name.
+    /// The name in tables and files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -31,7 +31,7 @@ impl Channel {
         }
     }
 
-    /// Its unit.
+    /// The unit.
     #[must_use]
     pub const fn unit(self) -> &'static str {
         match self {

@@ -1,9 +1,9 @@
-//! What a drive tells: poses, inertial samples and servo targets, and which
-//! parts of it can be used.
+//! The data of a drive: poses, inertial samples and servo targets, and the stretches of
+//! it that can be used.
 
 use super::error::IdentificationError;
 
-/// A pose of the centre of mass by the motion capture.
+/// A pose of the centre of mass from the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Mid-exposure, in s.
@@ -19,7 +19,7 @@ pub struct Pose {
 /// A sample of the inertial measurement unit at G, axes forward, left, up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertial {
-    /// When it was measured, as far as is known, in s.
+    /// Estimated time of the measurement, in s.
     pub time_s: f64,
     /// Angular velocity about the vertical, in rad/s.
     pub yaw_rate_rad_s: f64,
@@ -29,40 +29,39 @@ pub struct Inertial {
     pub left_m_s2: f64,
 }
 
-/// What the board wanted of the servo when it made a record.
+/// The servo target of the board at the time of a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoTarget {
-    /// When the record was made, in s.
+    /// Time of the record, in s.
     pub time_s: f64,
-    /// Number of the board's control period, from any start.
+    /// Number of the board's control period, counted from any start.
     pub period: u64,
-    /// Steering angle that the pulse stands for by the calibration, left
-    /// positive, in rad.
+    /// Steering angle of the pulse by the calibration, left positive, in rad.
     pub angle_rad: f64,
 }
 
-/// A drive, on one clock, each list in order of time.
+/// A drive on one clock; each list is in order of time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DriveData {
-    /// What the cameras saw.
+    /// Poses from the cameras.
     pub poses: Vec<Pose>,
-    /// What the inertial measurement unit felt.
+    /// Samples of the inertial measurement unit.
     pub inertial: Vec<Inertial>,
-    /// What the servo was told.
+    /// Targets of the servo.
     pub servo: Vec<ServoTarget>,
 }
 
 /// A stretch of time, in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// Where it begins.
+    /// Start.
     pub start_s: f64,
-    /// Where it ends.
+    /// End.
     pub end_s: f64,
 }
 
 impl Span {
-    /// How long it is, in s.
+    /// Duration, in s.
     #[must_use]
     pub fn seconds(&self) -> f64 {
         self.end_s - self.start_s
@@ -75,20 +74,20 @@ impl Span {
 
 /// Which of the board's control periods begin a pulse of the servo.
 ///
-/// The board tells the pulse at 100 Hz; a servo gets one every 20 ms, and
-/// which of two records it was is not told.
+/// The board records its target at 100 Hz and sends a pulse every 20 ms. The record does
+/// not contain which of two periods begins a pulse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServoFrames {
-    /// Those with even numbers.
+    /// Periods with even numbers.
     Even,
-    /// Those with odd numbers.
+    /// Periods with odd numbers.
     Odd,
-    /// All: a digital servo at 100 Hz.
+    /// Every period: a digital servo at 100 Hz.
     Every,
 }
 
 impl ServoFrames {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 3] = [Self::Even, Self::Odd, Self::Every];
 
     const fn begins(self, period: u64) -> bool {
@@ -102,7 +101,7 @@ impl ServoFrames {
     pub(super) fn of(self, targets: &[ServoTarget]) -> Vec<ServoTarget> {
         let mut taken: Vec<ServoTarget> = Vec::with_capacity(targets.len());
         for target in targets {
-            // Only a change of the target is an event.
+            // An unchanged target is no event.
             let same = |last: &ServoTarget| last.angle_rad.to_bits() == target.angle_rad.to_bits();
             if self.begins(target.period) && !taken.last().is_some_and(same) {
                 taken.push(*target);
@@ -112,21 +111,21 @@ impl ServoFrames {
     }
 }
 
-/// Without a pose for longer the stretch ends, in s.
+/// A longer gap between poses ends a stretch, in s.
 const POSE_GAP: f64 = 0.3;
-/// Without an inertial sample for longer the stretch ends, in s.
+/// A longer gap between inertial samples ends a stretch, in s.
 const INERTIAL_GAP: f64 = 0.055;
-/// Shorter stretches are not worth starting a filter for, in s.
+/// Shorter stretches are ignored: the filter needs time to settle, in s.
 const LEAST_STRETCH: f64 = 2.0;
-/// Over how many poses to either side the speed is measured.
+/// Number of poses on either side over which the speed is measured.
 const REACH: usize = 6;
 
 impl DriveData {
-    /// Refuses what is no drive: empty lists, numbers that are none, times that go back.
+    /// Checks the lists: long enough, finite, and in order of time.
     ///
     /// # Errors
     ///
-    /// Which list, and where.
+    /// The first list and sample that is not.
     pub fn validate(&self) -> Result<(), IdentificationError> {
         check(
             "poses of the motion capture",
@@ -148,8 +147,8 @@ impl DriveData {
         )
     }
 
-    /// The stretches with poses and inertial samples throughout, at this speed (m/s)
-    /// or faster.
+    /// The stretches at this speed (m/s) or faster, without gaps in poses and inertial
+    /// samples.
     #[must_use]
     pub fn stretches(&self, least_speed: f64) -> Vec<Span> {
         let first_target = self.servo.first().map_or(f64::INFINITY, |s| s.time_s);
@@ -161,17 +160,17 @@ impl DriveData {
             let fast = self
                 .speed_at(index)
                 .is_some_and(|speed| speed >= least_speed);
-            // Whether the inertial samples since the last pose are without a gap.
-            let mut felt = true;
+            // Whether the inertial samples since the last pose have no gap.
+            let mut gapless = true;
             while let Some([one, other]) = inertial.next_if(|pair| {
                 let [one, _] = pair else { return false };
                 one.time_s <= pose.time_s
             }) {
-                felt &= other.time_s - one.time_s <= INERTIAL_GAP;
+                gapless &= other.time_s - one.time_s <= INERTIAL_GAP;
             }
-            felt &= inertial.peek().is_some();
+            gapless &= inertial.peek().is_some();
             let goes_on =
-                fast && felt && pose.time_s - last <= POSE_GAP && pose.time_s > first_target;
+                fast && gapless && pose.time_s - last <= POSE_GAP && pose.time_s > first_target;
             last = pose.time_s;
             match (&mut open, goes_on) {
                 (Some(span), true) => span.end_s = pose.time_s,
@@ -189,7 +188,7 @@ impl DriveData {
         spans
     }
 
-    /// Speed at the pose with this index by its neighbours, in m/s.
+    /// Speed at the pose with this index from its neighbours, in m/s.
     pub(super) fn speed_at(&self, index: usize) -> Option<f64> {
         let from = self.poses.get(index.saturating_sub(REACH))?;
         let last = self.poses.len().checked_sub(1)?;
@@ -198,7 +197,7 @@ impl DriveData {
         (seconds > 0.0).then(|| (to.x_m - from.x_m).hypot(to.y_m - from.y_m) / seconds)
     }
 
-    /// The fastest speed of the drive by the cameras, in m/s.
+    /// The largest speed of the drive from the cameras, in m/s.
     #[must_use]
     pub fn fastest(&self) -> f64 {
         (0..self.poses.len())

@@ -11,27 +11,28 @@ use super::{
 /// An estimated parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// Which.
+    /// The parameter.
     pub parameter: Parameter,
-    /// Where the fit started, in the parameter's unit.
+    /// The start value of the fit, in the parameter's unit.
     pub start: f64,
     /// The estimate.
     pub value: f64,
     /// Its standard deviation.
     pub standard_deviation: f64,
-    /// In which it lies with 95 %.
+    /// The 95 % confidence interval.
     pub interval: [f64; 2],
     /// Standard deviation if the prediction errors are white.
     pub white_deviation: f64,
-    /// Standard deviation whatever their colour within half a second.
+    /// Standard deviation if they are correlated over up to half a second.
     pub robust_deviation: f64,
-    /// Whether it has run as far as it may.
+    /// Whether the estimate is at the bound of its range.
     pub at_bound: bool,
 }
 
-/// Standard deviations to either side within which 95 % lie.
+/// Half the width of a 95 % confidence interval, in standard deviations.
 const NINETY_FIVE: f64 = 1.96;
 
+/// The estimates of a fit, in the order of the settings.
 pub(super) fn estimates(start: &Values, settings: &Settings, fit: &Fit) -> Vec<Estimate> {
     let active = settings.parameters.iter().zip(&fit.u);
     active
@@ -57,6 +58,7 @@ pub(super) fn estimates(start: &Values, settings: &Settings, fit: &Fit) -> Vec<E
         .collect()
 }
 
+/// The correlations of the estimates, in the same order.
 pub(super) fn correlation(fit: &Fit) -> DMatrix<f64> {
     let white = &fit.spread.white;
     DMatrix::from_fn(white.nrows(), white.ncols(), |row, column| {

@@ -1,5 +1,5 @@
-//! An extended Kalman filter along a drive: the innovations, how much they should
-//! vary, and the gains that the predictor then uses.
+//! An extended Kalman filter along a drive: the innovations, their predicted variance, and
+//! the gains for the predictor.
 
 use nalgebra::{SMatrix, SVector};
 use num_dual::DualSVec64;
@@ -11,15 +11,15 @@ use super::{
     model::{Model, Motion},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    timeline::{Belief, Traveller, travel},
+    timeline::{EventHandler, StateEstimate, replay},
 };
 
-/// x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias forward. The
-/// steering angle is no part of it: it follows from what the servo was told.
+/// Number of states: x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias of the
+/// forward acceleration. The steering angle is no state: it follows from the servo's targets.
 pub(super) const STATES: usize = 8;
 
-/// How an innovation corrects the state, and its standard deviation; zero for one
-/// that was not met.
+/// The Kalman gain of an innovation and its standard deviation, which is zero for a sample
+/// that was not used.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Gain {
     pub(super) gain: [f64; STATES],
@@ -29,26 +29,26 @@ pub(super) struct Gain {
 /// The gains along a drive.
 #[derive(Clone, Debug)]
 pub(super) struct Gains {
-    /// Of yaw rate and acceleration to the left, for each inertial sample.
+    /// For yaw rate and left acceleration, by inertial sample.
     pub(super) inertial: Vec<[Gain; 2]>,
-    /// Of x, y and yaw, for each pose.
+    /// For x, y and yaw, by pose.
     pub(super) poses: Vec<[Gain; 3]>,
 }
 
-/// What was measured less what was predicted.
+/// A measurement minus its prediction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Innovation {
     pub(super) channel: Channel,
     pub(super) time_s: f64,
     pub(super) value: f64,
-    /// The variance that it should have.
+    /// The predicted variance.
     pub(super) variance: f64,
 }
 
-/// What is believed after an inertial sample.
+/// The estimate of the filter after an inertial sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackPoint {
-    /// When, in s.
+    /// Time, in s.
     pub time_s: f64,
     /// Index of the inertial sample.
     pub inertial: usize,
@@ -68,20 +68,20 @@ pub struct TrackPoint {
     pub steering_rad: f64,
     /// Bias of the gyro, in rad/s.
     pub gyro_bias_rad_s: f64,
-    /// Bias of the acceleration forward, in m/s².
+    /// Bias of the forward acceleration, in m/s².
     pub forward_bias_m_s2: f64,
 }
 
-/// What came of going along a drive.
+/// The result of a run of the filter along a drive.
 #[derive(Clone, Debug)]
-pub(super) struct Passage {
+pub(super) struct FilterRun {
     pub(super) innovations: Vec<Innovation>,
     pub(super) gains: Gains,
     pub(super) track: Vec<TrackPoint>,
 }
 
-impl Passage {
-    /// Logarithm of the likelihood, but for a constant.
+impl FilterRun {
+    /// Logarithm of the likelihood up to a constant.
     pub(super) fn likelihood(&self) -> f64 {
         let terms = self.innovations.iter().map(|innovation| {
             let Innovation {
@@ -93,15 +93,15 @@ impl Passage {
     }
 }
 
-/// Goes along the stretches of a drive. None where the model ends.
-pub(super) fn pass(
+/// Runs the filter along the stretches of a drive. None where the model is not defined.
+pub(super) fn run_filter(
     data: &DriveData,
     servo: &[ServoTarget],
     spans: &[Span],
     values: &Values,
     tyres: Tyres,
     noise: &NoiseLevels,
-) -> Option<Passage> {
+) -> Option<FilterRun> {
     let model = Model::new(values, *values.all(), tyres);
     let mut filter = Filter {
         data,
@@ -112,7 +112,7 @@ pub(super) fn pass(
         steering: 0.0,
         covariance: SMatrix::zeros(),
         time: 0.0,
-        passage: Passage {
+        run: FilterRun {
             innovations: Vec::new(),
             gains: Gains {
                 inertial: vec![[Gain::default(); 2]; data.inertial.len()],
@@ -123,9 +123,9 @@ pub(super) fn pass(
     };
     for span in spans {
         filter.time = span.start_s;
-        travel(data, servo, *span, &model, &mut filter)?;
+        replay(data, servo, *span, &model, &mut filter)?;
     }
-    Some(filter.passage)
+    Some(filter.run)
 }
 
 type Dual = DualSVec64<STATES>;
@@ -139,20 +139,20 @@ struct Filter<'a> {
     steering: f64,
     covariance: SMatrix<f64, STATES, STATES>,
     time: f64,
-    passage: Passage,
+    run: FilterRun,
 }
 
-/// What is not known of the motion at the start of a stretch.
+/// Standard deviations of the states at the start of a stretch.
 const START: [f64; STATES] = [1e-3, 1e-3, 0.01, 0.3, 0.1, 0.1, 0.03, 0.3];
 
 impl Filter<'_> {
-    /// The state with its derivatives by itself.
-    fn seeded(&self) -> Belief<Dual> {
+    /// The state, with its derivatives by itself.
+    fn seeded(&self) -> StateEstimate<Dual> {
         let seed = |index: usize| {
             let value = self.state.get(index).copied().unwrap_or(0.0);
             Dual::from(value).derivative(index)
         };
-        Belief {
+        StateEstimate {
             motion: Motion {
                 x: seed(0),
                 y: seed(1),
@@ -167,8 +167,8 @@ impl Filter<'_> {
         }
     }
 
-    /// Corrects the state by a measurement that was expected to be `expected`, with
-    /// its derivatives by the state.
+    /// Corrects the state with a measurement. `expected` is its prediction with derivatives by
+    /// the state, and `difference` the innovation.
     fn correct(&mut self, channel: Channel, expected: Dual, difference: f64) -> Gain {
         let row = gradient(&expected);
         let column = self.covariance * row.transpose();
@@ -177,7 +177,7 @@ impl Filter<'_> {
         let gain = column / variance;
         self.state += gain * difference;
         self.covariance -= gain * column.transpose();
-        self.passage.innovations.push(Innovation {
+        self.run.innovations.push(Innovation {
             channel,
             time_s: self.time,
             value: difference,
@@ -197,8 +197,8 @@ fn gradient(value: &Dual) -> SMatrix<f64, 1, STATES> {
         .map_or_else(SMatrix::zeros, |gradient| gradient.transpose())
 }
 
-impl Traveller<f64> for Filter<'_> {
-    fn begin(&mut self, belief: Belief<f64>) {
+impl EventHandler<f64> for Filter<'_> {
+    fn begin(&mut self, estimate: StateEstimate<f64>) {
         let Motion {
             x,
             y,
@@ -207,19 +207,19 @@ impl Traveller<f64> for Filter<'_> {
             sideslip,
             speed,
             steering,
-        } = belief.motion;
-        let biases = [belief.gyro_bias, belief.forward_bias];
+        } = estimate.motion;
+        let biases = [estimate.gyro_bias, estimate.forward_bias];
         self.state = SVector::from([x, y, yaw, yaw_rate, sideslip, speed, biases[0], biases[1]]);
         self.steering = steering;
         self.covariance = SMatrix::from_diagonal(&SVector::from(START).map(|x| x * x));
     }
 
     fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
-        let belief = self.seeded();
-        let forward = forward.map(|forward| -belief.forward_bias + forward);
+        let estimate = self.seeded();
+        let forward = forward.map(|forward| -estimate.forward_bias + forward);
         let after = self
             .model
-            .advance(belief.motion, Dual::from(step), target, forward)?;
+            .advance(estimate.motion, Dual::from(step), target, forward)?;
         let rows = [
             after.x,
             after.y,
@@ -227,8 +227,8 @@ impl Traveller<f64> for Filter<'_> {
             after.yaw_rate,
             after.sideslip,
             after.speed,
-            belief.gyro_bias,
-            belief.forward_bias,
+            estimate.gyro_bias,
+            estimate.forward_bias,
         ];
         let transition = SMatrix::<f64, STATES, STATES>::from_rows(&rows.map(|row| gradient(&row)));
         self.state = SVector::from(rows.map(|row| row.re));
@@ -242,7 +242,7 @@ impl Traveller<f64> for Filter<'_> {
                 *entry += density * step;
             }
         };
-        // A force on each axle, independent of each other.
+        // Independent forces on the two axles.
         let force = noise.force_density * noise.force_density;
         let arms = [
             vehicle.front_axle_distance_m / vehicle.yaw_inertia_kg_m2,
@@ -264,20 +264,20 @@ impl Traveller<f64> for Filter<'_> {
         let Some(sample) = self.data.inertial.get(index) else {
             return;
         };
-        let belief = self.seeded();
-        let expected = belief.motion.yaw_rate + belief.gyro_bias;
+        let estimate = self.seeded();
+        let expected = estimate.motion.yaw_rate + estimate.gyro_bias;
         let yaw_rate = self.correct(
             Channel::YawRate,
             expected,
             sample.yaw_rate_rad_s - expected.re,
         );
-        let belief = self.seeded();
+        let estimate = self.seeded();
         let expected = self
             .model
-            .left_acceleration(&belief.motion, -belief.forward_bias + forward)
+            .left_acceleration(&estimate.motion, -estimate.forward_bias + forward)
             + self.model.get(Parameter::LateralBias);
         let left = self.correct(Channel::Left, expected, sample.left_m_s2 - expected.re);
-        if let Some(gains) = self.passage.gains.inertial.get_mut(index) {
+        if let Some(gains) = self.run.gains.inertial.get_mut(index) {
             *gains = [yaw_rate, left];
         }
         let [
@@ -290,7 +290,7 @@ impl Traveller<f64> for Filter<'_> {
             gyro_bias,
             forward_bias,
         ] = self.state.into();
-        self.passage.track.push(TrackPoint {
+        self.run.track.push(TrackPoint {
             time_s: self.time,
             inertial: index,
             x_m: x,
@@ -315,7 +315,7 @@ impl Traveller<f64> for Filter<'_> {
         let y = self.correct(Channel::Y, expected, pose.y_m - expected.re);
         let expected = self.seeded().motion.yaw;
         let yaw = self.correct(Channel::Yaw, expected, wrap(pose.yaw_rad - expected.re));
-        if let Some(gains) = self.passage.gains.poses.get_mut(index) {
+        if let Some(gains) = self.run.gains.poses.get_mut(index) {
             *gains = [x, y, yaw];
         }
     }

@@ -1,4 +1,4 @@
-//! The fit: gains, parameters and noise levels in turn, until they agree.
+//! The fit: gains, parameters and noise levels in turn, until they converge.
 
 use levenberg_marquardt::LevenbergMarquardt;
 use nalgebra_levenberg_marquardt::DVector;
@@ -7,35 +7,35 @@ use singletrack_control::VehicleParameters;
 use super::{
     data::{DriveData, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
-    filter::{Passage, pass},
+    filter::{FilterRun, run_filter},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    predictor::{Problem, Question},
+    predictor::{Prediction, Problem},
     settings::Settings,
     uncertainty::{Spread, bounds, spread},
 };
 
-/// What came of a fit.
+/// The result of a fit.
 #[derive(Clone, Debug)]
 pub(super) struct Fit {
     pub(super) values: Values,
-    /// The active parameters as the optimiser sees them.
+    /// The active parameters in the coordinates of the optimiser.
     pub(super) u: Vec<f64>,
     pub(super) noise: NoiseLevels,
     pub(super) frames: ServoFrames,
-    pub(super) passage: Passage,
+    pub(super) run: FilterRun,
     pub(super) spread: Spread,
-    /// By how much more likely these frames are than the next, as a logarithm; infinite
-    /// if they were given.
+    /// The log-likelihood above that of the next candidate for `frames`; infinite if they
+    /// were given.
     pub(super) lead: f64,
-    /// How far, in standard deviations, the last turn moved a parameter, if it was not
-    /// little enough to stop.
+    /// The largest change of a parameter in the last round, in standard deviations, if the
+    /// fit has not converged.
     pub(super) unsettled: Option<f64>,
     /// Evaluations of the prediction errors.
     pub(super) evaluations: usize,
 }
 
-/// A drive and what is not estimated of it.
+/// A drive, the start values, and the choices of the fit.
 pub(super) struct Task<'a> {
     pub(super) data: &'a DriveData,
     pub(super) spans: &'a [Span],
@@ -44,15 +44,15 @@ pub(super) struct Task<'a> {
     pub(super) settings: &'a Settings,
 }
 
-/// So often gains and parameters take turns.
+/// The largest number of rounds. A round runs the filter and then the optimiser.
 const ROUNDS: usize = 12;
-/// Evaluations in one turn, over the number of parameters and one.
+/// Evaluations in one run of the optimiser, over the number of parameters plus one.
 const PATIENCE: usize = 1;
-/// A change that is so small a part of a standard deviation is none.
+/// The fit has converged below this change, in standard deviations.
 const SETTLED: f64 = 0.01;
 
 impl Task<'_> {
-    /// The vehicle as it is believed at the start.
+    /// The vehicle at the start.
     pub(super) const fn vehicle(&self) -> VehicleParameters {
         self.start.vehicle()
     }
@@ -64,13 +64,15 @@ impl Task<'_> {
         };
         let zero = vec![0.0; self.active.len()];
         let noise = if self.settings.estimate_noise {
-            self.settings.noise.seen(self.data, self.spans)
+            self.settings
+                .noise
+                .with_measured_sensors(self.data, self.spans)
         } else {
             self.settings.noise
         };
-        let seen = noise;
-        // The frames under which the drive is most likely, each with its own noise: with
-        // the noise of the start, or with another's, the wrong ones may seem the likelier.
+        let sampled = noise;
+        // The most likely frames. Each candidate has its own noise levels: with those of the
+        // start, or of another candidate, wrong frames may have the larger likelihood.
         let mut tried: Vec<(f64, ServoFrames, Vec<f64>)> = Vec::new();
         let mut evaluations = 0;
         let single = candidates.len() == 1;
@@ -78,22 +80,22 @@ impl Task<'_> {
             let servo = frames.of(&self.data.servo);
             let mut u = zero.clone();
             let mut noise = noise;
-            // A start that is far away shows only when the gains have followed.
-            for turn in 0..if single { 2 } else { 3 } {
-                if turn == 2 {
-                    noise = self.likely(&servo, &u, noise, &seen, 2)?;
+            // With distant start values the gains need more than one round.
+            for round in 0..if single { 2 } else { 3 } {
+                if round == 2 {
+                    noise = self.likely_noise(&servo, &u, noise, &sampled, 2)?;
                 }
-                let passage = self.pass(&servo, &u, &noise)?;
-                let (next, count) = self.minimise(&servo, &passage, &u, 2 * PATIENCE)?;
+                let run = self.run_filter(&servo, &u, &noise)?;
+                let (next, count) = self.minimise(&servo, &run, &u, 2 * PATIENCE)?;
                 evaluations += count;
                 u = next;
             }
             let noise = if single {
                 noise
             } else {
-                self.likely(&servo, &u, noise, &seen, 1)?
+                self.likely_noise(&servo, &u, noise, &sampled, 1)?
             };
-            tried.push((self.pass(&servo, &u, &noise)?.likelihood(), frames, u));
+            tried.push((self.run_filter(&servo, &u, &noise)?.likelihood(), frames, u));
         }
         tried.sort_by(|one, other| other.0.total_cmp(&one.0));
         let lead = match tried.get(..2) {
@@ -111,13 +113,13 @@ impl Task<'_> {
         for round in 0..ROUNDS {
             if self.settings.estimate_noise && round < 3 {
                 let rounds = if round == 0 { 2 } else { 1 };
-                noise = self.likely(&servo, &u, noise, &seen, rounds)?;
+                noise = self.likely_noise(&servo, &u, noise, &sampled, rounds)?;
             }
-            let passage = self.pass(&servo, &u, &noise)?;
-            let (next, count) = self.minimise(&servo, &passage, &u, PATIENCE)?;
+            let run = self.run_filter(&servo, &u, &noise)?;
+            let (next, count) = self.minimise(&servo, &run, &u, PATIENCE)?;
             evaluations += count;
-            let question = self.question(&servo, &passage);
-            let spread = spread(&question, &next).ok_or_else(|| self.diverged(&next))?;
+            let prediction = self.prediction(&servo, &run);
+            let spread = spread(&prediction, &next).ok_or_else(|| self.diverged(&next))?;
             let moved = next
                 .iter()
                 .zip(&u)
@@ -127,13 +129,13 @@ impl Task<'_> {
             u = next;
             let settled = moved < SETTLED && round >= 2;
             if settled || round + 1 == ROUNDS {
-                let passage = self.pass(&servo, &u, &noise)?;
+                let run = self.run_filter(&servo, &u, &noise)?;
                 return Ok(Fit {
                     values: self.values(&u),
                     u,
                     noise,
                     frames,
-                    passage,
+                    run,
                     spread,
                     lead,
                     unsettled: (!settled).then_some(moved),
@@ -144,13 +146,13 @@ impl Task<'_> {
         Err(self.diverged(&u))
     }
 
-    /// The most likely levels of noise, or those given if they are not to be estimated.
-    fn likely(
+    /// The most likely noise levels, or the given ones if they are not estimated.
+    fn likely_noise(
         &self,
         servo: &[ServoTarget],
         u: &[f64],
         noise: NoiseLevels,
-        seen: &NoiseLevels,
+        sampled: &NoiseLevels,
         rounds: u32,
     ) -> Result<NoiseLevels, IdentificationError> {
         if !self.settings.estimate_noise {
@@ -159,13 +161,13 @@ impl Task<'_> {
         let values = self.values(u);
         let tyres = self.settings.tyres;
         noise
-            .most_likely(seen, rounds, |levels| {
-                pass(self.data, servo, self.spans, &values, tyres, levels)
+            .most_likely(sampled, rounds, |levels| {
+                run_filter(self.data, servo, self.spans, &values, tyres, levels)
             })
             .ok_or_else(|| self.diverged(u))
     }
 
-    /// The smallest standard deviations, with the car as it is at the start.
+    /// The smallest standard deviations of estimates for the car of the start values.
     pub(super) fn bounds(
         &self,
         frames: ServoFrames,
@@ -173,9 +175,9 @@ impl Task<'_> {
     ) -> Result<Vec<f64>, IdentificationError> {
         let servo = frames.of(&self.data.servo);
         let zero = vec![0.0; self.active.len()];
-        let passage = self.pass(&servo, &zero, noise)?;
-        let question = self.question(&servo, &passage);
-        let bounds = bounds(&question).ok_or_else(|| self.diverged(&zero))?;
+        let run = self.run_filter(&servo, &zero, noise)?;
+        let prediction = self.prediction(&servo, &run);
+        let bounds = bounds(&prediction).ok_or_else(|| self.diverged(&zero))?;
         let slopes = self.active.iter();
         let slopes =
             slopes.map(|parameter| parameter.prior().slope(self.start.get(*parameter), 0.0));
@@ -185,12 +187,12 @@ impl Task<'_> {
             .collect())
     }
 
-    fn question<'b>(&'b self, servo: &'b [ServoTarget], passage: &'b Passage) -> Question<'b> {
-        Question {
+    fn prediction<'b>(&'b self, servo: &'b [ServoTarget], run: &'b FilterRun) -> Prediction<'b> {
+        Prediction {
             data: self.data,
             servo,
             spans: self.spans,
-            gains: &passage.gains,
+            gains: &run.gains,
             start: &self.start,
             active: self.active,
             tyres: self.settings.tyres,
@@ -206,13 +208,13 @@ impl Task<'_> {
         values
     }
 
-    fn pass(
+    fn run_filter(
         &self,
         servo: &[ServoTarget],
         u: &[f64],
         noise: &NoiseLevels,
-    ) -> Result<Passage, IdentificationError> {
-        pass(
+    ) -> Result<FilterRun, IdentificationError> {
+        run_filter(
             self.data,
             servo,
             self.spans,
@@ -232,12 +234,12 @@ impl Task<'_> {
     fn minimise(
         &self,
         servo: &[ServoTarget],
-        passage: &Passage,
+        run: &FilterRun,
         u: &[f64],
         patience: usize,
     ) -> Result<(Vec<f64>, usize), IdentificationError> {
         let problem = Problem {
-            question: self.question(servo, passage),
+            prediction: self.prediction(servo, run),
             u: DVector::from_column_slice(u),
         };
         let (problem, report) = LevenbergMarquardt::new()
@@ -248,7 +250,7 @@ impl Task<'_> {
             .with_patience(patience)
             .minimize(problem);
         let u = problem.u.as_slice().to_vec();
-        // Out of patience is no failure: it goes on from there with new gains.
+        // Running out of evaluations is no failure: the next round continues with new gains.
         let failed = matches!(
             report.termination,
             levenberg_marquardt::TerminationReason::User(_)

@@ -1,4 +1,4 @@
-//! The identification itself: data and settings in, estimates and their quality out.
+//! Identification of a drive, validation on another, and the Cramér-Rao bound.
 
 use nalgebra::DMatrix;
 use singletrack_control::VehicleParameters;
@@ -19,35 +19,35 @@ use super::{
     warning::{self, Warning},
 };
 
-/// A shorter drive is refused, in s.
+/// The smallest usable duration of a drive, in s.
 pub const LEAST_SECONDS: f64 = 5.0;
 
-/// What a drive says of a car.
+/// The result of an identification.
 #[derive(Clone, Debug)]
 pub struct Identification {
-    /// What was estimated, in the order asked for.
+    /// The estimates, in the order of the settings.
     pub estimates: Vec<Estimate>,
     /// Correlations of the estimates, in the same order.
     pub correlation: DMatrix<f64>,
-    /// All values, estimated or not.
+    /// The values of all parameters, estimated or not.
     pub values: Values,
     /// The noise levels.
     pub noise: NoiseLevels,
-    /// Which records of the board begin a servo pulse.
+    /// The board's periods that begin a servo pulse.
     pub frames: ServoFrames,
-    /// What of the drive was used.
+    /// The stretches of the drive that were used.
     pub stretches: Vec<Span>,
-    /// What is believed of the car's motion.
+    /// The filter's estimate of the car's motion.
     pub track: Vec<TrackPoint>,
     /// The prediction errors.
     pub residuals: Vec<Residuals>,
-    /// The model left alone, beside the drive.
+    /// A simulation of the model without corrections, with the measurements.
     pub simulation: Simulation,
-    /// How well that fits.
+    /// How well the simulation fits.
     pub score: Score,
-    /// What should be known of the estimates.
+    /// Reasons to doubt the estimates.
     pub warnings: Vec<Warning>,
-    /// How often the drive was predicted.
+    /// Number of evaluations of the prediction errors.
     pub evaluations: usize,
 }
 
@@ -58,26 +58,28 @@ impl Identification {
         self.values.vehicle()
     }
 
-    /// The estimate of a parameter, if it was estimated.
+    /// The estimate of a parameter; none if it was not estimated.
     #[must_use]
     pub fn estimate(&self, parameter: Parameter) -> Option<&Estimate> {
         let mut all = self.estimates.iter();
         all.find(|estimate| estimate.parameter == parameter)
     }
 
-    /// How much of the drive was used, in s.
+    /// Duration of the stretches that were used, in s.
     #[must_use]
     pub fn seconds(&self) -> f64 {
         self.stretches.iter().map(Span::seconds).sum()
     }
 }
 
-/// Identifies the parameters of a vehicle from a drive, starting from what is
-/// believed of it; its mass, its wheelbase and what is not asked for are kept.
+/// Identifies the parameters of a vehicle from a drive.
+///
+/// The fit starts from `vehicle`. Mass, wheelbase and the parameters that the settings do
+/// not name keep their values.
 ///
 /// # Errors
 ///
-/// A drive that tells nothing, or from which the fit does not find a car.
+/// A drive that is damaged, too slow or too short, and a fit that diverges.
 pub fn identify(
     data: &DriveData,
     vehicle: &VehicleParameters,
@@ -86,7 +88,7 @@ pub fn identify(
     identify_from(data, &Values::of(vehicle), settings)
 }
 
-/// The same from values of all parameters.
+/// Identifies as [`identify`] does, from start values of all parameters.
 ///
 /// # Errors
 ///
@@ -114,7 +116,7 @@ pub fn identify_from(
         &stretches,
         &fit.values,
         settings.tyres,
-        &fit.passage.track,
+        &fit.run.track,
     )
     .ok_or(IdentificationError::Diverged {
         vehicle: fit.values.vehicle(),
@@ -128,7 +130,7 @@ pub fn identify_from(
         |row, column| correlation[(row, column)],
         &residuals,
         &stretches,
-        &fit.passage.track,
+        &fit.run.track,
     ));
     Ok(Identification {
         correlation,
@@ -141,13 +143,15 @@ pub fn identify_from(
         residuals,
         warnings,
         stretches,
-        track: fit.passage.track,
+        track: fit.run.track,
         evaluations: fit.evaluations,
     })
 }
 
-/// How well an identified car predicts another drive: of that only what belongs to
-/// a drive, [`Parameter::OF_A_DRIVE`], is estimated anew.
+/// Measures how well an identified car predicts another drive.
+///
+/// Only the parameters that differ between drives, [`Parameter::OF_A_DRIVE`], are
+/// estimated again.
 ///
 /// # Errors
 ///
@@ -167,13 +171,14 @@ pub fn validate(
     identify_from(data, &identified.values, &settings)
 }
 
-/// The standard deviations that no unbiased estimate from this drive can go below
-/// (Cramér and Rao), for a car with `truth` and sensors with `noise`, in the order
-/// of the parameters in `settings`.
+/// The smallest standard deviations of unbiased estimates from this drive (the Cramér-Rao
+/// bound), for a car with `truth` and sensors with `noise`.
+///
+/// In the order of the parameters in `settings`.
 ///
 /// # Errors
 ///
-/// As [`identify`], and if the drive does not tell one of the parameters at all.
+/// As [`identify`], and if the drive does not determine one of the parameters.
 pub fn cramer_rao(
     data: &DriveData,
     truth: &Values,
@@ -192,6 +197,7 @@ pub fn cramer_rao(
     task.bounds(frames, noise)
 }
 
+/// The stretches that can be used, if they are long enough.
 fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, IdentificationError> {
     data.validate()?;
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
@@ -200,7 +206,8 @@ fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, Identifica
     if seconds >= LEAST_SECONDS {
         return Ok(stretches);
     }
-    // What is slow at the start and at the end makes no drive short.
+    // A drive is slow at its start and end: only the fastest speed shows whether it was
+    // too slow or too short.
     let fastest = data.fastest();
     Err(if fastest < 1.2 * least_speed {
         IdentificationError::TooSlow {

@@ -1,18 +1,17 @@
 //! Identification of the car's parameters from a drive.
 //!
-//! Cornering stiffnesses, yaw inertia and whatever else is asked for are those with
-//! which the drive is predicted best: the model of the paper (equation 1), with tyres
-//! that slide and a servo that lags, is driven by what the servo was told and by the
-//! acceleration forward; a Kalman filter predicts each pose and each inertial sample
-//! from those before it; and the sum of the squares of the prediction errors, each over
-//! the standard deviation that it should have, is minimised. Unlike the errors of a
-//! simulation, these are white if the model is right, so that the inverse of the
-//! information is the estimates' covariance; a second covariance holds for errors
-//! that are coloured over up to half a second, and the wider of the two is told.
+//! This is a prediction-error method. The model is the paper's (equation 1) with tyres that
+//! saturate and a servo with a lag; its inputs are the servo's targets and the measured
+//! forward acceleration. A Kalman filter predicts each pose and each inertial sample from
+//! those before it. The estimates of cornering stiffnesses, yaw inertia and other parameters
+//! minimise the sum of squares of the prediction errors, each over its predicted standard
+//! deviation. Unlike the errors of a simulation, these are white if the model is right, so
+//! that the inverse of the information matrix is the covariance of the estimates. A second
+//! covariance holds for errors that are correlated over up to half a second, and the wider
+//! of the two is reported.
 //!
-//! What a drive does not tell otherwise is estimated along: lag, delay and trim of the
-//! steering, the delay and the biases of the IMU, and the levels of all noise, by
-//! their likelihood.
+//! Estimated jointly are lag, delay and trim of the steering, delay and biases of the IMU,
+//! and, by their likelihood, the levels of all noise.
 
 mod channel;
 mod data;

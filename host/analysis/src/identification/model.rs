@@ -1,20 +1,20 @@
-//! The car as the identification believes it: equation 1 with tyres that slide,
-//! driven by the servo's target and the acceleration forward.
+//! The model of the identification: equations 1 and 2 with axle forces that may saturate,
+//! and a servo with a lag. Its inputs are the servo's target and the forward acceleration.
 
 use singletrack_control::{Axles, LateralMotion, SingleTrackState, Tyres, VehicleParameters};
 
 use super::parameter::{COUNT, Parameter, Values};
 use crate::dual::{Dual, DualFunctions};
 
-/// The largest rate of a hobby servo, in rad/s. What it is exactly shows only in
-/// steps of the steering that no drive has.
+/// The largest rate of a hobby servo, in rad/s. The exact value matters only in steering
+/// steps larger than those of a drive.
 const SERVO_RATE: f64 = 8.0;
 
-/// Slower than this the model is not defined, in m/s.
+/// The model is not defined below this speed, in m/s.
 pub(super) const LEAST_SPEED: f64 = 0.2;
 
-/// Longest step, in s: at 1 m/s the fastest mode is near -150/s, of which RK4 makes
-/// an error of 0.03 % there.
+/// The longest integration step, in s: at 1 m/s the fastest mode is near -150/s, where the
+/// error of RK4 is 0.03 %.
 const LONGEST_STEP: f64 = 0.004;
 
 /// The motion of the car.
@@ -81,7 +81,7 @@ impl<D: Dual> Model<D> {
         self.parameters[parameter as usize]
     }
 
-    /// Where the servo rests when it is told `target`, in rad.
+    /// The steering angle at which the servo settles for `target`, in rad.
     pub(super) fn rest(&self, target: f64) -> D {
         self.get(Parameter::SteeringGain) * target + self.get(Parameter::SteeringTrim)
     }
@@ -97,7 +97,7 @@ impl<D: Dual> Model<D> {
         }
     }
 
-    /// The rate of the motion, with the acceleration of G forward, in m/s².
+    /// The rate of the motion at the forward acceleration `forward` of G, in m/s².
     fn rate(&self, s: &Motion<D>, target: f64, forward: D) -> Motion<D> {
         let motion = LateralMotion {
             yaw_rate: s.yaw_rate,
@@ -115,7 +115,7 @@ impl<D: Dual> Model<D> {
         };
         let lateral = self.axles.lateral(&motion, &forces);
         let rate = state.derivative::<DualFunctions>(s.speed, lateral);
-        // Towards the inside of the bend, at right angles to the course.
+        // Perpendicular to the course, positive to the left.
         let centripetal = (forces.front + forces.rear) / self.axles.vehicle().mass_kg;
         let (sin, cos) = s.sideslip.sin_cos();
         Motion {
@@ -129,16 +129,16 @@ impl<D: Dual> Model<D> {
         }
     }
 
-    /// The acceleration of G to the car's left, in m/s², with the one forward.
+    /// The acceleration of G to the car's left at the forward acceleration `forward`, in m/s².
     pub(super) fn left_acceleration(&self, s: &Motion<D>, forward: D) -> D {
-        // Its direction does not depend on the servo's target.
+        // The acceleration does not depend on the servo's target.
         let rate = self.rate(s, 0.0, forward);
         let (sin, cos) = s.sideslip.sin_cos();
         rate.speed * sin + (rate.sideslip + s.yaw_rate) * s.speed * cos
     }
 
-    /// The motion after `step` seconds, the acceleration forward going evenly
-    /// from `forward[0]` to `forward[1]`. None where the model ends.
+    /// The motion after `step` seconds, in which the forward acceleration changes linearly
+    /// from `forward[0]` to `forward[1]`. None where the model is not defined.
     pub(super) fn advance(
         &self,
         mut s: Motion<D>,
@@ -170,7 +170,7 @@ impl<D: Dual> Model<D> {
         Some(s)
     }
 
-    /// The steering angle after `step` seconds on the way to a target.
+    /// The steering angle after `step` seconds at a constant target.
     pub(super) fn steer(&self, steering: D, step: D, target: f64) -> D {
         let parts = (step.re() / LONGEST_STEP).ceil().clamp(1.0, 250.0);
         let h = step / parts;

@@ -1,4 +1,4 @@
-//! How much the sensors and the road err.
+//! Noise levels of the sensors and of the road.
 
 use singletrack_control::wrap;
 
@@ -7,7 +7,7 @@ use super::{
     data::{DriveData, Span},
 };
 
-/// Standard deviations of everything random.
+/// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseLevels {
     /// Of each coordinate of a pose, in m.
@@ -20,7 +20,7 @@ pub struct NoiseLevels {
     pub left_m_s2: f64,
     /// Of the acceleration forward, as a density, in m/s²/√Hz.
     pub forward_density: f64,
-    /// Of the force on each axle that no model explains, as a density, in N/√Hz.
+    /// Of the unmodelled force on each axle, as a density, in N/√Hz.
     pub force_density: f64,
     /// Random walk of the gyro's bias, in rad/s/√s.
     pub gyro_walk: f64,
@@ -28,12 +28,12 @@ pub struct NoiseLevels {
     pub forward_walk: f64,
 }
 
-/// Less than this on an axle is as good as nothing, in N/√Hz.
+/// The smallest force density on an axle, which the filter needs, in N/√Hz.
 pub(super) const LEAST_FORCE: f64 = 1e-6;
 
 impl NoiseLevels {
-    /// Where the estimation of the levels starts: a good motion capture, a consumer
-    /// IMU on a car that shakes.
+    /// Start values of their estimation: a good motion capture system, and a consumer IMU on
+    /// a vibrating car.
     #[must_use]
     pub const fn usual() -> Self {
         Self {
@@ -48,8 +48,8 @@ impl NoiseLevels {
         }
     }
 
-    /// Sensors and a car that do exactly what the model says: to be filled with what
-    /// errs. A filter needs a little of everything.
+    /// Nearly exact sensors and model, as the base of other levels. The filter needs every
+    /// level to be above zero.
     #[must_use]
     pub const fn exact() -> Self {
         Self {
@@ -64,6 +64,7 @@ impl NoiseLevels {
         }
     }
 
+    /// The standard deviation of a sample of `channel`.
     pub(super) const fn of(&self, channel: Channel) -> f64 {
         match channel {
             Channel::X | Channel::Y => self.position_m,
@@ -73,9 +74,10 @@ impl NoiseLevels {
         }
     }
 
-    /// These levels, with those of the sensors as the samples themselves show them,
-    /// whatever the model: by third differences, of which the car's motion has little.
-    pub(super) fn seen(self, data: &DriveData, spans: &[Span]) -> Self {
+    /// These levels, with those of the sensors from third differences of the samples.
+    ///
+    /// Independent of the model: the car's motion has small third differences.
+    pub(super) fn with_measured_sensors(self, data: &DriveData, spans: &[Span]) -> Self {
         let within = |time: f64| spans.iter().any(|span| span.contains(time));
         let poses = data
             .poses
@@ -109,15 +111,15 @@ impl NoiseLevels {
     }
 }
 
-/// The third difference: twenty times the variance of what is white.
+/// The third difference; of white noise it has twenty times the variance.
 fn third([a, b, c, d]: [f64; 4]) -> f64 {
     d - 3.0 * c + 3.0 * b - a
 }
 
-/// Standard deviation of white noise with these third differences, by their median, which
-/// jolts do not move; none of too few, or of a signal without any.
+/// Standard deviation of white noise with these third differences, from their median, which
+/// is robust against jolts. None if there are too few, or if most are zero.
 fn deviation(mut differences: Vec<f64>) -> Option<f64> {
-    // Of a normal variable: the median of its size.
+    // The median of the magnitude of a standard normal variable.
     const MEDIAN: f64 = 0.674_49;
     for difference in &mut differences {
         *difference = difference.abs();

@@ -2,17 +2,16 @@
 
 use super::{
     channel::Channel,
-    filter::Passage,
+    filter::FilterRun,
     noise::{LEAST_FORCE, NoiseLevels},
 };
 
 impl NoiseLevels {
-    /// The levels under which the innovations of a passage have the variance that
-    /// they should have.
-    fn rescaled(&self, passage: &Passage) -> Self {
+    /// These levels, scaled so that the innovations of `run` have their predicted variance.
+    fn rescaled(&self, run: &FilterRun) -> Self {
         let factor = |channels: &[Channel]| {
             let (mut sum, mut count) = (0.0, 0.0);
-            for innovation in &passage.innovations {
+            for innovation in &run.innovations {
                 if channels.contains(&innovation.channel) {
                     sum += innovation.value * innovation.value / innovation.variance;
                     count += 1.0;
@@ -33,40 +32,42 @@ impl NoiseLevels {
         }
     }
 
-    /// These levels with those of the sensors no farther than a factor from what was
-    /// [seen](Self::seen): a wrong model must not make a sensor perfect, nor useless.
-    fn near(self, seen: &Self) -> Self {
-        let near = |level: f64, seen: f64| level.clamp(0.6 * seen, 2.0 * seen);
+    /// These levels, with those of the sensors within a factor of those
+    /// [from the samples](Self::with_measured_sensors): a wrong model must make a sensor neither
+    /// perfect nor useless.
+    fn limited_to(self, sampled: &Self) -> Self {
+        let limit = |level: f64, sampled: f64| level.clamp(0.6 * sampled, 2.0 * sampled);
         Self {
-            position_m: near(self.position_m, seen.position_m),
-            yaw_rad: near(self.yaw_rad, seen.yaw_rad),
-            yaw_rate_rad_s: near(self.yaw_rate_rad_s, seen.yaw_rate_rad_s),
-            left_m_s2: near(self.left_m_s2, seen.left_m_s2),
+            position_m: limit(self.position_m, sampled.position_m),
+            yaw_rad: limit(self.yaw_rad, sampled.yaw_rad),
+            yaw_rate_rad_s: limit(self.yaw_rate_rad_s, sampled.yaw_rate_rad_s),
+            left_m_s2: limit(self.left_m_s2, sampled.left_m_s2),
             ..self
         }
     }
 
-    /// The levels under which a passage is most likely, starting from these; those of
-    /// the sensors near what was seen. `pass` goes along the drive with given levels.
+    /// The levels with the largest likelihood, from these as a start.
+    ///
+    /// The sensors' levels stay near `sampled`. `run` runs the filter with given levels.
     pub(super) fn most_likely(
         self,
-        seen: &Self,
+        sampled: &Self,
         rounds: u32,
-        mut pass: impl FnMut(&Self) -> Option<Passage>,
+        mut run: impl FnMut(&Self) -> Option<FilterRun>,
     ) -> Option<Self> {
         let mut levels = self;
         for round in 0..rounds {
             for _ in 0..2 {
-                levels = levels.rescaled(&pass(&levels)?).near(seen);
+                levels = levels.rescaled(&run(&levels)?).limited_to(sampled);
             }
             let spread = if round == 0 { 6.0 } else { 2.0 };
             for scale in [Self::scale_forward, Self::scale_force] {
                 let mut at = |power: f64| {
                     let tried = scale(levels, f64::powf(spread, power));
-                    pass(&tried).map(|passage| passage.likelihood())
+                    run(&tried).map(|run| run.likelihood())
                 };
                 let (less, same, more) = (at(-1.0)?, at(0.0)?, at(1.0)?);
-                // The top of the parabola through the three, within its reach.
+                // The maximum of the parabola through the three, limited to twice their distance.
                 let bend = less - 2.0 * same + more;
                 let power = if bend < 0.0 {
                     (0.5 * (less - more) / bend).clamp(-2.0, 2.0)
@@ -78,7 +79,7 @@ impl NoiseLevels {
                 levels = scale(levels, f64::powf(spread, power));
             }
         }
-        Some(levels.rescaled(&pass(&levels)?).near(seen))
+        Some(levels.rescaled(&run(&levels)?).limited_to(sampled))
     }
 
     fn scale_forward(mut self, factor: f64) -> Self {

@@ -1,10 +1,12 @@
-//! What can be estimated, and what is known of it beforehand.
+//! The parameters that can be estimated, and their prior distributions.
 
 use core::{fmt, str::FromStr};
 
 use singletrack_control::VehicleParameters;
 
-/// Something that a drive can tell of the car or of its sensors.
+use crate::dual::Dual;
+
+/// A parameter of the car or of its sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Parameter {
     /// Cornering stiffness `C_f` of the front axle, in N/rad.
@@ -17,25 +19,25 @@ pub enum Parameter {
     FrontAxleDistance,
     /// Friction coefficient μ.
     Friction,
-    /// Steering angle that the car takes for one that it is told.
+    /// Ratio of the true steering angle to the target.
     SteeringGain,
     /// Time constant of the servo, in s.
     ServoLag,
-    /// Time from a servo pulse in the board's record until the servo moves, in s.
+    /// Delay from a servo pulse in the board's record to the motion of the servo, in s.
     SteeringDelay,
-    /// Steering angle at the pulse that should steer straight on, in rad.
+    /// Steering angle at the pulse for straight on, in rad.
     SteeringTrim,
-    /// How much later than it was measured an inertial sample is dated, in s.
+    /// Delay from the measurement of an inertial sample to its time stamp, in s.
     InertialDelay,
     /// Bias of the acceleration to the left, in m/s².
     LateralBias,
 }
 
-/// How many there are.
+/// Number of parameters.
 pub(super) const COUNT: usize = 11;
 
 impl Parameter {
-    /// All of them, in the order of the discriminants.
+    /// All parameters, in the order of the discriminants.
     pub const ALL: [Self; COUNT] = [
         Self::FrontStiffness,
         Self::RearStiffness,
@@ -50,10 +52,10 @@ impl Parameter {
         Self::LateralBias,
     ];
 
-    /// What the paper identifies.
+    /// The parameters that the paper identifies.
     pub const VEHICLE: [Self; 3] = [Self::FrontStiffness, Self::RearStiffness, Self::YawInertia];
 
-    /// What must be estimated along, because nothing else tells it.
+    /// The parameters that must be estimated jointly, because no other source gives them.
     pub const NUISANCE: [Self; 5] = [
         Self::ServoLag,
         Self::SteeringDelay,
@@ -62,10 +64,10 @@ impl Parameter {
         Self::LateralBias,
     ];
 
-    /// What may be another from one drive to the next.
+    /// The parameters that differ between drives.
     pub const OF_A_DRIVE: [Self; 2] = [Self::InertialDelay, Self::LateralBias];
 
-    /// Its short name.
+    /// The short name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -83,7 +85,7 @@ impl Parameter {
         }
     }
 
-    /// Its unit; empty for a ratio.
+    /// The unit; empty for a ratio.
     #[must_use]
     pub const fn unit(self) -> &'static str {
         match self {
@@ -97,10 +99,10 @@ impl Parameter {
         }
     }
 
-    /// How the optimiser sees it.
+    /// The prior distribution, in the coordinate of the optimiser.
     pub(super) const fn prior(self) -> Prior {
         match self {
-            // Two thirds of all cars have a quarter to four times of what is said.
+            // Two thirds of all cars are within a factor of four of the start value.
             Self::FrontStiffness | Self::RearStiffness | Self::YawInertia => Prior::factor(1.4),
             Self::FrontAxleDistance | Self::Friction => Prior::factor(0.5),
             Self::SteeringGain => Prior::factor(0.2),
@@ -123,13 +125,13 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// A name that no parameter has.
+/// The name of no parameter.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no parameter {name:?}: choose from {known}")]
 pub struct UnknownParameter {
-    /// The name.
+    /// The unknown name.
     pub name: String,
-    /// Those that there are.
+    /// The known names.
     pub known: String,
 }
 
@@ -146,18 +148,17 @@ impl FromStr for Parameter {
     }
 }
 
-/// A parameter as a number `u` around zero of about one.
+/// A parameter as a coordinate `u` with the mean 0 and the standard deviation 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Prior {
-    /// Whether u scales the start or is added to it.
+    /// Whether u scales the start value or adds to it.
     relative: bool,
-    /// Standard deviation of what is known beforehand: of the logarithm, or in the
-    /// parameter's unit.
+    /// Standard deviation of the prior: of the logarithm, or in the parameter's unit.
     pub(super) deviation: f64,
 }
 
-/// So many standard deviations from the start is a bound; [`Prior::squash`] turns
-/// flat there.
+/// The bound of a parameter, in standard deviations from its start value:
+/// [`Prior::value`] saturates there.
 const BOUND: f64 = 2.5;
 
 impl Prior {
@@ -175,11 +176,8 @@ impl Prior {
         }
     }
 
-    /// The value that `u` stands for.
-    pub(super) fn value<D>(&self, start: f64, u: D) -> D
-    where
-        D: num_dual::DualNum<Primitive = f64> + Copy,
-    {
+    /// The value of the parameter at `u`.
+    pub(super) fn value<D: Dual>(&self, start: f64, u: D) -> D {
         let shift = (u / BOUND).tanh() * (BOUND * self.deviation);
         if self.relative {
             shift.exp() * start
@@ -188,7 +186,7 @@ impl Prior {
         }
     }
 
-    /// How a value changes with u, at u.
+    /// The derivative of the value at `u`.
     pub(super) fn slope(&self, start: f64, u: f64) -> f64 {
         let tanh = (u / BOUND).tanh();
         let shift = self.deviation * (1.0 - tanh * tanh);
@@ -199,23 +197,23 @@ impl Prior {
         }
     }
 
-    /// Whether u is as good as at a bound.
+    /// Whether `u` is near a bound.
     pub(super) fn is_at_bound(u: f64) -> bool {
         u.abs() > 0.9 * BOUND
     }
 }
 
-/// A value for every parameter, with what is not estimated.
+/// A value for every parameter, and the vehicle parameters that are never estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Values {
-    /// What the car is believed to be: where the fit starts.
+    /// The vehicle at the start of the fit.
     vehicle: VehicleParameters,
     values: [f64; COUNT],
 }
 
 impl Values {
-    /// A vehicle with a hobby servo of 40 ms, 5 ms late, and everything else as it
-    /// should be.
+    /// The values of `vehicle`, a servo with a lag of 50 ms and a delay of 5 ms, and no other
+    /// errors.
     #[must_use]
     pub const fn of(vehicle: &VehicleParameters) -> Self {
         let mut values = [0.0; COUNT];
@@ -239,7 +237,7 @@ impl Values {
         self.values[parameter.index()]
     }
 
-    /// The same with another value of a parameter.
+    /// The same with another value of one parameter.
     #[must_use]
     pub const fn with(mut self, parameter: Parameter, value: f64) -> Self {
         self.values[parameter.index()] = value;
@@ -250,7 +248,7 @@ impl Values {
         &self.values
     }
 
-    /// Mass, in kg, and wheelbase, in m: always known.
+    /// Mass, in kg, and wheelbase, in m, which are never estimated.
     pub(super) const fn known(&self) -> (f64, f64) {
         (self.vehicle.mass_kg, self.vehicle.wheelbase_m())
     }

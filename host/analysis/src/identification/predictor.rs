@@ -1,9 +1,9 @@
-//! The prediction errors along a drive, with their exact derivatives by the
-//! parameters, as a least-squares problem.
+//! The prediction errors along a drive, with their exact derivatives by the parameters, as
+//! a least-squares problem.
 //!
-//! Predicted with the gains that the filter had: how these change with the
-//! parameters multiplies innovations, which are zero in the mean, so that it
-//! changes neither where the minimum is nor, but for their noise, how sharp.
+//! The gains are those of a run of the filter and constant. Their derivatives by the
+//! parameters multiply innovations, whose mean is zero; without them the minimum is at the
+//! same place, and its curvature the same up to noise.
 
 use levenberg_marquardt::LeastSquaresProblem;
 use nalgebra_levenberg_marquardt::{DMatrix, DVector, Dyn, storage::Owned};
@@ -15,13 +15,13 @@ use super::{
     filter::{Gain, Gains, STATES},
     model::{Model, Motion},
     parameter::{COUNT, Parameter, Values},
-    timeline::{Belief, Traveller, travel},
+    timeline::{EventHandler, StateEstimate, replay},
 };
 use crate::dual::Dual;
 
-/// What is predicted, and from what.
+/// The data, model and gains of a prediction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Question<'a> {
+pub(super) struct Prediction<'a> {
     pub(super) data: &'a DriveData,
     pub(super) servo: &'a [ServoTarget],
     pub(super) spans: &'a [Span],
@@ -31,13 +31,13 @@ pub(super) struct Question<'a> {
     pub(super) tyres: Tyres,
 }
 
-impl Question<'_> {
-    /// How many numbers are predicted.
+impl Prediction<'_> {
+    /// Number of predicted measurements.
     fn rows(&self) -> usize {
         2 * self.data.inertial.len() + 3 * self.data.poses.len()
     }
 
-    /// When each of them was measured.
+    /// The time of each predicted measurement, in s.
     pub(super) fn times(&self) -> Vec<f64> {
         let inertial = self.data.inertial.iter().flat_map(|i| [i.time_s; 2]);
         inertial
@@ -54,19 +54,19 @@ impl Question<'_> {
         }
         let zero = D::from(0.0);
         let mut predictor = Predictor {
-            question: self,
+            prediction: self,
             model: Model::new(self.start, parameters, self.tyres),
-            belief: nothing(),
+            estimate: zero_estimate(),
             errors: vec![zero; self.rows()],
         };
         let model = predictor.model;
         for span in self.spans {
-            travel(self.data, self.servo, *span, &model, &mut predictor)?;
+            replay(self.data, self.servo, *span, &model, &mut predictor)?;
         }
         Some(predictor.errors)
     }
 
-    /// The prediction errors, and what is known beforehand.
+    /// The prediction errors, followed by those of the prior.
     pub(super) fn residuals(&self, u: &[f64]) -> Option<DVector<f64>> {
         let mut errors = self.errors(u)?;
         errors.extend_from_slice(u);
@@ -74,7 +74,7 @@ impl Question<'_> {
         finite.then(|| DVector::from_vec(errors))
     }
 
-    /// Their derivatives by u.
+    /// The derivatives of [`Self::residuals`] by `u`.
     pub(super) fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
         if u.len() <= 8 {
             self.jacobian_of::<8>(u)
@@ -108,9 +108,10 @@ impl Question<'_> {
     }
 }
 
-fn nothing<D: Dual>() -> Belief<D> {
+/// All zero.
+fn zero_estimate<D: Dual>() -> StateEstimate<D> {
     let zero = D::from(0.0);
-    Belief {
+    StateEstimate {
         motion: Motion {
             x: zero,
             y: zero,
@@ -126,9 +127,9 @@ fn nothing<D: Dual>() -> Belief<D> {
 }
 
 struct Predictor<'a, D> {
-    question: &'a Question<'a>,
+    prediction: &'a Prediction<'a>,
     model: Model<D>,
-    belief: Belief<D>,
+    estimate: StateEstimate<D>,
     errors: Vec<D>,
 }
 
@@ -140,11 +141,11 @@ impl<D: Dual> Predictor<'_, D> {
         if let Some(place) = self.errors.get_mut(row) {
             *place = error / gain.deviation;
         }
-        let Belief {
+        let StateEstimate {
             motion: m,
             gyro_bias,
             forward_bias,
-        } = &mut self.belief;
+        } = &mut self.estimate;
         let states: [&mut D; STATES] = [
             &mut m.x,
             &mut m.y,
@@ -161,61 +162,62 @@ impl<D: Dual> Predictor<'_, D> {
     }
 }
 
-impl<D: Dual> Traveller<D> for Predictor<'_, D> {
-    fn begin(&mut self, belief: Belief<D>) {
-        self.belief = belief;
+impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
+    fn begin(&mut self, estimate: StateEstimate<D>) {
+        self.estimate = estimate;
     }
 
     fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()> {
-        let bias = self.belief.forward_bias;
+        let bias = self.estimate.forward_bias;
         let forward = forward.map(|forward| forward - bias);
-        self.belief.motion = self
+        self.estimate.motion = self
             .model
-            .advance(self.belief.motion, step, target, forward)?;
+            .advance(self.estimate.motion, step, target, forward)?;
         Some(())
     }
 
     fn inertial(&mut self, index: usize, forward: D) {
-        let question = self.question;
+        let prediction = self.prediction;
         let (Some(sample), Some([yaw_rate, left])) = (
-            question.data.inertial.get(index),
-            question.gains.inertial.get(index),
+            prediction.data.inertial.get(index),
+            prediction.gains.inertial.get(index),
         ) else {
             return;
         };
-        let expected = self.belief.motion.yaw_rate + self.belief.gyro_bias;
+        let expected = self.estimate.motion.yaw_rate + self.estimate.gyro_bias;
         self.correct(yaw_rate, 2 * index, -expected + sample.yaw_rate_rad_s);
-        let forward = forward - self.belief.forward_bias;
-        let expected = self.model.left_acceleration(&self.belief.motion, forward)
+        let forward = forward - self.estimate.forward_bias;
+        let expected = self.model.left_acceleration(&self.estimate.motion, forward)
             + self.model.get(Parameter::LateralBias);
         self.correct(left, 2 * index + 1, -expected + sample.left_m_s2);
     }
 
     fn pose(&mut self, index: usize) {
-        let question = self.question;
+        let prediction = self.prediction;
         let (Some(pose), Some([x, y, yaw])) = (
-            question.data.poses.get(index),
-            question.gains.poses.get(index),
+            prediction.data.poses.get(index),
+            prediction.gains.poses.get(index),
         ) else {
             return;
         };
-        let row = 2 * question.data.inertial.len() + 3 * index;
-        let error = -self.belief.motion.x + pose.x_m;
+        let row = 2 * prediction.data.inertial.len() + 3 * index;
+        let error = -self.estimate.motion.x + pose.x_m;
         self.correct(x, row, error);
-        let error = -self.belief.motion.y + pose.y_m;
+        let error = -self.estimate.motion.y + pose.y_m;
         self.correct(y, row + 1, error);
-        let error = -self.belief.motion.yaw + pose.yaw_rad;
+        let error = -self.estimate.motion.yaw + pose.yaw_rad;
         let turns = (error.re() / core::f64::consts::TAU).round();
         self.correct(yaw, row + 2, error - turns * core::f64::consts::TAU);
     }
 }
 
-/// Every error, in standard deviations, where the model ends: worse than any fit.
+/// The value of every error, in standard deviations, where the model is not defined: worse
+/// than any fit.
 const OUTSIDE: f64 = 1e4;
 
-/// The question with where the optimiser is.
+/// The prediction with the present parameters of the optimiser.
 pub(super) struct Problem<'a> {
-    pub(super) question: Question<'a>,
+    pub(super) prediction: Prediction<'a>,
     pub(super) u: DVector<f64>,
 }
 
@@ -233,14 +235,14 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        let residuals = self.question.residuals(self.u.as_slice());
-        // A step that leads out of the model is one to take back, not the end.
-        let count = self.question.rows() + self.u.len();
+        let residuals = self.prediction.residuals(self.u.as_slice());
+        // The optimiser then takes the step back.
+        let count = self.prediction.rows() + self.u.len();
         Some(residuals.unwrap_or_else(|| DVector::from_element(count, OUTSIDE)))
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        self.question.jacobian(self.u.as_slice())
+        self.prediction.jacobian(self.u.as_slice())
     }
 }
 
@@ -249,14 +251,14 @@ mod tests {
     use super::{
         super::{
             data::{Inertial, Pose},
-            filter::pass,
+            filter::run_filter,
             noise::NoiseLevels,
         },
         *,
     };
     use singletrack_control::VehicleParameters;
 
-    /// A drive that no car makes: for derivatives it need not be one.
+    /// An artificial drive: the test of the derivatives needs no realistic one.
     fn drive() -> DriveData {
         let mut data = DriveData::default();
         for index in 0..300_u64 {
@@ -284,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn the_derivatives_are_those_of_the_prediction_errors() {
+    fn the_jacobian_is_the_derivative_of_the_prediction_errors() {
         let data = drive();
         let start = Values::of(&VehicleParameters::paper()).with(Parameter::InertialDelay, 0.001);
         let spans = [Span {
@@ -293,23 +295,23 @@ mod tests {
         }];
         for tyres in [Tyres::Saturating, Tyres::Linear] {
             let noise = NoiseLevels::usual();
-            let passage = pass(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
-            let question = Question {
+            let run = run_filter(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+            let prediction = Prediction {
                 data: &data,
                 servo: &data.servo,
                 spans: &spans,
-                gains: &passage.gains,
+                gains: &run.gains,
                 start: &start,
                 active: &Parameter::ALL,
                 tyres,
             };
             let u: Vec<f64> = (0..COUNT).map(|index| 0.01 * index as f64).collect();
-            let jacobian = question.jacobian(&u).unwrap();
+            let jacobian = prediction.jacobian(&u).unwrap();
             for column in 0..COUNT {
                 let moved = |by: f64| {
                     let mut u = u.clone();
                     u[column] += by;
-                    question.residuals(&u).unwrap()
+                    prediction.residuals(&u).unwrap()
                 };
                 let h = 1e-5;
                 let difference = (moved(h) - moved(-h)) / (2.0 * h);
@@ -329,18 +331,18 @@ mod tests {
             end_s: 2.8,
         }];
         let (tyres, noise) = (Tyres::Saturating, NoiseLevels::usual());
-        let passage = pass(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
-        let question = Question {
+        let run = run_filter(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+        let prediction = Prediction {
             data: &data,
             servo: &data.servo,
             spans: &spans,
-            gains: &passage.gains,
+            gains: &run.gains,
             start: &start,
             active: &[Parameter::FrontStiffness],
             tyres,
         };
-        let sum = question.residuals(&[0.0]).unwrap().norm_squared();
-        let innovations = passage.innovations.iter();
+        let sum = prediction.residuals(&[0.0]).unwrap().norm_squared();
+        let innovations = run.innovations.iter();
         let expected: f64 = innovations
             .map(|innovation| innovation.value * innovation.value / innovation.variance)
             .sum();

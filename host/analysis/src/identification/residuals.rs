@@ -5,24 +5,25 @@ use super::{channel::Channel, fit::Fit};
 /// The prediction errors of a channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Residuals {
-    /// Of what.
+    /// The channel.
     pub channel: Channel,
-    /// When each was, in s.
+    /// Time of each error, in s.
     pub times_s: Vec<f64>,
-    /// Each, over the standard deviation that it should have.
+    /// Each error over its predicted standard deviation.
     pub values: Vec<f64>,
-    /// Their autocorrelation at lags from one sample on.
+    /// Autocorrelation at lags of one sample and more.
     pub autocorrelation: Vec<f64>,
 }
 
-/// How many lags of the autocorrelation are told.
+/// Number of lags of the autocorrelation.
 const LAGS: usize = 20;
 
+/// The prediction errors of a fit, by channel.
 pub(super) fn residuals(fit: &Fit) -> Vec<Residuals> {
     Channel::ALL
         .into_iter()
         .map(|channel| {
-            let of_channel = fit.passage.innovations.iter();
+            let of_channel = fit.run.innovations.iter();
             let of_channel = of_channel.filter(|innovation| innovation.channel == channel);
             let (times_s, values): (Vec<f64>, Vec<f64>) = of_channel
                 .map(|innovation| {

@@ -1,8 +1,8 @@
-//! How well the model, left alone, fits a drive.
+//! How well a simulation without corrections fits a drive.
 
 use super::simulation::{Simulation, SimulationPoint};
 
-/// What is compared.
+/// A compared output of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
     /// Yaw rate against the gyro.
@@ -14,10 +14,10 @@ pub enum Output {
 }
 
 impl Output {
-    /// All of them.
+    /// All outputs.
     pub const ALL: [Self; 3] = [Self::YawRate, Self::Sideslip, Self::Left];
 
-    /// Its name.
+    /// The name in tables and files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -27,7 +27,7 @@ impl Output {
         }
     }
 
-    /// What was measured and what the model says.
+    /// The measured and the simulated value.
     #[must_use]
     pub const fn of(self, point: &SimulationPoint) -> [f64; 2] {
         match self {
@@ -41,12 +41,12 @@ impl Output {
 /// How well an output fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutputScore {
-    /// Which.
+    /// The output.
     pub output: Output,
-    /// Mean of |model - measured| over the standard deviation of the measured.
+    /// Mean of |model - measured| over the standard deviation of the measured values.
     pub nmpe: f64,
-    /// 100 (1 - |model - measured| / |measured - mean|), norms over the drive: 100 is
-    /// perfect, 0 no better than the mean.
+    /// 100 (1 - |model - measured| / |measured - mean|) with norms over the drive: 100 is
+    /// perfect, 0 is no better than the mean.
     pub fit_percent: f64,
     /// Root mean square of model - measured, in the output's unit.
     pub rms: f64,
@@ -55,9 +55,9 @@ pub struct OutputScore {
 /// How well the model fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// The normalised mean prediction error: the mean of those of the outputs.
+    /// The normalised mean prediction error: the mean over the outputs.
     pub nmpe: f64,
-    /// Each output.
+    /// The score of each output.
     pub outputs: [OutputScore; 3],
 }
 

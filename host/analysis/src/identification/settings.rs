@@ -4,33 +4,33 @@ use singletrack_control::Tyres;
 
 use super::{data::ServoFrames, noise::NoiseLevels, parameter::Parameter};
 
-/// What is estimated, and how.
+/// What is estimated, and by which model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// What is estimated. What of [`Parameter::NUISANCE`] is not in it stays where
-    /// it starts.
+    /// The parameters to estimate. The others keep their start values, those of
+    /// [`Parameter::NUISANCE`] included.
     pub parameters: Vec<Parameter>,
-    /// The tyres' force curve.
+    /// The force curve of the tyres.
     pub tyres: Tyres,
-    /// Which records of the board begin a servo pulse; none to find out.
+    /// The board's periods that begin a servo pulse; none to estimate them.
     pub frames: Option<ServoFrames>,
-    /// Noise levels: where their estimation starts.
+    /// Noise levels, or their start values if they are estimated.
     pub noise: NoiseLevels,
-    /// Whether the noise levels are estimated.
+    /// Estimates the noise levels too.
     pub estimate_noise: bool,
-    /// Slower than this nothing is used, in m/s: there the tyres hardly slip.
+    /// The smallest speed that is used, in m/s: at lower speeds the tyres hardly slip.
     pub least_speed: f64,
 }
 
 impl Default for Settings {
-    /// The paper's three parameters with all that has to be estimated along.
+    /// The paper's three parameters and those that must be estimated jointly with them.
     fn default() -> Self {
         Self::of(&Parameter::VEHICLE)
     }
 }
 
 impl Settings {
-    /// These parameters with all that has to be estimated along.
+    /// These parameters and [`Parameter::NUISANCE`], which must be estimated jointly.
     #[must_use]
     pub fn of(parameters: &[Parameter]) -> Self {
         let mut all = Vec::new();

@@ -1,5 +1,5 @@
-//! The model left alone with what drove the car, beside what the car did: what the
-//! paper's figures of its validation show.
+//! The model without corrections, with the inputs of the drive, and the measurements beside
+//! it: the paper's validation figures.
 
 use singletrack_control::{Tyres, wrap};
 
@@ -8,58 +8,59 @@ use super::{
     filter::TrackPoint,
     model::Model,
     parameter::{Parameter, Values},
-    timeline::{Belief, Traveller, travel},
+    timeline::{EventHandler, StateEstimate, replay},
 };
 
-/// What was measured and what the model says, at an inertial sample.
+/// Measured and simulated values at an inertial sample.
 ///
-/// Yaw rate, sideslip and acceleration of the model are never corrected; its
-/// position and its yaw, which drift away with the smallest of errors, begin anew
-/// from the filter's every [`Simulation::RESTART_S`].
+/// Yaw rate, sideslip and acceleration of the model are never corrected. Its position and
+/// yaw integrate every error and drift; they restart from the filter's after each
+/// [`Simulation::RESTART_S`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationPoint {
-    /// When, in s.
+    /// Time, in s.
     pub time_s: f64,
     /// Steering angle of the model, in rad.
     pub steering_rad: f64,
-    /// Speed of G that the model was given, in m/s.
+    /// Speed of G, an input of the model, in m/s.
     pub speed_m_s: f64,
-    /// Yaw rate by the gyro less its bias, in rad/s.
+    /// Yaw rate from the gyro without its bias, in rad/s.
     pub measured_yaw_rate_rad_s: f64,
-    /// And of the model.
+    /// Yaw rate of the model, in rad/s.
     pub yaw_rate_rad_s: f64,
-    /// Sideslip by the cameras alone, in rad; not a number without enough poses.
+    /// Sideslip from the cameras alone, in rad; not a number without enough poses.
     pub measured_sideslip_rad: f64,
-    /// And of the model.
+    /// Sideslip of the model, in rad.
     pub sideslip_rad: f64,
-    /// Acceleration to the left less its bias, in m/s².
+    /// Acceleration to the left without its bias, in m/s².
     pub measured_left_m_s2: f64,
-    /// And of the model.
+    /// Acceleration to the left of the model, in m/s².
     pub left_m_s2: f64,
-    /// Yaw by the filter, in rad, not wrapped.
+    /// Yaw from the filter, in rad, not wrapped.
     pub measured_yaw_rad: f64,
-    /// And of the model.
+    /// Yaw of the model, in rad, not wrapped.
     pub yaw_rad: f64,
-    /// Position of G by the filter, in m.
+    /// Position of G from the filter, in m.
     pub measured_m: [f64; 2],
-    /// And of the model.
+    /// Position of G of the model, in m.
     pub position_m: [f64; 2],
-    /// Whether position and yaw of the model begin anew here.
+    /// Whether position and yaw of the model restart at this sample.
     pub restarted: bool,
 }
 
-/// The model beside the drive.
+/// The simulated and the measured drive.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Simulation {
-    /// At each inertial sample of the stretches.
+    /// One point per inertial sample of the stretches.
     pub points: Vec<SimulationPoint>,
 }
 
 impl Simulation {
-    /// After so long position and yaw of the model begin anew, in s.
+    /// The time after which position and yaw of the model restart, in s.
     pub const RESTART_S: f64 = 10.0;
 }
 
+/// Simulates the stretches of a drive. None where the model is not defined.
 pub(super) fn simulate(
     data: &DriveData,
     servo: &[ServoTarget],
@@ -69,61 +70,62 @@ pub(super) fn simulate(
     track: &[TrackPoint],
 ) -> Option<Simulation> {
     let model = Model::new(values, *values.all(), tyres);
-    let mut runner = Runner {
+    let mut simulator = Simulator {
         data,
         model,
         track: track.iter(),
-        belief: None,
+        estimate: None,
         now: 0.0,
         since: 0.0,
         forward_bias: 0.0,
         points: Vec::with_capacity(track.len()),
     };
     for span in spans {
-        runner.now = span.start_s;
-        travel(data, servo, *span, &model, &mut runner)?;
+        simulator.now = span.start_s;
+        replay(data, servo, *span, &model, &mut simulator)?;
     }
     Some(Simulation {
-        points: runner.points,
+        points: simulator.points,
     })
 }
 
-struct Runner<'a> {
+struct Simulator<'a> {
     data: &'a DriveData,
     model: Model<f64>,
     track: core::slice::Iter<'a, TrackPoint>,
-    belief: Option<Belief<f64>>,
+    estimate: Option<StateEstimate<f64>>,
     now: f64,
-    /// Since position and yaw began anew, in s.
+    /// Time since the last restart, in s.
     since: f64,
     forward_bias: f64,
     points: Vec<SimulationPoint>,
 }
 
-impl Traveller<f64> for Runner<'_> {
-    fn begin(&mut self, belief: Belief<f64>) {
-        self.belief = Some(belief);
+impl EventHandler<f64> for Simulator<'_> {
+    fn begin(&mut self, estimate: StateEstimate<f64>) {
+        self.estimate = Some(estimate);
         self.since = f64::INFINITY;
     }
 
     fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
-        let belief = self.belief.as_mut()?;
+        let estimate = self.estimate.as_mut()?;
         let forward = forward.map(|forward| forward - self.forward_bias);
-        belief.motion = self.model.advance(belief.motion, step, target, forward)?;
+        estimate.motion = self.model.advance(estimate.motion, step, target, forward)?;
         self.now += step;
         self.since += step;
         Some(())
     }
 
     fn inertial(&mut self, index: usize, forward: f64) {
-        let (Some(belief), Some(sample)) = (&mut self.belief, self.data.inertial.get(index)) else {
+        let (Some(estimate), Some(sample)) = (&mut self.estimate, self.data.inertial.get(index))
+        else {
             return;
         };
-        // The filter has met the same samples in the same order.
+        // The track has the same samples in the same order.
         let Some(track) = self.track.next() else {
             return;
         };
-        let motion = &mut belief.motion;
+        let motion = &mut estimate.motion;
         motion.speed = track.speed_m_s;
         self.forward_bias = track.forward_bias_m_s2;
         let restarted = self.since > Simulation::RESTART_S;
@@ -140,7 +142,7 @@ impl Traveller<f64> for Runner<'_> {
             speed_m_s: motion.speed,
             measured_yaw_rate_rad_s: sample.yaw_rate_rad_s - track.gyro_bias_rad_s,
             yaw_rate_rad_s: motion.yaw_rate,
-            measured_sideslip_rad: seen_sideslip(&self.data.poses, self.now),
+            measured_sideslip_rad: measured_sideslip(&self.data.poses, self.now),
             sideslip_rad: motion.sideslip,
             measured_left_m_s2: sample.left_m_s2 - self.model.get(Parameter::LateralBias),
             left_m_s2: left,
@@ -155,14 +157,14 @@ impl Traveller<f64> for Runner<'_> {
     fn pose(&mut self, _: usize) {}
 }
 
-/// Over how long to either side the cameras' sideslip is measured, in s: at 0.2 mm,
-/// 0.1 degrees and 1.5 m/s to 2 mrad.
+/// The sideslip is measured over poses up to this time before and after, in s: with errors
+/// of 0.2 mm and 0.1 degrees at 1.5 m/s to 2 mrad.
 const AROUND: f64 = 0.036;
-/// With fewer poses there is none.
+/// The smallest number of poses for a sideslip.
 const LEAST_POSES: usize = 5;
 
-/// The direction in which the poses move less the one in which they point.
-fn seen_sideslip(poses: &[Pose], time: f64) -> f64 {
+/// The course of the poses around `time` minus their yaw, in rad.
+fn measured_sideslip(poses: &[Pose], time: f64) -> f64 {
     let from = poses.partition_point(|pose| pose.time_s < time - AROUND);
     let to = poses.partition_point(|pose| pose.time_s <= time + AROUND);
     let Some(around) = poses

@@ -1,6 +1,7 @@
-//! A stretch of a drive as a sequence of events, each at its time, which may
-//! depend on the parameters: what the servo was told acts late, what the IMU
-//! measured is dated late.
+//! A stretch of a drive as a sequence of events.
+//!
+//! The times of the events depend on the parameters: the servo reacts to a target after a
+//! delay, and the time stamps of the IMU are late.
 
 use singletrack_control::wrap;
 
@@ -11,102 +12,102 @@ use super::{
 };
 use crate::dual::Dual;
 
-/// What is believed of the car: its motion, and the biases that change it or hide it.
+/// An estimate of the motion of the car and of the biases of its sensors.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Belief<D> {
+pub(super) struct StateEstimate<D> {
     pub(super) motion: Motion<D>,
     /// Bias of the gyro, in rad/s.
     pub(super) gyro_bias: D,
-    /// Bias of the acceleration forward, in m/s².
+    /// Bias of the forward acceleration, in m/s².
     pub(super) forward_bias: D,
 }
 
-/// Who goes along a stretch.
-pub(super) trait Traveller<D> {
-    /// Where it begins.
-    fn begin(&mut self, belief: Belief<D>);
-    /// `step` seconds pass, the measured acceleration forward going from
-    /// `forward[0]` to `forward[1]`. None where the model ends.
+/// A consumer of the events of a stretch.
+pub(super) trait EventHandler<D> {
+    /// The stretch begins with this estimate.
+    fn begin(&mut self, estimate: StateEstimate<D>);
+    /// `step` seconds pass, in which the measured forward acceleration changes linearly from
+    /// `forward[0]` to `forward[1]`. None where the model is not defined.
     fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()>;
-    /// The inertial sample with this index was measured now.
+    /// The inertial sample with this index is measured, with the forward acceleration
+    /// `forward`.
     fn inertial(&mut self, index: usize, forward: D);
-    /// The pose with this index was taken now.
+    /// The pose with this index is measured.
     fn pose(&mut self, index: usize);
 }
 
 #[derive(Clone, Copy, Debug)]
-enum What {
+enum EventKind {
     Servo(f64),
     Inertial(usize),
     Pose(usize),
 }
 
-/// The servo settles within this many of its time constants before the stretch
-/// begins, in s.
+/// The servo is simulated for this long before a stretch, in which it settles, in s.
 const SERVO_LEAD: f64 = 0.6;
 
-/// Inertial samples closer to the ends of a stretch are left out, so that none
-/// enters or leaves it with the delay, in s.
+/// Inertial samples closer to the ends of a stretch are left out, so that their number does
+/// not depend on their delay, in s.
 const MARGIN: f64 = 0.02;
 
-/// Goes along a stretch of a drive. `servo` are the targets that the servo takes.
-/// None where the model ends.
-pub(super) fn travel<D: Dual>(
+/// Passes the events of a stretch to `handler`, in order of time. `servo` are the targets
+/// that begin a pulse. None where the model is not defined.
+pub(super) fn replay<D: Dual>(
     data: &DriveData,
     servo: &[ServoTarget],
     span: Span,
     model: &Model<D>,
-    traveller: &mut impl Traveller<D>,
+    handler: &mut impl EventHandler<D>,
 ) -> Option<()> {
     let delay = model.get(Parameter::SteeringDelay);
     let inertial_delay = model.get(Parameter::InertialDelay);
-    let felt = |index: usize| {
+    let measured = |index: usize| {
         let sample = data.inertial.get(index)?;
         Some((-inertial_delay + sample.time_s, sample.forward_m_s2))
     };
-    let mut events: Vec<(D, What)> = Vec::new();
+    let mut events: Vec<(D, EventKind)> = Vec::new();
     let inner = Span {
         start_s: span.start_s + MARGIN,
         end_s: span.end_s - MARGIN,
     };
     for (index, sample) in data.inertial.iter().enumerate() {
         if inner.contains(sample.time_s) {
-            events.push((-inertial_delay + sample.time_s, What::Inertial(index)));
+            events.push((-inertial_delay + sample.time_s, EventKind::Inertial(index)));
         }
     }
     for (index, pose) in data.poses.iter().enumerate() {
         if span.contains(pose.time_s) && pose.time_s > span.start_s {
-            events.push((D::from(pose.time_s), What::Pose(index)));
+            events.push((D::from(pose.time_s), EventKind::Pose(index)));
         }
     }
     let (mut steering, mut target) =
         steering_before(servo, span.start_s - SERVO_LEAD, model, delay);
     let mut now = D::from(span.start_s - SERVO_LEAD);
     let start = D::from(span.start_s);
-    for told in servo {
-        let time = delay + told.time_s;
+    for command in servo {
+        let time = delay + command.time_s;
         if time.re() <= now.re() || time.re() > span.end_s {
             continue;
         }
         if time.re() <= span.start_s {
             steering = model.steer(steering, time - now, target);
-            target = told.angle_rad;
+            target = command.angle_rad;
             now = time;
         } else {
-            events.push((time, What::Servo(told.angle_rad)));
+            events.push((time, EventKind::Servo(command.angle_rad)));
         }
     }
     steering = model.steer(steering, start - now, target);
     events.sort_by(|one, other| one.0.re().total_cmp(&other.0.re()));
 
-    // The inertial sample before now.
+    // Index of the last inertial sample.
     let after = data
         .inertial
         .partition_point(|sample| sample.time_s - inertial_delay.re() <= span.start_s);
     let mut before = after.saturating_sub(1);
     let forward_at = |before: usize, time: D| {
         let none = D::from(0.0);
-        match (felt(before), felt(before + 1)) {
+        match (measured(before), measured(before + 1)) {
             (Some((from, one)), Some((to, other))) if (to - from).re() > 0.0 => {
                 (time - from) / (to - from) * (other - one) + one
             }
@@ -114,46 +115,46 @@ pub(super) fn travel<D: Dual>(
             _ => none,
         }
     };
-    traveller.begin(first_belief(data, span.start_s, steering)?);
+    handler.begin(initial_estimate(data, span.start_s, steering)?);
     let mut now = start;
-    for (time, what) in events {
+    for (time, kind) in events {
         let step = time - now;
         if step.re() > 0.0 {
             let forward = [forward_at(before, now), forward_at(before, time)];
-            traveller.advance(step, target, forward)?;
+            handler.advance(step, target, forward)?;
             now = time;
         }
-        match what {
-            What::Servo(told) => target = told,
-            What::Inertial(index) => {
+        match kind {
+            EventKind::Servo(angle) => target = angle,
+            EventKind::Inertial(index) => {
                 before = index;
-                traveller.inertial(
+                handler.inertial(
                     index,
-                    felt(index).map_or(D::from(0.0), |felt| D::from(felt.1)),
+                    measured(index).map_or(D::from(0.0), |sample| D::from(sample.1)),
                 );
             }
-            What::Pose(index) => traveller.pose(index),
+            EventKind::Pose(index) => handler.pose(index),
         }
     }
     Some(())
 }
 
-/// The servo some time before the stretch: at rest where it was told to be.
+/// Steering angle and target at `time`, with the servo at rest.
 fn steering_before<D: Dual>(
     servo: &[ServoTarget],
     time: f64,
     model: &Model<D>,
     delay: D,
 ) -> (D, f64) {
-    let after = servo.partition_point(|told| told.time_s + delay.re() <= time);
+    let after = servo.partition_point(|command| command.time_s + delay.re() <= time);
     let target = servo
         .get(after.saturating_sub(1))
-        .map_or(0.0, |told| told.angle_rad);
+        .map_or(0.0, |command| command.angle_rad);
     (model.rest(target), target)
 }
 
-/// The motion at a pose by the poses around it.
-fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Belief<D>> {
+/// The motion at `time`, from a linear fit to the poses around it.
+fn initial_estimate<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<StateEstimate<D>> {
     const REACH: usize = 4;
     let at = data.poses.partition_point(|pose| pose.time_s < time);
     let from = at.saturating_sub(REACH);
@@ -188,7 +189,7 @@ fn first_belief<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<Bel
     let (vx, vy) = (x / squares, y / squares);
     let course = vy.atan2(vx);
     let yaw = pose.yaw_rad + mean[3] - mean[0] * turn / squares;
-    Some(Belief {
+    Some(StateEstimate {
         motion: Motion {
             x: D::from(mean[1] - mean[0] * vx),
             y: D::from(mean[2] - mean[0] * vy),

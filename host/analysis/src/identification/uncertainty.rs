@@ -1,45 +1,45 @@
-//! How well a fit knows what it says.
+//! The covariance of the estimates.
 
 use nalgebra_levenberg_marquardt::{DMatrix, DVector};
 
-use super::predictor::Question;
+use super::predictor::Prediction;
 
-/// The spread of the estimates, all in u.
+/// The spread of the estimates in the coordinates of the optimiser.
 #[derive(Clone, Debug)]
 pub(super) struct Spread {
-    /// Covariance if the prediction errors are white: the inverse of the information.
+    /// Covariance for white prediction errors: the inverse of the information matrix.
     pub(super) white: DMatrix<f64>,
-    /// Covariance whatever their colour within [`BLOCK`].
+    /// Covariance for errors that are correlated within [`BLOCK`].
     pub(super) robust: DMatrix<f64>,
-    /// The wider of the two, for each parameter.
+    /// Standard deviation of each parameter by the wider of the two.
     pub(super) deviations: Vec<f64>,
 }
 
-/// Standard deviations at u = 0 from the information alone, whatever the errors are.
-pub(super) fn bounds(question: &Question<'_>) -> Option<Vec<f64>> {
-    let count = question.active.len();
-    let jacobian = question.jacobian(&vec![0.0; count])?;
+/// Standard deviations at u = 0 from the information matrix alone, without the prior.
+pub(super) fn bounds(prediction: &Prediction<'_>) -> Option<Vec<f64>> {
+    let count = prediction.active.len();
+    let jacobian = prediction.jacobian(&vec![0.0; count])?;
     let rows = jacobian.rows(0, jacobian.nrows() - count);
     let covariance = rows.tr_mul(&rows).cholesky()?.inverse();
     Some(covariance.diagonal().iter().map(|x| x.sqrt()).collect())
 }
 
-/// Prediction errors farther apart than this are taken as independent, in s.
+/// Prediction errors farther apart than this count as independent, in s.
 const BLOCK: f64 = 0.5;
 
-/// The spread around `u`. None where the model ends, or where nothing tells a
-/// combination of the parameters.
-pub(super) fn spread(question: &Question<'_>, u: &[f64]) -> Option<Spread> {
-    let jacobian = question.jacobian(u)?;
-    let residuals = question.residuals(u)?;
+/// The spread around `u`. None where the model is not defined, or where the drive does not
+/// determine a combination of the parameters.
+pub(super) fn spread(prediction: &Prediction<'_>, u: &[f64]) -> Option<Spread> {
+    let jacobian = prediction.jacobian(u)?;
+    let residuals = prediction.residuals(u)?;
     let information = jacobian.tr_mul(&jacobian);
     let white = information.cholesky()?.inverse();
     let count = u.len();
     let rows = residuals.len() - count;
-    // Sums of the scores over blocks of time.
+    // The sums of the scores over blocks of time.
     let mut blocks: std::collections::BTreeMap<i64, DVector<f64>> =
         std::collections::BTreeMap::new();
-    for (row, time) in question.times().into_iter().enumerate().take(rows) {
+    for (row, time) in prediction.times().into_iter().enumerate().take(rows) {
         let residual = residuals[row];
         if residual != 0.0 {
             let score = blocks
@@ -50,12 +50,12 @@ pub(super) fn spread(question: &Question<'_>, u: &[f64]) -> Option<Spread> {
             }
         }
     }
-    // What is known beforehand counts once.
+    // The prior counts once.
     let mut meat = DMatrix::identity(count, count);
     for score in blocks.values() {
         meat += score * score.transpose();
     }
-    // Few blocks look less varied than they are.
+    // With few blocks the sample variance is too small.
     let used = blocks.len() as f64;
     let few = used / (used - count as f64).max(1.0);
     let robust = &white * meat * few * &white;

@@ -1,4 +1,4 @@
-//! What whoever uses the estimates should know of them.
+//! Warnings about the quality of the estimates.
 
 use singletrack_control::{GRAVITY, Tyres};
 
@@ -7,13 +7,13 @@ use super::{
     parameter::Parameter, residuals::Residuals,
 };
 
-/// Something about an identification that makes it less than it seems.
+/// A reason to doubt an identification.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Warning {
-    /// The drive does not tell it.
+    /// The drive hardly determines a parameter.
     #[error(
-        "{parameter} is hardly told by this drive: its standard deviation is {:.0} % of its value; \
-         steer more and faster at 1.5 m/s or more (docs/identification.md)",
+        "{parameter} is poorly determined by this drive: its standard deviation is {:.0} % of its \
+         value; steer more and faster at 1.5 m/s or more (docs/identification.md)",
         100.0 * relative
     )]
     NotTold {
@@ -22,118 +22,118 @@ pub enum Warning {
         /// Its standard deviation over its value.
         relative: f64,
     },
-    /// It would have gone on.
+    /// A parameter is at the bound of its range.
     #[error(
-        "{parameter} went as far as it may, from {start} to {value}: start closer to the car \
+        "{parameter} reached its bound, from {start} to {value}: start closer to the car \
          (--vehicle), and check mass, wheelbase and the servo's calibration"
     )]
     AtBound {
         /// The parameter.
         parameter: Parameter,
-        /// Where it started.
+        /// Its start value.
         start: f64,
-        /// Where it is.
+        /// Its estimate.
         value: f64,
     },
-    /// Two can't be told from each other.
+    /// The drive does not distinguish two parameters.
     #[error(
-        "{} and {} can't be told apart on this drive (correlation {correlation:.3}): drive another, \
-         at several speeds and with steps of the steering to both sides", .parameters[0], .parameters[1]
+        "this drive does not distinguish {} from {} (correlation {correlation:.3}): record another, \
+         at several speeds and with steering steps to both sides", .parameters[0], .parameters[1]
     )]
     Alike {
-        /// Which two.
+        /// The two parameters.
         parameters: [Parameter; 2],
         /// Their correlation.
         correlation: f64,
     },
-    /// The fit was still moving.
+    /// The fit has not converged.
     #[error(
-        "the fit has not settled: its last turn moved a parameter by {moved:.2} standard deviations; \
-         take the estimates for a start (--vehicle) of another"
+        "the fit has not settled: its last round moved a parameter by {moved:.2} standard \
+         deviations; use the estimates as the start (--vehicle) of another identification"
     )]
     NotSettled {
-        /// How far, in standard deviations.
+        /// The last change, in standard deviations.
         moved: f64,
     },
-    /// Which records begin a servo pulse is a guess.
+    /// The board's periods that begin a servo pulse are uncertain.
     #[error(
-        "which of the board's records begin a servo pulse can hardly be told from this drive (log-likelihood \
-         {lead:.1} above the next): delay, lag and {} may be off by more than their intervals say; \
+        "this drive hardly shows which of the board's records begin a servo pulse (log-likelihood \
+         {lead:.1} above the next): the errors of delay, lag and {} may exceed their intervals; \
          steer in faster steps",
         Parameter::YawInertia
     )]
     FramesGuessed {
-        /// How much likelier than the next, as a logarithm.
+        /// Log-likelihood above that of the next candidate.
         lead: f64,
     },
-    /// Forces that the model does not know.
+    /// There are forces that the model does not explain.
     #[error(
-        "forces that the model does not know are {:.0} mN/√Hz on an axle: mass, l_f, friction or the steering's \
-         gain may be wrong, and the estimates with them by far more than their intervals say; estimate \
-         l_f and friction along (--parameters c_f,c_r,i_z,l_f,friction)", 1e3 * density
+        "forces that the model does not explain are {:.0} mN/√Hz on an axle: mass, l_f, friction or the \
+         steering gain may be wrong, and then the errors of the estimates far exceed their intervals; \
+         estimate l_f and friction jointly (--parameters c_f,c_r,i_z,l_f,friction)", 1e3 * density
     )]
     Unexplained {
         /// Their density, in N/√Hz.
         density: f64,
     },
-    /// Linear tyres never slide.
+    /// The tyres are modelled as linear, and the car came near to sliding.
     #[error(
-        "linear tyres fit a car that does not slide, and this one reached {:.0} % of the friction: beyond \
-         half of it the stiffnesses come out too small (docs/identification.md)", 100.0 * share
+        "linear tyres suit a car that does not slide, and this one reached {:.0} % of the friction: beyond \
+         half of it the estimated stiffnesses are too small (docs/identification.md)", 100.0 * share
     )]
     LinearTyres {
-        /// The largest acceleration to the side over μ g.
+        /// The largest lateral acceleration over μ g.
         share: f64,
     },
-    /// Little was used.
+    /// The usable part of the drive is short.
     #[error(
-        "only {seconds:.0} s of the drive were used: a minute of weaving makes the intervals narrower"
+        "only {seconds:.0} s of the drive were used: a minute of weaving gives narrower intervals"
     )]
     Short {
-        /// How much, in s.
+        /// The duration, in s.
         seconds: f64,
     },
-    /// The tyres hardly slipped.
+    /// The car was slow, so that the tyres hardly slipped.
     #[error(
-        "the car drove at {speed:.2} m/s in the mean, where the tyres hardly slip: drive at 1.5 m/s or more"
+        "the mean speed was {speed:.2} m/s, at which the tyres hardly slip: drive at 1.5 m/s or more"
     )]
     Slow {
-        /// Its mean speed, in m/s.
+        /// The mean speed, in m/s.
         speed: f64,
     },
-    /// The model is not all there is.
+    /// The prediction errors are correlated over time.
     #[error(
         "the prediction errors of {} are not white (autocorrelation {autocorrelation:.2} after {lag} samples): \
-         the car does something that the model does not know, and the estimates may be off by more \
-         than their intervals say", .channel.name()
+         the model lacks some behaviour of the car, and the errors of the estimates may exceed \
+         their intervals", .channel.name()
     )]
     Coloured {
-        /// Of what.
+        /// The channel.
         channel: Channel,
-        /// How much.
+        /// The largest autocorrelation.
         autocorrelation: f64,
-        /// After how many samples.
+        /// Its lag, in samples.
         lag: usize,
     },
 }
 
-/// A standard deviation above this part of the value tells nothing.
+/// A parameter is poorly determined above this ratio of standard deviation to value.
 const VAGUE: f64 = 0.2;
-/// Less is short, in s.
+/// A drive is short below this duration, in s.
 const SHORT: f64 = 20.0;
-/// Less is slow, in m/s.
+/// A drive is slow below this mean speed, in m/s.
 const SLOW: f64 = 1.0;
-/// A correlation beyond this is one of two parameters in one.
+/// Two parameters with a larger correlation cannot be distinguished.
 const ALIKE: f64 = 0.995;
-/// An autocorrelation beyond this is no chance.
+/// A larger autocorrelation is significant.
 const COLOURED: f64 = 0.2;
 
-/// Two kinds of frames this close are a guess.
+/// The choice of the servo periods is uncertain below this difference of log-likelihoods.
 const GUESS: f64 = 5.0;
-/// A force this part of an axle's mean load is not the sensors', in 1/√Hz.
+/// A larger force density over the mean load of an axle cannot be sensor noise, in 1/√Hz.
 const UNEXPLAINED: f64 = 5e-5;
 
-/// What the fit says of itself.
+/// Warnings from the fit itself.
 pub(super) fn of_fit(fit: &Fit, tyres: Tyres) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if let Some(moved) = fit.unsettled {
@@ -148,7 +148,7 @@ pub(super) fn of_fit(fit: &Fit, tyres: Tyres) -> Vec<Warning> {
         warnings.push(Warning::Unexplained { density });
     }
     if tyres == Tyres::Linear {
-        let track = fit.passage.track.iter();
+        let track = fit.run.track.iter();
         let aside = track.map(|point| (point.speed_m_s * point.yaw_rate_rad_s).abs());
         let share = aside.fold(0.0, f64::max) / (vehicle.friction * GRAVITY);
         warnings.push(Warning::LinearTyres { share });
@@ -156,6 +156,7 @@ pub(super) fn of_fit(fit: &Fit, tyres: Tyres) -> Vec<Warning> {
     warnings
 }
 
+/// Warnings from the estimates, their correlations, the residuals and the drive.
 pub(super) fn warnings(
     estimates: &[Estimate],
     correlation: impl Fn(usize, usize) -> f64,

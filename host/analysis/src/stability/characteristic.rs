@@ -10,7 +10,7 @@
 //! a₀ = κ / p                                  with κ = C_f C_r L / (m I_z)
 //! ```
 //!
-//! and that of the appendix
+//! and the law of the appendix
 //!
 //! ```text
 //! a₂ = R + v/p
@@ -20,18 +20,17 @@
 //!      R = (C_r l_r L - w l_f dl)/(I_z v)
 //! ```
 //!
-//! where w is S if the centre of mass is believed elsewhere, and `C_f` if only the
-//! front axle is. All coefficients are affine in dl, so that Hurwitz' determinant is
-//! quadratic in it. Under the proposed law a₀ is positive for every car: stability can
-//! only be lost in a Hopf bifurcation. And what v there is in Hurwitz' determinant is
-//! one positive term, `κ L/v²`: a car that is stable at some speed is stable at all
-//! lower ones.
+//! where w is S if the centre of mass is wrong, and `C_f` if only the front axle is wrong.
+//! All coefficients are affine in dl, so that Hurwitz' determinant is quadratic in dl. Under
+//! the proposed law a₀ is positive for every car: only a Hopf bifurcation can end stability.
+//! Hurwitz' determinant contains v in one positive term only, `κ L/v²`: a car that is stable
+//! at some speed is stable at all lower speeds.
 
 use singletrack_control::VehicleParameters;
 
 use super::closed_loop::{Belief, ClosedLoop, Law};
 
-/// The monic characteristic polynomial of a [`ClosedLoop`], without its leading one.
+/// The monic characteristic polynomial of a [`ClosedLoop`], without its leading coefficient.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CharacteristicPolynomial {
     /// `s⁴ + a₃ s³ + a₂ s² + a₁ s + a₀`: [a₀, a₁, a₂, a₃].
@@ -51,8 +50,8 @@ impl CharacteristicPolynomial {
         positive && self.hurwitz_determinant() > 0.0
     }
 
-    /// The last but one of Hurwitz' determinants: zero where two roots are opposite,
-    /// as an imaginary pair is.
+    /// The last but one of Hurwitz' determinants: zero where two roots are opposite, as those
+    /// of an imaginary pair are.
     #[must_use]
     pub fn hurwitz_determinant(&self) -> f64 {
         match *self {
@@ -61,8 +60,8 @@ impl CharacteristicPolynomial {
         }
     }
 
-    /// The square of the frequency of a pair of imaginary roots, where Hurwitz'
-    /// determinant is zero; negative if the opposite roots are real.
+    /// Where Hurwitz' determinant is zero, the squared frequency of the pair of imaginary roots;
+    /// negative if the opposite roots are real.
     #[must_use]
     pub fn squared_frequency(&self) -> f64 {
         match *self {
@@ -158,14 +157,14 @@ impl ClosedLoop {
         } = self.vehicle;
         let (v, p) = (self.speed, self.point_distance);
         let wheelbase = l_f + l_r;
-        let wrong = match self.belief {
+        let w = match self.belief {
             Belief::CentreOfMass => c_f + c_r,
             Belief::FrontAxle => c_f,
         };
         let q = c_r * wheelbase / i_z;
         let n = l_f * m * v * v / (i_z * p);
-        let r = Affine::new(c_r * l_r * wheelbase / (i_z * v), -wrong * l_f / (i_z * v));
-        let e = wrong / (m * v * v);
+        let r = Affine::new(c_r * l_r * wheelbase / (i_z * v), -w * l_f / (i_z * v));
+        let e = w / (m * v * v);
         [
             Affine::new(q * v / p, 0.0),
             Affine::new(r.constant * v / p + q, r.slope * v / p + e * (n - q)),
@@ -205,7 +204,8 @@ fn front_point(vehicle: &VehicleParameters, p: f64, inverse_square: f64) -> [Aff
     ]
 }
 
-/// v² times Hurwitz' determinant of the front-point law at 1/v², which may be zero.
+/// v² times Hurwitz' determinant of the front-point law at 1/v², as a quadratic in dl, by
+/// power. 1/v² may be zero.
 pub(super) fn front_point_quadratic(
     vehicle: &VehicleParameters,
     p: f64,

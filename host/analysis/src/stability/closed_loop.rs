@@ -1,30 +1,30 @@
-//! The car under a linearising law that may have a wrong centre of mass.
+//! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
 
 use singletrack_control::{VehicleParameterError, VehicleParameters};
 
 /// A linearising law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {
-    /// The proposed one, equation 8: P is before the front axle.
+    /// The proposed law, equation 8: P is ahead of the front axle.
     FrontPoint,
-    /// That of the appendix: P is before G in the direction of its velocity.
+    /// The law of the appendix: P is ahead of G in the direction of its velocity.
     VelocityPoint,
 }
 
-/// Which of its distances the law has wrong.
+/// The distances that are wrong in the law.
 ///
-/// The [`Law::FrontPoint`] knows only one.
+/// The [`Law::FrontPoint`] has only `l_f`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Belief {
-    /// The centre of mass is believed elsewhere on a wheelbase that is known:
-    /// `l_f + dl` and `l_r - dl`. The paper's threshold of 0.136 mm is of this kind.
+    /// The position of the centre of mass on a known wheelbase: `l_f + dl` and `l_r - dl`.
+    /// The paper's threshold of 0.136 mm is of this kind.
     #[default]
     CentreOfMass,
-    /// The front axle alone is believed elsewhere: `l_f + dl`, and `l_r` as it is.
+    /// The position of the front axle alone: `l_f + dl`, with the true `l_r`.
     FrontAxle,
 }
 
-/// A car under a law that believes its centre of mass elsewhere.
+/// A car under a law that may assume a wrong centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosedLoop {
     pub(super) vehicle: VehicleParameters,
@@ -35,25 +35,25 @@ pub struct ClosedLoop {
     pub(super) deviation: f64,
 }
 
-/// A closed loop that has no steady motion to look at.
+/// Parameters with which there is no steady motion.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum StabilityError {
-    /// No such car.
+    /// The parameters of the vehicle are invalid.
     #[error(transparent)]
     Vehicle(#[from] VehicleParameterError),
-    /// P is nowhere, or where the law is singular.
+    /// The distance p is invalid.
     #[error("the point distance p is {0} m: it must be finite and above zero")]
     PointDistance(f64),
-    /// The model has no steady motion at standstill, and none backwards.
+    /// The model has no steady motion at standstill or in reverse.
     #[error("the speed is {0} m/s: the model needs a car that moves forward, above zero")]
     Speed(f64),
-    /// No distance.
+    /// The deviation is not finite.
     #[error("the deviation dl of the centre of mass is {0} m: it must be finite")]
     Deviation(f64),
-    /// Finite, but nothing to compute with.
+    /// The parameters are finite, but the equations overflow.
     #[error(
         "with a speed of {speed:e} m/s, p = {point_distance:e} m and dl = {deviation:e} m the equations \
-         leave the range of numbers: choose what a car can have"
+         leave the range of numbers: choose realistic values"
     )]
     Extreme {
         /// The speed, in m/s.
@@ -66,12 +66,12 @@ pub enum StabilityError {
 }
 
 impl ClosedLoop {
-    /// `vehicle` under `law`, P at `point_distance` (p, m), moving steadily at
-    /// `speed` (m/s), with the centre of mass believed `deviation` (`dl`, m) behind
-    /// where it is.
+    /// `vehicle` under `law` with P at `point_distance` (p, m), in steady motion at `speed`
+    /// (m/s). The law assumes the centre of mass `deviation` (`dl`, m) behind its true
+    /// position.
     ///
-    /// `dl` is physically meaningful in [`ClosedLoop::meaningful_deviations`]; any
-    /// finite value is accepted, as bifurcations lie beyond.
+    /// `dl` is physically meaningful in [`ClosedLoop::meaningful_deviations`]. Any finite
+    /// value is accepted, because bifurcations lie outside that range.
     ///
     /// # Errors
     ///
@@ -104,7 +104,7 @@ impl ClosedLoop {
         .finite()
     }
 
-    /// Refuses what is so extreme that it can't be computed with.
+    /// This loop, if its Jacobian is finite.
     fn finite(self) -> Result<Self, StabilityError> {
         if self.jacobian().iter().all(|entry| entry.is_finite()) {
             Ok(self)
@@ -117,14 +117,14 @@ impl ClosedLoop {
         }
     }
 
-    /// The same with other distances wrong.
+    /// The same loop with other distances wrong.
     #[must_use]
     pub const fn believing(self, belief: Belief) -> Self {
         Self { belief, ..self }
     }
 
-    /// The same with the centre of mass believed `deviation` (`dl`, m) behind where
-    /// it is.
+    /// The same loop with the assumed centre of mass `deviation` (`dl`, m) behind its true
+    /// position.
     ///
     /// # Errors
     ///
@@ -166,7 +166,7 @@ impl ClosedLoop {
         self.deviation
     }
 
-    /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the
+    /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed
     /// centre of mass is between the axles.
     #[must_use]
     pub const fn meaningful_deviations(vehicle: &VehicleParameters) -> [f64; 2] {

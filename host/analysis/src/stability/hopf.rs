@@ -1,4 +1,4 @@
-//! Where the steady motion loses its stability: Hopf bifurcations over dl.
+//! Hopf bifurcations over dl, where the steady motion loses its stability.
 
 use nalgebra::Complex;
 use singletrack_control::VehicleParameters;
@@ -21,27 +21,27 @@ pub struct HopfPoint {
     pub angular_frequency: f64,
     /// The first Lyapunov coefficient.
     pub lyapunov: Lyapunov,
-    /// How fast the pair's real part grows with dl, in 1/(s m).
+    /// The derivative of the pair's real part by dl, in 1/(s m).
     pub crossing: f64,
-    /// The largest real part of the other eigenvalues, in 1/s: where it is negative,
-    /// stability ends here.
+    /// The largest real part of the other eigenvalues, in 1/s. If it is negative, stability
+    /// ends at this point.
     pub largest_other_real_part: f64,
 }
 
-/// What a Hopf bifurcation gives birth to.
+/// The kind of limit cycle at a Hopf bifurcation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Criticality {
     /// A stable limit cycle, on the unstable side.
     Supercritical,
-    /// An unstable limit cycle, on the stable side: a large enough disturbance is not
-    /// recovered from although the motion is stable.
+    /// An unstable limit cycle, on the stable side: after a large enough disturbance the car
+    /// does not return to the stable motion.
     Subcritical,
     /// The first Lyapunov coefficient is zero; higher ones decide.
     Degenerate,
 }
 
 impl HopfPoint {
-    /// Whether an unstable or a stable limit cycle is born.
+    /// The criticality by the sign of the first Lyapunov coefficient.
     #[must_use]
     pub fn criticality(&self) -> Criticality {
         if self.lyapunov.kuznetsov > 0.0 {
@@ -53,16 +53,16 @@ impl HopfPoint {
         }
     }
 
-    /// Whether the motion is stable on one side of it.
+    /// Whether the motion is stable on one side of the point.
     #[must_use]
     pub fn ends_stability(&self) -> bool {
         self.largest_other_real_part < 0.0
     }
 }
 
-/// All Hopf points of a car under a law at a speed, by ascending dl: at most two, as
-/// Hurwitz' determinant is quadratic in dl. dl may lie beyond what is physically
-/// meaningful.
+/// All Hopf points of a car under a law at a speed, by ascending dl: at most two, because
+/// Hurwitz' determinant is quadratic in dl. dl may be outside the physically meaningful
+/// range.
 ///
 /// `point_distance` is p in m, `speed` in m/s.
 ///
@@ -85,34 +85,33 @@ pub fn hopf_points(
     Ok(points)
 }
 
-/// Where the stability of `vehicle` under the [`Law::FrontPoint`] ends as its speed
-/// grows without bounds: the Hopf points of infinite speed, as values of dl (m),
-/// ascending.
+/// The limits of stability of `vehicle` under the [`Law::FrontPoint`] as the speed tends to
+/// infinity: the Hopf points of infinite speed, as values of dl (m), ascending.
 ///
 /// # Errors
 ///
-/// A car or a p (m) that cannot be.
+/// Invalid parameters of the vehicle, or an invalid p (m).
 pub fn infinite_speed_limit(
     vehicle: VehicleParameters,
     point_distance: f64,
 ) -> Result<Vec<f64>, StabilityError> {
-    // Any speed will do to check the rest.
+    // Checks the other parameters; the speed does not matter.
     ClosedLoop::new(vehicle, Law::FrontPoint, point_distance, 1.0, 0.0)?;
     Ok(roots(front_point_quadratic(&vehicle, point_distance, 0.0))
-        // Elsewhere the opposite roots are real.
+        // At the other points the opposite roots are real.
         .filter(|deviation| vehicle.wheelbase_m() + point_distance + deviation > 0.0)
         .collect())
 }
 
 /// The speed in m/s up to which `vehicle` is stable under the [`Law::FrontPoint`] for
-/// every dl of `deviations` (m): none if it is at every speed, zero if at no speed.
+/// every dl of `deviations` (m). None if it is stable at every speed, zero if at no speed.
 ///
-/// Hurwitz' determinant over a₁ is affine in 1/v² with a positive slope, and concave in
-/// dl: the ends of the range decide.
+/// Hurwitz' determinant over a₁ is affine in 1/v² with a positive slope, and concave in dl,
+/// so that only the ends of the range need to be examined.
 ///
 /// # Errors
 ///
-/// A car, a p (m) or a dl that cannot be.
+/// Invalid parameters of the vehicle, or an invalid p (m) or dl.
 pub fn critical_speed(
     vehicle: VehicleParameters,
     point_distance: f64,
@@ -139,22 +138,22 @@ pub fn critical_speed(
 }
 
 /// The distance p in m beyond which `vehicle` is stable under the [`Law::FrontPoint`]
-/// at every speed, for every dl of `deviations` (m): none if no p does that.
+/// at every speed, for every dl of `deviations` (m). None if there is no such p.
 ///
-/// p² v² times Hurwitz' determinant at infinite speed is quadratic in p; as in
-/// [`critical_speed`], the ends of the range decide. (Below the lesser root, a few mm,
-/// the car is stable as well.)
+/// p² v² times Hurwitz' determinant at infinite speed is quadratic in p. As in
+/// [`critical_speed`], only the ends of the range need to be examined. (Below the smaller
+/// root, a few mm, the car is stable too.)
 ///
 /// # Errors
 ///
-/// A car or a dl that cannot be.
+/// Invalid parameters of the vehicle, or an invalid dl.
 pub fn smallest_point_distance(
     vehicle: VehicleParameters,
     deviations: [f64; 2],
 ) -> Result<Option<f64>, StabilityError> {
     let mut smallest: f64 = 0.0;
     for deviation in deviations {
-        // Any p and speed will do to check the rest.
+        // Checks the other parameters; p and the speed do not matter.
         ClosedLoop::new(vehicle, Law::FrontPoint, 1.0, 1.0, deviation)?;
         let quadratic = front_point_quadratic_in_p(&vehicle, deviation);
         if quadratic[2] <= 0.0 {
@@ -167,7 +166,7 @@ pub fn smallest_point_distance(
 }
 
 impl ClosedLoop {
-    /// The Hopf point at this loop's dl, at which Hurwitz' determinant is zero.
+    /// The Hopf point at this loop's dl, where Hurwitz' determinant must be zero.
     fn hopf_point(&self) -> Option<HopfPoint> {
         let polynomial = self.characteristic_polynomial();
         let squared = polynomial.squared_frequency();
@@ -213,8 +212,8 @@ fn coefficients(closed_loop: &ClosedLoop) -> Vec<f64> {
     }
 }
 
-/// The largest real part of the roots beside an imaginary pair with this square of
-/// the frequency: what remains when `s² + ω²` is divided out.
+/// The largest real part of the other roots beside an imaginary pair with the squared
+/// frequency `squared`: those of the quotient by `s² + ω²`.
 fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
     match *polynomial {
         CharacteristicPolynomial::Quartic([a0, _, _, a3]) => {
@@ -223,7 +222,7 @@ fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
             if discriminant <= 0.0 {
                 -0.5 * a3
             } else if a3 > 0.0 {
-                // The root near zero, without cancellation.
+                // In this form without cancellation near zero.
                 -product / (0.5 * a3 + libm::sqrt(discriminant))
             } else {
                 -0.5 * a3 + libm::sqrt(discriminant)
@@ -256,11 +255,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn roots_of_a_quadratic_are_found_without_cancellation() {
+    fn roots_of_a_quadratic_have_no_cancellation() {
         let of = |c| roots(c).collect::<Vec<_>>();
         assert_eq!(of([6.0, -5.0, 1.0]), [2.0, 3.0]);
         assert_eq!(of([1.0, 0.0, 1.0]), [] as [f64; 0]);
-        // A line, and none.
+        // A linear and a constant polynomial.
         assert_eq!(of([-3.0, 2.0, 0.0]), [1.5]);
         assert_eq!(of([1.0, 0.0, 0.0]), [] as [f64; 0]);
         let [small, large] = of([1e-9, -1.0, 1.0])[..] else {

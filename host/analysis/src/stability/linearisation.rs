@@ -9,9 +9,9 @@ use super::{
 };
 
 impl ClosedLoop {
-    /// The Jacobian of the steady motion, by exact derivatives: four by four for the
-    /// states yaw, yaw rate, sideslip, steering; three by three without steering
-    /// under the velocity-point law. In rad and s.
+    /// The Jacobian of the steady motion, by exact derivatives, in rad and s: four by four for
+    /// the states yaw, yaw rate, sideslip and steering, or three by three without steering
+    /// under the velocity-point law.
     #[must_use]
     pub fn jacobian(&self) -> DMatrix<f64> {
         match self.law {
@@ -22,10 +22,11 @@ impl ClosedLoop {
         }
     }
 
-    /// The eigenvalues of the steady motion, in 1/s, by ascending real part, of a
-    /// complex pair the one with the negative imaginary part first: four under the
-    /// front-point law, three under the velocity-point law. Not numbers, should the QR
-    /// algorithm not converge.
+    /// The eigenvalues of the steady motion, in 1/s: four under the front-point law, three under
+    /// the velocity-point law.
+    ///
+    /// By ascending real part; of a complex pair the one with the negative imaginary part is
+    /// first. Not numbers if the QR algorithm does not converge.
     #[must_use]
     pub fn eigenvalues(&self) -> Vec<Complex<f64>> {
         let found: Option<Vec<_>> = match self.law {
@@ -40,7 +41,7 @@ impl ClosedLoop {
         eigenvalues
     }
 
-    /// How many states there are.
+    /// Number of states.
     const fn states(&self) -> usize {
         match self.law {
             Law::FrontPoint => 4,
@@ -57,7 +58,7 @@ impl ClosedLoop {
     }
 }
 
-/// More steps of the QR algorithm than any matrix of this size takes.
+/// Limit of the steps of the QR algorithm, more than a matrix of this size needs.
 const MOST_STEPS: usize = 10_000;
 
 /// The Jacobian at the origin.

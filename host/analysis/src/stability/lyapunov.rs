@@ -9,8 +9,8 @@
 //! l₁ = Re( ⟨p, C(q, q, q̄)⟩ - 2 ⟨p, B(q, A⁻¹ B(q, q̄))⟩ + ⟨p, B(q̄, (2 i ω - A)⁻¹ B(q, q))⟩ ) / (2 ω)
 //! ```
 //!
-//! (The steady motion straight on is its own mirror image, so B is zero there; it is
-//! computed all the same.)
+//! (The straight steady motion is its own mirror image, so that B is zero there. It is
+//! computed nevertheless.)
 
 use nalgebra::{Complex, DMatrix, DVector};
 use num_dual::{HyperDual64, HyperHyperDual64};
@@ -20,8 +20,8 @@ use super::{
     vector_field::{FrontPointField, VectorField, VelocityPointField},
 };
 
-/// The first Lyapunov coefficient, for the states in rad and rad/s; where it is
-/// positive, the Hopf bifurcation is subcritical.
+/// The first Lyapunov coefficient, for the states in rad and rad/s. If it is positive, the
+/// Hopf bifurcation is subcritical.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lyapunov {
     /// In Kuznetsov's normalisation.
@@ -33,9 +33,8 @@ pub struct Lyapunov {
 type Vector = DVector<Complex<f64>>;
 
 impl Lyapunov {
-    /// The coefficient of a loop whose Jacobian has the eigenvalue i `frequency`;
-    /// none if the Jacobian is
-    /// singular, or nearly so.
+    /// The coefficient of a loop whose Jacobian has the eigenvalue i `frequency`. None if the
+    /// Jacobian is singular or nearly so.
     pub(super) fn of(closed_loop: &ClosedLoop, frequency: f64) -> Option<Self> {
         let jacobian = closed_loop.jacobian();
         let kuznetsov = match closed_loop.law() {
@@ -73,7 +72,7 @@ fn kuznetsov<const N: usize>(
     Some(sum.re / (2.0 * frequency))
 }
 
-/// The unit vector that a singular matrix takes to zero.
+/// The unit vector in the kernel of a singular matrix.
 fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
     let svd = matrix.try_svd(false, true, f64::EPSILON, 0)?;
     let smallest = svd.singular_values.imin();
@@ -126,7 +125,7 @@ fn third<const N: usize>(field: &impl VectorField<N>, q: &Vector) -> Vector {
     )
 }
 
-/// Real and imaginary parts.
+/// The real and the imaginary part.
 fn parts<const N: usize>(vector: &Vector) -> [[f64; N]; 2] {
     let part = |of: fn(&Complex<f64>) -> f64| {
         let mut part = [0.0; N];
@@ -145,8 +144,8 @@ mod tests {
     use super::*;
     use crate::stability::{Belief, HopfPoint, hopf_points};
 
-    /// How fast the amplitude of an oscillation grows, in 1/s, by integrating the
-    /// equations themselves, and the mean of its square meanwhile.
+    /// The growth rate of the amplitude of an oscillation, in 1/s, and its mean square, from an
+    /// integration of the vector field.
     fn simulated_growth<const N: usize>(
         field: &impl VectorField<N>,
         jacobian: &DMatrix<f64>,
@@ -165,7 +164,7 @@ mod tests {
         let period = 2.0 * core::f64::consts::PI / frequency;
         let steps = (period * fastest).ceil().max(400.0) as usize;
         let step = period / steps as f64;
-        // By how much it grows is in the means over whole periods.
+        // The growth is that of the means over whole periods.
         let mut means = Vec::new();
         for _ in 0..12 {
             let (mut logarithm, mut square) = (0.0, 0.0);
@@ -201,7 +200,7 @@ mod tests {
     /// Near a Hopf point an oscillation z of amplitude |z| grows with the rate
     /// Re λ + Re c₁ |z|², and Re c₁ = ω l₁.
     #[test]
-    fn oscillations_of_the_equations_grow_as_the_coefficient_says() {
+    fn simulated_oscillations_grow_with_the_rate_of_the_coefficient() {
         for (law, speed) in [
             (Law::FrontPoint, 0.5),
             (Law::FrontPoint, 3.0),

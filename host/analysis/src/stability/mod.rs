@@ -1,17 +1,17 @@
 //! Stability of the steady motion under the linearising laws: the paper's section on
 //! structural stability, and its appendix.
 //!
-//! P is to move with a constant velocity. The car's steady motion then is straight on:
-//! yaw along that velocity, yaw rate, sideslip and steering zero. Where G and P are
-//! does not matter to it, so what is looked at are the angles alone: yaw, yaw rate,
-//! sideslip and steering under the [`FrontPointLaw`](singletrack_control::FrontPointLaw)
-//! (four states), yaw, yaw rate and sideslip under the
-//! [`VelocityPointLaw`](singletrack_control::VelocityPointLaw), which commands the
-//! steering angle itself (three). The law believes the centre of mass to be `dl`
-//! behind where it is.
+//! The commanded velocity of P is constant. The steady motion of the car is then straight:
+//! yaw in the direction of that velocity, and yaw rate, sideslip and steering zero. It does
+//! not depend on the positions of G and P, so the states are the angles alone: yaw, yaw
+//! rate, sideslip and steering under the
+//! [`FrontPointLaw`](singletrack_control::FrontPointLaw) (four states), and yaw, yaw rate and
+//! sideslip under the [`VelocityPointLaw`](singletrack_control::VelocityPointLaw), which
+//! commands the steering angle itself (three). The law assumes the centre of mass `dl` behind
+//! its true position.
 //!
-//! Yaw is counted from the direction of the velocity wanted: nothing else depends on
-//! that direction.
+//! Yaw is relative to the direction of the commanded velocity; nothing else depends on that
+//! direction.
 
 mod characteristic;
 mod closed_loop;

@@ -1,11 +1,11 @@
-//! The loop as it runs: sampled, late, and with markers that are not always seen.
+//! The sampled loop, with delay and intermittent markers.
 //!
-//! The paper's analysis is of a law without sampling or delay. Here the law is
-//! evaluated at ticks, its command acts a delay later and is held until the next one
-//! acts (a steering rate under the front-point law, an angle under the velocity-point
-//! law), and the pose may be seen at every n-th tick only and held in between, while
-//! yaw rate, sideslip and steering stay live. The car in between is the linearised
-//! single-track model, solved exactly by matrix exponentials; to first order the speed
+//! The paper analyses a law without sampling or delay. Here the law is evaluated at ticks.
+//! Its command takes effect after a delay and is held until the next command (a steering
+//! rate under the front-point law, an angle under the velocity-point law). The pose may be
+//! measured at every n-th tick only and is held in between; yaw rate, sideslip and steering
+//! are measured at every tick. Between the ticks the car is the linearised single-track
+//! model (equations 1 and 2), solved exactly by matrix exponentials. To first order the speed
 //! is constant.
 
 use nalgebra::{DMatrix, DVector};
@@ -24,24 +24,24 @@ pub struct SampledLoop {
     position_gain: f64,
 }
 
-/// A loop that can't be sampled so.
+/// An invalid parameter of a sampled loop.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("{name} is {value}: it must be {rule}")]
 pub struct SamplingError {
-    /// What is wrong.
+    /// The parameter.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
-    /// What it may be.
+    /// The valid range.
     pub rule: &'static str,
 }
 
-/// How far margins are looked for.
+/// The limits of the search for margins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarginLimits {
-    /// Longest delay that is looked at, in s.
+    /// The longest delay, in s.
     pub delay: f64,
-    /// Longest marker interval that is looked at, in ticks.
+    /// The longest marker interval, in ticks.
     pub marker_interval: u32,
 }
 
@@ -54,15 +54,15 @@ impl Default for MarginLimits {
     }
 }
 
-/// To how many s the delay margin is found.
+/// Resolution of the delay margin, in s.
 const DELAY_RESOLUTION: f64 = 1e-6;
 
-/// Delays longer than this many ticks make matrices too large.
+/// The longest delay, in ticks: the size of the matrices grows with it.
 const MOST_TICKS: f64 = 1_000.0;
 
 impl SampledLoop {
-    /// `closed_loop` evaluated every `period` s, its command acting `delay` s after
-    /// the tick that it was measured at.
+    /// `closed_loop` evaluated every `period` s, with commands that take effect `delay` s after
+    /// their tick.
     ///
     /// # Errors
     ///
@@ -88,8 +88,8 @@ impl SampledLoop {
         })
     }
 
-    /// The same inside a proportional position loop of this gain, in 1/s, about a
-    /// straight path; with zero, the law alone.
+    /// The same loop inside a proportional position loop of this gain, in 1/s, about a straight
+    /// path. With zero it is the law alone.
     ///
     /// # Errors
     ///
@@ -108,9 +108,9 @@ impl SampledLoop {
         })
     }
 
-    /// The spectral radius of a tick when the pose is seen at every `interval`-th tick
-    /// (at each, if it is 1): the factor by which disturbances grow or decay per tick
-    /// in the long run. Below one the motion is stable.
+    /// The spectral radius per tick if the pose is measured at every `interval`-th tick: the
+    /// factor by which disturbances grow or decay per tick in the long run. Below one the
+    /// motion is stable.
     #[must_use]
     pub fn spectral_radius(&self, interval: u32) -> f64 {
         let interval = interval.max(1);
@@ -118,9 +118,9 @@ impl SampledLoop {
         libm::pow(over_interval, 1.0 / f64::from(interval))
     }
 
-    /// The smallest delay in s that makes the motion unstable, with the pose seen at
-    /// every tick: zero if it is unstable without a delay, none if it is stable with
-    /// every delay up to the limit. The loop's own delay does not matter.
+    /// The smallest delay in s that makes the motion unstable, with the pose measured at every
+    /// tick. Zero if it is unstable without a delay, none if it is stable with every delay up
+    /// to the limit. The loop's own delay has no influence.
     #[must_use]
     pub fn delay_margin(&self, limits: MarginLimits) -> Option<f64> {
         let is_stable = |delay: f64| is_stable(Self { delay, ..*self }.over_interval(1));
@@ -150,14 +150,14 @@ impl SampledLoop {
         Some(0.5 * (stable + unstable))
     }
 
-    /// The longest time in s that may pass between one pose and the next, again and
-    /// again, so that the motion is stable with this and every shorter interval: zero
-    /// if it is unstable with a pose at every tick, none if it is stable up to the
-    /// limit. In whole ticks.
+    /// The longest constant interval between poses, in s, up to which the motion is stable.
+    ///
+    /// A multiple of the period. Zero if the motion is unstable with a pose at every tick, none
+    /// if it is stable up to the limit.
     #[must_use]
     pub fn longest_marker_interval(&self, limits: MarginLimits) -> Option<f64> {
-        let (seen, held) = (self.tick(true), self.tick(false));
-        let mut over_interval = seen;
+        let (measured, held) = (self.tick(true), self.tick(false));
+        let mut over_interval = measured;
         for interval in 1..=limits.marker_interval {
             if !is_stable(over_interval.clone()) {
                 return Some(f64::from(interval - 1) * self.period);
@@ -167,7 +167,7 @@ impl SampledLoop {
         None
     }
 
-    /// The map from a tick that sees the pose to the next that does.
+    /// The map from a tick with a pose to the next tick with a pose.
     fn over_interval(&self, interval: u32) -> DMatrix<f64> {
         let mut map = self.tick(true);
         if interval > 1 {
@@ -179,34 +179,34 @@ impl SampledLoop {
         map
     }
 
-    /// The map of a tick on: the car's state, the commands still under way from the
-    /// newest to the oldest, and the pose that is held (position, yaw).
-    fn tick(&self, seen: bool) -> DMatrix<f64> {
+    /// The map of one tick on the car's state, the pending commands from the newest to the
+    /// oldest, and the held pose (position, yaw).
+    fn tick(&self, has_pose: bool) -> DMatrix<f64> {
         let plant = Plant::of(&self.closed_loop);
         let states = plant.dynamics.nrows();
         let ticks = (self.delay / self.period + 1e-9) as usize;
         let late = (self.delay - ticks as f64 * self.period).max(0.0);
-        let [begin, end] = plant.over(self.period, late);
+        let [begin, end] = plant.split_input(self.period, late);
         let free = plant.transition(self.period);
 
         let size = states + ticks + 1 + 2;
         let (commands, held) = (states, states + ticks + 1);
-        // What the controller knows, and what it makes of it.
-        let mut known = DMatrix::<f64>::zeros(states, size);
+        // The measurements of the controller, and its command.
+        let mut measured = DMatrix::<f64>::zeros(states, size);
         for state in 0..states {
             let is_pose = state == POSITION || state == YAW;
-            let from = if is_pose && !seen {
+            let from = if is_pose && !has_pose {
                 held + state
             } else {
                 state
             };
-            known[(state, from)] = 1.0;
+            measured[(state, from)] = 1.0;
         }
-        let command = self.gains().transpose() * known;
+        let command = self.gains().transpose() * measured;
 
         let mut map = DMatrix::<f64>::zeros(size, size);
         map.view_mut((0, 0), (states, states)).copy_from(&free);
-        // What acts at the beginning of the tick is one older than at its end.
+        // The command at the beginning of the tick is one older than the one at its end.
         for (input, age) in [(&begin, ticks + 1), (&end, ticks)] {
             if age == 0 {
                 let mut rows = map.rows_mut(0, states);
@@ -221,11 +221,11 @@ impl SampledLoop {
             map[(commands + age, commands + age - 1)] = 1.0;
         }
         for pose in [POSITION, YAW] {
-            let from = if seen { pose } else { held + pose };
+            let from = if has_pose { pose } else { held + pose };
             map[(held + pose, from)] = 1.0;
         }
         if self.position_gain == 0.0 {
-            // Nothing depends on where the car is; its position only integrates.
+            // Without the outer loop nothing depends on the position.
             map = map
                 .remove_rows_at(&[POSITION, held + POSITION])
                 .remove_columns_at(&[POSITION, held + POSITION]);
@@ -233,7 +233,7 @@ impl SampledLoop {
         map
     }
 
-    /// The linearised law: the command as a combination of the car's states.
+    /// The linearised law: the command as a linear combination of the car's states.
     fn gains(&self) -> DVector<f64> {
         let ClosedLoop {
             vehicle,
@@ -284,7 +284,7 @@ impl SampledLoop {
 const POSITION: usize = 0;
 const YAW: usize = 1;
 
-/// The linearised car: lateral position, yaw, yaw rate, sideslip, and steering where
+/// The linearised car: lateral position, yaw, yaw rate and sideslip, and also steering if
 /// its rate is the input.
 struct Plant {
     dynamics: DMatrix<f64>,
@@ -317,14 +317,14 @@ impl Plant {
         (&self.dynamics * time).exp()
     }
 
-    /// What a unit of input over the first `late` s of `period`, and over the rest,
-    /// adds to the state at its end.
-    fn over(&self, period: f64, late: f64) -> [DVector<f64>; 2] {
+    /// The contributions of a unit of input over the first `late` s of `period`, and over the
+    /// rest, to the state at its end.
+    fn split_input(&self, period: f64, late: f64) -> [DVector<f64>; 2] {
         let rest = period - late;
         [self.transition(rest) * self.held(late), self.held(rest)]
     }
 
-    /// What a unit of input over `time` adds to the state: the integral of the
+    /// The contribution of a unit of input over `time` to the state: the integral of the
     /// transition, from the exponential of a bordered matrix.
     fn held(&self, time: f64) -> DVector<f64> {
         let states = self.dynamics.nrows();
@@ -367,16 +367,16 @@ fn slope(closed_loop: &ClosedLoop, variable: usize) -> [f64; 4] {
     [rate.y, rate.yaw, rate.yaw_rate, rate.sideslip].map(|rate| rate.eps)
 }
 
-/// The growth of the powers of a matrix, by squaring it: `‖M^k‖^(1/k)`, which tends to
-/// the spectral radius (Gelfand), whatever its eigenvalues are.
+/// The growth of the powers of a matrix by repeated squaring: `‖M^k‖^(1/k)`, which tends to
+/// the spectral radius for every matrix (Gelfand).
 struct Squaring {
     power: DMatrix<f64>,
-    /// Logarithm of what `power` was divided by, over the exponent.
+    /// Logarithm of the divisor of `power`, over the exponent.
     logarithm: f64,
     exponent: f64,
 }
 
-/// Exponents up to 2 to this power.
+/// Number of squarings.
 const SQUARINGS: usize = 40;
 
 impl Squaring {
@@ -416,7 +416,7 @@ fn spectral_radius(matrix: DMatrix<f64>) -> f64 {
     libm::exp(squaring.logarithm)
 }
 
-/// Whether the spectral radius is below one: some power is then shorter than one.
+/// Whether the spectral radius is below one: some power then has a norm below one.
 fn is_stable(matrix: DMatrix<f64>) -> bool {
     let mut squaring = Squaring::new(matrix);
     for _ in 0..SQUARINGS {
