@@ -1,5 +1,5 @@
-//! The bifurcation analyses of the paper, against numbers computed independently with
-//! `scipy` (`data/hopf_points.csv`) and against what the paper prints.
+//! The bifurcation analyses of the paper, against an independent computation with `scipy`
+//! (`data/hopf_points.csv`) and against the numbers in the paper.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -16,7 +16,7 @@ fn closed_loop(law: Law, speed: f64, deviation: f64) -> ClosedLoop {
     ClosedLoop::new(VehicleParameters::paper(), law, P, speed, deviation).unwrap()
 }
 
-/// The paper's car has one at every speed.
+/// The only Hopf point of the paper's car at a speed.
 fn only(law: Law, belief: Belief, speed: f64) -> HopfPoint {
     let points = hopf_points(VehicleParameters::paper(), law, belief, P, speed).unwrap();
     let [point] = points[..] else {
@@ -34,7 +34,7 @@ fn relative(ours: f64, theirs: f64) -> f64 {
 }
 
 #[test]
-fn hopf_points_are_those_of_the_reference() {
+fn hopf_points_equal_the_reference() {
     let mut reader = csv::Reader::from_reader(&include_bytes!("data/hopf_points.csv")[..]);
     let mut compared = 0;
     for row in reader.deserialize() {
@@ -89,7 +89,7 @@ fn every_hopf_bifurcation_of_both_laws_is_subcritical_and_ends_stability() {
 }
 
 #[test]
-fn at_a_hopf_point_a_pair_of_eigenvalues_is_imaginary_and_crosses_as_told() {
+fn at_a_hopf_point_a_pair_of_eigenvalues_is_imaginary_with_the_stated_crossing() {
     for law in [Law::FrontPoint, Law::VelocityPoint] {
         for speed in [0.1, 0.7, 2.0, 6.3] {
             let point = only(law, Belief::CentreOfMass, speed);
@@ -129,7 +129,7 @@ fn the_proposed_law_is_stable_over_the_whole_meaningful_range_at_every_speed() {
         limit < from,
         "the limit of all speeds lies outside the range"
     );
-    // The Hopf points of finite speeds come near it from below, and never pass it.
+    // The Hopf points of finite speeds approach it from below.
     let mut last = f64::NEG_INFINITY;
     for exponent in -20..=40 {
         let point = only(
@@ -159,7 +159,7 @@ fn the_appendix_law_loses_stability_at_a_tenth_of_a_millimetre_if_both_distances
 }
 
 #[test]
-fn the_proposed_law_knows_no_rear_axle() {
+fn the_proposed_law_does_not_depend_on_the_rear_axle() {
     assert_eq!(
         only(Law::FrontPoint, Belief::FrontAxle, 1.0).deviation,
         only(Law::FrontPoint, Belief::CentreOfMass, 1.0).deviation
@@ -167,7 +167,7 @@ fn the_proposed_law_knows_no_rear_axle() {
 }
 
 #[test]
-fn eigenvalues_come_by_ascending_real_part_four_of_one_law_and_three_of_the_other() {
+fn eigenvalues_are_in_order_of_their_real_part_and_as_many_as_the_states() {
     for (law, count) in [(Law::FrontPoint, 4), (Law::VelocityPoint, 3)] {
         for speed in speeds() {
             let eigenvalues = closed_loop(law, speed, 0.05).eigenvalues();
@@ -188,7 +188,7 @@ fn vehicle() -> impl Strategy<Value = VehicleParameters> {
     )
         .prop_map(|(mass, inertia, l_f, l_r, front, rear)| VehicleParameters {
             mass_kg: mass,
-            // Radii of gyration and stiffnesses as cars have them.
+            // Realistic radii of gyration and stiffnesses.
             yaw_inertia_kg_m2: inertia * mass * l_f * l_r,
             front_axle_distance_m: l_f,
             rear_axle_distance_m: l_r,
@@ -214,7 +214,7 @@ proptest! {
             .unwrap()
             .believing(belief);
         let polynomial = closed_loop.characteristic_polynomial();
-        // Both as polynomials, as roots that lie close to each other are sensitive.
+        // Polynomials are compared, because roots that are close to each other are sensitive.
         let coefficients = match polynomial {
             singletrack_analysis::stability::CharacteristicPolynomial::Quartic(a) => a.to_vec(),
             singletrack_analysis::stability::CharacteristicPolynomial::Cubic(a) => a.to_vec(),
@@ -244,7 +244,7 @@ proptest! {
     }
 
     #[test]
-    fn a_car_that_is_stable_at_one_speed_is_stable_at_every_lower_one(
+    fn a_car_that_is_stable_at_a_speed_is_stable_at_every_lower_speed(
         vehicle in vehicle(),
         p in 0.05..3.0,
         speed in 0.2..30.0,
@@ -265,7 +265,7 @@ fn beyond_its_critical_speed_a_car_is_unstable_somewhere_in_the_range() {
     let paper = VehicleParameters::paper();
     let range = ClosedLoop::meaningful_deviations(&paper);
     assert_eq!(critical_speed(paper, P, range).unwrap(), None);
-    // With P near the front axle not every deviation is survived.
+    // With P near the front axle some deviations make the car unstable.
     let near = 0.2;
     let critical = critical_speed(paper, near, range).unwrap().unwrap();
     let at = |speed, deviation| {
@@ -282,7 +282,7 @@ fn beyond_its_critical_speed_a_car_is_unstable_somewhere_in_the_range() {
 }
 
 #[test]
-fn the_papers_claim_needs_a_point_as_far_before_the_car_as_the_paper_has_it() {
+fn the_papers_claim_needs_almost_the_papers_distance_p() {
     let paper = VehicleParameters::paper();
     let range = ClosedLoop::meaningful_deviations(&paper);
     let smallest = smallest_point_distance(paper, range).unwrap().unwrap();
@@ -296,19 +296,19 @@ fn the_papers_claim_needs_a_point_as_far_before_the_car_as_the_paper_has_it() {
 }
 
 #[test]
-fn what_has_no_steady_motion_is_refused_by_name() {
+fn parameters_without_a_steady_motion_are_rejected_by_name() {
     let vehicle = VehicleParameters::paper();
-    let refused = |p, speed, deviation| {
+    let rejected = |p, speed, deviation| {
         ClosedLoop::new(vehicle, Law::FrontPoint, p, speed, deviation)
             .unwrap_err()
             .to_string()
     };
-    assert!(refused(0.0, 1.0, 0.0).contains("point distance p is 0 m"));
-    assert!(refused(P, 0.0, 0.0).contains("speed is 0 m/s"));
-    assert!(refused(P, f64::NAN, 0.0).contains("NaN"));
-    assert!(refused(P, 1.0, f64::INFINITY).contains("inf"));
-    assert!(refused(P, 1e-200, 0.0).contains("range of numbers"));
-    assert!(refused(1e-300, 1e100, 0.0).contains("range of numbers"));
+    assert!(rejected(0.0, 1.0, 0.0).contains("point distance p is 0 m"));
+    assert!(rejected(P, 0.0, 0.0).contains("speed is 0 m/s"));
+    assert!(rejected(P, f64::NAN, 0.0).contains("NaN"));
+    assert!(rejected(P, 1.0, f64::INFINITY).contains("inf"));
+    assert!(rejected(P, 1e-200, 0.0).contains("range of numbers"));
+    assert!(rejected(1e-300, 1e100, 0.0).contains("range of numbers"));
     let massless = VehicleParameters {
         mass_kg: 0.0,
         ..vehicle

@@ -1,4 +1,4 @@
-//! Cars that are known, identified from drives with noise.
+//! Known cars, identified from drives with noise.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -11,7 +11,7 @@ use singletrack_analysis::identification::{
 use singletrack_control::VehicleParameters;
 use synthetic::Course;
 
-/// A car that is believed to be quite another.
+/// Start values far from the true car.
 fn wrong() -> VehicleParameters {
     let car = VehicleParameters::paper();
     VehicleParameters {
@@ -40,11 +40,11 @@ fn relative_error(found: &Identification, course: &Course, parameter: Parameter)
 }
 
 #[test]
-fn intervals_of_95_percent_hold_the_truth_in_at_least_90_percent_of_the_drives() {
+fn intervals_of_95_percent_contain_the_truth_in_at_least_90_percent_of_the_drives() {
     let drives: u32 = match std::env::var("IDENTIFICATION_DRIVES") {
         Ok(number) => number.parse().unwrap(),
-        // As many as show an interval that is too narrow by a third. The documentation has
-        // the figures of 100.
+        // Enough to detect intervals that are a third too narrow. The documentation has the
+        // figures of 100 drives.
         Err(_) => 40,
     };
     let settings = Settings {
@@ -71,14 +71,14 @@ fn intervals_of_95_percent_hold_the_truth_in_at_least_90_percent_of_the_drives()
             10 * covered >= 9 * drives,
             "{parameter}: {covered} of {drives}"
         );
-        // And they are no wider than they must be: 1 but for chance.
+        // The intervals are not too wide either: the expected ratio is 1.
         let ratio = (squares / f64::from(drives)).sqrt();
         assert!((0.75..1.3).contains(&ratio), "{parameter}: {ratio}");
     }
 }
 
 #[test]
-fn a_car_is_found_from_a_start_that_is_far_off_with_its_noise_and_its_servo() {
+fn a_car_is_identified_from_a_distant_start_jointly_with_noise_and_servo() {
     let course = Course::weaving(1, 21.0);
     let found = identify(&course.drive(), &wrong(), &Settings::default()).unwrap();
     for (parameter, within) in [
@@ -107,7 +107,7 @@ fn a_car_is_found_from_a_start_that_is_far_off_with_its_noise_and_its_servo() {
         );
     }
     assert_eq!(found.warnings, []);
-    // What is not asked for stays as it was.
+    // Other parameters keep their values.
     assert_eq!(found.vehicle().mass_kg, course.vehicle.mass_kg);
     assert_eq!(
         found.vehicle().front_axle_distance_m,
@@ -116,7 +116,7 @@ fn a_car_is_found_from_a_start_that_is_far_off_with_its_noise_and_its_servo() {
 }
 
 #[test]
-fn no_estimate_is_surer_than_cramer_and_rao_allow() {
+fn no_standard_deviation_is_below_the_cramer_rao_bound() {
     let course = Course::weaving(2, 10.0);
     let data = course.drive();
     let settings = Settings {
@@ -134,7 +134,7 @@ fn no_estimate_is_surer_than_cramer_and_rao_allow() {
     .unwrap();
     for (estimate, bound) in found.estimates.iter().zip(bounds) {
         let ratio = estimate.standard_deviation / bound;
-        // The noise is estimated, and so may be somewhat less than it is.
+        // The noise level is an estimate and may be somewhat too small.
         assert!(
             (0.9..2.0).contains(&ratio),
             "{}: {ratio}",
@@ -144,7 +144,7 @@ fn no_estimate_is_surer_than_cramer_and_rao_allow() {
 }
 
 #[test]
-fn where_the_centre_of_mass_is_and_how_far_the_wheels_turn_can_be_found_too() {
+fn the_centre_of_mass_and_the_steering_gain_can_be_identified() {
     let course = Course {
         vehicle: VehicleParameters::paper().with_centre_of_mass_at(0.13),
         steering_gain: 1.04,
@@ -174,12 +174,12 @@ fn where_the_centre_of_mass_is_and_how_far_the_wheels_turn_can_be_found_too() {
     }
     let front_axle = found.estimate(Parameter::FrontAxleDistance).unwrap();
     assert!((front_axle.value - 0.13).abs() < 1e-3, "{front_axle:?}");
-    // The wheelbase is kept.
+    // The wheelbase keeps its value.
     assert!((found.vehicle().wheelbase_m() - 0.26).abs() < 1e-12);
 }
 
 #[test]
-fn linear_tyres_make_a_car_that_slides_too_soft() {
+fn linear_tyres_underestimate_the_stiffness_of_a_sliding_car() {
     let course = Course::weaving(4, 15.0);
     let data = course.drive();
     let settings = |tyres| Settings {
@@ -198,7 +198,7 @@ fn linear_tyres_make_a_car_that_slides_too_soft() {
             right.value
         );
     }
-    // And it shows.
+    // The errors and the noise levels show it.
     assert!(linear.score.nmpe > 1.2 * right.score.nmpe);
     assert!(linear.noise.force_density > 10.0 * right.noise.force_density);
     assert!(
@@ -209,13 +209,13 @@ fn linear_tyres_make_a_car_that_slides_too_soft() {
         "{:?}",
         linear.warnings
     );
-    // But it makes no sensor perfect.
+    // The sensors do not become perfect.
     assert!(linear.noise.left_m_s2 > 0.5 * course.noise.left_m_s2);
     assert!(linear.noise.yaw_rate_rad_s > 0.5 * course.noise.yaw_rate_rad_s);
 }
 
 #[test]
-fn a_centre_of_mass_that_is_wrong_shows_in_forces_that_nothing_explains() {
+fn a_wrong_centre_of_mass_causes_a_warning_of_unexplained_forces() {
     let course = Course::weaving(15, 21.0);
     let wrong = course.vehicle.with_centre_of_mass_at(0.1418);
     let settings = |parameters: &[Parameter]| Settings {
@@ -223,15 +223,15 @@ fn a_centre_of_mass_that_is_wrong_shows_in_forces_that_nothing_explains() {
         ..Settings::of(parameters)
     };
     let data = course.drive();
-    let believed = identify(&data, &wrong, &settings(&Parameter::VEHICLE)).unwrap();
+    let found = identify(&data, &wrong, &settings(&Parameter::VEHICLE)).unwrap();
     let unexplained = |warning: &Warning| matches!(warning, Warning::Unexplained { .. });
     assert!(
-        believed.warnings.iter().any(unexplained),
+        found.warnings.iter().any(unexplained),
         "{:?} {:?}",
-        believed.warnings,
-        believed.noise
+        found.warnings,
+        found.noise
     );
-    // Estimated along, as the warning says, it is found.
+    // Joint estimation, which the warning recommends, finds it.
     let mut asked = Parameter::VEHICLE.to_vec();
     asked.extend([Parameter::FrontAxleDistance, Parameter::Friction]);
     let found = identify(&data, &wrong, &settings(&asked)).unwrap();
@@ -245,7 +245,7 @@ fn a_centre_of_mass_that_is_wrong_shows_in_forces_that_nothing_explains() {
 }
 
 #[test]
-fn a_drive_straight_on_tells_no_stiffness_and_says_so() {
+fn a_straight_drive_causes_a_warning_of_undetermined_stiffness() {
     let course = Course {
         steering: 0.0,
         trim: 0.0,
@@ -256,7 +256,7 @@ fn a_drive_straight_on_tells_no_stiffness_and_says_so() {
         assert!(
             found.warnings.iter().any(|warning| matches!(
                 warning,
-                Warning::NotTold { parameter: told, .. } if *told == parameter
+                Warning::NotTold { parameter: named, .. } if *named == parameter
             )),
             "{parameter}: {:?}",
             found.warnings
@@ -265,7 +265,7 @@ fn a_drive_straight_on_tells_no_stiffness_and_says_so() {
 }
 
 #[test]
-fn a_short_and_a_slow_drive_are_used_with_a_warning() {
+fn a_short_drive_and_a_slow_drive_cause_a_warning() {
     let short = identify(
         &Course::weaving(6, 8.0).drive(),
         &VehicleParameters::paper(),
@@ -292,8 +292,8 @@ fn a_short_and_a_slow_drive_are_used_with_a_warning() {
 }
 
 #[test]
-fn what_the_model_does_not_know_colours_the_errors() {
-    // A gyro that swings with a period of four samples.
+fn unmodelled_behaviour_causes_a_warning_of_coloured_errors() {
+    // An oscillation of the gyro with a period of four samples.
     let mut data = Course::weaving(8, 10.0).drive();
     for (sample, sign) in data
         .inertial
@@ -317,20 +317,20 @@ fn what_the_model_does_not_know_colours_the_errors() {
 }
 
 #[test]
-fn lost_markers_split_a_drive_and_do_not_spoil_it() {
+fn lost_markers_split_a_drive_without_harm() {
     let course = Course::weaving(9, 20.0);
     let mut data = course.drive();
     data.poses
         .retain(|pose| !(6.0..6.5).contains(&pose.time_s) && !(11.0..11.2).contains(&pose.time_s));
     let found = identify(&data, &wrong(), &Settings::default()).unwrap();
-    // 0.2 s are bridged, 0.5 s are not.
+    // A gap of 0.2 s is bridged, a gap of 0.5 s is not.
     assert_eq!(found.stretches.len(), 2, "{:?}", found.stretches);
     let error = relative_error(&found, &course, Parameter::RearStiffness);
     assert!(error < 0.02, "{error}");
 }
 
 #[test]
-fn another_drive_is_predicted_as_well_with_its_own_biases() {
+fn another_drive_with_other_biases_is_predicted_as_well() {
     let settings = Settings::default();
     let course = Course::weaving(10, 15.0);
     let found = identify(&course.drive(), &wrong(), &settings).unwrap();
@@ -346,7 +346,7 @@ fn another_drive_is_predicted_as_well_with_its_own_biases() {
     assert_eq!(validated.vehicle(), found.vehicle());
     let bias = validated.estimate(Parameter::LateralBias).unwrap().value;
     assert!((bias + 0.1).abs() < 0.01, "{bias}");
-    // A car that is another one is not predicted as well.
+    // Another car is predicted less well.
     let heavy = Course {
         vehicle: VehicleParameters {
             rear_cornering_stiffness_n_rad: 90.0,
@@ -358,7 +358,7 @@ fn another_drive_is_predicted_as_well_with_its_own_biases() {
     assert!(validated.score.nmpe > 1.5 * found.score.nmpe);
 }
 
-fn refused(data: &DriveData) -> IdentificationError {
+fn rejection(data: &DriveData) -> IdentificationError {
     match identify(data, &VehicleParameters::paper(), &Settings::default()) {
         Err(error) => error,
         Ok(found) => panic!("{:?}", found.estimates),
@@ -366,12 +366,12 @@ fn refused(data: &DriveData) -> IdentificationError {
 }
 
 #[test]
-fn a_drive_that_tells_nothing_is_refused_by_name() {
+fn an_unusable_drive_is_rejected_by_name() {
     let data = Course::weaving(12, 6.0).drive();
     let without = |change: fn(&mut DriveData)| {
         let mut data = data.clone();
         change(&mut data);
-        refused(&data).to_string()
+        rejection(&data).to_string()
     };
     let text = without(|data| data.inertial.clear());
     assert!(text.contains("0 samples of the IMU"), "{text}");
@@ -395,7 +395,7 @@ fn a_drive_that_tells_nothing_is_refused_by_name() {
         speed: [0.3, 0.05],
         ..Course::weaving(13, 8.0)
     };
-    let text = refused(&slow.drive()).to_string();
+    let text = rejection(&slow.drive()).to_string();
     assert!(text.contains("never faster than 0.3"), "{text}");
     let nothing = Settings {
         parameters: Vec::new(),

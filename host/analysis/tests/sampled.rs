@@ -1,5 +1,5 @@
-//! The loop in ticks, against the loop without them and against the equations that
-//! drive the car.
+//! The sampled loop, against the continuous loop and against a simulation with the laws and
+//! the model of the car.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -22,7 +22,7 @@ fn sampled(law: Law, speed: f64, deviation: f64, delay: f64) -> SampledLoop {
 }
 
 #[test]
-fn a_loop_that_ticks_fast_is_the_continuous_one() {
+fn a_fast_sampled_loop_equals_the_continuous_loop() {
     for law in [Law::FrontPoint, Law::VelocityPoint] {
         for speed in [1.0, 2.0, 5.0] {
             let closed_loop = closed_loop(law, speed, 0.004);
@@ -41,13 +41,13 @@ fn a_loop_that_ticks_fast_is_the_continuous_one() {
     }
 }
 
-/// How much a small disturbance grows per tick in the long run, by the equations and
-/// laws that drive the car.
+/// The growth of a small disturbance per tick in the long run, from a simulation with the
+/// laws and the model of the car.
 fn simulated_growth(law: Law, speed: f64, deviation: f64, late: usize, interval: usize) -> f64 {
     let vehicle = VehicleParameters::paper();
-    let believed = vehicle.front_axle_distance_m + deviation;
-    let front = FrontPointLaw::new(believed, P, vehicle.wheelbase_m()).unwrap();
-    let velocity = VelocityPointLaw::new(vehicle.with_centre_of_mass_at(believed), P).unwrap();
+    let assumed = vehicle.front_axle_distance_m + deviation;
+    let front = FrontPointLaw::new(assumed, P, vehicle.wheelbase_m()).unwrap();
+    let velocity = VelocityPointLaw::new(vehicle.with_centre_of_mass_at(assumed), P).unwrap();
     let model = SingleTrack::new(vehicle);
     let wanted = Vector2::new(speed, 0.0);
 
@@ -117,7 +117,7 @@ fn simulated_growth(law: Law, speed: f64, deviation: f64, late: usize, interval:
             state = moved(step, &mean);
             steering += step * rate;
         }
-        // Kept small, so that it stays linear.
+        // Scaled down to remain in the linear range.
         let size = state
             .yaw
             .abs()
@@ -141,7 +141,7 @@ fn simulated_growth(law: Law, speed: f64, deviation: f64, late: usize, interval:
             }
         }
     }
-    // The envelope of what oscillates: the largest in two windows.
+    // The envelope of an oscillation: the largest values in two windows.
     let largest = |from: usize, to: usize| {
         sizes[from..to]
             .iter()
@@ -152,7 +152,7 @@ fn simulated_growth(law: Law, speed: f64, deviation: f64, late: usize, interval:
 }
 
 #[test]
-fn the_spectral_radius_is_the_growth_that_the_cars_equations_show() {
+fn the_spectral_radius_equals_the_simulated_growth() {
     for (law, speed, deviation, late, interval) in [
         (Law::FrontPoint, 1.5, 0.0, 1, 1),
         (Law::FrontPoint, 1.5, 0.0, 12, 1),
@@ -173,7 +173,7 @@ fn the_spectral_radius_is_the_growth_that_the_cars_equations_show() {
 }
 
 #[test]
-fn at_the_delay_margin_the_loop_is_neither_stable_nor_unstable() {
+fn the_delay_margin_separates_stable_from_unstable_delays() {
     let limits = MarginLimits::default();
     for law in [Law::FrontPoint, Law::VelocityPoint] {
         for speed in [2.0, 4.0] {
@@ -185,7 +185,7 @@ fn at_the_delay_margin_the_loop_is_neither_stable_nor_unstable() {
 }
 
 #[test]
-fn the_longest_marker_interval_is_the_last_that_is_stable() {
+fn the_longest_marker_interval_is_the_last_stable_one() {
     let limits = MarginLimits::default();
     for (law, gain) in [
         (Law::FrontPoint, 0.0),
@@ -214,7 +214,7 @@ fn a_loop_that_is_unstable_without_delay_has_no_margins() {
 }
 
 #[test]
-fn a_slow_car_survives_whatever_is_looked_at() {
+fn a_slow_car_is_stable_up_to_the_limits_of_the_search() {
     let sampled = sampled(Law::FrontPoint, 0.1, 0.0, 0.01);
     assert_eq!(sampled.delay_margin(MarginLimits::default()), None);
     assert_eq!(
@@ -224,7 +224,7 @@ fn a_slow_car_survives_whatever_is_looked_at() {
 }
 
 #[test]
-fn what_cannot_be_sampled_is_refused_by_name() {
+fn invalid_sampling_parameters_are_rejected_by_name() {
     let closed_loop = closed_loop(Law::FrontPoint, 1.0, 0.0);
     let error = SampledLoop::new(closed_loop, 0.0, 0.0)
         .unwrap_err()

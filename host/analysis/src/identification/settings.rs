@@ -4,7 +4,7 @@ use singletrack_control::Tyres;
 
 use super::{data::ServoFrames, noise::NoiseLevels, parameter::Parameter};
 
-/// What is estimated, and by which model.
+/// The parameters, model and noise levels of an identification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// The parameters to estimate. The others keep their start values, those of

@@ -26,13 +26,13 @@ impl VectorField<4> for FrontPointField<'_> {
             deviation,
             ..
         } = *self.0;
-        let believed = vehicle.front_axle_distance_m + deviation;
+        let assumed = vehicle.front_axle_distance_m + deviation;
         // Equation 8, with v_P = (speed, 0).
         let cosine = (sideslip - steering).cos();
-        let v = ((yaw + steering).cos() * speed - yaw_rate * steering.sin() * believed) / cosine;
-        let steering_rate =
-            (-(yaw + sideslip).sin() * speed - yaw_rate * sideslip.cos() * believed) / (cosine * p)
-                - yaw_rate;
+        let v = ((yaw + steering).cos() * speed - yaw_rate * steering.sin() * assumed) / cosine;
+        let steering_rate = (-(yaw + sideslip).sin() * speed - yaw_rate * sideslip.cos() * assumed)
+            / (cosine * p)
+            - yaw_rate;
         let lateral = SingleTrack::new(vehicle).lateral(&LateralMotion {
             yaw_rate,
             sideslip,

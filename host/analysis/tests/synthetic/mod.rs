@@ -1,5 +1,5 @@
-//! A car that is driven by a servo and measured with noise, independent of the code
-//! under test but for the vehicle's model.
+//! A simulated car with a servo and noisy sensors. It shares only the vehicle model with the
+//! code under test.
 
 use rand_chacha::{
     ChaCha8Rng,
@@ -8,14 +8,14 @@ use rand_chacha::{
 use singletrack_analysis::identification::{DriveData, Inertial, NoiseLevels, Pose, ServoTarget};
 use singletrack_control::{RelaxedSingleTrack, SingleTrackState, VehicleParameters};
 
-/// How a drive goes.
+/// A drive: car, inputs and sensors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Course {
     pub(crate) vehicle: VehicleParameters,
     pub(crate) seconds: f64,
-    /// Speed of G, in m/s, and its swing to either side.
+    /// Mean and amplitude of the speed of G, in m/s.
     pub(crate) speed: [f64; 2],
-    /// Swing of the steering angle to either side, in rad.
+    /// Amplitude of the steering angle, in rad.
     pub(crate) steering: f64,
     pub(crate) servo_lag: f64,
     pub(crate) steering_delay: f64,
@@ -30,7 +30,7 @@ pub(crate) struct Course {
 }
 
 impl Course {
-    /// Weaving fast, with the noise of good sensors.
+    /// Fast weaving, with the noise of good sensors.
     pub(crate) fn weaving(seed: u64, seconds: f64) -> Self {
         Self {
             vehicle: VehicleParameters::paper(),
@@ -57,9 +57,9 @@ impl Course {
         }
     }
 
-    /// Steering angle that the servo is told at a time, in rad.
-    fn told(&self, time: f64) -> f64 {
-        // Steps to either side that never repeat.
+    /// Commanded steering angle at a time, in rad.
+    fn commanded_angle(&self, time: f64) -> f64 {
+        // Steps to both sides that never repeat.
         let one = (2.9 * time).sin();
         let other = (1.3 * time + 0.7).sin();
         let step = |x: f64| (8.0 * x).clamp(-1.0, 1.0);
@@ -67,15 +67,15 @@ impl Course {
     }
 
     fn speed_at(&self, time: f64) -> [f64; 2] {
-        let [mean, swing] = self.speed;
+        let [mean, amplitude] = self.speed;
         let rate = 0.9;
         [
-            mean + swing * (rate * time).sin(),
-            swing * rate * (rate * time).cos(),
+            mean + amplitude * (rate * time).sin(),
+            amplitude * rate * (rate * time).cos(),
         ]
     }
 
-    /// What is measured.
+    /// The measured data.
     pub(crate) fn drive(&self) -> DriveData {
         const STEP: f64 = 0.001;
         let mut random = Noise(ChaCha8Rng::seed_from_u64(self.seed));
@@ -93,13 +93,13 @@ impl Course {
                 data.servo.push(ServoTarget {
                     time_s: time,
                     period: tick / 10,
-                    angle_rad: self.told(time),
+                    angle_rad: self.commanded_angle(time),
                 });
             }
-            // A pulse begins every 20 ms and is acted on when the delay has passed.
+            // A pulse begins every 20 ms and takes effect after the delay.
             let delay = (self.steering_delay / STEP).round() as u64;
             if tick >= delay && (tick - delay).is_multiple_of(20) {
-                target = self.told((tick - delay) as f64 * STEP);
+                target = self.commanded_angle((tick - delay) as f64 * STEP);
             }
             let rate = model.derivative(&state, speed, steering);
             let turning = speed * (rate.sideslip + state.yaw_rate);
@@ -110,7 +110,7 @@ impl Course {
                     yaw_rate_rad_s: state.yaw_rate
                         + self.gyro_bias
                         + noise.yaw_rate_rad_s * random.normal(),
-                    // A sample holds for 10 ms.
+                    // A sample is valid for 10 ms.
                     forward_m_s2: along * cos - turning * sin
                         + self.forward_bias
                         + noise.forward_density / 0.1 * random.normal(),
