@@ -8,6 +8,9 @@
 //! Nothing here reads a clock, allocates, or calls the platform's mathematics
 //! library: the same inputs give the same bits in every build, on every machine.
 //!
+//! The vehicle models are generic over the [`Number`], so that an analysis can differentiate
+//! the same equations that the simulator runs.
+//!
 //! Equation numbers refer to Bascetta, Farina, Gabrielli, Matteucci, "A feedback
 //! linearisation algorithm for single-track models with structural stability
 //! properties".

@@ -8,7 +8,7 @@ use core::ops::{Add, Div, Mul, Neg, Sub};
 
 /// The arithmetic of a number whose model has parameters of type `P`.
 ///
-/// `P` is `f64`, or the number itself where the derivatives by the parameters are wanted.
+/// `P` is `f64`, or the number itself for derivatives by the parameters.
 /// Every type with these operations is a number.
 pub trait Number<P = f64>:
     Copy

@@ -56,7 +56,7 @@ impl<N: Copy> SingleTrackState<N> {
     }
 }
 
-/// What the lateral motion of the car depends on.
+/// The variables of equation 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LateralMotion<N = f64> {
     /// Yaw rate r, in rad/s.

@@ -7,7 +7,7 @@ pub const GRAVITY: f64 = 9.806_65;
 
 /// The parameters of the single-track model, in SI units.
 ///
-/// Their type is `f64`, unless derivatives by the parameters are wanted.
+/// Their type `P` is `f64`, or a dual number for derivatives by the parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VehicleParameters<P = f64> {

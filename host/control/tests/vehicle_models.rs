@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use singletrack_control::{
-    Axles, LateralMotion, Libm, RelaxedSingleTrack, SingleTrack, SingleTrackState, Tyres,
-    VehicleParameters,
+    Axles, LateralMotion, Libm, RelaxedSingleTrack, SingleTrack, SingleTrackDerivative,
+    SingleTrackState, Tyres, VehicleParameters,
 };
 
 fn assert_near(value: f64, expected: f64, tolerance: f64) {
@@ -13,7 +13,51 @@ fn assert_near(value: f64, expected: f64, tolerance: f64) {
     );
 }
 
+/// Equations 1 and 2 as printed, with the operations in that order.
+fn as_printed(state: &SingleTrackState, v: f64, delta: f64) -> SingleTrackDerivative {
+    let VehicleParameters {
+        mass_kg: m,
+        yaw_inertia_kg_m2: i_z,
+        front_axle_distance_m: l_f,
+        rear_axle_distance_m: l_r,
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+        ..
+    } = VehicleParameters::paper();
+    let SingleTrackState {
+        yaw,
+        yaw_rate: r,
+        sideslip: beta,
+        ..
+    } = *state;
+    SingleTrackDerivative {
+        x: v * libm::cos(yaw + beta),
+        y: v * libm::sin(yaw + beta),
+        yaw: r,
+        yaw_rate: (c_r * l_r - c_f * l_f) / i_z * beta
+            - (c_f * l_f * l_f + c_r * l_r * l_r) / (i_z * v) * r
+            + c_f * l_f / i_z * delta,
+        sideslip: -(c_f + c_r) / (m * v) * beta
+            + ((c_r * l_r - c_f * l_f) / (m * v * v) - 1.0) * r
+            + c_f / (m * v) * delta,
+    }
+}
+
 proptest! {
+    /// The generic model does not change the bits of drives and simulations.
+    #[test]
+    fn the_model_of_f64_has_the_bits_of_the_equations_as_printed(
+        yaw in -10.0..10.0,
+        yaw_rate in -3.0..3.0,
+        sideslip in -0.4..0.4,
+        speed in 0.01..8.0,
+        steering in -0.5..0.5,
+    ) {
+        let state = SingleTrackState { x: 0.3, y: -0.2, yaw, yaw_rate, sideslip };
+        let rate = SingleTrack::new(VehicleParameters::paper()).derivative(&state, speed, steering);
+        prop_assert_eq!(rate, as_printed(&state, speed, steering));
+    }
+
     #[test]
     fn newtons_equations_with_linear_tyres_are_equation_1(
         yaw_rate in -3.0..3.0,
@@ -58,8 +102,6 @@ proptest! {
         assert_near(forces.rear, expected.rear, 1e-5);
     }
 
-    /// A car in reverse is the mirror image of one that goes forward, with the axes of yaw
-    /// and sideslip reversed.
     #[test]
     fn reversing_has_the_forces_of_going_forward_with_the_angles_reversed(
         yaw_rate in -3.0..3.0,
