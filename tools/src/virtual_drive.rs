@@ -18,7 +18,8 @@ use singletrack_core::{
     line::{Line, Port, PortRead},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::{Mode, Reason, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -270,7 +271,7 @@ impl VirtualDrive {
         while self.next_tick_us() as f64 * 1e-6 < READY_TIMEOUT {
             if !armed && self.host.mode() == Mode::Ready {
                 // The ring is empty: every tick takes all that waits in it.
-                armed = self.request(Request::Arm).is_ok();
+                armed = self.request(PilotRequest::Arm).is_ok();
             }
             let tick = self.step();
             if tick.tick.output.mode == Mode::Driving {

@@ -6,7 +6,8 @@ use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::Observation;
-use singletrack_pilot::{Mode, RealTimeState, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Mode, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
@@ -187,7 +188,7 @@ impl<L: Line> ControlLoop<L> {
         let now = Time(clock());
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
-            Mode::Ready if self.arm_when_ready => self.controller.request(Request::Arm),
+            Mode::Ready if self.arm_when_ready => self.controller.request(PilotRequest::Arm),
             // Once: what stops the car after that is not overruled.
             Mode::Arming | Mode::Driving => self.arm_when_ready = false,
             _ => {}
@@ -320,10 +321,10 @@ impl<L: Line> ControlLoop<L> {
     fn take_requests(&mut self, now_ns: u64) {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
-                ControlRequest::Pilot(Request::Arm) if self.ending != Ending::Running => {}
+                ControlRequest::Pilot(PilotRequest::Arm) if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
                     // Who says stop before it was ready means that one too.
-                    self.arm_when_ready &= request == Request::Arm;
+                    self.arm_when_ready &= request == PilotRequest::Arm;
                     self.controller.request(request);
                 }
                 ControlRequest::Finish => {
@@ -333,7 +334,7 @@ impl<L: Line> ControlLoop<L> {
                             until_ns: now_ns.saturating_add(FINISH_NS),
                         };
                         // Also takes back an arm request of this very tick.
-                        self.controller.request(Request::Disarm);
+                        self.controller.request(PilotRequest::Disarm);
                     }
                 }
                 ControlRequest::Abort => self.abort(now_ns),
@@ -369,7 +370,7 @@ impl<L: Line> ControlLoop<L> {
     fn abort(&mut self, now_ns: u64) {
         if matches!(self.ending, Ending::Running | Ending::Finishing { .. }) {
             self.arm_when_ready = false;
-            self.controller.request(Request::Disarm);
+            self.controller.request(PilotRequest::Disarm);
             self.controller.disarm_now(Time(now_ns));
             self.ending = Ending::Aborting {
                 until_ns: now_ns.saturating_add(ABORT_NS),

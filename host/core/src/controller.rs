@@ -6,9 +6,10 @@
 use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
+use singletrack_pilot::PilotRequest;
 use singletrack_pilot::{
     BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth, LinkState, Output,
-    Pilot, PilotConfig, PoseMissing, RealTimeState, Request, Underway,
+    Pilot, PilotConfig, PoseMissing, RealTimeState, Underway,
 };
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 
@@ -179,7 +180,7 @@ impl Controller {
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // A request that came first would be judged by the new configuration.
-        let asked = self.events.contains(&Event::Request(Request::Arm));
+        let asked = self.events.contains(&Event::Request(PilotRequest::Arm));
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
-use singletrack_pilot::Request;
+use singletrack_pilot::PilotRequest;
 
 use crate::control_loop::ControlRequest;
 
@@ -33,9 +33,9 @@ impl Requests {
         // The ring is whole at every moment.
         let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let stops = match request {
-            ControlRequest::Pilot(Request::Arm | Request::Disarm)
+            ControlRequest::Pilot(PilotRequest::Arm | PilotRequest::Disarm)
             | ControlRequest::Reconfigure(_) => false,
-            ControlRequest::Pilot(Request::EmergencyStop)
+            ControlRequest::Pilot(PilotRequest::EmergencyStop)
             | ControlRequest::Finish
             | ControlRequest::Abort => true,
         };
@@ -54,9 +54,9 @@ mod tests {
     fn a_stop_gets_through_however_often_something_else_is_asked() {
         let (ring, mut taken) = rtrb::RingBuffer::new(12);
         let requests = Requests::new(ring);
-        let disarm = ControlRequest::Pilot(Request::Disarm);
+        let disarm = ControlRequest::Pilot(PilotRequest::Disarm);
         assert!((0..100).any(|_| requests.push(disarm.clone()).is_err()));
-        let stop = ControlRequest::Pilot(Request::EmergencyStop);
+        let stop = ControlRequest::Pilot(PilotRequest::EmergencyStop);
         assert_eq!(requests.push(stop.clone()), Ok(()));
         assert_eq!(requests.push(ControlRequest::Finish), Ok(()));
         let mut last = Vec::new();

@@ -1,7 +1,8 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
 use singletrack_mocap::planar::PlanarEvent;
-use singletrack_pilot::{Mode, RealTimeState, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Mode, RealTimeState};
 use singletrack_record::{Entry, TickRecord};
 
 use crate::{

@@ -22,7 +22,8 @@ use singletrack_core::{
 };
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 
 /// The drive commands in `bytes`.
@@ -120,7 +121,7 @@ fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
     let (mut control, mut outside) = set_up();
     outside
         .requests
-        .push(ControlRequest::Pilot(Request::Disarm))
+        .push(ControlRequest::Pilot(PilotRequest::Disarm))
         .unwrap();
     let mut modes = Vec::new();
     for index in 1..600 {
@@ -134,7 +135,7 @@ fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
     // And to end in the tick in which somebody arms leaves nothing armed.
     outside
         .requests
-        .push(ControlRequest::Pilot(Request::Arm))
+        .push(ControlRequest::Pilot(PilotRequest::Arm))
         .unwrap();
     outside.requests.push(ControlRequest::Finish).unwrap();
     for index in 600..640 {
@@ -168,12 +169,12 @@ fn observe(controller: &mut Controller, times: i32) {
 fn a_flood_of_samples_leaves_room_for_a_stop() {
     let mut controller = controller();
     observe(&mut controller, 1_000);
-    controller.request(Request::EmergencyStop);
+    controller.request(PilotRequest::EmergencyStop);
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(tick.dropped_events > 0);
     assert!(
         tick.events
-            .contains(&Event::Request(Request::EmergencyStop))
+            .contains(&Event::Request(PilotRequest::EmergencyStop))
     );
     assert_eq!(tick.output.mode, Mode::Fault);
 }
@@ -190,13 +191,13 @@ fn after_a_long_pause_a_stop_is_heard_whatever_else_has_piled_up() {
         controller.port_closed(Time(1), &mut |_| {});
     }
     for _ in 0..12 {
-        controller.request(Request::Arm);
+        controller.request(PilotRequest::Arm);
     }
-    controller.request(Request::EmergencyStop);
+    controller.request(PilotRequest::EmergencyStop);
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(
         tick.events
-            .contains(&Event::Request(Request::EmergencyStop))
+            .contains(&Event::Request(PilotRequest::EmergencyStop))
     );
     assert_eq!(tick.output.mode, Mode::Fault);
 }
@@ -245,7 +246,7 @@ fn a_configuration_is_taken_over_between_two_ticks_and_its_box_comes_back() {
     let (mut control, mut outside) = set_up();
     outside
         .requests
-        .push(ControlRequest::Pilot(Request::Disarm))
+        .push(ControlRequest::Pilot(PilotRequest::Disarm))
         .unwrap();
     run(&mut control, &mut outside, 1, 300);
     let mut config = outside.config.clone();
@@ -262,7 +263,7 @@ fn a_configuration_is_taken_over_between_two_ticks_and_its_box_comes_back() {
     run(&mut control, &mut outside, 302, 200);
     outside
         .requests
-        .push(ControlRequest::Pilot(Request::Arm))
+        .push(ControlRequest::Pilot(PilotRequest::Arm))
         .unwrap();
     run(&mut control, &mut outside, 502, 300);
     assert_eq!(outside.board_mode(), Some(BoardMode::Driving));

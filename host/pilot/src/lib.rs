@@ -32,6 +32,3 @@ pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
 pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
 pub use watch::{ImuVerdict, WatchConfig};
-
-/// The earlier name of [`PilotRequest`].
-pub type Request = PilotRequest;

@@ -133,8 +133,9 @@ pub(crate) mod tests {
     use singletrack_control::{
         Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Velocity,
     };
+    use singletrack_pilot::PilotRequest;
     use singletrack_pilot::{
-        BoardSample, BoardState, DriveCommand, LinkState, Mode, PoseMissing, Reason, Request,
+        BoardSample, BoardState, DriveCommand, LinkState, Mode, PoseMissing, Reason,
     };
 
     use super::*;
@@ -200,7 +201,7 @@ pub(crate) mod tests {
                     state: BoardState::Driving,
                 }),
                 Event::Link(LinkState::Ready),
-                Event::Request(Request::EmergencyStop),
+                Event::Request(PilotRequest::EmergencyStop),
                 Event::ArmRefused,
             ]
             .into_iter()

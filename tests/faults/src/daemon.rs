@@ -4,7 +4,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use singletrack_control::Setpoint;
 use singletrack_core::{HostOptions, VirtualHost, config::Config};
-use singletrack_pilot::Request;
+use singletrack_pilot::PilotRequest;
 use singletrack_record::TickRecord;
 
 use crate::{

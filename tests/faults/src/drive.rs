@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
-use singletrack_pilot::{Reason, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::Reason;
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
@@ -323,9 +324,9 @@ impl<'a> Drive<'a> {
         {
             self.next_request += 1;
             let request = match ask.request {
-                OperatorRequest::Arm => Request::Arm,
-                OperatorRequest::Disarm => Request::Disarm,
-                OperatorRequest::Stop => Request::EmergencyStop,
+                OperatorRequest::Arm => PilotRequest::Arm,
+                OperatorRequest::Disarm => PilotRequest::Disarm,
+                OperatorRequest::Stop => PilotRequest::EmergencyStop,
                 OperatorRequest::Reload => {
                     self.reload()?;
                     continue;

@@ -2,7 +2,8 @@
 //! host.
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
-use singletrack_pilot::{Fence, PilotConfig, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Fence, PilotConfig};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{PulseRecord, ReceivedMessage, Truth};

@@ -22,7 +22,8 @@ use board_figures::BoardFigures;
 use files::{CONFIGURATION, RECORD, SIMULATION, prepare, write};
 use outcome::{Drive, Ended};
 use progress::Progress;
-use singletrack_pilot::{Mode, Request};
+use singletrack_pilot::Mode;
+use singletrack_pilot::PilotRequest;
 use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot, StartOptions};
 
@@ -138,7 +139,7 @@ fn start(
         progress.waiting(snapshot.mode(), snapshot.reason());
         match snapshot.mode() {
             Mode::Ready if !armed => {
-                daemon.request(Request::Arm)?;
+                daemon.request(PilotRequest::Arm)?;
                 armed = true;
             }
             Mode::Driving => {
@@ -206,7 +207,7 @@ fn drive(
 fn stop(daemon: &Daemon) -> Result<(), DemoError> {
     let begin = Instant::now();
     if daemon.snapshot().mode().is_underway() {
-        daemon.request(Request::Disarm)?;
+        daemon.request(PilotRequest::Disarm)?;
         // The request is taken at the next tick.
         thread::sleep(POLL);
     }

@@ -3,7 +3,8 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
-use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
 use super::{

@@ -1,9 +1,9 @@
 //! The events of a tick, exactly: a replay starts from them.
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint};
+use singletrack_pilot::PilotRequest;
 use singletrack_pilot::{
     BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,
-    Request,
 };
 
 use super::{
@@ -270,9 +270,9 @@ mod tests {
                 Event::PoseMissing(PoseMissing::Untrustworthy),
                 Event::Link(LinkState::Down),
                 Event::Link(LinkState::Ready),
-                Event::Request(Request::Arm),
-                Event::Request(Request::Disarm),
-                Event::Request(Request::EmergencyStop),
+                Event::Request(PilotRequest::Arm),
+                Event::Request(PilotRequest::Disarm),
+                Event::Request(PilotRequest::EmergencyStop),
                 Event::ArmRefused,
             ]),
         ]

@@ -1,6 +1,7 @@
 //! Authority: the car drives only on request, and stops on request.
 
-use singletrack_pilot::{Event, Mode, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Event, Mode};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
 
 use super::{Invariant, SERVO_US, Verdict};
@@ -130,21 +131,21 @@ impl Invariant for Unasked {
         let requested = |request| tick.events.contains(&Event::Request(request));
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
-        if self.underway && !was_underway && !requested(Request::Arm) {
+        if self.underway && !was_underway && !requested(PilotRequest::Arm) {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
-        let stop = Request::EmergencyStop;
+        let stop = PilotRequest::EmergencyStop;
         if observation.pending_requests.contains(&stop) && !requested(stop) {
             return Err("the pilot did not receive an emergency stop request".to_owned());
         }
-        if requested(Request::EmergencyStop) && mode != Mode::Fault {
+        if requested(PilotRequest::EmergencyStop) && mode != Mode::Fault {
             return Err(format!(
                 "mode {mode} in the tick of an emergency stop request"
             ));
         }
         if was_underway
-            && requested(Request::Disarm)
+            && requested(PilotRequest::Disarm)
             && matches!(mode, Mode::Arming | Mode::Driving | Mode::Slowing)
         {
             return Err(format!("mode {mode} in the tick of a disarm request"));

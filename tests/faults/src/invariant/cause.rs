@@ -1,6 +1,7 @@
 //! Neutral within the specified time of each stop cause.
 
-use singletrack_pilot::{Event, Mode, Request};
+use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Event, Mode};
 use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};
@@ -31,7 +32,7 @@ impl Invariant for EmergencyStop {
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         let requested = observation.tick.is_some_and(|tick| {
             tick.events
-                .contains(&Event::Request(Request::EmergencyStop))
+                .contains(&Event::Request(PilotRequest::EmergencyStop))
         });
         if requested && self.requested_us.is_none() {
             self.requested_us = Some(observation.now_us);
@@ -86,7 +87,7 @@ impl Invariant for Disarm {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         if let Some(tick) = observation.tick {
-            let requested = tick.events.contains(&Event::Request(Request::Disarm));
+            let requested = tick.events.contains(&Event::Request(PilotRequest::Disarm));
             if requested && tick.output.mode.is_underway() {
                 self.requested_us.get_or_insert(observation.now_us);
             } else if matches!(tick.output.mode, Mode::Arming | Mode::Driving) {
