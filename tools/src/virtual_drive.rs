@@ -206,7 +206,7 @@ impl VirtualDrive {
     /// # Errors
     ///
     /// When the control loop has not taken the requests before.
-    pub fn request(&self, request: Request) -> Result<(), Stalled> {
+    pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.request(request)
     }
 

@@ -26,7 +26,7 @@ use crate::{
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlRequest {
     /// Something for the pilot.
-    Pilot(Request),
+    Pilot(PilotRequest),
     /// Take over another configuration, if the car does not drive, and give the
     /// box back.
     Reconfigure(Box<Reconfiguration>),

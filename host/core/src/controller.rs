@@ -149,7 +149,7 @@ impl Controller {
     }
 
     /// Somebody asks for something.
-    pub fn request(&mut self, request: Request) {
+    pub fn request(&mut self, request: PilotRequest) {
         self.push(Event::Request(request));
     }
 

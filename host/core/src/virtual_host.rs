@@ -130,7 +130,7 @@ impl<L: Line> VirtualHost<L> {
     /// # Errors
     ///
     /// When the control loop has not taken the requests before.
-    pub fn request(&self, request: Request) -> Result<(), Stalled> {
+    pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.requests.push(ControlRequest::Pilot(request))
     }
 

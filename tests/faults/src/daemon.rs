@@ -69,7 +69,7 @@ impl Daemon {
     }
 
     /// The control socket takes a request; false when the control loop has no room.
-    pub(crate) fn request(&self, request: Request) -> bool {
+    pub(crate) fn request(&self, request: PilotRequest) -> bool {
         self.host.request(request).is_ok()
     }
 

@@ -97,7 +97,7 @@ struct Drive<'a> {
     random: Random,
     next_request: usize,
     /// Requests that were taken and that no tick has heard of yet.
-    pending_requests: Vec<Request>,
+    pending_requests: Vec<PilotRequest>,
     /// In the order in which they began.
     faults: Vec<Fault>,
     new_faults: Vec<Fault>,

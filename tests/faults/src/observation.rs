@@ -140,7 +140,7 @@ pub(crate) struct Observation<'a> {
     pub(crate) new_faults: &'a [Fault],
     /// Requests accepted since the last tick: the tick of this step must contain
     /// them.
-    pub(crate) pending_requests: &'a [Request],
+    pub(crate) pending_requests: &'a [PilotRequest],
     /// The configuration that has just come into force, with its number: 1 for that of a
     /// daemon that was started.
     pub(crate) configuration: Option<&'a (u32, PilotConfig)>,

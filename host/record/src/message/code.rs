@@ -309,7 +309,7 @@ codes! {
         ConfigurationRefused = 4,
         EmergencyStopped = 5,
     }
-    Request as "REQUEST" {
+    PilotRequest as "REQUEST" {
         Arm = 1,
         Disarm = 2,
         EmergencyStop = 3,

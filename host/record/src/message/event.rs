@@ -23,7 +23,7 @@ message! {
         pose_missing: OptionalCode<PoseMissing>,
         board: Maybe<BoardSampleMessage>,
         link: OptionalCode<LinkState>,
-        request: OptionalCode<Request>,
+        request: OptionalCode<PilotRequest>,
         health: Maybe<BoardHealthMessage>,
         line: Maybe<LineHealthMessage>,
         real_time: Maybe<RealTimeMessage>,
