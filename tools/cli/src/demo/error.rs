@@ -1,0 +1,101 @@
+//! Why a demo failed.
+
+use std::{io, path::PathBuf};
+
+use singletrack_core::ConfigError;
+use singletrack_pilot::{Mode, Reason};
+use singletrack_sim::RealTimeError;
+use singletrackd::{StartError, StopError};
+
+use singletrack_figures::plot::PlotError;
+
+/// Why a demo failed.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// Something can't be written.
+    #[error("can't write {}: {source}", path.display())]
+    Write {
+        /// What.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Ctrl-C can't be listened for.
+    #[error("can't listen for signals: {0}")]
+    Signals(io::Error),
+    /// Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
+    /// No private folder for socket and port.
+    #[error("can't make a temporary folder: {0}")]
+    Temporary(io::Error),
+    /// The simulator does not run.
+    #[error("the simulator: {0}")]
+    Simulator(#[from] RealTimeError),
+    /// The UNO's image, or the processor that it ran on.
+    #[error("the board: {0}")]
+    Board(String),
+    /// The daemon rejects its configuration.
+    #[error("the configuration: {0}")]
+    Config(#[from] ConfigError),
+    /// The configuration can't be written as TOML.
+    #[error("the configuration: {0}")]
+    Toml(#[from] toml::ser::Error),
+    /// The daemon does not start.
+    #[error("the daemon: {0}")]
+    Start(#[from] StartError),
+    /// The daemon did not end well.
+    #[error("the daemon: {0}")]
+    Stop(#[from] StopError),
+    /// There are no figures of the drive.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// The daemon takes no requests.
+    #[error("the daemon: {0}")]
+    Stalled(#[from] singletrack_core::Stalled),
+    /// The car was never ready, or did not start.
+    #[error(
+        "the car did not start within {seconds} s: mode {mode}{}",
+        because(*reason)
+    )]
+    NotStarted {
+        /// The mode that it stayed in.
+        mode: Mode,
+        /// Why.
+        reason: Option<Reason>,
+        /// How long it was given.
+        seconds: u64,
+    },
+    /// The car stopped before its time.
+    #[error(
+        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}{}",
+        because(*reason), folder.display(), hint(*reason)
+    )]
+    Ended {
+        /// The mode it went to.
+        mode: Mode,
+        /// Why.
+        reason: Option<Reason>,
+        /// How long it drove, in s.
+        after_s: f64,
+        /// How long it should have, in s.
+        wanted_s: f64,
+        /// Where its record is.
+        folder: PathBuf,
+    },
+}
+
+fn because(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
+}
+
+/// A possible cause of a stop that is outside the drive.
+fn hint(reason: Option<Reason>) -> &'static str {
+    match reason {
+        Some(Reason::BoardFailsafe | Reason::ImuSilent | Reason::LinkDown) => {
+            "\n(a command lives for 95 ms; a machine that is busy with other work can hold up \
+             a pseudo-terminal for longer: is this one?)"
+        }
+        _ => "",
+    }
+}

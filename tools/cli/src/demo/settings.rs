@@ -1,0 +1,147 @@
+//! The demo's world and the daemon's configuration.
+
+use std::{net::Ipv4Addr, path::Path};
+
+use serde::Serialize;
+use singletrack_control::VehicleParameters;
+use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_sim::{
+    RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
+};
+
+use super::arguments::DemoArgs;
+use singletrack_scenario::simulated::{self, daemon_config};
+
+/// The paper's circle: radius in m, angular velocity in rad/s.
+pub(super) const RADIUS: f64 = 1.0;
+pub(super) const ANGULAR_VELOCITY: f64 = 0.5;
+/// The paper's distance p, in m.
+pub(super) const POINT_DISTANCE: f64 = 0.35;
+/// Of the proportional loop, per second, in both axes.
+const GAIN: f64 = 1.0;
+/// Where P and the car start: position in m, yaw in degrees.
+const START_POINT: [f64; 2] = [1.5, -0.5];
+const START_YAW_DEG: f64 = 135.0;
+
+pub(super) fn simulation(args: &DemoArgs) -> SimulationConfig {
+    let mut config = SimulationConfig {
+        seed: args.seed,
+        ..SimulationConfig::default()
+    };
+    let yaw_rad = START_YAW_DEG.to_radians();
+    let ahead = config.car.vehicle.front_axle_distance_m + POINT_DISTANCE;
+    config.car.start = StartPose {
+        x_m: START_POINT[0] - ahead * yaw_rad.cos(),
+        y_m: START_POINT[1] - ahead * yaw_rad.sin(),
+        yaw_rad,
+    };
+    config.cameras.loss = args.loss;
+    config.board.kind = args.board;
+    config
+}
+
+pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTimeConfig {
+    RealTimeConfig {
+        simulation,
+        pty_link: Some(private.join("board")),
+        udp: UdpConfig {
+            interface: Ipv4Addr::LOCALHOST,
+            // Any free ones: two demos do not disturb each other.
+            command_port: 0,
+            data_port: 0,
+        },
+        ..RealTimeConfig::default()
+    }
+}
+
+pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &Path) -> Config {
+    let vehicle = VehicleParameters::paper();
+    let mut config = daemon_config(simulated::Drive {
+        vehicle,
+        law: LawSection {
+            kind: LawKind::FrontPoint,
+            point_distance_m: POINT_DISTANCE,
+            front_axle_distance_m: vehicle.front_axle_distance_m,
+        },
+        outer_loop: OuterLoopSection::Proportional {
+            gain_per_s: [GAIN, GAIN],
+            feed_forward: args.feed_forward,
+        },
+        reference: ReferenceSection::Circle {
+            radius_m: RADIUS,
+            angular_velocity_rad_s: ANGULAR_VELOCITY,
+            centre_m: [0.0, 0.0],
+        },
+    });
+    config.serial.port = simulator.pty_path().to_owned();
+    config.motion_capture.command_port = simulator.command_address().port();
+    config.motion_capture.data_port = simulator.data_address().port();
+    config.record.directory.clone_from(&args.out);
+    config.socket.path = private.join("control.sock");
+    if let Some(port) = args.live {
+        config.live.enabled = true;
+        config.live.port = port;
+    }
+    config
+}
+
+/// What theory expects of P once it has settled on the circle.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Expected {
+    pub(super) amplitude_m: f64,
+    pub(super) lag_rad: f64,
+    /// Distance of P from its reference.
+    pub(super) error_m: f64,
+}
+
+/// P is an integrator per axis in a proportional loop, driven along a circle: it follows as
+/// a first-order low pass does, on a smaller circle and behind. With the reference's velocity
+/// fed forward it follows exactly.
+pub(super) fn expected(feed_forward: bool) -> Expected {
+    if feed_forward {
+        return Expected {
+            amplitude_m: RADIUS,
+            lag_rad: 0.0,
+            error_m: 0.0,
+        };
+    }
+    let corner = GAIN.hypot(ANGULAR_VELOCITY);
+    Expected {
+        amplitude_m: RADIUS * GAIN / corner,
+        lag_rad: ANGULAR_VELOCITY.atan2(GAIN),
+        error_m: RADIUS * ANGULAR_VELOCITY / corner,
+    }
+}
+
+/// Where P should be `time` seconds after the first driving tick.
+pub(super) fn reference(time: f64) -> [f64; 2] {
+    let (sin, cos) = (ANGULAR_VELOCITY * time).sin_cos();
+    [RADIUS * cos, RADIUS * sin]
+}
+
+/// The true P.
+pub(super) fn point(truth: &Truth) -> [f64; 2] {
+    truth.point_p(
+        VehicleParameters::paper().front_axle_distance_m,
+        POINT_DISTANCE,
+    )
+}
+
+/// Distance of the true P from its reference, in m.
+pub(super) fn tracking_error(truth: &Truth, time: f64) -> f64 {
+    let ([x, y], [x_ref, y_ref]) = (point(truth), reference(time));
+    (x - x_ref).hypot(y - y_ref)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unit_gain_without_feed_forward_leaves_447_mm_by_theory() {
+        let expected = expected(false);
+        assert!((expected.amplitude_m - 0.894_427).abs() < 1e-6);
+        assert!((expected.lag_rad - 0.463_648).abs() < 1e-6);
+        assert!((expected.error_m - 0.447_214).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,12 @@
+//! The command line of Singletrack, as a library for its tests.
+
+pub mod control;
+#[cfg(feature = "desk")]
+pub mod demo;
+pub mod dump;
+pub mod recover;
+pub mod replay;
+pub mod set_reference;
+pub mod setpoint;
+
+mod interrupt;

@@ -1,0 +1,143 @@
+//! The command line of Singletrack.
+
+use std::{
+    io::{self, BufWriter, Write},
+    path::PathBuf,
+    process::ExitCode,
+};
+
+use clap::{Parser, Subcommand, ValueEnum};
+#[cfg(feature = "desk")]
+use singletrack::demo;
+use singletrack::{
+    control::{self, ControlCommand},
+    dump, recover, replay, set_reference, setpoint,
+};
+use singletrack_figures::plot;
+#[cfg(feature = "paper")]
+use singletrack_paper::{identify, reproduce, stability};
+use singletrack_scenario::simulate;
+
+/// Drive a small car by feedback linearisation: simulate, drive, analyse.
+#[derive(Parser)]
+#[command(version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    #[cfg(feature = "desk")]
+    /// Drive the paper's circle on the simulated car, in real time.
+    Demo(demo::DemoArgs),
+    /// Print or count the messages of a record, of the running daemon, or of the serial line.
+    Dump(dump::DumpArgs),
+    /// Draw the figures of a recorded drive.
+    Plot(plot::PlotArgs),
+    /// Repair a truncated or damaged record.
+    Recover(recover::RecoverArgs),
+    /// Run the pilot on a record's inputs again and compare its outputs with the recorded ones.
+    Replay(replay::ReplayArgs),
+    #[cfg(feature = "paper")]
+    /// Repeat the paper's experiments and analyses, and compare its claims with measured results.
+    Reproduce(reproduce::ReproduceArgs),
+    /// Run a scenario in virtual time and print its trajectory.
+    Simulate {
+        /// The scenario file.
+        scenario: PathBuf,
+        /// How to print it.
+        #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
+        format: SimulateFormat,
+        /// Write a record, as the daemon does: every tick's inputs and outputs.
+        #[arg(long, value_name = "FILE.mcap")]
+        record: Option<PathBuf>,
+    },
+    #[cfg(feature = "paper")]
+    /// Compute where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
+    Stability(stability::StabilityArgs),
+    #[cfg(feature = "paper")]
+    /// Identify the car's parameters from recorded drives.
+    Identify(identify::IdentifyArgs),
+    /// Print the daemon's status.
+    Status(control::ControlArgs),
+    /// Arm the car and start driving.
+    Arm(control::ControlArgs),
+    /// Slow down, stop and disarm.
+    Disarm(control::ControlArgs),
+    /// Emergency stop: neutral at once, until the board is reset.
+    Stop(control::ControlArgs),
+    /// Replace the reference of a standing car; it lasts until the configuration is reloaded.
+    SetReference(set_reference::SetReferenceArgs),
+    /// Stream set-points from standard input to a car whose reference is external.
+    Setpoint(setpoint::SetpointArgs),
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SimulateFormat {
+    /// One row every 0.05 s, SI units and radians.
+    Csv,
+}
+
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("singletrack: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
+    match &cli.command {
+        #[cfg(feature = "desk")]
+        Command::Demo(args) => Ok(demo::run(args)?),
+        Command::Dump(args) => Ok(dump::run(args)?),
+        Command::Plot(args) => Ok(plot::run(args)?),
+        Command::Recover(args) => Ok(recover::run(args)?),
+        Command::Replay(args) => Ok(replay::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Stability(args) => Ok(stability::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Reproduce(args) => Ok(reproduce::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Identify(args) => Ok(identify::run(args)?),
+        Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
+        Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
+        Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
+        Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
+        Command::SetReference(args) => Ok(set_reference::run(args)?),
+        Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        Command::Simulate {
+            scenario,
+            format: SimulateFormat::Csv,
+            record,
+        } => {
+            let scenario = simulate::Scenario::read(scenario)?;
+            let simulation = match record {
+                Some(path) => simulate::simulate_recorded(&scenario, path)?,
+                None => simulate::simulate(&scenario)?,
+            };
+            for note in &simulation.notes {
+                eprintln!("singletrack: note: {note}");
+            }
+            match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
+                // The reader of a pipe may close it at any time.
+                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+                result => result?,
+            }
+            Ok(io::stdout().flush()?)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,147 @@
+//! `singletrack set-reference` and `setpoint` against a daemon without a car.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{
+    fs,
+    io::Write,
+    net::Ipv4Addr,
+    path::{Path, PathBuf},
+    process::{Command, Output, Stdio},
+};
+
+use singletrack_core::{Config, config::ReferenceSection};
+use singletrackd::{Daemon, StartOptions};
+use tempfile::TempDir;
+
+/// A daemon that has neither board nor cameras.
+struct Fixture {
+    daemon: Daemon,
+    socket: PathBuf,
+    folder: TempDir,
+}
+
+fn start(reference: Option<ReferenceSection>) -> Fixture {
+    let folder = tempfile::tempdir().unwrap();
+    let example = include_str!("../../../host/daemon/singletrackd.example.toml");
+    let mut config = Config::from_toml(example).unwrap();
+    config.serial.port = folder.path().join("board");
+    config.motion_capture.server = Ipv4Addr::LOCALHOST;
+    config.motion_capture.command_port = 9;
+    config.control.realtime_priority = 0;
+    config.record.enabled = false;
+    config.socket.path = folder.path().join("control.sock");
+    if let Some(reference) = reference {
+        config.reference = reference;
+    }
+    let socket = config.socket.path.clone();
+    Fixture {
+        daemon: Daemon::start(config, StartOptions::default()).unwrap(),
+        socket,
+        folder,
+    }
+}
+
+fn singletrack(arguments: &[&str], socket: &Path, input: &str) -> Output {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(arguments)
+        .arg("--socket")
+        .arg(socket)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // It may have ended before it has read everything.
+    let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
+    child.wait_with_output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).unwrap()
+}
+
+#[test]
+fn a_reference_comes_into_force_with_waypoints_beside_its_file() {
+    let fixture = start(None);
+    let file = fixture.folder.path().join("way.toml");
+    fs::write(
+        &file,
+        "[reference]\nkind = \"waypoints\"\nfile = \"way.csv\"\n",
+    )
+    .unwrap();
+    let rows = "t_s,x_m,y_m\n0,0.0,0.0\n2,0.4,0.0\n4,0.4,0.4\n";
+    fs::write(fixture.folder.path().join("way.csv"), rows).unwrap();
+    let output = singletrack(
+        &["set-reference", file.to_str().unwrap()],
+        &fixture.socket,
+        "",
+    );
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(
+        text(&output.stdout),
+        "reference replaced: configuration 2 is in force\n"
+    );
+    assert_eq!(fixture.daemon.configuration().number, 2);
+}
+
+#[test]
+fn a_file_that_is_no_reference_is_told_why() {
+    let fixture = start(None);
+    let file = fixture.folder.path().join("reference.toml");
+    for (content, part) in [
+        ("kind = \"circle\"\n", "a table [reference] is needed"),
+        ("[reference]\nkind = \"square\"\n", "square"),
+        ("[reference]\nkind = \"circle\"\n", "radius_m"),
+        (
+            "[reference]\nkind = \"external\"\n[limits]\n",
+            "a table [reference] is needed",
+        ),
+    ] {
+        fs::write(&file, content).unwrap();
+        let output = singletrack(
+            &["set-reference", file.to_str().unwrap()],
+            &fixture.socket,
+            "",
+        );
+        assert!(!output.status.success());
+        let error = text(&output.stderr);
+        assert!(
+            error.contains(part) && error.contains("reference.toml"),
+            "{content}: {error}"
+        );
+    }
+    assert_eq!(fixture.daemon.configuration().number, 1);
+}
+
+#[test]
+fn set_points_are_streamed_without_a_word() {
+    let fixture = start(Some(ReferenceSection::External {
+        setpoint_timeout_ms: 200,
+    }));
+    let input = "0.3 0.0\n\n{\"velocity_m_s\":[0.3,0.1]}\n".repeat(500);
+    let output = singletrack(&["setpoint"], &fixture.socket, &input);
+    assert_eq!(text(&output.stderr), "");
+    assert_eq!(text(&output.stdout), "");
+    assert!(output.status.success());
+}
+
+#[test]
+fn a_set_point_that_is_refused_is_an_error_in_the_daemons_words() {
+    let fixture = start(None);
+    let output = singletrack(&["setpoint"], &fixture.socket, "0.3 0.0\n");
+    assert!(!output.status.success());
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("reference.kind is not \"external\""),
+        "{error}"
+    );
+
+    let output = singletrack(&["setpoint"], &fixture.socket, "0.3\n");
+    assert!(!output.status.success());
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("line 1: \"0.3\" is not a set-point"),
+        "{error}"
+    );
+}

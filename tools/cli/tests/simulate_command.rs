@@ -1,0 +1,208 @@
+//! `singletrack simulate` as a person or a script sees it.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+fn scenario(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../scenarios")
+        .join(name)
+}
+
+fn simulate(scenario: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("simulate")
+        .arg(scenario)
+        .args(["--format", "csv"])
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
+    let output = simulate(&scenario("steps.toml"));
+    assert!(output.status.success());
+    let text = String::from_utf8(output.stdout).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(
+        lines.next(),
+        Some(
+            "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py"
+        )
+    );
+    let rows: Vec<Vec<f64>> = lines
+        .map(|line| {
+            line.split(',')
+                .map(|field| field.parse().unwrap())
+                .collect()
+        })
+        .collect();
+    assert_eq!(rows.len(), 361);
+    for (index, row) in rows.iter().enumerate() {
+        assert_eq!(row.len(), 15);
+        assert!((row[0] - index as f64 * 0.05).abs() < 1e-9);
+    }
+}
+
+/// Changes a scenario, and expects an error that says all of `words`.
+fn assert_refused(from: &str, to: &str, words: &[&str]) {
+    let text = std::fs::read_to_string(scenario("circle-sampled.toml")).unwrap();
+    assert!(text.contains(from), "{from:?} is not in the scenario");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scenario.toml");
+    std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+    let output = simulate(&path);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success(), "{to:?} was taken");
+    assert!(output.stdout.is_empty());
+    for word in words {
+        assert!(error.contains(word), "{word:?} is not in {error:?}");
+    }
+}
+
+#[test]
+fn unknown_keys_are_refused_by_name() {
+    for (from, to) in [
+        ("[law]", "[law]\ncolour = 1"),
+        ("[outer_loop]", "[outer_loop]\ncolour = 1"),
+        ("[reference]", "[reference]\ncolour = 1"),
+        ("[start]", "[start]\ncolour = 1"),
+        ("[control]", "[control]\ncolour = 1"),
+        ("[plant]", "[plant]\ncolour = 1"),
+        ("[run]", "[run]\ncolour = 1"),
+        ("[[marker_loss]]", "[[marker_loss]]\ncolour = 1"),
+        ("[law]", "[colour]\n[law]"),
+    ] {
+        assert_refused(from, to, &["colour"]);
+    }
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_the_key_and_the_value() {
+    for (from, to, words) in [
+        (
+            "point_distance_m = 0.35",
+            "point_distance_m = 0.0",
+            ["point_distance_m", "0"],
+        ),
+        (
+            "front_axle_distance_m = 0.1368",
+            "front_axle_distance_m = 0.3",
+            ["front_axle_distance_m", "0.3"],
+        ),
+        ("radius_m = 1.0", "radius_m = -1.0", ["radius_m", "-1"]),
+        (
+            "period_ms = 10",
+            "period_ms = 0",
+            ["period_ms", "delay_ticks"],
+        ),
+        (
+            "first_tick = 130",
+            "first_tick = 9000000000",
+            ["first_tick", "9000000000"],
+        ),
+        (
+            "gain_per_s = [1.0, 1.0]",
+            "gain_per_s = [1.0, -1.0]",
+            ["gain_per_s", "-1"],
+        ),
+        (
+            "duration_s = 18.0",
+            "duration_s = inf",
+            ["duration_s", "inf"],
+        ),
+        (
+            "kind = \"ideal\"",
+            "kind = \"perfect\"",
+            ["perfect", "ideal"],
+        ),
+    ] {
+        assert_refused(from, to, &words);
+    }
+}
+
+#[test]
+fn a_loss_in_continuous_control_is_refused() {
+    assert_refused(
+        "period_ms = 10\ndelay_ticks = 1",
+        "period_ms = 0\ndelay_ticks = 0",
+        &["marker_loss", "continuous"],
+    );
+}
+
+#[test]
+fn a_file_that_is_not_there_is_named() {
+    let output = simulate(Path::new("no-such-scenario.toml"));
+    assert!(!output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("no-such-scenario.toml")
+    );
+}
+
+/// Runs a scenario that was changed; returns what was said.
+fn run_changed(name: &str, changes: &[(&str, &str)]) -> Output {
+    let mut text = std::fs::read_to_string(scenario(name)).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from:?} is not in the scenario");
+        text = text.replacen(from, to, 1);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scenario.toml");
+    std::fs::write(&path, text).unwrap();
+    simulate(&path)
+}
+
+#[test]
+fn a_car_that_stops_early_says_when_and_why_beside_its_rows() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[(
+            "duration_s = 40.0",
+            "duration_s = 4.0\n[[marker_loss]]\nfirst_tick = 100\nticks = 200",
+        )],
+    );
+    assert!(output.status.success());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("pose-too-old"), "{said}");
+    assert_eq!(output.stdout.split(|byte| *byte == b'\n').count(), 83);
+}
+
+#[test]
+fn what_the_car_does_not_take_from_a_scenario_is_said() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[
+            ("period_ms = 10", "period_ms = 10\ndelay_ticks = 1"),
+            ("duration_s = 40.0", "duration_s = 0.5"),
+        ],
+    );
+    assert!(output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("delay_ticks")
+    );
+}
+
+#[test]
+fn a_loss_of_frames_that_are_under_way_is_refused_on_the_car() {
+    let output = run_changed(
+        "circle-car.toml",
+        &[(
+            "duration_s = 40.0",
+            "duration_s = 0.5\n[[marker_loss]]\nfirst_tick = 1\nticks = 1",
+        )],
+    );
+    assert!(!output.status.success());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("first_tick")
+    );
+}

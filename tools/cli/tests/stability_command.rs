@@ -1,0 +1,347 @@
+//! `singletrack stability` as a person or a script sees it.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output, Stdio},
+};
+
+fn vehicle(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../vehicles")
+        .join(name)
+}
+
+fn stability(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("stability")
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn printed(arguments: &[&str]) -> String {
+    let output = stability(arguments);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The rows of a CSV with this header.
+fn rows(arguments: &[&str], header: &str) -> Vec<Vec<f64>> {
+    let text = printed(arguments);
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some(header));
+    lines
+        .map(|line| {
+            line.split(',')
+                .map(|field| field.parse().unwrap_or(f64::NAN))
+                .collect()
+        })
+        .collect()
+}
+
+const HOPF: &str = "speed_m_s,dl_hopf_m,omega_rad_s,l1_kuznetsov,l1_matcont";
+
+#[test]
+fn the_hopf_curve_has_a_row_for_every_speed_with_the_papers_threshold_first() {
+    let curve = rows(&["hopf", "--law", "velocity-point"], HOPF);
+    assert_eq!(curve.len(), 159);
+    assert_eq!((curve[0][0], curve[158][0]), (0.1, 8.0));
+    assert!(
+        (curve[0][1] - 0.000_135_977_266_268_669).abs() < 1e-12,
+        "{:?}",
+        curve[0]
+    );
+    for row in &curve {
+        assert!(row[3] > 0.0, "subcritical: {row:?}");
+        assert!((row[4] / (row[2] * row[3]) - 1.0).abs() < 1e-12, "{row:?}");
+    }
+}
+
+#[test]
+fn json_says_of_which_car_it_is_and_all_that_is_known_of_a_point() {
+    let text = printed(&[
+        "hopf",
+        "--law",
+        "front-point",
+        "--speeds",
+        "1:2:0.5",
+        "--format",
+        "json",
+    ]);
+    let document: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(document["vehicle"]["mass_kg"], 1.9);
+    assert_eq!(document["law"], "front-point");
+    assert_eq!(
+        document["meaningful_dl_m"],
+        serde_json::json!([-0.1368, 0.1232])
+    );
+    let points = document["points"].as_array().unwrap();
+    assert_eq!(points.len(), 3);
+    assert_eq!(points[1]["speed_m_s"], 1.5);
+    assert_eq!(points[1]["criticality"], "subcritical");
+    assert_eq!(points[1]["ends_stability"], true);
+    assert!(points[1]["dre_ddl_per_s_m"].as_f64().unwrap() < 0.0);
+}
+
+#[test]
+fn eigenvalues_come_over_speeds_and_deviations_by_ascending_real_part() {
+    let map = rows(
+        &[
+            "eigenvalues",
+            "--law",
+            "front-point",
+            "--speeds",
+            "1:2:1",
+            "--dl",
+            "-0.1:0.1:0.1",
+        ],
+        "speed_m_s,dl_m,re1,im1,re2,im2,re3,im3,re4,im4",
+    );
+    let points: Vec<_> = map.iter().map(|row| (row[0], row[1])).collect();
+    assert_eq!(
+        points,
+        [
+            (1.0, -0.1),
+            (1.0, 0.0),
+            (1.0, 0.1),
+            (2.0, -0.1),
+            (2.0, 0.0),
+            (2.0, 0.1)
+        ]
+    );
+    for row in &map {
+        assert!(
+            row[2] <= row[4] && row[4] <= row[6] && row[6] <= row[8],
+            "{row:?}"
+        );
+    }
+    let map = rows(
+        &[
+            "eigenvalues",
+            "--law",
+            "velocity-point",
+            "--speeds",
+            "1",
+            "--dl",
+            "0",
+        ],
+        "speed_m_s,dl_m,re1,im1,re2,im2,re3,im3",
+    );
+    // With the right parameters one of them is the linearised point's, -v/p.
+    assert!((map[0][6] + 1.0 / 0.35).abs() < 1e-9, "{map:?}");
+}
+
+#[test]
+fn the_jacobian_names_its_states_and_has_the_eigenvalues_of_the_map() {
+    let text = printed(&[
+        "jacobian",
+        "--law",
+        "front-point",
+        "--speed",
+        "2",
+        "--dl",
+        "-0.1",
+    ]);
+    let lines: Vec<_> = text.lines().collect();
+    assert_eq!(lines[0], "derivative_of,yaw,yaw_rate,sideslip,steering");
+    assert_eq!(lines[1], "yaw,0,1,0,0");
+    // The law steers against yaw and sideslip by v/p, against the yaw rate by l_f/p + 1.
+    let law: Vec<&str> = lines[4].split(',').collect();
+    assert_eq!(law[0], "steering");
+    for (field, expected) in
+        law[1..]
+            .iter()
+            .zip([-2.0 / 0.35, -0.0368 / 0.35 - 1.0, -2.0 / 0.35, 0.0])
+    {
+        assert!(
+            (field.parse::<f64>().unwrap() - expected).abs() < 1e-12,
+            "{text}"
+        );
+    }
+    let text = printed(&[
+        "jacobian",
+        "--law",
+        "velocity-point",
+        "--speed",
+        "2",
+        "--format",
+        "json",
+    ]);
+    let document: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let point = &document["points"][0];
+    assert_eq!(point["states"].as_array().unwrap().len(), 3);
+    assert_eq!(
+        point["characteristic_polynomial_ascending"]
+            .as_array()
+            .unwrap()
+            .len(),
+        3
+    );
+    assert_eq!(point["stable"], true);
+}
+
+#[test]
+fn the_region_is_stable_where_all_eigenvalues_are_left_of_zero() {
+    let region = rows(
+        &["region", "--law", "velocity-point", "--speeds", "0.5:8:0.5"],
+        "speed_m_s,dl_m,largest_re_per_s,stable",
+    );
+    assert_eq!(region.len(), 16 * 121);
+    for row in &region {
+        assert_eq!(row[3] == 1.0, row[2] < 0.0, "{row:?}");
+    }
+    assert!(region.iter().any(|row| row[3] == 1.0) && region.iter().any(|row| row[3] == 0.0));
+}
+
+#[test]
+fn the_sampled_loop_leaves_a_field_empty_where_no_limit_was_found() {
+    let text = printed(&[
+        "sampled",
+        "--law",
+        "front-point",
+        "--speeds",
+        "0.1:2.1:2",
+        "--dl",
+        "0",
+    ]);
+    let lines: Vec<_> = text.lines().collect();
+    assert_eq!(
+        lines[0],
+        "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_marker_interval_s"
+    );
+    assert!(
+        lines[1].starts_with("0.1,0,0.99") && lines[1].ends_with(",,"),
+        "{}",
+        lines[1]
+    );
+    let fast: Vec<f64> = lines[2]
+        .split(',')
+        .map(|field| field.parse().unwrap())
+        .collect();
+    assert!(
+        fast[3] > 0.05 && fast[3] < 0.1 && fast[4] > 0.3 && fast[4] < 0.8,
+        "{fast:?}"
+    );
+}
+
+#[test]
+fn the_summary_says_what_the_paper_claims_and_for_which_car_it_does_not_hold() {
+    let paper = printed(&["summary"]);
+    assert!(
+        paper.contains("stability ends at dl = -0.142728 m"),
+        "{paper}"
+    );
+    assert!(
+        paper.contains("stable over the whole meaningful range at every speed"),
+        "{paper}"
+    );
+    assert!(
+        paper.contains("0.1 m/s: Hopf at dl = 0.000136 m, "),
+        "{paper}"
+    );
+    let file = vehicle("f1tenth.toml");
+    let other = printed(&["summary", "--vehicle", file.to_str().unwrap()]);
+    assert!(
+        other.contains("meaningful range up to 12.338 m/s, NOT beyond"),
+        "{other}"
+    );
+}
+
+#[test]
+fn nothing_of_the_papers_car_is_in_the_numbers_of_another() {
+    let file = vehicle("bmw-320i.toml");
+    let file = file.to_str().unwrap();
+    let arguments = ["--law", "velocity-point", "--speeds", "5:30:5"];
+    let paper = rows(&[&["hopf"], &arguments[..]].concat(), HOPF);
+    let bmw = rows(
+        &[
+            &["hopf", "--vehicle", file, "--point-distance", "3"],
+            &arguments[..],
+        ]
+        .concat(),
+        HOPF,
+    );
+    assert_eq!(paper.len(), bmw.len());
+    assert!(
+        paper
+            .iter()
+            .zip(&bmw)
+            .all(|(paper, bmw)| paper[1..] != bmw[1..])
+    );
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_its_name_and_the_fix() {
+    let folder = tempfile::tempdir().unwrap();
+    let broken = folder.path().join("car.toml");
+    fs::write(&broken, "[vehicle]\nmass = 1.9\n").unwrap();
+    let broken = broken.to_str().unwrap();
+    for (arguments, words) in [
+        (
+            &["hopf", "--law", "front-point", "--speeds", "0:1:0.5"][..],
+            "speed is 0 m/s",
+        ),
+        (
+            &["hopf", "--law", "front-point", "--speeds", "1:2"],
+            "A:B:STEP",
+        ),
+        (
+            &["hopf", "--law", "pure-pursuit"],
+            "front-point, velocity-point",
+        ),
+        (
+            &["hopf", "--law", "front-point", "--point-distance", "0"],
+            "point distance p is 0 m",
+        ),
+        (
+            &[
+                "eigenvalues",
+                "--law",
+                "front-point",
+                "--dl",
+                "0.1:-0.1:0.1",
+            ],
+            "smaller value first",
+        ),
+        (
+            &["region", "--law", "front-point", "--vehicle", broken],
+            "mass",
+        ),
+        (
+            &["sampled", "--law", "front-point", "--delay-ms", "-1"],
+            "delay",
+        ),
+        (
+            &["sampled", "--law", "front-point", "--period-ms", "0"],
+            "control period",
+        ),
+    ] {
+        let output = stability(arguments);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(error.contains(words), "{arguments:?}: {error}");
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_error() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["stability", "eigenvalues", "--law", "front-point"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success());
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}

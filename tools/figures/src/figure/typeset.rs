@@ -1,0 +1,158 @@
+//! Texts with symbols in them: how they are set and about how wide they are.
+
+use std::fmt::{self, Write as _};
+
+use super::{page::TEXT_SIZE, xml::escaped};
+
+/// A part of a text.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Part<'a> {
+    Plain(&'a str),
+    Symbol { letter: &'a str, below: &'a str },
+}
+
+/// What stands between two dollar signs is a symbol; a dollar sign without a second
+/// one is a dollar sign.
+fn parts(text: &str) -> Vec<Part<'_>> {
+    let mut parts = Vec::new();
+    let mut rest = text;
+    while let Some((before, (symbol, after))) = rest
+        .split_once('$')
+        .and_then(|(before, after)| Some((before, after.split_once('$')?)))
+    {
+        let (letter, below) = symbol.split_once('_').unwrap_or((symbol, ""));
+        parts.push(Part::Plain(before));
+        parts.push(Part::Symbol { letter, below });
+        rest = after;
+    }
+    parts.push(Part::Plain(rest));
+    parts.retain(|part| *part != Part::Plain(""));
+    parts
+}
+
+/// The text where nothing can be set: in a title, or beside a picture.
+#[must_use]
+pub fn plain(text: &str) -> String {
+    let mut plain = String::with_capacity(text.len());
+    for part in parts(text) {
+        match part {
+            Part::Plain(text) => plain.push_str(text),
+            Part::Symbol { letter, below } => {
+                plain.push_str(letter);
+                if !below.is_empty() {
+                    plain.push('_');
+                    plain.push_str(below);
+                }
+            }
+        }
+    }
+    plain
+}
+
+/// The text as the content of an SVG text element.
+pub(super) fn content(svg: &mut String, text: &str) -> fmt::Result {
+    for part in parts(text) {
+        match part {
+            Part::Plain(text) => svg.push_str(&escaped(text)),
+            Part::Symbol { letter, below } => symbol(svg, letter, below)?,
+        }
+    }
+    Ok(())
+}
+
+/// A letter in italics and what stands below it, upright.
+pub(super) fn symbol(svg: &mut String, letter: &str, below: &str) -> fmt::Result {
+    write!(
+        svg,
+        r#"<tspan font-style="italic">{}</tspan>"#,
+        escaped(letter)
+    )?;
+    if !below.is_empty() {
+        write!(
+            svg,
+            r#"<tspan font-size="70%" dy="0.7">{}</tspan><tspan dy="-0.7">&#8203;</tspan>"#,
+            escaped(below)
+        )?;
+    }
+    Ok(())
+}
+
+/// About how wide a text is in the small size, in mm: no font is known here, and too
+/// wide is better than too narrow.
+pub(super) fn width(text: &str) -> f64 {
+    let parts = parts(text).into_iter();
+    let widths = parts.map(|part| match part {
+        Part::Plain(text) => plain_width(text),
+        Part::Symbol { letter, below } => plain_width(letter) + 0.7 * plain_width(below),
+    });
+    widths.sum()
+}
+
+fn plain_width(text: &str) -> f64 {
+    let per_letter = |letter: char| match letter {
+        'i' | 'j' | 'l' | 't' | 'f' | '.' | ',' | ' ' | '(' | ')' => 0.32,
+        'm' | 'w' | 'M' | 'W' => 0.86,
+        letter if letter.is_uppercase() => 0.7,
+        _ => 0.57,
+    };
+    TEXT_SIZE * text.chars().map(per_letter).sum::<f64>()
+}
+
+/// The digits of a power, raised.
+#[must_use]
+pub fn superscript(digits: &str) -> String {
+    digits
+        .chars()
+        .map(|digit| match digit {
+            '-' => '⁻',
+            '0' => '⁰',
+            '1' => '¹',
+            '2' => '²',
+            '3' => '³',
+            '4' => '⁴',
+            '5' => '⁵',
+            '6' => '⁶',
+            '7' => '⁷',
+            '8' => '⁸',
+            '9' => '⁹',
+            other => other,
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(text: &str) -> String {
+        let mut svg = String::new();
+        content(&mut svg, text).unwrap();
+        svg
+    }
+
+    #[test]
+    fn symbols_are_set_and_the_rest_is_as_it_was() {
+        assert_eq!(set("markers lost"), "markers lost");
+        let set = set("−$l_f$ & more");
+        let letter = r#"−<tspan font-style="italic">l</tspan><tspan font-size="70%" dy="0.7">f<"#;
+        assert!(set.starts_with(letter), "{set}");
+        assert!(set.ends_with("</tspan> &amp; more"), "{set}");
+    }
+
+    #[test]
+    fn a_single_dollar_is_a_dollar() {
+        assert_eq!(set("5 $"), "5 $");
+        assert_eq!(plain("$a$ costs 5 $"), "a costs 5 $");
+    }
+
+    #[test]
+    fn what_cannot_be_set_is_readable() {
+        assert_eq!(plain("dl from −$l_f$ to $l_r$"), "dl from −l_f to l_r");
+    }
+
+    #[test]
+    fn a_subscript_is_narrower_than_what_it_stands_under() {
+        let wide = width("$CC$");
+        assert!(width("$C_C$") < wide && width("$C_C$") > width("$C$"));
+    }
+}

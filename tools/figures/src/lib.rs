@@ -1,0 +1,5 @@
+//! Figures and offline reports of recorded drives.
+
+pub mod figure;
+pub mod plot;
+pub mod template;

@@ -1,0 +1,254 @@
+//! `singletrack plot`: the figures of a drive, from its record alone.
+
+pub mod drive;
+mod error;
+mod figures;
+mod read;
+mod report;
+mod sample;
+mod spans;
+mod summary;
+pub mod truth;
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, ValueEnum};
+
+pub use error::PlotError;
+pub use figures::FigureKind;
+pub use read::Record;
+
+use drive::Drive;
+
+/// Options of `singletrack plot`.
+#[derive(Args, Clone, Debug)]
+pub struct PlotArgs {
+    /// A record (*.mcap, or *.mcap.part if it is unfinished or truncated).
+    pub record: PathBuf,
+
+    /// Folder for the pictures [default: beside the record, named after it].
+    #[arg(long, alias = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// Only these figures [default: all].
+    #[arg(
+        long = "figure",
+        value_enum,
+        value_name = "NAME",
+        value_delimiter = ','
+    )]
+    pub figures: Vec<FigureKind>,
+
+    /// Files to write [default: all; with --figure, svg].
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub format: Vec<PlotFormat>,
+
+    /// Which drive of the record, from 1 [default: the longest].
+    #[arg(long, value_name = "N")]
+    pub drive: Option<usize>,
+}
+
+/// What is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PlotFormat {
+    /// A file for each figure, in the size of a paper's column.
+    Svg,
+    /// `report.html`: all figures and the summary, to look around in.
+    Html,
+}
+
+/// What was written, and what was not.
+#[derive(Clone, Debug, Default)]
+pub struct Plotted {
+    /// The files.
+    pub files: Vec<PathBuf>,
+    /// Figures that the drive lacks something for.
+    pub missing: Vec<(FigureKind, &'static str)>,
+}
+
+/// Plots a record. Prints the names of the files on standard output, and notes on
+/// standard error.
+///
+/// # Errors
+///
+/// A record without a drive, or a file that can't be written.
+pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
+    let record = Record::read(&args.record)?;
+    for note in &record.notes {
+        eprintln!("singletrack: {}: {note}", record.path.display());
+    }
+    let (number, drive) = record.choose(args.drive)?;
+    let count = record.recording.drives.len();
+    if count > 1 {
+        eprintln!(
+            "singletrack: drive {number} of {count}, {:.1} s; choose another with --drive",
+            drive.duration()
+        );
+    }
+    let out = args.out.clone().unwrap_or_else(|| beside(&record.path));
+    let figures = if args.figures.is_empty() {
+        &FigureKind::ALL[..]
+    } else {
+        &args.figures
+    };
+    let formats = match (args.format.is_empty(), args.figures.is_empty()) {
+        (false, _) => &args.format[..],
+        (true, true) => &[PlotFormat::Svg, PlotFormat::Html],
+        (true, false) => &[PlotFormat::Svg],
+    };
+    let mut plotted = Plotted::default();
+    if formats.contains(&PlotFormat::Svg) {
+        plotted = write_figures(drive, figures, &out)?;
+    }
+    if formats.contains(&PlotFormat::Html) {
+        plotted
+            .files
+            .push(write_report(&record, number, drive, &out)?);
+    }
+    for (kind, why) in &plotted.missing {
+        eprintln!("singletrack: no figure {}: {why}", kind.name());
+    }
+    let mut stdout = io::stdout().lock();
+    for file in &plotted.files {
+        if writeln!(stdout, "{}", file.display()).is_err() {
+            // The reader of a pipe may close it at any time.
+            break;
+        }
+    }
+    Ok(())
+}
+
+impl Record {
+    /// The drive with this number, from 1, or the longest, with its number.
+    ///
+    /// # Errors
+    ///
+    /// When there is none.
+    pub fn choose(&self, number: Option<usize>) -> Result<(usize, &Drive), PlotError> {
+        let recording = &self.recording;
+        let count = recording.drives.len();
+        let Some(longest) = recording.longest() else {
+            let why = match recording.changes.last() {
+                None => "it has no ticks".to_owned(),
+                Some(last) => format!(
+                    "in {} ticks the car was never driven; the last mode was {}{}",
+                    recording.ticks,
+                    last.mode,
+                    summary::because(last.reason)
+                ),
+            };
+            return Err(PlotError::NoDrive {
+                path: self.path.clone(),
+                why,
+            });
+        };
+        let wanted = number.unwrap_or(longest);
+        let drive = wanted
+            .checked_sub(1)
+            .and_then(|index| recording.drives.get(index));
+        drive
+            .map(|drive| (wanted, drive))
+            .ok_or_else(|| PlotError::UnknownDrive {
+                path: self.path.clone(),
+                wanted,
+                count,
+            })
+    }
+}
+
+/// Writes a file for each figure of a drive into `folder`.
+///
+/// # Errors
+///
+/// When one can't be written.
+pub fn write_figures(
+    drive: &Drive,
+    figures: &[FigureKind],
+    folder: &Path,
+) -> Result<Plotted, PlotError> {
+    make(folder)?;
+    let mut plotted = Plotted::default();
+    for kind in figures {
+        match kind.draw(drive) {
+            Ok(figure) => {
+                let path = folder.join(kind.file_name());
+                write(&path, &figure.to_svg())?;
+                plotted.files.push(path);
+            }
+            Err(why) => plotted.missing.push((*kind, why)),
+        }
+    }
+    Ok(plotted)
+}
+
+/// The name of the report's file.
+pub const REPORT: &str = "report.html";
+
+/// The style sheet of every report.
+pub const STYLE: &str = include_str!("report/style.css");
+
+/// Writes the report of a drive, which has this number from 1, into `folder`.
+/// Returns its path.
+///
+/// # Errors
+///
+/// When it can't be written.
+pub fn write_report(
+    record: &Record,
+    number: usize,
+    drive: &Drive,
+    folder: &Path,
+) -> Result<PathBuf, PlotError> {
+    make(folder)?;
+    let path = folder.join(REPORT);
+    write(&path, &report::report(record, number, drive))?;
+    Ok(path)
+}
+
+fn make(folder: &Path) -> Result<(), PlotError> {
+    fs::create_dir_all(folder).map_err(|source| PlotError::Write {
+        path: folder.to_owned(),
+        source,
+    })
+}
+
+fn write(path: &Path, text: &str) -> Result<(), PlotError> {
+    fs::write(path, text).map_err(|source| PlotError::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// The folder of a record's figures: `drives/one.mcap` has `drives/one`.
+fn beside(record: &Path) -> PathBuf {
+    let name = record
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned());
+    let name = name.unwrap_or_default();
+    let stem = name.strip_suffix(".part").unwrap_or(&name);
+    match stem.strip_suffix(".mcap") {
+        Some(stem) if !stem.is_empty() => record.with_file_name(stem),
+        _ => record.with_file_name(format!("{name}-figures")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_folder_is_named_after_the_record() {
+        for (record, folder) in [
+            ("drives/one.mcap", "drives/one"),
+            ("one.mcap.part", "one"),
+            ("odd", "odd-figures"),
+            (".mcap", ".mcap-figures"),
+        ] {
+            assert_eq!(beside(Path::new(record)), Path::new(folder));
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! From the entries of a record to what the identification needs: what a real car
+//! has, and never the simulator's truth.
+
+use std::path::{Path, PathBuf};
+
+use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
+use singletrack_control::{VehicleParameters, direction};
+use singletrack_core::{Config, ConfigError};
+use singletrack_pilot::Event;
+use singletrack_record::{Entry, Reader, TelemetryRecord, Topic, seconds_since};
+
+use super::IdentifyError;
+use singletrack_figures::plot;
+
+/// A drive of a record.
+#[derive(Clone, Debug)]
+pub struct RecordedDrive {
+    /// The record.
+    pub path: PathBuf,
+    /// The drive's number in it, from 1.
+    pub number: usize,
+    /// The car of the configuration that it was driven with.
+    pub vehicle: VehicleParameters,
+    /// What was measured, in s since the drive began.
+    pub data: DriveData,
+    /// What whoever reads the result must know of the record.
+    pub notes: Vec<String>,
+}
+
+/// Servo pulses and samples from so long before a drive are of use, in ns.
+const LEAD_NS: u64 = 1_000_000_000;
+
+/// Reads the drive with this number, from 1, or the longest.
+///
+/// # Errors
+///
+/// When there is none, or the record can't be read.
+pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, IdentifyError> {
+    let record = plot::Record::read(path)?;
+    let (number, drive) = record.choose(number)?;
+    let toml = record
+        .configuration(drive)
+        .ok_or_else(|| IdentifyError::NoConfiguration {
+            path: path.to_owned(),
+            drive: number,
+        })?;
+    let unusable = |source| IdentifyError::Configuration {
+        path: path.to_owned(),
+        source: Box::new(source),
+    };
+    let config = Config::from_toml(toml).map_err(unusable)?;
+    let end_ns = drive.start_ns + (drive.duration() * 1e9) as u64;
+    let mut collector = Collector::new(&config, drive.start_ns).map_err(unusable)?;
+    let mut reader = Reader::open(&record.path)?.only(&[Topic::Tick, Topic::Telemetry]);
+    // The notes of the record have the damage already.
+    reader.take_undamaged(|entry| collector.take(entry))?;
+    let mut notes = record.notes.clone();
+    let count = record.recording.drives.len();
+    if count > 1 {
+        notes.push(format!(
+            "drive {number} of {count}, {:.1} s; choose another with --drive",
+            drive.duration()
+        ));
+    }
+    Ok(RecordedDrive {
+        path: record.path.clone(),
+        number,
+        vehicle: config.vehicle,
+        data: collector.until(end_ns),
+        notes,
+    })
+}
+
+/// Collects what the identification needs of the entries of a record, in their order.
+#[derive(Clone, Debug)]
+pub struct Collector {
+    /// Zero of the times, in ns of the host's monotonic clock.
+    start_ns: u64,
+    servo_centre_us: f64,
+    servo_gain_us_per_rad: f64,
+    /// From G to the rigid body's origin, forward and left, in m.
+    marker_offset: [f64; 2],
+    marker_yaw: f64,
+    data: DriveData,
+    /// Board time that has passed since the first record, in µs, and the newest.
+    board: Option<(u64, u32)>,
+}
+
+/// The board's control period, and that of its records, in µs.
+const BOARD_PERIOD_US: u64 = 10_000;
+
+impl Collector {
+    /// For a drive with this configuration that began at `start_ns` of the host's
+    /// monotonic clock.
+    ///
+    /// # Errors
+    ///
+    /// When the configuration makes no sense.
+    pub fn new(config: &Config, start_ns: u64) -> Result<Self, ConfigError> {
+        let estimator = config.pilot()?.estimator;
+        Ok(Self {
+            start_ns,
+            servo_centre_us: f64::from(config.board.servo.centre_us),
+            servo_gain_us_per_rad: f64::from(config.board.servo.gain_us_per_rad),
+            marker_offset: estimator.marker_offset,
+            marker_yaw: estimator.marker_yaw,
+            data: DriveData::default(),
+            board: None,
+        })
+    }
+
+    /// Takes in the next entry.
+    pub fn take(&mut self, entry: &Entry) {
+        match entry {
+            Entry::Tick(tick) => {
+                for event in &tick.events {
+                    if let Event::Pose(pose) = event
+                        && pose.capture.0 + LEAD_NS >= self.start_ns
+                    {
+                        let yaw = pose.yaw - self.marker_yaw;
+                        let along = direction(yaw);
+                        let [forward, left] = self.marker_offset;
+                        let pose = Pose {
+                            time_s: self.seconds(pose.capture.0),
+                            x_m: pose.position.x - (along.x * forward - along.y * left),
+                            y_m: pose.position.y - (along.y * forward + along.x * left),
+                            yaw_rad: yaw,
+                        };
+                        // A late one is of no use.
+                        let last = self.data.poses.last();
+                        if last.is_none_or(|last| pose.time_s > last.time_s) {
+                            self.data.poses.push(pose);
+                        }
+                    }
+                }
+            }
+            Entry::Telemetry(record) => self.take_telemetry(record),
+            _ => {}
+        }
+    }
+
+    fn take_telemetry(&mut self, record: &TelemetryRecord) {
+        let telemetry = &record.telemetry;
+        let now_us = telemetry.board_time_us;
+        // The board's clock wraps after 71 minutes, in the middle of a period.
+        let passed = match self.board {
+            None => u64::from(now_us),
+            Some((passed, last)) => passed + u64::from(now_us.wrapping_sub(last)),
+        };
+        self.board = Some((passed, now_us));
+        if record.board_time_host_ns + LEAD_NS < self.start_ns {
+            return;
+        }
+        if telemetry.servo_us != 0 {
+            let target = ServoTarget {
+                time_s: self.seconds(record.board_time_host_ns),
+                period: (passed + BOARD_PERIOD_US / 2) / BOARD_PERIOD_US,
+                angle_rad: (f64::from(telemetry.servo_us) - self.servo_centre_us)
+                    / self.servo_gain_us_per_rad,
+            };
+            let last = self.data.servo.last();
+            if last.is_none_or(|last| target.time_s > last.time_s) {
+                self.data.servo.push(target);
+            }
+        }
+        if let Some(time_ns) = record.new_imu_time_ns() {
+            let [forward_m_s2, left_m_s2, _] = record.linear_acceleration_m_s2();
+            let [_, _, yaw_rate_rad_s] = record.angular_velocity_rad_s();
+            let sample = Inertial {
+                time_s: self.seconds(time_ns),
+                yaw_rate_rad_s,
+                forward_m_s2,
+                left_m_s2,
+            };
+            let last = self.data.inertial.last();
+            if last.is_none_or(|last| sample.time_s > last.time_s) {
+                self.data.inertial.push(sample);
+            }
+        }
+    }
+
+    fn seconds(&self, time_ns: u64) -> f64 {
+        seconds_since(self.start_ns, time_ns)
+    }
+
+    /// What was collected until `end_ns` of the host's monotonic clock.
+    #[must_use]
+    pub fn until(mut self, end_ns: u64) -> DriveData {
+        let end_s = self.seconds(end_ns);
+        self.data.poses.retain(|pose| pose.time_s <= end_s);
+        self.data.inertial.retain(|sample| sample.time_s <= end_s);
+        self.data.servo.retain(|target| target.time_s <= end_s);
+        self.data
+    }
+}

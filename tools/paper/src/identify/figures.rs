@@ -1,0 +1,245 @@
+//! What the drive did and what the identified model does, as in the paper's figures of
+//! its validation; and the prediction errors.
+
+use std::sync::Arc;
+
+use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
+
+use super::{Identified, Report};
+use singletrack_figures::figure::{
+    Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width,
+};
+
+/// Of a long drive the figures over time show this much from its middle, in s: on paper
+/// more can't be told apart.
+const SHOWN: f64 = 10.0;
+const MEASURED: &str = "measured";
+const MODEL: &str = "model";
+
+/// Every figure of an identification, with its name.
+pub fn figures(report: &Report) -> Vec<(String, Figure)> {
+    let mut figures = of_drive("", "the drive it was identified from", &report.identified);
+    if let Some(validated) = &report.validated {
+        figures.extend(of_drive(
+            "validation-",
+            "another drive, for validation",
+            validated,
+        ));
+    }
+    let residuals = &report.identified.identification.residuals;
+    figures.push(("residuals".to_owned(), errors(residuals)));
+    figures
+}
+
+fn of_drive(prefix: &str, which: &str, identified: &Identified) -> Vec<(String, Figure)> {
+    let points = excerpt(&identified.identification.simulation.points);
+    vec![
+        (format!("{prefix}inputs"), inputs(points, which)),
+        (format!("{prefix}states"), states(points, which)),
+    ]
+}
+
+/// A part from the middle that begins where the model's position does.
+fn excerpt(points: &[SimulationPoint]) -> &[SimulationPoint] {
+    let middle = points.len() / 2;
+    let restart = |index: &usize| points.get(*index).is_some_and(|point| point.restarted);
+    let from = (middle..points.len())
+        .find(restart)
+        .or_else(|| (0..middle).rev().find(restart))
+        .unwrap_or(0);
+    let rest = points.get(from..).unwrap_or_default();
+    let begin = rest.first().map_or(0.0, |point| point.time_s);
+    let until = rest
+        .iter()
+        .enumerate()
+        .position(|(index, point)| point.time_s > begin + SHOWN || (index > 0 && point.restarted))
+        .unwrap_or(rest.len());
+    rest.get(..until).unwrap_or_default()
+}
+
+fn column(points: &[SimulationPoint], value: impl Fn(&SimulationPoint) -> f64) -> Column {
+    points.iter().map(value).collect()
+}
+
+/// The paper's figure of part of the inputs and the trajectory.
+fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
+    let time = column(points, |point| point.time_s);
+    let over_time = |y, value: fn(&SimulationPoint) -> f64| Panel {
+        height_mm: 34.0,
+        curves: vec![Curve::new(
+            "input",
+            Look::Actual,
+            &time,
+            column(points, value),
+        )],
+        ..Panel::new(Axis::TIME, y)
+    };
+    let trajectory = Panel {
+        height_mm: 70.0,
+        equal: true,
+        curves: vec![
+            Curve {
+                time: Some(time.clone()),
+                ..Curve::new(
+                    MODEL,
+                    Look::Nominal,
+                    &column(points, |point| point.position_m[0]),
+                    column(points, |point| point.position_m[1]),
+                )
+            },
+            Curve {
+                time: Some(time.clone()),
+                ..Curve::new(
+                    MEASURED,
+                    Look::Actual,
+                    &column(points, |point| point.measured_m[0]),
+                    column(points, |point| point.measured_m[1]),
+                )
+            },
+        ],
+        begins_row: true,
+        ..Panel::new(
+            Axis::new("", Some(Symbol::new("x", "G")), "m"),
+            Axis::new("", Some(Symbol::new("y", "G")), "m"),
+        )
+    };
+    Figure {
+        title: "Inputs and trajectory".to_owned(),
+        caption: format!(
+            "Part of {which}: speed by the cameras and the accelerometer, steering angle of the \
+             servo's model, and the path of G as measured and as the model drives it from the \
+             first pose on without correction."
+        ),
+        width: Width::Page,
+        panels: vec![
+            over_time(
+                Axis::new("speed", Some(Symbol::new("v", "")), "m/s"),
+                |point| point.speed_m_s,
+            ),
+            over_time(
+                Axis::new("steering", Some(Symbol::new("δ", "")), "rad"),
+                |point| point.steering_rad,
+            ),
+            trajectory,
+        ],
+    }
+}
+
+/// The paper's figure of the states.
+fn states(points: &[SimulationPoint], which: &str) -> Figure {
+    let time = column(points, |point| point.time_s);
+    let panel = |y,
+                 begins_row,
+                 measured: fn(&SimulationPoint) -> f64,
+                 model: fn(&SimulationPoint) -> f64| Panel {
+        begins_row,
+        curves: vec![
+            Curve::new(MODEL, Look::Nominal, &time, column(points, model)),
+            Curve::new(MEASURED, Look::Actual, &time, column(points, measured)),
+        ],
+        ..Panel::new(Axis::TIME, y)
+    };
+    Figure {
+        title: "Measured and simulated states".to_owned(),
+        caption: format!(
+            "Part of {which}: yaw by the cameras, yaw rate by the gyro, sideslip by the cameras \
+             alone and acceleration to the left by the IMU, beside the model that is given the \
+             speed and the servo's pulses and nothing else."
+        ),
+        width: Width::Page,
+        panels: vec![
+            panel(
+                Axis::new("yaw", Some(Symbol::new("ψ", "")), "rad"),
+                false,
+                |point| point.measured_yaw_rad,
+                |point| point.yaw_rad,
+            ),
+            panel(
+                Axis::new("yaw rate", Some(Symbol::new("r", "")), "rad/s"),
+                false,
+                |point| point.measured_yaw_rate_rad_s,
+                |point| point.yaw_rate_rad_s,
+            ),
+            panel(
+                Axis::new("sideslip", Some(Symbol::new("β", "")), "rad"),
+                true,
+                |point| point.measured_sideslip_rad,
+                |point| point.sideslip_rad,
+            ),
+            panel(
+                Axis::new("lateral acceleration", Some(Symbol::new("a", "y")), "m/s²"),
+                false,
+                |point| point.measured_left_m_s2,
+                |point| point.left_m_s2,
+            ),
+        ],
+    }
+}
+
+const fn named(channel: Channel) -> &'static str {
+    match channel {
+        Channel::X => "x",
+        Channel::Y => "y",
+        Channel::Yaw => "yaw",
+        Channel::YawRate => "yaw rate",
+        Channel::Left => "lateral acceleration",
+    }
+}
+
+/// The prediction errors over time, and their autocorrelation.
+fn errors(residuals: &[Residuals]) -> Figure {
+    let panels = residuals.iter().enumerate().flat_map(|(index, residuals)| {
+        let x: Column = Arc::from(&residuals.times_s[..]);
+        let y: Column = Arc::from(&residuals.values[..]);
+        let over_time = Panel {
+            title: named(residuals.channel).to_owned(),
+            begins_row: index > 0,
+            height_mm: 24.0,
+            curves: vec![Curve::new("prediction error", Look::Measured, &x, y)],
+            ..Panel::new(
+                Axis::TIME,
+                Axis {
+                    include: Some(4.0),
+                    ..Axis::new("error", None, "σ")
+                },
+            )
+        };
+        let bars = residuals.autocorrelation.iter().zip(1..);
+        let bars = bars.map(|(height, lag)| {
+            let lag = f64::from(lag);
+            Bar {
+                span: [lag - 0.35, lag + 0.35],
+                height: height.abs(),
+            }
+        });
+        let count = residuals.values.len().max(1) as f64;
+        let memory = Panel {
+            height_mm: 24.0,
+            bars: bars.collect(),
+            levels: vec![Level {
+                name: "by chance, 95 %".to_owned(),
+                value: 1.96 / count.sqrt(),
+                label: String::new(),
+                look: Look::RangeEnd,
+            }],
+            ..Panel::new(
+                Axis::new("lag", None, "samples"),
+                Axis {
+                    include: Some(0.1),
+                    ..Axis::new("|autocorrelation|", None, "")
+                },
+            )
+        };
+        [over_time, memory]
+    });
+    Figure {
+        title: "Prediction errors".to_owned(),
+        caption: "What was measured less what was predicted from everything before, over the \
+                  standard deviation that it should have, and how much of it can be told from \
+                  the errors before. If the model is right, nineteen of twenty are within two, \
+                  and nothing can be told."
+            .to_owned(),
+        width: Width::Page,
+        panels: panels.collect(),
+    }
+}

@@ -1,0 +1,345 @@
+//! `singletrack identify`: the car's parameters from its drives.
+
+mod collect;
+mod figures;
+mod output;
+mod report;
+pub mod study;
+mod table;
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use singletrack_analysis::identification::{
+    self, Identification, IdentificationError, Parameter, Settings, Tyres,
+};
+use singletrack_core::ConfigError;
+use singletrack_record::RecordError;
+
+use crate::vehicle_file::{self, VehicleFileError};
+use singletrack_figures::plot::PlotError;
+
+pub use collect::{Collector, RecordedDrive, read};
+pub use figures::figures;
+pub use report::{Identified, Report};
+
+/// Options of `singletrack identify`.
+#[derive(Args, Clone, Debug)]
+pub struct IdentifyArgs {
+    /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
+    pub record: PathBuf,
+
+    /// Another drive, to validate the identified parameters.
+    #[arg(long, value_name = "RECORD")]
+    pub validate: Option<PathBuf>,
+
+    /// The nominal car: mass, wheelbase, friction, and where the fit starts
+    /// [default: the one in the record's configuration].
+    #[arg(long, value_name = "FILE")]
+    pub vehicle: Option<PathBuf>,
+
+    /// Parameters to estimate: some of `c_f`, `c_r`, `i_z`, `l_f`, `friction` and `steering_gain`.
+    ///
+    /// Lag, delay and trim of the steering, and delay and bias of the IMU are always
+    /// estimated jointly.
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        default_value = "c_f,c_r,i_z"
+    )]
+    pub parameters: Vec<Parameter>,
+
+    /// The tyres' force over their slip.
+    #[arg(long, value_enum, default_value_t = TyreKind::Saturating)]
+    pub tyres: TyreKind,
+
+    /// Which drive of the record, from 1 [default: the longest].
+    #[arg(long, value_name = "N")]
+    pub drive: Option<usize>,
+
+    /// Leave out slower driving, in m/s: there the tyres hardly slip.
+    #[arg(long, value_name = "SPEED", default_value_t = 0.5)]
+    pub least_speed: f64,
+
+    /// Folder for figures, identification.json and identified.toml, a vehicle file.
+    #[arg(long, alias = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
+    pub format: IdentifyFormat,
+}
+
+/// The tyres' force over their slip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TyreKind {
+    /// Linear for small slip, at most the friction's share of the load.
+    Saturating,
+    /// Linear throughout, as in the paper.
+    Linear,
+}
+
+impl TyreKind {
+    const fn tyres(self) -> Tyres {
+        match self {
+            Self::Saturating => Tyres::Saturating,
+            Self::Linear => Tyres::Linear,
+        }
+    }
+}
+
+/// How to print the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum IdentifyFormat {
+    /// For a person.
+    Table,
+    /// For a program, every digit.
+    Json,
+}
+
+/// Why the identification failed.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentifyError {
+    /// The record has no such drive.
+    #[error(transparent)]
+    Drive(#[from] PlotError),
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The configuration in the record can't be used.
+    #[error(
+        "the configuration in {}, which has the servo's calibration, is not one that this version \
+         of singletrack takes: {source}",
+        path.display()
+    )]
+    Configuration {
+        /// The record.
+        path: PathBuf,
+        /// Why the daemon rejects it.
+        source: Box<ConfigError>,
+    },
+    /// The record does not hold the configuration of the drive.
+    #[error(
+        "{} does not hold the configuration that drive {drive} was driven with: choose another with --drive",
+        path.display()
+    )]
+    NoConfiguration {
+        /// The record.
+        path: PathBuf,
+        /// The drive's number, from 1.
+        drive: usize,
+    },
+    /// The vehicle file.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleFileError),
+    /// A speed that is none.
+    #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
+    LeastSpeed(f64),
+    /// The drive does not determine the parameters.
+    #[error("{}, drive {drive}: {source}", path.display())]
+    Identification {
+        /// The record.
+        path: PathBuf,
+        /// The drive's number, from 1.
+        drive: usize,
+        /// Why.
+        source: IdentificationError,
+    },
+    /// A file can't be written.
+    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The folder has a vehicle file that this command did not write.
+    #[error(
+        "{} is not of an earlier identification; choose another folder with --out, or rename it",
+        .0.display()
+    )]
+    Foreign(PathBuf),
+    /// Standard output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(io::Error),
+}
+
+/// Identifies, prints and writes the result. Progress and warnings go to standard
+/// error.
+///
+/// # Errors
+///
+/// When a record can't be used, or a file can't be written.
+pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
+    if let Some(folder) = &args.out {
+        prepare(folder)?;
+    }
+    let report = identify(args)?;
+    for (identified, what) in [
+        (Some(&report.identified), ""),
+        (report.validated.as_ref(), "validation: "),
+    ] {
+        for warning in identified
+            .into_iter()
+            .flat_map(|i| &i.identification.warnings)
+        {
+            print_note(&format!("warning: {what}{warning}"));
+        }
+    }
+    let text = match args.format {
+        IdentifyFormat::Table => table::table(&report),
+        IdentifyFormat::Json => output::json(&report),
+    };
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        // The reader of a pipe may close it at any time.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+        result => result.map_err(IdentifyError::Output)?,
+    }
+    if let Some(folder) = &args.out {
+        for path in write(&report, folder)? {
+            print_note(&format!("wrote {}", path.display()));
+        }
+    }
+    Ok(())
+}
+
+/// Identifies without printing anything but progress.
+///
+/// # Errors
+///
+/// As [`run`].
+pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
+    if !(0.0..=100.0).contains(&args.least_speed) {
+        return Err(IdentifyError::LeastSpeed(args.least_speed));
+    }
+    let given = args
+        .vehicle
+        .as_deref()
+        .map(vehicle_file::read)
+        .transpose()?;
+    let recorded = told(read(&args.record, args.drive)?);
+    let vehicle = given.unwrap_or(recorded.vehicle);
+    let settings = Settings {
+        tyres: args.tyres.tyres(),
+        least_speed: args.least_speed,
+        ..Settings::of(&args.parameters)
+    };
+    let validation = args.validate.as_deref();
+    let validation = validation
+        .map(|path| read(path, None))
+        .transpose()?
+        .map(told);
+
+    let wait = wait(format!("identifying from {}", args.record.display()));
+    let identification = identification::identify(&recorded.data, &vehicle, &settings)
+        .map_err(|source| recorded.failed(source))?;
+    wait.finish_and_clear();
+    let validated = match validation {
+        None => None,
+        Some(other) => {
+            let identification = identification::validate(&other.data, &identification, &settings)
+                .map_err(|source| other.failed(source))?;
+            Some(other.identified(identification))
+        }
+    };
+    Ok(Report {
+        vehicle,
+        tyres: settings.tyres,
+        identified: recorded.identified(identification),
+        validated,
+    })
+}
+
+/// Sees, before anything is computed, that `folder` can be written to and that no
+/// vehicle file that somebody keeps there is lost.
+fn prepare(folder: &Path) -> Result<(), IdentifyError> {
+    fs::create_dir_all(folder)
+        .and_then(|()| tempfile::tempfile_in(folder).map(drop))
+        .map_err(|source| IdentifyError::Write {
+            path: folder.to_owned(),
+            source,
+        })?;
+    let vehicle = folder.join(VEHICLE_FILE);
+    match fs::read(&vehicle) {
+        Ok(text) if !text.starts_with(output::VEHICLE_FILE_BEGINS.as_bytes()) => {
+            Err(IdentifyError::Foreign(vehicle))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The vehicle file that is written.
+const VEHICLE_FILE: &str = "identified.toml";
+
+/// Writes figures and files into `folder`, and returns their paths.
+///
+/// # Errors
+///
+/// When one can't be written.
+pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |source| IdentifyError::Write { path, source }
+    };
+    fs::create_dir_all(folder).map_err(failed(folder))?;
+    let mut files = vec![
+        (VEHICLE_FILE.to_owned(), output::vehicle_file(report)),
+        ("identification.json".to_owned(), output::json(report)),
+    ];
+    files.extend(
+        figures::figures(report)
+            .into_iter()
+            .map(|(name, figure)| (format!("{name}.svg"), figure.to_svg())),
+    );
+    let mut paths = Vec::new();
+    for (name, text) in files {
+        let path = folder.join(name);
+        fs::write(&path, text).map_err(failed(&path))?;
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+impl RecordedDrive {
+    fn failed(&self, source: IdentificationError) -> IdentifyError {
+        IdentifyError::Identification {
+            path: self.path.clone(),
+            drive: self.number,
+            source,
+        }
+    }
+
+    fn identified(self, identification: Identification) -> Identified {
+        Identified {
+            path: self.path,
+            drive: self.number,
+            identification,
+        }
+    }
+}
+
+fn told(recorded: RecordedDrive) -> RecordedDrive {
+    for note in &recorded.notes {
+        print_note(&format!("{}: {note}", recorded.path.display()));
+    }
+    recorded
+}
+
+/// Prints a line on standard error, which may be closed.
+fn print_note(what: &str) {
+    let _ = writeln!(io::stderr().lock(), "singletrack: {what}");
+}
+
+/// Hidden when standard error is no terminal.
+fn wait(what: String) -> ProgressBar {
+    let bar = ProgressBar::new_spinner().with_message(what);
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}

@@ -1,0 +1,292 @@
+//! How good the identification is: the same drive under many seeds of the simulator's
+//! noise, beside the truth and beside what no estimate can be better than.
+
+use std::{
+    path::Path,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicUsize, Ordering},
+    },
+    thread,
+};
+
+use singletrack_analysis::identification::{
+    self, DriveData, Identification, IdentificationError, NoiseLevels, Parameter, Settings, Values,
+};
+use singletrack_control::VehicleParameters;
+use singletrack_core::{Config, ConfigError};
+use singletrack_sim::{CameraParameters, ImuParameters, ServoParameters};
+
+use super::Collector;
+use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
+
+/// The drive that is identified from.
+pub const SCENARIO: &str = include_str!("../../../scenarios/identify-car.toml");
+/// Another one, for validation.
+pub const VALIDATION: &str = include_str!("../../../scenarios/identify-car-validation.toml");
+
+/// The results of the study, for each seed in the given order.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// The car that was driven.
+    pub truth: VehicleParameters,
+    /// The car that every fit started from.
+    pub start: VehicleParameters,
+    /// Each seed.
+    pub seeds: Vec<SeedResult>,
+}
+
+/// What one seed gave.
+#[derive(Clone, Debug)]
+pub struct SeedResult {
+    /// The seed.
+    pub seed: u64,
+    /// What was identified.
+    pub identification: Identification,
+    /// The smallest standard deviations of `C_f`, `C_r` and `I_z` (Cramér and Rao), with
+    /// the simulator's noise.
+    pub bounds: [f64; 3],
+    /// Normalised mean prediction error on the drive for validation.
+    pub validation_nmpe: f64,
+}
+
+/// The statistics of a parameter over all seeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Which.
+    pub parameter: Parameter,
+    /// The truth.
+    pub truth: f64,
+    /// Mean of the estimates.
+    pub mean: f64,
+    /// Standard deviation of the estimates from the truth.
+    pub deviation: f64,
+    /// Largest error over the truth.
+    pub worst_relative_error: f64,
+    /// How many intervals of 95 % hold the truth.
+    pub covered: usize,
+    /// Mean of the standard deviations that the fits state.
+    pub stated_deviation: f64,
+    /// Mean of the Cramér-Rao bounds.
+    pub bound: f64,
+}
+
+/// Why there is no study.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// A scenario is none.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// A drive can't be simulated.
+    #[error("seed {seed}: {source}")]
+    Drive {
+        /// Under which seed.
+        seed: u64,
+        /// Why.
+        source: Box<CarError>,
+    },
+    /// The configuration of a drive is invalid.
+    #[error("seed {seed}: {source}")]
+    Configuration {
+        /// Under which seed.
+        seed: u64,
+        /// Why.
+        source: Box<ConfigError>,
+    },
+    /// A drive says nothing.
+    #[error("seed {seed}: {source}")]
+    Identification {
+        /// Under which seed.
+        seed: u64,
+        /// Why.
+        source: Box<IdentificationError>,
+    },
+}
+
+/// Simulates the drive for identification under each seed, identifies the car from it
+/// and validates that on the other drive under another seed. `progress` is told how many
+/// are done, from any thread.
+///
+/// Every fit starts from a car that is wrong by 30 to 40 %.
+///
+/// # Errors
+///
+/// The first drive that says nothing.
+pub fn run_study(seeds: &[u64], progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
+    let truth = scenario(SCENARIO, 0)?.vehicle;
+    let start = VehicleParameters {
+        front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
+        rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
+        yaw_inertia_kg_m2: 1.4 * truth.yaw_inertia_kg_m2,
+        ..truth
+    };
+    let next = AtomicUsize::new(0);
+    let done = AtomicUsize::new(0);
+    let results = Mutex::new(Vec::with_capacity(seeds.len()));
+    let work = || {
+        while let Some(seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let result = one(*seed, &truth, &start);
+            results
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push((*seed, result));
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+        }
+    };
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    thread::scope(|scope| {
+        for _ in 0..threads.min(seeds.len()) {
+            scope.spawn(work);
+        }
+    });
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_by_key(|(seed, _)| seeds.iter().position(|other| other == seed));
+    let seeds = results.into_iter().map(|(_, result)| result);
+    Ok(Study {
+        truth,
+        start,
+        seeds: seeds.collect::<Result<_, _>>()?,
+    })
+}
+
+fn one(
+    seed: u64,
+    truth: &VehicleParameters,
+    start: &VehicleParameters,
+) -> Result<SeedResult, StudyError> {
+    let settings = Settings::default();
+    let failed = |source| StudyError::Identification {
+        seed,
+        source: Box::new(source),
+    };
+    let data = simulated(SCENARIO, seed)?;
+    let identification = identification::identify(&data, start, &settings).map_err(failed)?;
+    let bounds = identification::cramer_rao(
+        &data,
+        &true_values(truth, &identification.values),
+        &simulated_noise(),
+        identification.frames,
+        &settings,
+    )
+    .map_err(failed)?;
+    // A seed that no other drive of the study has.
+    let other = simulated(VALIDATION, seed ^ 1 << 40)?;
+    let validation =
+        identification::validate(&other, &identification, &settings).map_err(failed)?;
+    let mut of_vehicle = bounds.into_iter();
+    Ok(SeedResult {
+        seed,
+        identification,
+        bounds: Parameter::VEHICLE.map(|_| of_vehicle.next().unwrap_or(f64::NAN)),
+        validation_nmpe: validation.score.nmpe,
+    })
+}
+
+fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
+    let mut scenario = Scenario::from_toml(text, Path::new("identify-car"))?;
+    scenario.run.seed = seed;
+    Ok(scenario)
+}
+
+/// The data that a record of the drive would have, without a file.
+fn simulated(text: &str, seed: u64) -> Result<DriveData, StudyError> {
+    let scenario = scenario(text, seed)?;
+    let mut entries = Vec::new();
+    let drive = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()));
+    let config: Config = drive.map_err(|source| StudyError::Drive {
+        seed,
+        source: Box::new(source),
+    })?;
+    let collector = Collector::new(&config, 0);
+    let mut collector = collector.map_err(|source| StudyError::Configuration {
+        seed,
+        source: Box::new(source),
+    })?;
+    for entry in &entries {
+        collector.take(entry);
+    }
+    Ok(collector.until(u64::MAX >> 1))
+}
+
+/// The true car, with the estimated delays and biases.
+fn true_values(truth: &VehicleParameters, estimated: &Values) -> Values {
+    let servo = ServoParameters::default();
+    let mut values = Values::of(truth).with(Parameter::ServoLag, servo.lag_s);
+    for parameter in [
+        Parameter::SteeringDelay,
+        Parameter::InertialDelay,
+        Parameter::LateralBias,
+    ] {
+        values = values.with(parameter, estimated.get(parameter));
+    }
+    values
+}
+
+/// The simulator's noise, as the identification counts it.
+fn simulated_noise() -> NoiseLevels {
+    let cameras = CameraParameters::default();
+    let imu = ImuParameters::default();
+    let period_s = imu.period_us as f64 * 1e-6;
+    NoiseLevels {
+        position_m: cameras.position_noise_m,
+        yaw_rad: cameras.orientation_noise_rad,
+        yaw_rate_rad_s: imu.gyro_noise_rad_s,
+        left_m_s2: imu.acceleration_noise_m_s2,
+        forward_density: imu.acceleration_noise_m_s2 * period_s.sqrt(),
+        gyro_walk: imu.gyro_walk_rad_s,
+        ..NoiseLevels::exact()
+    }
+}
+
+impl Study {
+    /// What all seeds together say of `C_f`, `C_r` and `I_z`.
+    #[must_use]
+    pub fn summaries(&self) -> [Summary; 3] {
+        let values = Values::of(&self.truth);
+        let count = self.seeds.len().max(1) as f64;
+        let mut index = 0;
+        Parameter::VEHICLE.map(|parameter| {
+            let truth = values.get(parameter);
+            let mut summary = Summary {
+                parameter,
+                truth,
+                mean: 0.0,
+                deviation: 0.0,
+                worst_relative_error: 0.0,
+                covered: 0,
+                stated_deviation: 0.0,
+                bound: 0.0,
+            };
+            for result in &self.seeds {
+                let Some(estimate) = result.identification.estimate(parameter) else {
+                    continue;
+                };
+                let error = estimate.value - truth;
+                let [low, high] = estimate.interval;
+                summary.mean += estimate.value / count;
+                summary.deviation += error * error / count;
+                summary.worst_relative_error =
+                    summary.worst_relative_error.max(error.abs() / truth);
+                summary.covered += usize::from((low..=high).contains(&truth));
+                summary.stated_deviation += estimate.standard_deviation / count;
+                summary.bound += result.bounds.get(index).copied().unwrap_or(f64::NAN) / count;
+            }
+            summary.deviation = summary.deviation.sqrt();
+            index += 1;
+            summary
+        })
+    }
+
+    /// Mean of the normalised mean prediction errors on the drives for identification
+    /// and for validation.
+    #[must_use]
+    pub fn nmpe(&self) -> [f64; 2] {
+        let count = self.seeds.len().max(1) as f64;
+        let mean =
+            |value: fn(&SeedResult) -> f64| self.seeds.iter().map(value).sum::<f64>() / count;
+        [
+            mean(|result| result.identification.score.nmpe),
+            mean(|result| result.validation_nmpe),
+        ]
+    }
+}

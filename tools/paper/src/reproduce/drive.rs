@@ -1,0 +1,246 @@
+//! Driving an experiment in virtual time, on either plant.
+
+use singletrack_control::{Position, VehicleParameters, front_point};
+use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_statistics::RootMeanSquare;
+
+use super::{Setup, extreme::largest};
+use singletrack_scenario::simulate::{
+    self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
+    Scenario, SimulateError, StartSection, SteeringHold,
+};
+
+/// An experiment, whatever it is driven on.
+#[derive(Clone, Debug)]
+pub(super) struct Experiment {
+    /// Which law.
+    pub(super) law: LawKind,
+    /// How far behind its place the law believes the centre of mass, in m.
+    pub(super) deviation_m: f64,
+    /// The car that the appendix's law believes in; the car itself if none.
+    pub(super) believed: Option<VehicleParameters>,
+    /// The position loop.
+    pub(super) outer_loop: OuterLoopSection,
+    /// Where P should be.
+    pub(super) reference: ReferenceSection,
+    /// Where P starts, in m.
+    pub(super) start_m: [f64; 2],
+    /// Where the car points at first, in degrees.
+    pub(super) yaw_deg: f64,
+    /// How long, in s.
+    pub(super) duration_s: f64,
+    /// When the cameras lose the markers; on the car only.
+    pub(super) losses: Vec<MarkerLoss>,
+}
+
+/// A moment as the controller saw it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub(super) time: f64,
+    /// P by the true `l_f` and the estimated pose, in m.
+    pub(super) point: [f64; 2],
+    pub(super) speed: f64,
+    pub(super) sideslip: f64,
+    pub(super) yaw_rate: f64,
+    /// The steering angle that was asked for, in rad.
+    pub(super) steering: f64,
+}
+
+/// A drive that was driven.
+#[derive(Clone, Debug)]
+pub(super) struct Run {
+    /// Ground truth and the reference.
+    pub(super) rows: Vec<Row>,
+    /// What the controller saw; nothing on the ideal plant, where it is the truth.
+    pub(super) seen: Vec<Seen>,
+    /// Spans in which the markers were lost, in s.
+    pub(super) lost: Vec<[f64; 2]>,
+    /// Why it ended before its time, if it did.
+    pub(super) ended: Option<String>,
+}
+
+/// Period of the controller on the car, in ms.
+const PERIOD_MS: u32 = 10;
+/// From one row to the next, in s.
+const ROW_S: f64 = 0.05;
+
+/// Why there is nothing of a drive.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum DriveError {
+    /// It can't be simulated.
+    #[error(transparent)]
+    Simulate(#[from] SimulateError),
+    /// Its record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// There is no room for the record.
+    #[error("can't make a temporary folder: {0}")]
+    Temporary(std::io::Error),
+}
+
+impl Experiment {
+    fn scenario(&self, setup: &Setup, plant: PlantKind) -> Scenario {
+        Scenario {
+            law: LawSection {
+                kind: self.law,
+                point_distance_m: setup.point_distance_m(),
+                front_axle_distance_m: setup.vehicle.front_axle_distance_m + self.deviation_m,
+            },
+            outer_loop: self.outer_loop,
+            reference: self.reference.clone(),
+            start: StartSection {
+                point_p_m: self.start_m,
+                yaw_deg: self.yaw_deg,
+            },
+            control: ControlSection {
+                align_to_cameras: true,
+                period_ms: match plant {
+                    PlantKind::Ideal => 0,
+                    PlantKind::Car => PERIOD_MS,
+                },
+                delay_ticks: 0,
+                steering: SteeringHold::Ramp,
+            },
+            plant: PlantSection { kind: plant },
+            run: RunSection {
+                duration_s: self.duration_s,
+                seed: 1,
+            },
+            marker_loss: match plant {
+                PlantKind::Ideal => Vec::new(),
+                PlantKind::Car => self.losses.clone(),
+            },
+            vehicle: setup.vehicle,
+            believed_vehicle: self.believed,
+            limits: None,
+            board: None,
+        }
+    }
+
+    /// Drives it on the paper's equations, controlled continuously; as far as they go.
+    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run, DriveError> {
+        let mut scenario = self.scenario(setup, PlantKind::Ideal);
+        let mut ended = None;
+        let rows = loop {
+            match simulate::simulate(&scenario) {
+                Ok(simulation) => break simulation.rows,
+                // What came before is what there is to see.
+                Err(SimulateError::Ideal(error)) => {
+                    let Some(time) = singular_at(&error) else {
+                        return Err(SimulateError::Ideal(error).into());
+                    };
+                    ended.get_or_insert_with(|| {
+                        let what = match error {
+                            IdealError::Law { .. } => "the law has no answer",
+                            _ => "the paper's equations have no solution",
+                        };
+                        format!("{what} from t = {time:.2} s on")
+                    });
+                    let before = ((time / ROW_S).ceil() - 1.0) * ROW_S;
+                    if before < ROW_S || before >= scenario.run.duration_s {
+                        return Err(SimulateError::Ideal(error).into());
+                    }
+                    scenario.run.duration_s = before;
+                }
+                Err(error) => return Err(error.into()),
+            }
+        };
+        Ok(Run {
+            rows,
+            seen: Vec::new(),
+            lost: Vec::new(),
+            ended,
+        })
+    }
+
+    /// Drives it with the whole pilot on the simulated car, board and cameras.
+    pub(super) fn car(&self, setup: &Setup) -> Result<Run, DriveError> {
+        let scenario = self.scenario(setup, PlantKind::Car);
+        let folder = tempfile::tempdir().map_err(DriveError::Temporary)?;
+        let path = folder.path().join("drive.mcap");
+        let simulation = simulate::simulate_recorded(&scenario, &path)?;
+        let mut seen = Vec::new();
+        for entry in Reader::open(&path)?.only(&[Topic::Tick]) {
+            let Entry::Tick(tick) = entry? else { continue };
+            let output = &tick.output;
+            let (Some(time), Some(estimate)) = (output.drive_time, output.estimate) else {
+                continue;
+            };
+            let point: Position = front_point(
+                estimate.position,
+                estimate.yaw,
+                output.actuation.steering,
+                setup.vehicle.front_axle_distance_m,
+                setup.point_distance_m(),
+            );
+            seen.push(Seen {
+                time,
+                point: [point.x, point.y],
+                speed: estimate.speed,
+                sideslip: estimate.sideslip,
+                yaw_rate: estimate.yaw_rate,
+                steering: output.actuation.steering,
+            });
+        }
+        Ok(Run {
+            rows: simulation.rows,
+            seen,
+            lost: scenario.marker_loss.iter().map(span).collect(),
+            ended: simulation.notes.into_iter().next(),
+        })
+    }
+}
+
+/// When the equations or the law came to an end, in s.
+const fn singular_at(error: &IdealError) -> Option<f64> {
+    match error {
+        IdealError::Law { time, .. } => Some(*time),
+        IdealError::Integration(error) => Some(error.time),
+        IdealError::Scenario(_) => None,
+    }
+}
+
+fn span(loss: &MarkerLoss) -> [f64; 2] {
+    let seconds = |tick: u64| (tick * u64::from(PERIOD_MS)) as f64 / 1000.0;
+    [
+        seconds(loss.first_tick),
+        seconds(loss.first_tick + loss.ticks),
+    ]
+}
+
+impl Run {
+    /// How far the true P is from where it should be, at each row, in m.
+    pub(super) fn deviations(&self) -> impl Iterator<Item = f64> + '_ {
+        self.rows
+            .iter()
+            .map(|row| (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref))
+    }
+
+    /// The largest of them, in m.
+    pub(super) fn largest_deviation(&self) -> f64 {
+        largest(self.deviations())
+    }
+
+    /// Their root mean square, in m.
+    pub(super) fn rms_deviation(&self) -> f64 {
+        RootMeanSquare::of(self.deviations()).value().unwrap_or(0.0)
+    }
+
+    /// How far its P is from that of another drive of the same experiment at most, in m.
+    pub(super) fn largest_difference(&self, other: &Self) -> f64 {
+        let both = self.rows.iter().zip(&other.rows);
+        largest(both.map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p)))
+    }
+
+    /// The length of P's path, in m.
+    pub(super) fn path(&self) -> f64 {
+        self.rows
+            .windows(2)
+            .map(|pair| match pair {
+                [one, next] => (next.x_p - one.x_p).hypot(next.y_p - one.y_p),
+                _ => 0.0,
+            })
+            .sum()
+    }
+}

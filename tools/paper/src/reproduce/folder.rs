@@ -1,0 +1,326 @@
+//! The folder of a reproduction; it holds no other files.
+
+use std::{
+    ffi::OsStr,
+    fs, io,
+    path::{Component, Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use singletrack_control::VehicleParameters;
+
+use super::{
+    claims::{Judged, Verdict},
+    error::{ReproduceError, write_error},
+    report,
+    section::Reproduction,
+    table,
+};
+use singletrack_scenario::csv_text::csv_text;
+
+/// The names of the files.
+const REPORT: &str = "report.html";
+const CLAIMS_JSON: &str = "claims.json";
+const CLAIMS_CSV: &str = "claims.csv";
+const CLAIMS_MARKDOWN: &str = "claims.md";
+/// Folders.
+const FIGURES: &str = "figures";
+const DATA: &str = "data";
+
+/// Makes the folder, and checks that it can be written to and holds no other files. An
+/// earlier reproduction stays until the new one is computed, minutes later.
+pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
+    fs::create_dir_all(folder).map_err(write_error(folder))?;
+    earlier(folder)?;
+    tempfile::tempfile_in(folder)
+        .map(drop)
+        .map_err(write_error(folder))
+}
+
+/// The list of files in `claims.json`.
+#[derive(Deserialize)]
+struct Contents {
+    files: Vec<PathBuf>,
+}
+
+/// The files of an earlier reproduction; none in an empty folder.
+fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
+    let mut entries = fs::read_dir(folder).map_err(write_error(folder))?;
+    let Some(first) = entries.next() else {
+        return Ok(None);
+    };
+    let first = first.map_err(write_error(folder))?.file_name();
+    let foreign = || ReproduceError::Foreign {
+        path: folder.to_owned(),
+        found: first.to_string_lossy().into_owned(),
+    };
+    let text = fs::read_to_string(folder.join(CLAIMS_JSON)).map_err(|_| foreign())?;
+    let contents: Contents = serde_json::from_str(&text).map_err(|_| foreign())?;
+    // A file may say anything; only what could be ours is removed.
+    let ours = |file: &PathBuf| {
+        let parts: Option<Vec<&OsStr>> = file
+            .components()
+            .map(|part| match part {
+                Component::Normal(name) => Some(name),
+                _ => None,
+            })
+            .collect();
+        match parts.as_deref() {
+            Some([name]) => [REPORT, CLAIMS_JSON, CLAIMS_CSV, CLAIMS_MARKDOWN]
+                .iter()
+                .any(|own| name == own),
+            Some([folder, _]) => *folder == FIGURES || *folder == DATA,
+            _ => false,
+        }
+    };
+    Ok(Some(contents.files.into_iter().filter(ours).collect()))
+}
+
+/// Writes everything in place of an earlier reproduction; returns the path of the
+/// report. `claims.json`, which lists the files, is written first, so that an
+/// interrupted reproduction can be overwritten.
+pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf, ReproduceError> {
+    let mut texts = texts(reproduction);
+    let mut files: Vec<String> = texts.iter().map(|(name, _)| name.clone()).collect();
+    files.push(CLAIMS_JSON.to_owned());
+    let earlier: Vec<PathBuf> = earlier(folder)?.unwrap_or_default();
+    let outdated = || {
+        let kept = |file: &&PathBuf| files.iter().any(|name| Path::new(name) == *file);
+        earlier.iter().filter(move |file| !kept(file))
+    };
+    let listed = |files: &[String]| {
+        let json = Json {
+            vehicle: reproduction.setup.vehicle,
+            quick: reproduction.setup.quick,
+            claims: reproduction.claims.iter().map(Row::of).collect(),
+            files,
+        };
+        serde_json::to_string_pretty(&json)
+            .map(|text| text + "\n")
+            .map_err(|error| write_error(&folder.join(CLAIMS_JSON))(io::Error::other(error)))
+    };
+    let mut all = files.clone();
+    all.extend(outdated().map(|file| file.to_string_lossy().into_owned()));
+    put(folder, CLAIMS_JSON, &listed(&all)?)?;
+    for file in outdated() {
+        match fs::remove_file(folder.join(file)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(write_error(&folder.join(file))(error));
+            }
+            _ => {}
+        }
+    }
+    texts.push((CLAIMS_JSON.to_owned(), listed(&files)?));
+    for (name, text) in &texts {
+        put(folder, name, text)?;
+    }
+    Ok(folder.join(REPORT))
+}
+
+/// The files but `claims.json`, each with its text.
+fn texts(reproduction: &Reproduction) -> Vec<(String, String)> {
+    let mut texts = Vec::new();
+    for section in &reproduction.sections {
+        for picture in section.plates.iter().flat_map(|plate| &plate.pictures) {
+            let name = format!("{FIGURES}/{}.svg", picture.name);
+            texts.push((name, picture.figure.to_svg()));
+        }
+        for data in &section.tables {
+            texts.push((format!("{DATA}/{}.csv", data.name), data.to_csv()));
+        }
+    }
+    let claims = &reproduction.claims;
+    texts.push((CLAIMS_CSV.to_owned(), csv(claims)));
+    texts.push((CLAIMS_MARKDOWN.to_owned(), table::markdown(claims)));
+    texts.push((REPORT.to_owned(), report::report(reproduction)));
+    texts
+}
+
+/// Writes a file, and the folder that it is in.
+fn put(folder: &Path, name: &str, text: &str) -> Result<(), ReproduceError> {
+    let path = folder.join(name);
+    let parent = path.parent().unwrap_or(folder);
+    fs::create_dir_all(parent).map_err(write_error(parent))?;
+    fs::write(&path, text).map_err(write_error(&path))
+}
+
+/// `claims.json`.
+#[derive(Serialize)]
+struct Json<'a> {
+    vehicle: VehicleParameters,
+    quick: bool,
+    claims: Vec<Row<'a>>,
+    /// What this reproduction wrote, relative to the folder.
+    files: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Row<'a> {
+    id: &'static str,
+    section: usize,
+    claim: &'a str,
+    paper: &'a str,
+    unit: &'static str,
+    measured: Vec<Number<'a>>,
+    verdict: Verdict,
+    why: &'a str,
+    /// Whether the verdict is the one that should be, and if not, why.
+    surprise: Option<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Number<'a> {
+    label: &'static str,
+    quantity: &'a str,
+    /// None if it was not measured.
+    value: Option<f64>,
+    agrees_if: String,
+    /// What a slip of the paper's is instead.
+    should_be: Option<String>,
+}
+
+impl<'a> Row<'a> {
+    fn of(judged: &'a Judged) -> Self {
+        let claim = &judged.claim;
+        Self {
+            id: claim.id,
+            section: claim.section,
+            claim: &claim.claim,
+            paper: &claim.paper,
+            unit: claim.unit,
+            measured: claim
+                .quantities
+                .iter()
+                .zip(&judged.measured)
+                .map(|(quantity, value)| Number {
+                    label: quantity.label,
+                    quantity: &quantity.name,
+                    value: *value,
+                    agrees_if: quantity.agrees.to_string(),
+                    should_be: quantity.instead.map(|instead| instead.to_string()),
+                })
+                .collect(),
+            verdict: judged.verdict,
+            why: &claim.why,
+            surprise: judged.surprise.as_deref(),
+        }
+    }
+}
+
+/// A row for each number of each claim.
+fn csv(claims: &[Judged]) -> String {
+    const COLUMNS: [&str; 12] = [
+        "id",
+        "section",
+        "claim",
+        "paper",
+        "quantity",
+        "measured",
+        "unit",
+        "agrees_if",
+        "should_be",
+        "verdict",
+        "expected",
+        "why",
+    ];
+    let mut rows = vec![COLUMNS.map(ToOwned::to_owned)];
+    for judged in claims {
+        let row = Row::of(judged);
+        for number in &row.measured {
+            rows.push([
+                row.id.to_owned(),
+                row.section.to_string(),
+                row.claim.to_owned(),
+                row.paper.to_owned(),
+                number.quantity.to_owned(),
+                number
+                    .value
+                    .map_or_else(String::new, |value| value.to_string()),
+                row.unit.to_owned(),
+                number.agrees_if.clone(),
+                number.should_be.clone().unwrap_or_default(),
+                row.verdict.name().to_owned(),
+                if row.surprise.is_some() { "no" } else { "yes" }.to_owned(),
+                row.why.to_owned(),
+            ]);
+        }
+    }
+    csv_text(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_names_others_does_not_get_them_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let inside = folder.path().join("out");
+        fs::create_dir(&inside).unwrap();
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "mine").unwrap();
+        fs::write(inside.join("notes.txt"), "mine").unwrap();
+        let named = format!(
+            r#"{{"files": ["../precious", "{}", "notes.txt", "data/../../precious"]}}"#,
+            precious.display()
+        );
+        fs::write(inside.join(CLAIMS_JSON), named).unwrap();
+        prepare(&inside).unwrap();
+        assert!(precious.exists() && inside.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_folder_of_somebody_elses_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("thesis.tex"), "mine").unwrap();
+        let error = prepare(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.contains("thesis.tex") && error.contains("--out"),
+            "{error}"
+        );
+    }
+
+    fn reproduction() -> Reproduction {
+        let setup = super::super::Setup {
+            vehicle: VehicleParameters::paper(),
+            name: String::new(),
+            quick: true,
+        };
+        let table = |name: &str| super::super::Table {
+            name: name.to_owned(),
+            header: "t".to_owned(),
+            rows: vec![vec![1.0]],
+        };
+        let section = super::super::Section {
+            tables: vec![table("one"), table("two")],
+            ..super::super::Section::default()
+        };
+        Reproduction {
+            setup,
+            sections: vec![section],
+            claims: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn an_earlier_result_stays_until_there_is_a_new_one_and_then_goes_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut reproduction = reproduction();
+        write(folder.path(), &reproduction).unwrap();
+        let (one, two) = (
+            folder.path().join("data/one.csv"),
+            folder.path().join("data/two.csv"),
+        );
+        // Interrupted while it computes.
+        prepare(folder.path()).unwrap();
+        assert!(one.exists() && two.exists());
+        reproduction.sections[0].tables.pop();
+        write(folder.path(), &reproduction).unwrap();
+        assert!(one.exists() && !two.exists());
+        // Interrupted while it wrote: the list of what is ours is there first.
+        fs::remove_file(folder.path().join(REPORT)).unwrap();
+        prepare(folder.path()).unwrap();
+        write(folder.path(), &reproduction).unwrap();
+        assert!(folder.path().join(REPORT).exists());
+    }
+}

@@ -1,0 +1,87 @@
+//! Numbers for people.
+
+use singletrack_figures::figure::superscript;
+
+/// A number with about five significant digits, without needless zeros; tiny and
+/// huge ones as a power of ten.
+pub(super) fn number(value: f64) -> String {
+    with_digits(value, 5)
+}
+
+/// The same with the given number of significant digits.
+pub(super) fn with_digits(value: f64, digits: i32) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    if !value.is_finite() {
+        return if value.is_nan() {
+            "not a number"
+        } else {
+            "∞"
+        }
+        .to_owned();
+    }
+    let size = value.abs();
+    if (1e-3..1e6).contains(&size) {
+        let decimals = usize::try_from(digits - 1 - size.log10().floor() as i32).unwrap_or(0);
+        return signed(trimmed(&format!("{value:.decimals$}")));
+    }
+    let short = usize::try_from(digits.min(3) - 1).unwrap_or(0);
+    let text = format!("{value:.short$e}");
+    let Some((mantissa, exponent)) = text.split_once('e') else {
+        return text;
+    };
+    signed(&format!(
+        "{}×10{}",
+        trimmed(mantissa),
+        superscript(exponent)
+    ))
+}
+
+/// A length given in m, in mm.
+pub(super) fn mm(metres: f64) -> String {
+    format!("{} mm", with_digits(metres * 1000.0, 3))
+}
+
+/// A length given in m, in m.
+pub(super) fn metres(value: f64) -> String {
+    format!("{} m", with_digits(value, 4))
+}
+
+fn trimmed(text: &str) -> &str {
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.')
+    } else {
+        text
+    }
+}
+
+fn signed(text: &str) -> String {
+    text.strip_prefix('-')
+        .map_or_else(|| text.to_owned(), |digits| format!("\u{2212}{digits}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short_and_keep_their_size() {
+        for (value, text) in [
+            (0.0, "0"),
+            (0.894_427_19, "0.89443"),
+            (-0.142_728, "−0.14273"),
+            (1.0, "1"),
+            (120.0, "120"),
+            (9680.0, "9680"),
+            (7.1e-11, "7.1×10⁻¹¹"),
+            (-2.5e7, "−2.5×10⁷"),
+            (0.001_36, "0.00136"),
+            (f64::INFINITY, "∞"),
+        ] {
+            assert_eq!(number(value), text);
+        }
+        assert_eq!(mm(0.000_135_977), "0.136 mm");
+        assert_eq!(metres(0.246_4), "0.2464 m");
+    }
+}

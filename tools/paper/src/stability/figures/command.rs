@@ -1,0 +1,175 @@
+//! `singletrack stability figures`: the figures of a car under a law, as files.
+
+use std::{
+    fs, io,
+    io::Write as _,
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{
+    Scene, around_meaningful, delay_margin, drawn_deviations, eigenvalue, eigenvalues,
+    longest_marker_interval, region, spectral_radius,
+};
+use crate::stability::{
+    Grid, SampledRow, StabilityCommandError, Subject,
+    arguments::{LoopArgs, PointArgs, TimingArgs},
+    eigenvalue_map, hopf_curve, region as stable_region, sampled_map,
+};
+use singletrack_figures::figure::Figure;
+
+#[derive(Clone, Debug, Args)]
+#[command(mut_arg("dl", |dl| {
+    dl.help(
+        "Deviations dl of the centre of mass, in m [default: the meaningful ones with a \
+         margin, and as far down as the bifurcations lie]",
+    )
+}))]
+pub(in crate::stability) struct FiguresArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Folder for the SVG files; created if needed
+    #[arg(long, alias = "output", value_name = "DIR")]
+    out: PathBuf,
+    /// Which figures to draw
+    #[arg(
+        long = "figure",
+        value_enum,
+        value_delimiter = ',',
+        default_values_t = Kind::ALL
+    )]
+    figures: Vec<Kind>,
+    #[command(flatten)]
+    points: PointArgs,
+    #[command(flatten)]
+    timing: TimingArgs,
+}
+
+/// A figure, or some of a kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// Stable and unstable regions, Hopf curve, first Lyapunov coefficients
+    Region,
+    /// Real parts of all eigenvalues, together and each
+    Eigenvalues,
+    /// The sampled loop's spectral radius
+    SpectralRadius,
+    /// The delay that the sampled loop survives
+    DelayMargin,
+    /// The time between poses that the sampled loop survives
+    MarkerInterval,
+}
+
+impl Kind {
+    const ALL: [Self; 5] = [
+        Self::Region,
+        Self::Eigenvalues,
+        Self::SpectralRadius,
+        Self::DelayMargin,
+        Self::MarkerInterval,
+    ];
+
+    const fn is_sampled(self) -> bool {
+        matches!(
+            self,
+            Self::SpectralRadius | Self::DelayMargin | Self::MarkerInterval
+        )
+    }
+}
+
+/// Deviations in a map of eigenvalues: kinks where pairs meet look sharp.
+const DEVIATIONS: usize = 241;
+/// Speeds at most, and deviations, in a map of the sampled loop, whose every point
+/// takes long.
+const MOST_SAMPLED_SPEEDS: usize = 120;
+const SAMPLED_DEVIATIONS: usize = 91;
+
+/// Draws the figures and names the files.
+pub(in crate::stability) fn run(args: &FiguresArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    fs::create_dir_all(&args.out).map_err(|error| cannot_write(&args.out, &error))?;
+    for (name, figure) in figures(&subject, args)? {
+        let path = args.out.join(format!("{name}.svg"));
+        fs::write(&path, figure.to_svg()).map_err(|error| cannot_write(&path, &error))?;
+        writeln!(io::stdout(), "{}", path.display())?;
+    }
+    Ok(())
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+}
+
+/// The figures that are asked for, with their names.
+fn figures(
+    subject: &Subject,
+    args: &FiguresArgs,
+) -> Result<Vec<(String, Figure)>, StabilityCommandError> {
+    let speeds = args.points.speeds();
+    let deviations = args
+        .points
+        .deviations_or(|| drawn_deviations(subject, DEVIATIONS));
+    let scene = Scene::new(subject, &hopf_curve(subject, speeds)?)?;
+    let wants = |kind| args.figures.contains(&kind);
+    let mut figures = Vec::new();
+    if wants(Kind::Region) {
+        let rows = stable_region(subject, speeds, &deviations)?;
+        figures.push(("region".to_owned(), region(&scene, &rows)?));
+    }
+    if wants(Kind::Eigenvalues) {
+        let map = eigenvalue_map(subject, speeds, &deviations)?;
+        figures.push(("eigenvalues".to_owned(), eigenvalues(&scene, &map)?));
+        let count = map.first().map_or(0, |row| row.eigenvalues.len());
+        for number in 1..=count {
+            let figure = eigenvalue(&scene, number, &map)?;
+            figures.push((format!("eigenvalue-{number}"), figure));
+        }
+    }
+    if args.figures.iter().any(|kind| kind.is_sampled()) {
+        let rows = sampled_rows(subject, args)?;
+        for (kind, name, draw) in [
+            (
+                Kind::SpectralRadius,
+                "spectral-radius",
+                spectral_radius as fn(&Scene, TimingArgs, &[SampledRow]) -> _,
+            ),
+            (Kind::DelayMargin, "delay-margin", delay_margin),
+            (
+                Kind::MarkerInterval,
+                "marker-interval",
+                longest_marker_interval,
+            ),
+        ] {
+            if wants(kind) {
+                figures.push((name.to_owned(), draw(&scene, args.timing, &rows)?));
+            }
+        }
+    }
+    Ok(figures)
+}
+
+/// The sampled loop over the speeds, or as many as there is time for, and dl.
+fn sampled_rows(
+    subject: &Subject,
+    args: &FiguresArgs,
+) -> Result<Vec<SampledRow>, StabilityCommandError> {
+    let speeds = match args.points.speeds().values() {
+        all @ [first, .., last] if all.len() > MOST_SAMPLED_SPEEDS => {
+            Grid::spanning([*first, *last], MOST_SAMPLED_SPEEDS)
+        }
+        _ => args.points.speeds().clone(),
+    };
+    let deviations = args
+        .points
+        .deviations_or(|| around_meaningful(subject, SAMPLED_DEVIATIONS));
+    let points = speeds.values().len() * deviations.values().len();
+    let bar = ProgressBar::new(points as u64).with_style(
+        ProgressStyle::with_template("{wide_bar} {pos}/{len} points of the sampled loop")
+            .unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    let rows = sampled_map(subject, &speeds, &deviations, args.timing, || bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(rows)
+}

@@ -1,0 +1,201 @@
+//! The paper's figures: where the motion is stable, and each eigenvalue.
+
+use singletrack_analysis::stability::HopfPoint;
+
+use super::{
+    super::{EigenvalueRow, RegionRow},
+    levels::{one_two_five, significant, subscript},
+    scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
+};
+use singletrack_figures::figure::{
+    Callout, Callouts, Figure, Grid, GridError, Level, Look, Map, Panel, Shade, Width,
+};
+
+/// So many values of the first Lyapunov coefficient stand along a Hopf curve that
+/// crosses the whole figure.
+const LYAPUNOV_LABELS: f64 = 7.0;
+
+/// Where the steady motion is stable: the paper's figure of Hopf bifurcations.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
+    let largest = grid_of(
+        rows,
+        |row| [row.speed_m_s, row.dl_m],
+        |row| row.largest_re_per_s,
+    )?;
+    let frame = Frame::of(&largest);
+    let limits = scene.limits.iter().copied();
+    let limits = limits.filter(|limit| frame.holds_deviation(*limit));
+    let mut levels = scene.range_ends();
+    levels.extend(limits.map(|value| Level {
+        name: "limit for $v$ → ∞".to_owned(),
+        value,
+        label: String::new(),
+        look: Look::Asymptote,
+    }));
+    let panel = Panel {
+        height_mm: 62.0,
+        map: Some(Map {
+            bands: vec![
+                band(
+                    f64::NEG_INFINITY,
+                    0.0,
+                    Shade::Light,
+                    "asymptotically stable",
+                ),
+                band(0.0, f64::INFINITY, Shade::Dark, "unstable"),
+            ],
+            ..Map::new(largest)
+        }),
+        levels,
+        curves: scene.hopf_curves(&frame).collect(),
+        callouts: scene
+            .branches
+            .iter()
+            .map(|branch| Callouts {
+                name: "first Lyapunov coefficient $l_1$".to_owned(),
+                points: lyapunov_labels(branch, &frame),
+            })
+            .collect(),
+        ..Panel::new(SPEED, DEVIATION)
+    };
+    Ok(Figure {
+        title: format!("Stability of the steady motion under {}", scene.law),
+        caption: "Where the steady motion is asymptotically stable and where it is not, by speed \
+                  and by how far behind its place the centre of mass is believed to be. At the \
+                  Hopf points a pair of eigenvalues crosses the imaginary axis; where the first \
+                  Lyapunov coefficient (MatCont's) is positive the bifurcation is subcritical."
+            .to_owned(),
+        width: Width::Column,
+        panels: vec![panel],
+    })
+}
+
+/// First Lyapunov coefficients at points that are evenly spread along the curve.
+fn lyapunov_labels(branch: &[HopfPoint], frame: &Frame) -> Vec<Callout> {
+    let points: Vec<&HopfPoint> = branch
+        .iter()
+        .filter(|point| frame.holds(at(point)))
+        .collect();
+    let mut way = 0.0;
+    let mut ways = vec![0.0];
+    for (from, to) in points.iter().zip(points.iter().skip(1)) {
+        way += frame.distance(at(from), at(to));
+        ways.push(way);
+    }
+    // A branch that is all but a point has one.
+    let count = (LYAPUNOV_LABELS * way).round().max(1.0) as usize;
+    let mut labels: Vec<Callout> = (0..count)
+        .filter_map(|index| {
+            // Half a step from both ends.
+            let wanted = way * (index as f64 + 0.5) / count as f64;
+            let point = points.get(ways.partition_point(|way| *way < wanted))?;
+            Some(Callout {
+                point: at(point),
+                label: significant(point.lyapunov.matcont),
+            })
+        })
+        .collect();
+    labels.dedup();
+    labels
+}
+
+/// The real part of the `number`-th eigenvalue, counted from 1 by ascending real part.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn eigenvalue(
+    scene: &Scene,
+    number: usize,
+    rows: &[EigenvalueRow],
+) -> Result<Figure, GridError> {
+    let real_part = real_part(number, rows)?;
+    let ending = if changes(&real_part) {
+        "Light where it is negative, dark where it is not."
+    } else {
+        "It has the same sign everywhere."
+    };
+    let name = format!("λ{}", subscript(number));
+    Ok(Figure {
+        title: format!("Real part of {name} under {}", scene.law),
+        caption: format!(
+            "Real part of eigenvalue {name} of the linearised dynamics, in 1/s, with lines of \
+             equal value; eigenvalues are numbered by ascending real part. {ending}"
+        ),
+        width: Width::Column,
+        panels: vec![panel(scene, real_part, 56.0)],
+    })
+}
+
+/// All eigenvalues in one figure: four in two rows, three in one.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn eigenvalues(scene: &Scene, rows: &[EigenvalueRow]) -> Result<Figure, GridError> {
+    let count = rows.first().map_or(0, |row| row.eigenvalues.len());
+    let in_a_row = if count == 3 { 3 } else { 2 };
+    let panels: Result<Vec<Panel>, GridError> = (1..=count)
+        .map(|number| {
+            Ok(Panel {
+                title: format!("Re $λ_{number}$ (1/s)"),
+                begins_row: number % in_a_row == 1,
+                ..panel(scene, real_part(number, rows)?, 50.0)
+            })
+        })
+        .collect();
+    Ok(Figure {
+        title: format!("Real parts of the eigenvalues under {}", scene.law),
+        caption: "Real parts of the eigenvalues of the linearised dynamics, numbered by ascending \
+                  real part, with lines of equal value: light where they are negative, dark where \
+                  they are not."
+            .to_owned(),
+        width: Width::Page,
+        panels: panels?,
+    })
+}
+
+fn real_part(number: usize, rows: &[EigenvalueRow]) -> Result<Grid, GridError> {
+    grid_of(
+        rows,
+        |row| [row.speed, row.deviation],
+        |row| {
+            let index = number.checked_sub(1);
+            let value = index.and_then(|index| row.eigenvalues.get(index));
+            value.map_or(f64::NAN, |value| value.re)
+        },
+    )
+}
+
+fn changes(real_part: &Grid) -> bool {
+    let range = real_part.range();
+    range.is_some_and(|[low, high]| low < 0.0 && high >= 0.0)
+}
+
+fn panel(scene: &Scene, real_part: Grid, height_mm: f64) -> Panel {
+    let frame = Frame::of(&real_part);
+    let curves = if changes(&real_part) {
+        scene.hopf_curves(&frame).collect()
+    } else {
+        Vec::new()
+    };
+    Panel {
+        height_mm,
+        curves,
+        levels: scene.range_ends(),
+        map: Some(Map {
+            bands: vec![
+                band(f64::NEG_INFINITY, 0.0, Shade::Light, "negative"),
+                band(0.0, f64::INFINITY, Shade::Dark, "not negative"),
+            ],
+            isolines: one_two_five(&real_part),
+            isoline_name: "real part (1/s)".to_owned(),
+            grid: real_part,
+        }),
+        ..Panel::new(SPEED, DEVIATION)
+    }
+}

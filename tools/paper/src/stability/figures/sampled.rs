@@ -1,0 +1,204 @@
+//! What the paper leaves out: the loop in ticks, with delay and with missing poses.
+
+use singletrack_analysis::stability::MarginLimits;
+
+use super::{
+    super::{SampledRow, TimingArgs},
+    levels::{around_one, margins},
+    scene::{DEVIATION, Frame, SPEED, Scene, band, grid_of},
+};
+use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
+
+/// How fast disturbances decay from tick to tick: the spectral radius.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn spectral_radius(
+    scene: &Scene,
+    timing: TimingArgs,
+    rows: &[SampledRow],
+) -> Result<Figure, GridError> {
+    let radius = grid_of(rows, at, |row| row.spectral_radius)?;
+    let map = Map {
+        bands: vec![
+            band(0.0, 1.0, Shade::Light, "stable"),
+            band(1.0, f64::INFINITY, Shade::Dark, "unstable"),
+        ],
+        isolines: around_one(&radius),
+        isoline_name: "spectral radius".to_owned(),
+        grid: radius,
+    };
+    let TimingArgs {
+        delay_ms,
+        marker_interval,
+        ..
+    } = timing;
+    let seen = match marker_interval {
+        1 => "at every tick".to_owned(),
+        interval => format!("every {interval} ticks"),
+    };
+    Ok(figure(
+        scene,
+        timing,
+        format!("Spectral radius of a tick under {}", scene.law),
+        &format!(
+            "Factor by which a disturbance grows or decays from tick to tick in the long run, \
+             with a pose {seen} and commands that act {delay_ms} ms late: below one the motion is \
+             stable."
+        ),
+        map,
+    ))
+}
+
+/// The delay that the loop survives.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn delay_margin(
+    scene: &Scene,
+    timing: TimingArgs,
+    rows: &[SampledRow],
+) -> Result<Figure, GridError> {
+    let margin = grid_of(rows, at, |row| in_ms(row.delay_margin_s))?;
+    Ok(figure(
+        scene,
+        timing,
+        format!("Delay margin under {}", scene.law),
+        "Delay from measurement to command from which on the motion is unstable, in ms, with a \
+         pose at every tick: the darker, the less.",
+        margin_map(
+            margin,
+            Steps {
+                step: 0.0,
+                limit: 1000.0 * MarginLimits::default().delay,
+            },
+            "delay margin (ms)",
+            "unstable without delay",
+        ),
+    ))
+}
+
+/// The longest time between poses that the loop survives.
+///
+/// # Errors
+///
+/// Rows that are not a grid: fewer than two speeds or deviations.
+pub fn longest_marker_interval(
+    scene: &Scene,
+    timing: TimingArgs,
+    rows: &[SampledRow],
+) -> Result<Figure, GridError> {
+    let interval = grid_of(rows, at, |row| in_ms(row.longest_marker_interval_s))?;
+    Ok(figure(
+        scene,
+        timing,
+        format!("Longest survivable marker interval under {}", scene.law),
+        &format!(
+            "Time from one pose to the next, again and again, up to which the motion is stable, \
+             in ms, with commands that act {} ms late: the darker, the less.",
+            timing.delay_ms
+        ),
+        margin_map(
+            interval,
+            Steps {
+                step: timing.period_ms,
+                limit: timing.period_ms * f64::from(MarginLimits::default().marker_interval),
+            },
+            "longest marker interval (ms)",
+            "unstable with a pose at every tick",
+        ),
+    ))
+}
+
+const fn at(row: &SampledRow) -> [f64; 2] {
+    [row.speed_m_s, row.dl_m]
+}
+
+/// No margin within what was looked at is one beyond it.
+fn in_ms(margin: Option<f64>) -> f64 {
+    margin.map_or(f64::INFINITY, |margin| 1000.0 * margin)
+}
+
+fn figure(scene: &Scene, timing: TimingArgs, title: String, caption: &str, map: Map) -> Figure {
+    let frame = Frame::of(&map.grid);
+    let curves: Vec<_> = scene.hopf_curves(&frame).collect();
+    let hopf = if curves
+        .iter()
+        .all(singletrack_figures::figure::Curve::is_empty)
+    {
+        ""
+    } else {
+        " The thick line is where stability ends without sampling and delay."
+    };
+    let mut loop_text = format!(" The law is evaluated every {} ms", timing.period_ms);
+    if timing.position_gain > 0.0 {
+        loop_text += &format!(
+            ", within a position loop of gain {} 1/s",
+            timing.position_gain
+        );
+    }
+    Figure {
+        title,
+        caption: format!("{caption}{loop_text}.{hopf}"),
+        width: Width::Column,
+        panels: vec![Panel {
+            height_mm: 56.0,
+            curves,
+            levels: scene.range_ends(),
+            map: Some(map),
+            ..Panel::new(SPEED, DEVIATION)
+        }],
+    }
+}
+
+/// Which margins there are, in ms.
+struct Steps {
+    /// From one to the next; zero if there are others in between.
+    step: f64,
+    /// No farther was looked.
+    limit: f64,
+}
+
+/// Delays below this are not told apart, in ms.
+const LEAST_MARGIN: f64 = 2.0;
+
+/// A map of a margin in ms: zero is none at all.
+fn margin_map(margin: Grid, Steps { step, limit }: Steps, name: &str, none: &str) -> Map {
+    let mut isolines = margins(&margin, [LEAST_MARGIN.max(step), limit]);
+    for isoline in &mut isolines {
+        // Halfway between a step and the one before.
+        isoline.value -= 0.5 * step;
+    }
+    let third = |part: usize| {
+        let isoline = isolines.get(part * isolines.len() / 3)?;
+        Some((isoline.value, isoline.label.clone()))
+    };
+    let least = f64::MIN_POSITIVE.max(0.5 * step);
+    let mut bands = vec![band(f64::NEG_INFINITY, least, Shade::Hatched, none)];
+    match (third(1), third(2)) {
+        (Some((low, low_text)), Some((high, high_text))) if low < high => bands.extend([
+            band(least, low, Shade::Dark, &format!("below {low_text} ms")),
+            band(
+                low,
+                high,
+                Shade::Light,
+                &format!("{low_text} to {high_text} ms"),
+            ),
+            band(
+                high,
+                f64::INFINITY,
+                Shade::Palest,
+                &format!("from {high_text} ms on"),
+            ),
+        ]),
+        _ => bands.push(band(least, f64::INFINITY, Shade::Light, "stable")),
+    }
+    Map {
+        bands,
+        isolines,
+        isoline_name: name.to_owned(),
+        grid: margin,
+    }
+}
