@@ -206,7 +206,6 @@ fn every_file_of_the_repository_that_a_page_names_exists() {
         "docs/",
         "firmware/",
         "firmware-sim/",
-        "fuzz/",
         "host/",
         "packaging/",
         "protocol/",

@@ -6,7 +6,7 @@ use singletrack_link::Session;
 use crate::choices::Choices;
 
 /// The example configuration of the daemon.
-const EXAMPLE: &str = include_str!("../../host/daemon/singletrackd.example.toml");
+const EXAMPLE: &str = include_str!("../../../host/daemon/singletrackd.example.toml");
 
 /// Values that are valid for some keys and invalid for most.
 const VALUES: [&str; 24] = [

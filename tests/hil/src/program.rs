@@ -21,7 +21,7 @@ pub fn build() -> Outcome<PathBuf> {
     let mut command = Command::new(&cargo);
     // Set by cargo for a test: the present path of the checkout, not the compiled one.
     if let Some(package) = std::env::var_os("CARGO_MANIFEST_DIR") {
-        command.current_dir(Path::new(&package).join(".."));
+        command.current_dir(Path::new(&package).join("../.."));
     }
     let output = command
         // With the suite's own features, so that the libraries are not built again.
