@@ -1,48 +1,38 @@
 //! Which keys of the configuration are only read when the daemon starts.
 
-use toml::{Table, Value};
+use toml::Value;
 
-use crate::config::Config;
+use crate::config::{Config, SECTIONS, Section};
 
-/// Sections that threads, devices and files were opened with.
-const SECTIONS: [&str; 5] = ["serial", "motion_capture", "record", "socket", "live"];
-
-/// Of `[control]`, what the control thread does not take over while it runs.
-const CONTROL: &str = "control";
-const CONTROL_TAKEN_OVER: [&str; 1] = ["stop_deceleration_m_s2"];
-
-/// The keys in which `new` differs from `old` and which take a restart.
+/// The keys in which `new` differs from `old` and which take a restart: first those of
+/// sections that take a restart as a whole.
 ///
 /// # Errors
 ///
 /// A path that is not UTF-8, which no file can have named.
 pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
-    let (old, new) = (Table::try_from(old)?, Table::try_from(new)?);
+    let (old, new) = (Value::try_from(old)?, Value::try_from(new)?);
+    let (whole, partly): (Vec<&Section>, Vec<_>) =
+        SECTIONS.iter().partition(|section| section.restart);
     let mut keys = Vec::new();
-    for section in SECTIONS.into_iter().chain([CONTROL]) {
-        differing(section, old.get(section), new.get(section), &mut keys);
+    for section in whole.into_iter().chain(partly) {
+        for key in section.keys {
+            let path = format!("{}.{}", section.name, key.name);
+            // A section within this one is in the list itself.
+            let is_section = SECTIONS.iter().any(|section| section.name == path);
+            let takes_restart = section.restart || key.restart;
+            if takes_restart && !is_section && at(&old, &path) != at(&new, &path) {
+                keys.push(path);
+            }
+        }
     }
-    keys.retain(|key| {
-        CONTROL_TAKEN_OVER
-            .iter()
-            .all(|name| *key != format!("{CONTROL}.{name}"))
-    });
     Ok(keys)
 }
 
-/// Adds the keys below `key` that differ.
-fn differing(key: &str, old: Option<&Value>, new: Option<&Value>, keys: &mut Vec<String>) {
-    match (old, new) {
-        (Some(Value::Table(old)), Some(Value::Table(new))) => {
-            let added = new.keys().filter(|name| !old.contains_key(*name));
-            for name in old.keys().chain(added) {
-                let key = format!("{key}.{name}");
-                differing(&key, old.get(name), new.get(name), keys);
-            }
-        }
-        (old, new) if old == new => {}
-        _ => keys.push(key.to_owned()),
-    }
+/// The value at a path such as `motion_capture.pose.max_speed_m_s`.
+fn at<'a>(config: &'a Value, path: &str) -> Option<&'a Value> {
+    path.split('.')
+        .try_fold(config, |value, name| value.get(name))
 }
 
 #[cfg(test)]

@@ -1,202 +1,116 @@
-//! `[board]`: what the board must know of the car that it is built into.
+//! `[board]`: what the board must know about the car that it is built into.
 //!
-//! Calibration has no default: a wrong sign steers the car the wrong way.
+//! Calibration has no default: a wrong sign steers the car the wrong way. The ranges are
+//! those of [`Configuration::validate`], which the board applies too; here they are text.
 
-use serde::{Deserialize, Serialize};
 use singletrack_protocol::{
     Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
 };
 
-/// What the board is given, in the wire's units.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct BoardSection {
-    /// What the ESC is given when the board stops the car by itself.
-    #[serde(default = "default_failsafe")]
-    pub failsafe: FailsafeKind,
-    /// Oldest pose that the board obeys; at least the time that the host needs
-    /// to hold and to stop.
-    #[serde(default = "default_max_pose_age")]
-    pub max_pose_age_ms: u16,
-    /// Whether a normally-closed stop switch is wired.
-    #[serde(default)]
-    pub stop_input: bool,
+use super::{choice::choice, section::section, value::Convert as _};
+
+section! {
+    /// What the board is given before it may be armed. The example's calibration is that of
+    /// the simulated car: measure yours with the wheels off the ground.
+    "board" => pub BoardSection: Copy, Eq;
+    [maps Configuration];
+
+    /// When the board stops the car by itself: "coast" sends neutral; "brake" sends the
+    /// braking pulse until the wheels stand, then neutral.
+    failsafe: FailsafeKind = FailsafeKind::Coast => failsafe;
+    /// Oldest pose that the board obeys. At least the time that the host needs to hold and to
+    /// stop, so that the host stops first.
+    max_pose_age_ms: u16 = 950 => max_pose_age_ms, text "1 to 1000";
+    /// Whether a normally-closed stop switch is wired to the board.
+    stop_input: bool = false => stop_input;
     /// The steering servo.
-    pub servo: ServoSection,
+    servo: ServoSection => servo;
     /// The electronic speed controller.
-    pub esc: EscSection,
+    esc: EscSection => esc;
     /// The speed loop.
-    pub speed: SpeedSection,
+    speed: SpeedSection => speed;
 }
 
-/// What the ESC is given when the board stops the car by itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum FailsafeKind {
+choice! {
+    /// What the ESC is given when the board stops the car by itself.
+    pub FailsafeKind => FailsafeAction;
     /// Neutral.
-    Coast,
+    Coast = "coast";
     /// The braking pulse until the wheels stand, then neutral.
-    Brake,
+    Brake = "brake";
 }
 
-fn default_failsafe() -> FailsafeKind {
-    FailsafeKind::Coast
-}
+section! {
+    /// The steering servo.
+    "board.servo" => pub ServoSection: Copy, Eq;
+    [maps ServoCalibration];
 
-fn default_max_pose_age() -> u16 {
-    950
-}
-
-/// 6 rad/s with the paper's servo.
-fn default_servo_slew() -> u16 {
-    96
-}
-
-fn default_esc_slew() -> u16 {
-    40
-}
-
-/// The steering servo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ServoSection {
     /// Pulse that steers straight on.
-    pub centre_us: u16,
-    /// Pulse change for one radian to the left; negative when the servo is
-    /// mounted the other way round.
-    pub gain_us_per_rad: i16,
+    centre_us: u16 => centre_us, text "min_us to max_us", example 1500;
+    /// Pulse change for one radian to the left; negative when the servo is mounted the other
+    /// way round. A wrong sign steers the wrong way.
+    gain_us_per_rad: i16 => gain_us_per_rad, text "50 to 5000 or -5000 to -50", example -800;
     /// Shortest pulse ever sent.
-    pub min_us: u16,
+    min_us: u16 => min_us, text "800 to 2200", example 1080;
     /// Longest pulse ever sent.
-    pub max_us: u16,
+    max_us: u16 => max_us, text "min_us to 2200", example 1920;
+    // 6 rad/s with the paper's servo.
     /// Largest change of the pulse in 20 ms.
-    #[serde(default = "default_servo_slew")]
-    pub slew_us_per_20ms: u16,
+    slew_us_per_20ms: u16 = 96 => slew_us_per_20ms, text "1 to 1400";
 }
 
-/// The electronic speed controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EscSection {
+section! {
+    /// The electronic speed controller.
+    "board.esc" => pub EscSection: Copy, Eq;
+    [maps EscCalibration];
+
     /// Pulse at which the motor is free.
-    pub neutral_us: u16,
+    neutral_us: u16 => neutral_us, text "1500 - deadband_us to 1500 + deadband_us",
+        example 1500;
     /// Half width of the band around neutral in which the motor does not turn.
-    pub deadband_us: u16,
+    deadband_us: u16 => deadband_us, text "0 to 200", example 30;
     /// Shortest pulse ever sent.
-    pub min_us: u16,
+    min_us: u16 => min_us, text "800 to neutral_us - deadband_us - 1", example 1200;
     /// Longest pulse ever sent.
-    pub max_us: u16,
-    /// Largest change of the pulse away from neutral in 20 ms.
-    #[serde(default = "default_esc_slew")]
-    pub slew_us_per_20ms: u16,
+    max_us: u16 => max_us, text "neutral_us + deadband_us to 2200", example 1700;
+    /// Largest change of the pulse away from neutral in 20 ms; towards neutral it changes at
+    /// once.
+    slew_us_per_20ms: u16 = 40 => slew_us_per_20ms, text "1 to 1400";
     /// Pulse that brakes.
-    pub brake_us: u16,
+    brake_us: u16 => brake_us, text "min_us to neutral_us - deadband_us - 1", example 1350;
 }
 
-/// The speed loop that the board closes on the motor pulses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SpeedSection {
+section! {
+    /// The speed loop that the board closes on the motor pulses.
+    "board.speed" => pub SpeedSection: Copy, Eq;
+    [maps SpeedLoop];
+
     /// Distance that the car rolls in one motor pulse.
-    pub pulse_distance_um: u16,
+    pulse_distance_um: u16 => pulse_distance_um, text "1 to 65535", example 3000;
     /// Feed-forward gain.
-    pub feed_forward_us_per_m_s: u16,
+    feed_forward_us_per_m_s: u16 => feed_forward_us_per_m_s, text "0 to 5000", example 80;
     /// Proportional gain.
-    pub proportional_us_per_m_s: u16,
+    proportional_us_per_m_s: u16 => proportional_us_per_m_s, text "0 to 5000", example 80;
     /// Integral gain.
-    pub integral_us_per_m: u16,
+    integral_us_per_m: u16 => integral_us_per_m, text "0 to 5000", example 250;
     /// Limit of the integral term.
-    pub integral_limit_us: u16,
-    /// Fastest forward speed that the board obeys.
-    pub max_forward_mm_s: u16,
-    /// Fastest reverse speed that the board obeys; 0 refuses reverse.
-    #[serde(default)]
-    pub max_reverse_mm_s: u16,
+    integral_limit_us: u16 => integral_limit_us, text "0 to 700", example 60;
+    /// Top speed forward; faster commands are clamped.
+    max_forward_mm_s: u16 => max_forward_mm_s, text "1 to 20000", example 1500;
+    /// Top speed in reverse; 0 refuses reverse.
+    max_reverse_mm_s: u16 = 0 => max_reverse_mm_s, text "0 to 20000";
 }
 
 impl BoardSection {
     /// As it is sent.
     #[must_use]
-    pub const fn configuration(&self) -> Configuration {
-        let Self {
-            servo, esc, speed, ..
-        } = self;
-        Configuration {
-            servo: ServoCalibration {
-                centre_us: servo.centre_us,
-                gain_us_per_rad: servo.gain_us_per_rad,
-                min_us: servo.min_us,
-                max_us: servo.max_us,
-                slew_us_per_20ms: servo.slew_us_per_20ms,
-            },
-            esc: EscCalibration {
-                neutral_us: esc.neutral_us,
-                deadband_us: esc.deadband_us,
-                min_us: esc.min_us,
-                max_us: esc.max_us,
-                slew_us_per_20ms: esc.slew_us_per_20ms,
-                brake_us: esc.brake_us,
-            },
-            speed: SpeedLoop {
-                pulse_distance_um: speed.pulse_distance_um,
-                feed_forward_us_per_m_s: speed.feed_forward_us_per_m_s,
-                proportional_us_per_m_s: speed.proportional_us_per_m_s,
-                integral_us_per_m: speed.integral_us_per_m,
-                integral_limit_us: speed.integral_limit_us,
-                max_forward_mm_s: speed.max_forward_mm_s,
-                max_reverse_mm_s: speed.max_reverse_mm_s,
-            },
-            failsafe: match self.failsafe {
-                FailsafeKind::Coast => FailsafeAction::Coast,
-                FailsafeKind::Brake => FailsafeAction::Brake,
-            },
-            max_pose_age_ms: self.max_pose_age_ms,
-            stop_input: self.stop_input,
-        }
+    pub fn configuration(&self) -> Configuration {
+        self.to_inner("board")
     }
 }
 
 impl From<&Configuration> for BoardSection {
     fn from(configuration: &Configuration) -> Self {
-        let Configuration {
-            servo,
-            esc,
-            speed,
-            failsafe,
-            max_pose_age_ms,
-            stop_input,
-        } = configuration;
-        Self {
-            failsafe: match failsafe {
-                FailsafeAction::Coast => FailsafeKind::Coast,
-                FailsafeAction::Brake => FailsafeKind::Brake,
-            },
-            max_pose_age_ms: *max_pose_age_ms,
-            stop_input: *stop_input,
-            servo: ServoSection {
-                centre_us: servo.centre_us,
-                gain_us_per_rad: servo.gain_us_per_rad,
-                min_us: servo.min_us,
-                max_us: servo.max_us,
-                slew_us_per_20ms: servo.slew_us_per_20ms,
-            },
-            esc: EscSection {
-                neutral_us: esc.neutral_us,
-                deadband_us: esc.deadband_us,
-                min_us: esc.min_us,
-                max_us: esc.max_us,
-                slew_us_per_20ms: esc.slew_us_per_20ms,
-                brake_us: esc.brake_us,
-            },
-            speed: SpeedSection {
-                pulse_distance_um: speed.pulse_distance_um,
-                feed_forward_us_per_m_s: speed.feed_forward_us_per_m_s,
-                proportional_us_per_m_s: speed.proportional_us_per_m_s,
-                integral_us_per_m: speed.integral_us_per_m,
-                integral_limit_us: speed.integral_limit_us,
-                max_forward_mm_s: speed.max_forward_mm_s,
-                max_reverse_mm_s: speed.max_reverse_mm_s,
-            },
-        }
+        Self::from_inner(*configuration, "board")
     }
 }

@@ -1,42 +1,40 @@
 //! `[fence]`: where the car may be.
 
-use serde::{Deserialize, Serialize};
 use singletrack_control::Position;
 use singletrack_pilot::Fence;
 
-use super::{ConfigError, check};
+use super::{ConfigError, section::section};
 
-/// Of the simulated car, whose motor does not brake at neutral: it rolls out.
-const BRAKING_M_S2: f64 = 1.4;
+section! {
+    /// Where the centre of mass may be, and must be able to stop. The default is the paper's
+    /// carpet. A car that has to turn round first, which takes up to 2.7 m, needs a larger
+    /// fence.
+    "fence" => pub FenceSection;
+    [default];
 
-/// Where the car may be.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FenceSection {
-    /// Corners of a polygon, in order.
-    pub corners_m: Vec<[f64; 2]>,
-    /// Distance that the centre of mass keeps from its sides.
-    pub margin_m: f64,
-    /// The deceleration that the car really has when it is told to stop.
-    pub braking_m_s2: f64,
+    /// Corners of a polygon, 3 to 16, in order.
+    corners_m: Vec<[f64; 2]> = square(2.0), in -1_000.0..=1_000.0;
+    /// Distance kept from the sides; half the car's length keeps all of it inside.
+    margin_m: f64 = 0.0, in 0.0..=10.0;
+    // That of the simulated car, whose motor does not brake at neutral.
+    /// Deceleration that the car really reaches when it is commanded to stop. To measure it,
+    /// let the car roll out on your floor from speed v over the distance s: v * v / (2 * s).
+    braking_m_s2: f64 = 1.4, in up_to(50.0);
 }
 
-impl Default for FenceSection {
-    /// The paper's carpet, 2 m by 2 m around the origin.
-    fn default() -> Self {
-        Self::square(2.0)
-    }
+/// The corners of a square of this width, in m, around the origin.
+fn square(width_m: f64) -> Vec<[f64; 2]> {
+    let h = 0.5 * width_m;
+    vec![[-h, -h], [h, -h], [h, h], [-h, h]]
 }
 
 impl FenceSection {
     /// A square of this width, in m, around the origin.
     #[must_use]
     pub fn square(width_m: f64) -> Self {
-        let h = 0.5 * width_m;
         Self {
-            corners_m: vec![[-h, -h], [h, -h], [h, h], [-h, h]],
-            margin_m: 0.0,
-            braking_m_s2: BRAKING_M_S2,
+            corners_m: square(width_m),
+            ..Self::default()
         }
     }
 
@@ -44,7 +42,7 @@ impl FenceSection {
     ///
     /// # Errors
     ///
-    /// A polygon that encloses nothing or crosses over.
+    /// A polygon without area, or whose sides cross.
     pub fn fence(&self) -> Result<Fence, ConfigError> {
         let corners: Vec<_> = self
             .corners_m
@@ -52,14 +50,5 @@ impl FenceSection {
             .map(|&[x, y]| Position::new(x, y))
             .collect();
         Ok(Fence::new(&corners, self.margin_m)?)
-    }
-
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        check::within("fence.margin_m", self.margin_m, 0.0..=10.0)?;
-        check::positive("fence.braking_m_s2", self.braking_m_s2, 50.0)?;
-        for coordinate in self.corners_m.iter().flatten() {
-            check::within("fence.corners_m", *coordinate, -1_000.0..=1_000.0)?;
-        }
-        self.fence().map(drop)
     }
 }

@@ -1,28 +1,31 @@
 //! `[law]`: which law linearises the car.
 
-use serde::{Deserialize, Serialize};
 use singletrack_control::{FrontPointLaw, LawError, VehicleParameters, VelocityPointLaw};
 
-/// Which law, and what it believes.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LawSection {
-    /// Which law.
-    pub kind: LawKind,
-    /// Distance p of the point P, in m.
-    pub point_distance_m: f64,
-    /// The estimate of `l_f` that law and point-P transform use, in m.
-    pub front_axle_distance_m: f64,
+use super::{choice::choice, section::section};
+
+section! {
+    /// The linearising law.
+    "law" => pub LawSection: Copy;
+    [];
+
+    /// The law: "front-point" is the paper's proposal; "velocity-point" exists in
+    /// simulations only.
+    kind: LawKind, example LawKind::FrontPoint;
+    /// Distance p of the point P, which follows the reference, beyond the front axle.
+    point_distance_m: f64, text "above 0", example 0.35;
+    /// Distance `l_f` of the front axle from the centre of mass, as measured; law and
+    /// transform of P use it.
+    front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
 }
 
-/// The two laws of the paper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LawKind {
+choice! {
+    /// The two laws of the paper.
+    pub LawKind;
     /// The proposed law.
-    FrontPoint,
-    /// The appendix's law.
-    VelocityPoint,
+    FrontPoint = "front-point";
+    /// The law of the appendix.
+    VelocityPoint = "velocity-point";
 }
 
 impl LawSection {
@@ -30,7 +33,7 @@ impl LawSection {
     ///
     /// # Errors
     ///
-    /// Values that make no sense for the vehicle.
+    /// Values that are invalid for the vehicle.
     pub fn front_point_law(&self, vehicle: &VehicleParameters) -> Result<FrontPointLaw, LawError> {
         FrontPointLaw::new(
             self.front_axle_distance_m,
@@ -39,11 +42,11 @@ impl LawSection {
         )
     }
 
-    /// The appendix's law with these values.
+    /// The law of the appendix with these values.
     ///
     /// # Errors
     ///
-    /// Values that make no sense for the vehicle.
+    /// Values that are invalid for the vehicle.
     pub fn velocity_point_law(
         &self,
         vehicle: &VehicleParameters,
@@ -54,11 +57,11 @@ impl LawSection {
         )
     }
 
-    /// Refuses values that make no sense for the vehicle.
+    /// Refuses values that are invalid for the vehicle.
     ///
     /// # Errors
     ///
-    /// The first of them.
+    /// The first invalid value.
     pub fn validate(&self, vehicle: &VehicleParameters) -> Result<(), LawError> {
         match self.kind {
             LawKind::FrontPoint => self.front_point_law(vehicle).map(drop),

@@ -1,10 +1,11 @@
 //! The configuration: one TOML file, units in the key names, unknown keys
 //! refused, every value checked before anything starts.
 //!
-//! `singletrackd.example.toml` lists every key with its default.
+//! Each section is declared once, with [`section!`](section); the example file
+//! `singletrackd.example.toml` and `docs/configuration.md` are generated from that.
 
 mod board;
-mod check;
+mod choice;
 mod control;
 mod error;
 mod estimator;
@@ -18,17 +19,23 @@ mod motion_capture;
 mod outer_loop;
 mod output;
 mod reference;
+mod section;
 mod serial;
 mod supervisor;
+mod together;
+mod value;
+mod vehicle;
 mod watch;
 mod waypoint_file;
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{GRAVITY, VehicleParameters};
+use singletrack_control::VehicleParameters;
 use singletrack_link::SessionConfig;
-use singletrack_pilot::PilotConfig;
+use singletrack_pilot::{PilotConfig, WatchConfig};
+
+use section::{Declared as _, Maps as _};
 
 pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
 pub use control::ControlSection;
@@ -43,30 +50,27 @@ pub use motion_capture::{
 pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, RecordSection, SocketSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
+pub use section::{Key, SECTIONS, Section};
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
 pub use watch::WatchSection;
 pub use waypoint_file::WaypointFileError;
 
-/// From a car that is told to stand to a board that is disarmed, s: the
-/// supervisor's rest, a tick, and the request on the line, sent twice.
-const REST_S: f64 = 0.15;
-
-/// Everything that the daemon is told.
+/// The configuration of the daemon; its parts are in [`SECTIONS`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// The line to the board.
+    /// The serial line to the board.
     pub serial: SerialSection,
     /// The cameras.
     pub motion_capture: MotionCaptureSection,
     /// The linearising law.
     pub law: LawSection,
-    /// The position loop around it.
+    /// The position loop around the law.
     pub outer_loop: OuterLoopSection,
-    /// Where P should be.
+    /// The reference of P.
     pub reference: ReferenceSection,
-    /// The car; the paper's if left out.
+    /// The car; the one of the paper if left out.
     #[serde(default)]
     pub vehicle: VehicleParameters,
     /// What the car may do.
@@ -75,10 +79,10 @@ pub struct Config {
     /// How the state is estimated.
     #[serde(default)]
     pub estimator: EstimatorSection,
-    /// When to stop.
+    /// When the car may drive, and when it must stop.
     #[serde(default)]
     pub supervisor: SupervisorSection,
-    /// What the senses may say, and how punctual a tick must be.
+    /// Plausibility of the sensors, and tick timing.
     #[serde(default)]
     pub watch: WatchSection,
     /// Where the car may be.
@@ -101,11 +105,11 @@ pub struct Config {
 }
 
 impl Config {
-    /// Reads and checks a file. Relative paths of waypoints start at its folder.
+    /// Reads and checks a file. A relative path of waypoints starts at the file's folder.
     ///
     /// # Errors
     ///
-    /// What is wrong with it, by key.
+    /// The file cannot be read, is not valid TOML, or has an invalid key or value.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = file::read_text(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
@@ -123,11 +127,11 @@ impl Config {
         Ok(config)
     }
 
-    /// Reads and checks a text. Relative paths start at the working directory.
+    /// Reads and checks a text. A relative path starts at the working directory.
     ///
     /// # Errors
     ///
-    /// What is wrong with it, by key.
+    /// The file cannot be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self =
             toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
@@ -139,17 +143,16 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// A path that is not UTF-8.
+    /// A path is not UTF-8.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
     }
 
-    /// Refuses what cannot be driven with.
+    /// Refuses a configuration that cannot be driven with.
     ///
     /// # Errors
     ///
-    /// The first value that is out of range or at odds with another, with key,
-    /// value and fix.
+    /// The first value that is out of range or contradicts another, with key, value and fix.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.serial.validate()?;
         self.motion_capture.validate()?;
@@ -165,124 +168,24 @@ impl Config {
         self.law.validate(&self.vehicle)?;
         self.outer_loop.validate()?;
         self.outer_loop.validate_for(&self.reference.reference()?)?;
-        self.limits.validate()?;
-        self.estimator.validate()?;
-        self.supervisor.validate()?;
-        self.watch.validate()?;
-        self.fence.validate()?;
-        self.control.validate()?;
+        self.limits.check()?;
+        self.estimator.check()?;
+        self.supervisor.check()?;
+        self.watch.check()?;
+        self.fence.check()?;
+        self.fence.fence()?;
+        self.control.check()?;
         self.board.configuration().validate()?;
         self.record.validate()?;
         self.socket.validate()?;
-        self.validate_together()
+        together::validate(self)
     }
 
-    /// Host and board must agree on what the car does.
-    fn validate_together(&self) -> Result<(), ConfigError> {
-        let Self {
-            limits,
-            board,
-            supervisor,
-            control,
-            ..
-        } = self;
-        let fastest = f64::from(board.speed.max_forward_mm_s) / 1_000.0;
-        if limits.max_speed_m_s > fastest {
-            return Err(ConfigError::value(
-                "limits.max_speed_m_s",
-                limits.max_speed_m_s,
-                format!(
-                    "the board obeys at most {fastest} m/s; lower it, or raise board.speed.max_forward_mm_s"
-                ),
-            ));
-        }
-        let fastest_reverse = f64::from(board.speed.max_reverse_mm_s) / 1_000.0;
-        if limits.max_reverse_speed_m_s > fastest_reverse {
-            return Err(ConfigError::value(
-                "limits.max_reverse_speed_m_s",
-                limits.max_reverse_speed_m_s,
-                format!(
-                    "the board obeys at most {fastest_reverse} m/s; lower it, or raise board.speed.max_reverse_mm_s"
-                ),
-            ));
-        }
-        let servo = &board.servo;
-        let room_us = (servo.max_us.saturating_sub(servo.centre_us))
-            .min(servo.centre_us.saturating_sub(servo.min_us));
-        let reach_rad = f64::from(room_us) / f64::from(servo.gain_us_per_rad).abs();
-        if limits.max_steering_rad > reach_rad {
-            return Err(ConfigError::value(
-                "limits.max_steering_rad",
-                limits.max_steering_rad,
-                format!(
-                    "the servo's pulses reach {reach_rad:.3} rad; lower it, or widen board.servo.min_us and max_us"
-                ),
-            ));
-        }
-        if self.motion_capture.pose.max_speed_m_s <= limits.max_speed_m_s {
-            return Err(ConfigError::value(
-                "motion_capture.pose.max_speed_m_s",
-                self.motion_capture.pose.max_speed_m_s,
-                format!(
-                    "poses of a car at limits.max_speed_m_s, {} m/s, would be refused; raise it",
-                    limits.max_speed_m_s
-                ),
-            ));
-        }
-        if self.watch.max_gap_ms < 2 * control.period_ms {
-            return Err(ConfigError::value(
-                "watch.max_gap_ms",
-                self.watch.max_gap_ms,
-                format!(
-                    "every tick would be late: give it two periods, {} ms, or lower control.period_ms",
-                    2 * control.period_ms
-                ),
-            ));
-        }
-        let ticks_per_s = 1_000 / control.period_ms;
-        if self.watch.max_missed_ticks_per_s >= ticks_per_s {
-            return Err(ConfigError::value(
-                "watch.max_missed_ticks_per_s",
-                self.watch.max_missed_ticks_per_s,
-                format!(
-                    "with control.period_ms = {} there are {ticks_per_s} ticks in a second; lower it",
-                    control.period_ms
-                ),
-            ));
-        }
-        let grip = self.vehicle.friction * GRAVITY;
-        if limits.max_lateral_acceleration_m_s2 > grip {
-            return Err(ConfigError::value(
-                "limits.max_lateral_acceleration_m_s2",
-                limits.max_lateral_acceleration_m_s2,
-                format!(
-                    "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
-                ),
-            ));
-        }
-        let blind_ms = 1_000.0
-            * (supervisor
-                .longest_blind_drive(limits.max_speed_m_s, control.stop_deceleration_m_s2)
-                + REST_S);
-        if blind_ms > f64::from(board.max_pose_age_ms) {
-            return Err(ConfigError::value(
-                "board.max_pose_age_ms",
-                board.max_pose_age_ms,
-                format!(
-                    "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
-                     limits.max_speed_m_s and disarms within {blind_ms:.0} ms, and must be first; raise it \
-                     (up to 1000), shorten the hold, lower the speed or brake harder"
-                ),
-            ));
-        }
-        Ok(())
-    }
-
-    /// For the pilot; reads the waypoints.
+    /// The pilot's configuration; reads the waypoints.
     ///
     /// # Errors
     ///
-    /// A law or a reference that makes no sense.
+    /// The law or the reference is invalid.
     pub fn pilot(&self) -> Result<PilotConfig, ConfigError> {
         Ok(PilotConfig {
             law: self.law.front_point_law(&self.vehicle)?,
@@ -295,15 +198,15 @@ impl Config {
                 self.motion_capture.marker_yaw_rad,
             ),
             supervisor: self.supervisor.config(),
-            watch: self.watch.config(),
+            watch: self.watch.onto(WatchConfig::paper()),
             fence: self.fence.fence()?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
-            period: check::seconds(self.control.period_ms),
+            period: value::seconds(self.control.period_ms),
         })
     }
 
-    /// For the session with the board. The seed should differ from one start
+    /// The configuration of the session with the board. The seed should differ from one start
     /// to the next.
     #[must_use]
     pub fn link(&self, nonce_seed: u64) -> SessionConfig {

@@ -1,6 +1,7 @@
 //! `[motion_capture]`: the cameras.
 
 use core::{
+    f64::consts::PI,
     net::{IpAddr, Ipv4Addr},
     str::FromStr,
 };
@@ -12,69 +13,104 @@ use singletrack_mocap::{
     codec::BitstreamVersion, planar::PlanarConfig,
 };
 
-use super::{ConfigError, check};
+use super::{
+    ConfigError,
+    choice::choice,
+    section::{Declared as _, Maps as _, section},
+    value::{Convert as _, Typed},
+};
 
-/// Where the cameras are and what is believed of them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MotionCaptureSection {
-    /// Address of the NatNet server.
-    pub server: Ipv4Addr,
-    /// Name of the car's rigid body, as in the server's asset list.
-    pub rigid_body: String,
-    /// The axis that points up in the stream: a setting of the server that is
-    /// not on the wire.
-    pub up_axis: UpAxisKind,
-    /// Address of the local network interface; mandatory for multicast.
-    #[serde(default = "default_interface")]
-    pub interface: Ipv4Addr,
-    /// How the frames come.
-    #[serde(default = "default_transport")]
-    pub transport: TransportKind,
-    /// The bitstream to ask the server for (unicast); its own if left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bitstream: Option<Bitstream>,
-    /// The server's command port.
-    #[serde(default = "default_command_port")]
-    pub command_port: u16,
-    /// The port that multicast frames come to.
-    #[serde(default = "default_data_port")]
-    pub data_port: u16,
-    /// The multicast group.
-    #[serde(default = "default_group")]
-    pub group: Ipv4Addr,
+section! {
+    /// The cameras: a NatNet server, such as OptiTrack Motive, 2.7 to 4.4.
+    "motion_capture", restart => pub MotionCaptureSection;
+    [new];
+
+    /// Address of the computer that runs the server.
+    server: Ipv4Addr, example Ipv4Addr::new(192, 168, 1, 10);
+    /// Name of the car's rigid body in the server's asset list. Its x axis points forward, or
+    /// see `marker_yaw_rad`.
+    rigid_body: String, example "car";
+    /// The axis that points up, a streaming setting of the server ("y" by default in Motive).
+    /// It is not on the wire: ask the server's operator, and check that a car driven forward
+    /// moves forward.
+    up_axis: UpAxisKind, example UpAxisKind::Y;
+    /// Address of the local network interface to the cameras; mandatory for multicast.
+    interface: Ipv4Addr = Ipv4Addr::UNSPECIFIED;
+    /// How the frames arrive: "unicast", or "multicast" to `group`.
+    transport: TransportKind = TransportKind::Unicast;
+    /// Bitstream to request from the server (unicast only); the server's own if left out.
+    bitstream: Option<Bitstream> = None, text "2.7 to 4.4", example "4.1";
+    /// Command port of the server.
+    command_port: u16 = DEFAULT_COMMAND_PORT, in 1..=65_535;
+    /// Port on which multicast frames arrive; unicast needs none.
+    data_port: u16 = DEFAULT_DATA_PORT, in 1..=65_535;
+    /// Multicast group to which the server sends.
+    group: Ipv4Addr = DEFAULT_MULTICAST_GROUP, text "224.0.0.0 to 239.255.255.255";
     /// Position of the rigid body's pivot from the centre of mass: forward, left.
-    #[serde(default)]
-    pub marker_offset_m: [f64; 2],
+    marker_offset_m: [f64; 2] = [0.0; 2], in -1.0..=1.0;
     /// Yaw of the rigid body when the car's yaw is zero.
-    #[serde(default)]
-    pub marker_yaw_rad: f64,
-    /// What a believable pose is.
-    #[serde(default)]
-    pub pose: PoseSection,
+    marker_yaw_rad: f64 = 0.0, in -PI..=PI;
+    /// Which poses are accepted.
+    pose: PoseSection = PoseSection::default();
     /// Intervals, time-outs and assumptions.
-    #[serde(default)]
-    pub timing: TimingSection,
+    timing: TimingSection = TimingSection::default();
 }
 
-/// The axis that points up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum UpAxisKind {
+choice! {
+    /// The axis that points up.
+    pub UpAxisKind => UpAxis;
     /// Motive's default.
-    Y,
-    /// As in our world.
-    Z,
+    Y = "y";
+    /// As in the world frame.
+    Z = "z";
 }
 
-/// How the frames come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum TransportKind {
-    /// To us alone.
-    Unicast,
-    /// To a group.
-    Multicast,
+choice! {
+    /// How the frames arrive.
+    pub TransportKind;
+    /// Sent to this host alone.
+    Unicast = "unicast";
+    /// Sent to a group.
+    Multicast = "multicast";
+}
+
+section! {
+    /// Which poses are accepted, before the estimator uses them.
+    "motion_capture.pose", restart => pub PoseSection: Copy;
+    [maps PoseLimits = PoseLimits::default()];
+
+    /// Largest mean marker error.
+    max_mean_error_m: f64 => max_mean_error_m, in up_to(0.1);
+    /// Faster movement is a jump.
+    max_speed_m_s: f64 => max_speed_m_s, in up_to(50.0);
+    /// Distance allowed on top of what speed and time explain.
+    jump_margin_m: f64 => jump_margin_m, in up_to(1.0);
+    /// Faster rotation is a jump.
+    max_yaw_rate_rad_s: f64 => max_yaw_rate_rad_s, in up_to(100.0);
+    /// Yaw allowed on top of what yaw rate and time explain.
+    yaw_margin_rad: f64 => yaw_margin_rad, in up_to(3.0);
+    /// Largest angle between the body's up axis and the world's. Beyond it the car lies on
+    /// its side.
+    max_tilt_rad: f64 => max_tilt_rad, in up_to(1.5);
+    /// Largest deviation of the quaternion's norm from one.
+    quaternion_norm_tolerance: f64 = DEFAULT_QUATERNION_NORM_TOLERANCE, in up_to(0.5);
+    /// After this many rejected poses in a row the body counts as lost.
+    max_consecutive_rejects: u32 => max_consecutive_rejects, in 1..=1_000;
+}
+
+section! {
+    /// Intervals, time-outs and assumptions.
+    "motion_capture.timing", restart => pub TimingSection: Copy, Eq;
+    [maps Timing = Timing::default()];
+
+    /// A stream silent for longer is stale.
+    stale_after_ms: u32 => stale_after_ns, in 20..=1_000;
+    /// After a longer silence the daemon connects to the server again.
+    reconnect_after_ms: u32 => reconnect_after_ns, in 500..=60_000;
+    /// Network delay assumed of servers before NatNet 3.0, which answer no echo requests.
+    assumed_network_delay_us: u32 => assumed_network_delay_ns, in 0..=20_000;
+    /// Age assumed of a frame at its arrival, if the server sends no mid-exposure time.
+    assumed_latency_us: u32 => assumed_latency_ns, in 0..=50_000;
 }
 
 /// A NatNet bitstream version, written `"4.1"`.
@@ -109,136 +145,28 @@ impl<'de> Deserialize<'de> for Bitstream {
     }
 }
 
-fn default_interface() -> Ipv4Addr {
-    Ipv4Addr::UNSPECIFIED
-}
-
-fn default_transport() -> TransportKind {
-    TransportKind::Unicast
-}
-
-fn default_command_port() -> u16 {
-    DEFAULT_COMMAND_PORT
-}
-
-fn default_data_port() -> u16 {
-    DEFAULT_DATA_PORT
-}
-
-fn default_group() -> Ipv4Addr {
-    DEFAULT_MULTICAST_GROUP
-}
-
-/// What a believable pose is.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PoseSection {
-    /// Largest mean marker error.
-    pub max_mean_error_m: f64,
-    /// Fastest the body can move.
-    pub max_speed_m_s: f64,
-    /// Distance allowed on top of what speed and time explain.
-    pub jump_margin_m: f64,
-    /// Fastest the body can yaw.
-    pub max_yaw_rate_rad_s: f64,
-    /// Yaw allowed on top of what yaw rate and time explain.
-    pub yaw_margin_rad: f64,
-    /// Largest angle between the body's up axis and the world's.
-    pub max_tilt_rad: f64,
-    /// Largest deviation of the quaternion's norm from one.
-    pub quaternion_norm_tolerance: f64,
-    /// Rejected poses in a row until the body counts as lost.
-    pub max_consecutive_rejects: u32,
-}
-
-impl Default for PoseSection {
-    fn default() -> Self {
-        let limits = PoseLimits::default();
-        Self {
-            max_mean_error_m: limits.max_mean_error_m,
-            max_speed_m_s: limits.max_speed_m_s,
-            jump_margin_m: limits.jump_margin_m,
-            max_yaw_rate_rad_s: limits.max_yaw_rate_rad_s,
-            yaw_margin_rad: limits.yaw_margin_rad,
-            max_tilt_rad: limits.max_tilt_rad,
-            quaternion_norm_tolerance: DEFAULT_QUATERNION_NORM_TOLERANCE,
-            max_consecutive_rejects: limits.max_consecutive_rejects,
-        }
-    }
-}
-
-/// Intervals, time-outs and assumptions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TimingSection {
-    /// A stream silent for longer is stale.
-    pub stale_after_ms: u32,
-    /// A stream silent for longer is connected to anew.
-    pub reconnect_after_ms: u32,
-    /// Without echoes (before NatNet 3.0): the network delay assumed.
-    pub assumed_network_delay_us: u32,
-    /// Without mid-exposure time: the age assumed of a frame when it arrives.
-    pub assumed_latency_us: u32,
-}
-
-/// Nanoseconds in a microsecond and in a millisecond.
-const US: u64 = 1_000;
-const MS: u64 = 1_000_000;
-
-impl Default for TimingSection {
-    fn default() -> Self {
-        let timing = Timing::default();
-        // The defaults are seconds at most.
-        let in_units = |ns: u64, unit: u64| (ns / unit) as u32;
-        Self {
-            stale_after_ms: in_units(timing.stale_after_ns, MS),
-            reconnect_after_ms: in_units(timing.reconnect_after_ns, MS),
-            assumed_network_delay_us: in_units(timing.assumed_network_delay_ns, US),
-            assumed_latency_us: in_units(timing.assumed_latency_ns, US),
-        }
-    }
+impl Typed for Bitstream {
+    const TYPE: &'static str = "text";
 }
 
 impl MotionCaptureSection {
-    /// A unicast server with its own bitstream and default ports.
-    #[must_use]
-    pub fn new(server: Ipv4Addr, rigid_body: impl Into<String>, up_axis: UpAxisKind) -> Self {
-        Self {
-            server,
-            rigid_body: rigid_body.into(),
-            up_axis,
-            interface: default_interface(),
-            transport: default_transport(),
-            bitstream: None,
-            command_port: default_command_port(),
-            data_port: default_data_port(),
-            group: default_group(),
-            marker_offset_m: [0.0; 2],
-            marker_yaw_rad: 0.0,
-            pose: PoseSection::default(),
-            timing: TimingSection::default(),
-        }
-    }
-
     /// For the session.
     ///
     /// # Errors
     ///
     /// The name of a rigid body that NatNet cannot carry.
     pub fn session(&self) -> Result<PlanarConfig, ConfigError> {
+        let transport = match self.transport {
+            TransportKind::Unicast => Transport::Unicast {
+                bitstream: self.bitstream.map(|bitstream| bitstream.0),
+            },
+            TransportKind::Multicast => Transport::Multicast,
+        };
         let mut config = PlanarConfig::new(
             IpAddr::V4(self.server),
-            match self.transport {
-                TransportKind::Unicast => Transport::Unicast {
-                    bitstream: self.bitstream.map(|bitstream| bitstream.0),
-                },
-                TransportKind::Multicast => Transport::Multicast,
-            },
+            transport,
             &self.rigid_body,
-            match self.up_axis {
-                UpAxisKind::Y => UpAxis::Y,
-                UpAxisKind::Z => UpAxis::Z,
-            },
+            self.up_axis.to_inner("up_axis"),
         )
         .map_err(|error| {
             ConfigError::value(
@@ -247,105 +175,18 @@ impl MotionCaptureSection {
                 error.to_string(),
             )
         })?;
-        let session = &mut config.session;
-        session.command_port = self.command_port;
-        let pose = &self.pose;
-        session.quaternion_norm_tolerance = pose.quaternion_norm_tolerance;
-        let timing = &self.timing;
-        session.timing.stale_after_ns = u64::from(timing.stale_after_ms) * MS;
-        session.timing.reconnect_after_ns = u64::from(timing.reconnect_after_ms) * MS;
-        session.timing.assumed_network_delay_ns = u64::from(timing.assumed_network_delay_us) * US;
-        session.timing.assumed_latency_ns = u64::from(timing.assumed_latency_us) * US;
-        config.limits = PoseLimits {
-            max_mean_error_m: pose.max_mean_error_m,
-            max_speed_m_s: pose.max_speed_m_s,
-            jump_margin_m: pose.jump_margin_m,
-            max_yaw_rate_rad_s: pose.max_yaw_rate_rad_s,
-            yaw_margin_rad: pose.yaw_margin_rad,
-            max_tilt_rad: pose.max_tilt_rad,
-            max_consecutive_rejects: pose.max_consecutive_rejects,
-        };
+        config.session.command_port = self.command_port;
+        config.session.quaternion_norm_tolerance = self.pose.quaternion_norm_tolerance;
+        config.session.timing = self.timing.onto(config.session.timing);
+        config.limits = self.pose.onto(config.limits);
         Ok(config)
     }
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         self.validate_network()?;
-        for (key, value, highest) in [
-            (
-                "motion_capture.pose.max_mean_error_m",
-                self.pose.max_mean_error_m,
-                0.1,
-            ),
-            (
-                "motion_capture.pose.max_speed_m_s",
-                self.pose.max_speed_m_s,
-                50.0,
-            ),
-            (
-                "motion_capture.pose.jump_margin_m",
-                self.pose.jump_margin_m,
-                1.0,
-            ),
-            (
-                "motion_capture.pose.max_yaw_rate_rad_s",
-                self.pose.max_yaw_rate_rad_s,
-                100.0,
-            ),
-            (
-                "motion_capture.pose.yaw_margin_rad",
-                self.pose.yaw_margin_rad,
-                3.0,
-            ),
-            (
-                "motion_capture.pose.max_tilt_rad",
-                self.pose.max_tilt_rad,
-                1.5,
-            ),
-            (
-                "motion_capture.pose.quaternion_norm_tolerance",
-                self.pose.quaternion_norm_tolerance,
-                0.5,
-            ),
-        ] {
-            check::positive(key, value, highest)?;
-        }
-        for (key, value, range) in [
-            (
-                "motion_capture.pose.max_consecutive_rejects",
-                self.pose.max_consecutive_rejects,
-                1..=1_000,
-            ),
-            (
-                "motion_capture.timing.stale_after_ms",
-                self.timing.stale_after_ms,
-                20..=1_000,
-            ),
-            (
-                "motion_capture.timing.reconnect_after_ms",
-                self.timing.reconnect_after_ms,
-                500..=60_000,
-            ),
-            (
-                "motion_capture.timing.assumed_network_delay_us",
-                self.timing.assumed_network_delay_us,
-                0..=20_000,
-            ),
-            (
-                "motion_capture.timing.assumed_latency_us",
-                self.timing.assumed_latency_us,
-                0..=50_000,
-            ),
-        ] {
-            check::within(key, value, range)?;
-        }
-        for value in self.marker_offset_m {
-            check::within("motion_capture.marker_offset_m", value, -1.0..=1.0)?;
-        }
-        check::within(
-            "motion_capture.marker_yaw_rad",
-            self.marker_yaw_rad,
-            -core::f64::consts::PI..=core::f64::consts::PI,
-        )
+        self.pose.check()?;
+        self.timing.check()?;
+        self.check()
     }
 
     fn validate_network(&self) -> Result<(), ConfigError> {
@@ -357,12 +198,6 @@ impl MotionCaptureSection {
                 "give the address of the computer that runs the motion capture",
             ));
         }
-        check::within(
-            "motion_capture.command_port",
-            self.command_port,
-            1..=u16::MAX,
-        )?;
-        check::within("motion_capture.data_port", self.data_port, 1..=u16::MAX)?;
         if self.transport == TransportKind::Unicast {
             return Ok(());
         }

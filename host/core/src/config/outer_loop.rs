@@ -1,13 +1,13 @@
-//! `[outer_loop]`: from where P should be to how fast it should move.
+//! `[outer_loop]`: from the position that P should have to its velocity.
 
-use serde::{Deserialize, Deserializer, Serialize, de};
+use serde::{Deserialize, Serialize};
 use singletrack_control::{OpenLoop, ProportionalLoop, Reference, TrackingLoop, Velocity};
 
-use super::{ConfigError, kind::Keys};
+use super::{ConfigError, choice::choice, kind::Written, section::section};
 
 /// The position loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", try_from = "OuterLoopKeys")]
 pub enum OuterLoopSection {
     /// Proportional, per axis.
     Proportional {
@@ -20,46 +20,40 @@ pub enum OuterLoopSection {
     OpenLoop {},
 }
 
-/// The keys of all kinds.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Section {
-    kind: Kind,
-    gain_per_s: Option<[f64; 2]>,
-    feed_forward: Option<bool>,
+section! {
+    /// From the position that P should have to the velocity that it should have.
+    "outer_loop" => pub(super) OuterLoopKeys;
+    [];
+
+    /// The loop: "proportional", or "open-loop" for references that are velocities.
+    kind: OuterLoopKind, example OuterLoopKind::Proportional;
+    /// Gains along x and y.
+    gain_per_s: Option<[f64; 2]> = None, text "0 or above", example [1.0, 1.0];
+    /// Adds the reference's velocity: P then follows without lag.
+    feed_forward: Option<bool> = None, otherwise false;
 }
 
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Kind {
-    Proportional,
-    OpenLoop,
+choice! {
+    /// The kinds of loop.
+    pub(super) OuterLoopKind;
+    /// See [`OuterLoopSection::Proportional`].
+    Proportional = "proportional";
+    /// See [`OuterLoopSection::OpenLoop`].
+    OpenLoop = "open-loop";
 }
 
-impl<'de> Deserialize<'de> for OuterLoopSection {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Section::deserialize(deserializer)?
-            .try_into()
-            .map_err(de::Error::custom)
-    }
-}
-
-impl TryFrom<Section> for OuterLoopSection {
+impl TryFrom<OuterLoopKeys> for OuterLoopSection {
     type Error = String;
 
-    fn try_from(section: Section) -> Result<Self, String> {
-        let keys = |kind| Keys {
-            section: "outer_loop",
-            kind,
-        };
-        match section.kind {
-            Kind::Proportional => Ok(Self::Proportional {
-                gain_per_s: keys("proportional").need("gain_per_s", section.gain_per_s)?,
-                feed_forward: section.feed_forward.unwrap_or(false),
-            }),
+    fn try_from(keys: OuterLoopKeys) -> Result<Self, String> {
+        Ok(match keys.kind {
+            OuterLoopKind::Proportional => Self::Proportional {
+                gain_per_s: Written::of(&keys)?.need("gain_per_s", keys.gain_per_s)?,
+                feed_forward: keys.feed_forward.unwrap_or_default(),
+            },
             // The gains may stay in a file whose loop is opened for a while.
-            Kind::OpenLoop => Ok(Self::OpenLoop {}),
-        }
+            OuterLoopKind::OpenLoop => Self::OpenLoop {},
+        })
     }
 }
 
@@ -79,11 +73,11 @@ impl OuterLoopSection {
         }
     }
 
-    /// Refuses gains that are none.
+    /// Refuses gains that are negative or not finite.
     ///
     /// # Errors
     ///
-    /// The first gain that makes no sense.
+    /// The first such gain.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let Self::Proportional { gain_per_s, .. } = *self else {
             return Ok(());
@@ -100,11 +94,11 @@ impl OuterLoopSection {
         Ok(())
     }
 
-    /// Refuses a position loop for a reference that is a velocity alone.
+    /// Refuses a position loop for a reference without a position.
     ///
     /// # Errors
     ///
-    /// That one.
+    /// The loop does not suit the reference.
     pub fn validate_for(&self, reference: &Reference) -> Result<(), ConfigError> {
         // A set-point from outside may have a position; one that has none passes through.
         if matches!(self, Self::Proportional { .. })

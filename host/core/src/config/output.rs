@@ -5,72 +5,47 @@ use std::{
     path::PathBuf,
 };
 
-use serde::{Deserialize, Serialize};
+use super::{ConfigError, section::section};
 
-use super::ConfigError;
+section! {
+    /// The record of every tick, one file for each start of the daemon.
+    "record", restart => pub RecordSection: Eq;
+    [default];
 
-/// The record of every tick.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RecordSection {
-    /// Whether there is one.
-    pub enabled: bool,
-    /// Where the files go; made if it does not exist.
-    pub directory: PathBuf,
+    /// Whether ticks are recorded.
+    enabled: bool = true;
+    /// Folder of the records; it is created if it does not exist.
+    directory: PathBuf = PathBuf::from("/var/log/singletrackd");
 }
 
-impl Default for RecordSection {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            directory: PathBuf::from("/var/log/singletrackd"),
-        }
-    }
+section! {
+    /// The control socket, for `singletrack status`, `arm`, `disarm`, `stop` and `dump live`.
+    "socket", restart => pub SocketSection: Eq;
+    [default];
+
+    /// Whether the daemon listens on it.
+    enabled: bool = true;
+    /// Path of the socket; its folder is created if it does not exist.
+    path: PathBuf = PathBuf::from("/run/singletrackd/control.sock");
 }
 
-/// The control socket.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SocketSection {
-    /// Whether there is one.
-    pub enabled: bool,
-    /// Where it is.
-    pub path: PathBuf,
+section! {
+    /// The live view over WebSocket: Foxglove, Lichtblick and PlotJuggler connect to
+    /// `ws://127.0.0.1:8765` and show the messages of the record as they are made. It accepts
+    /// no commands.
+    "live", restart => pub LiveSection: Copy, Eq;
+    [default];
+
+    /// Whether the daemon serves it.
+    enabled: bool = false;
+    /// Address on which it listens. There is no authentication; bind it to loopback only
+    /// (`ssh -L 8765:127.0.0.1:8765` forwards it to a desk).
+    address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    /// Port on which it listens; 0 takes any free port, which the log states.
+    port: u16 = 8_765;
 }
 
-impl Default for SocketSection {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            path: PathBuf::from("/run/singletrackd/control.sock"),
-        }
-    }
-}
-
-/// The live view over WebSocket, for Foxglove, Lichtblick and PlotJuggler.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LiveSection {
-    /// Whether there is one.
-    pub enabled: bool,
-    /// Where it listens. It asks nobody who he is: what is not a loopback address
-    /// shows the car to the network.
-    pub address: IpAddr,
-    /// On which port; 0 for any that is free.
-    pub port: u16,
-}
-
-impl Default for LiveSection {
-    fn default() -> Self {
-        Self {
-            enabled: false,
-            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
-            port: 8_765,
-        }
-    }
-}
-
-/// What the address of a Unix-domain socket holds, without the closing zero.
+/// Capacity of the address of a Unix-domain socket, without the closing zero.
 const LONGEST_SOCKET_PATH: usize = 107;
 
 impl RecordSection {

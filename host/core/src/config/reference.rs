@@ -2,17 +2,26 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Deserializer, Serialize, de};
+use serde::{Deserialize, Serialize};
 use singletrack_control::{
     Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
     Waypoint, Waypoints,
 };
 
-use super::{ConfigError, check, kind::Keys, waypoint_file::read_waypoints};
+use toml::Value;
+
+use super::{
+    ConfigError,
+    choice::choice,
+    kind::Written,
+    section::{Declared as _, section},
+    value::seconds,
+    waypoint_file::read_waypoints,
+};
 
 /// The reference of P.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", try_from = "ReferenceKeys")]
 pub enum ReferenceSection {
     /// See [`Circle`].
     Circle {
@@ -82,108 +91,89 @@ pub struct WaypointSection {
     pub y_m: f64,
 }
 
-/// How long a set-point is in force unless told otherwise.
+/// How long a set-point is in force by default.
 const SETPOINT_TIMEOUT_MS: u32 = 200;
 
-/// The largest coordinate and the fastest turn of a curve.
-const FARTHEST_M: f64 = 1_000.0;
-const FASTEST_RAD_S: f64 = 100.0;
+section! {
+    /// Where P should be, from the moment that the car drives. The section has the keys of its
+    /// kind, and no others.
+    "reference" => pub(super) ReferenceKeys;
+    [];
 
-/// The keys of all kinds.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Section {
-    kind: Kind,
-    radius_m: Option<f64>,
-    half_length_m: Option<f64>,
-    half_width_m: Option<f64>,
-    angular_velocity_rad_s: Option<f64>,
-    centre_m: Option<[f64; 2]>,
-    steps: Option<Vec<StepSection>>,
-    file: Option<PathBuf>,
-    waypoints: Option<Vec<WaypointSection>>,
-    setpoint_timeout_ms: Option<u32>,
+    /// The kind of reference.
+    kind: ReferenceKind;
+    /// Circle: radius.
+    radius_m: Option<f64> = None, in -1_000.0..=1_000.0;
+    /// Figure of eight: reach along x.
+    half_length_m: Option<f64> = None, in -1_000.0..=1_000.0;
+    /// Figure of eight: reach along y.
+    half_width_m: Option<f64> = None, in -1_000.0..=1_000.0;
+    /// Circle: angular velocity, negative for clockwise. Figure of eight: 2π over the time
+    /// for one figure.
+    angular_velocity_rad_s: Option<f64> = None, in -100.0..=100.0;
+    /// Circle and figure of eight: centre.
+    centre_m: Option<[f64; 2]> = None, in -1_000.0..=1_000.0, otherwise [0.0; 2];
+    /// Velocity steps, in order, each with `duration_s`, `v_x_m_s` and `v_y_m_s`.
+    steps: Option<Vec<StepSection>> = None;
+    /// Waypoints: CSV file with the columns `t_s,x_m,y_m`; its path is relative to the
+    /// configuration file.
+    file: Option<PathBuf> = None;
+    /// Waypoints in the place of a file, each with `t_s`, `x_m` and `y_m`, in order of time.
+    waypoints: Option<Vec<WaypointSection>> = None;
+    // A longer time-out is no deadman's switch.
+    /// External set-points: the car stops when the last one is older.
+    setpoint_timeout_ms: Option<u32> = None, in 20..=1_000, otherwise SETPOINT_TIMEOUT_MS;
 }
 
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Kind {
-    Circle,
-    VelocitySteps,
-    FigureOfEight,
-    Waypoints,
-    External,
+choice! {
+    /// The kinds of reference.
+    pub(super) ReferenceKind;
+    /// See [`Circle`].
+    Circle = "circle";
+    /// See [`VelocitySteps`].
+    VelocitySteps = "velocity-steps";
+    /// See [`FigureOfEight`].
+    FigureOfEight = "figure-of-eight";
+    /// See [`Waypoints`].
+    Waypoints = "waypoints";
+    /// See [`External`].
+    External = "external";
 }
 
-impl<'de> Deserialize<'de> for ReferenceSection {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Section::deserialize(deserializer)?
-            .try_into()
-            .map_err(de::Error::custom)
-    }
-}
-
-impl TryFrom<Section> for ReferenceSection {
+impl TryFrom<ReferenceKeys> for ReferenceSection {
     type Error = String;
 
-    /// Takes the keys that the kind has; what remains it has not.
-    fn try_from(mut section: Section) -> Result<Self, String> {
-        let keys = Keys {
-            section: "reference",
-            kind: match section.kind {
-                Kind::Circle => "circle",
-                Kind::VelocitySteps => "velocity-steps",
-                Kind::FigureOfEight => "figure-of-eight",
-                Kind::Waypoints => "waypoints",
-                Kind::External => "external",
+    /// Takes the keys that the kind has, and refuses the others.
+    fn try_from(keys: ReferenceKeys) -> Result<Self, String> {
+        let written = Written::of(&keys)?;
+        let angular_velocity_rad_s =
+            || written.need("angular_velocity_rad_s", keys.angular_velocity_rad_s);
+        let reference = match keys.kind {
+            ReferenceKind::Circle => Self::Circle {
+                radius_m: written.need("radius_m", keys.radius_m)?,
+                angular_velocity_rad_s: angular_velocity_rad_s()?,
+                centre_m: keys.centre_m.unwrap_or_default(),
             },
-        };
-        let reference = match section.kind {
-            Kind::Circle => Self::Circle {
-                radius_m: keys.need("radius_m", section.radius_m.take())?,
-                angular_velocity_rad_s: keys.need(
-                    "angular_velocity_rad_s",
-                    section.angular_velocity_rad_s.take(),
-                )?,
-                centre_m: section.centre_m.take().unwrap_or_default(),
+            ReferenceKind::VelocitySteps => Self::VelocitySteps {
+                steps: written.need("steps", keys.steps)?,
             },
-            Kind::VelocitySteps => Self::VelocitySteps {
-                steps: keys.need("steps", section.steps.take())?,
+            ReferenceKind::FigureOfEight => Self::FigureOfEight {
+                half_length_m: written.need("half_length_m", keys.half_length_m)?,
+                half_width_m: written.need("half_width_m", keys.half_width_m)?,
+                angular_velocity_rad_s: angular_velocity_rad_s()?,
+                centre_m: keys.centre_m.unwrap_or_default(),
             },
-            Kind::FigureOfEight => Self::FigureOfEight {
-                half_length_m: keys.need("half_length_m", section.half_length_m.take())?,
-                half_width_m: keys.need("half_width_m", section.half_width_m.take())?,
-                angular_velocity_rad_s: keys.need(
-                    "angular_velocity_rad_s",
-                    section.angular_velocity_rad_s.take(),
-                )?,
-                centre_m: section.centre_m.take().unwrap_or_default(),
-            },
-            Kind::Waypoints => match section.waypoints.take() {
+            ReferenceKind::Waypoints => match keys.waypoints {
                 Some(waypoints) => Self::WaypointList { waypoints },
                 None => Self::Waypoints {
-                    file: keys.need("file", section.file.take())?,
+                    file: written.need("file", keys.file)?,
                 },
             },
-            Kind::External => Self::External {
-                setpoint_timeout_ms: section
-                    .setpoint_timeout_ms
-                    .take()
-                    .unwrap_or(SETPOINT_TIMEOUT_MS),
+            ReferenceKind::External => Self::External {
+                setpoint_timeout_ms: keys.setpoint_timeout_ms.unwrap_or(SETPOINT_TIMEOUT_MS),
             },
         };
-        keys.refuse("radius_m", section.radius_m.as_ref())?;
-        keys.refuse("half_length_m", section.half_length_m.as_ref())?;
-        keys.refuse("half_width_m", section.half_width_m.as_ref())?;
-        keys.refuse(
-            "angular_velocity_rad_s",
-            section.angular_velocity_rad_s.as_ref(),
-        )?;
-        keys.refuse("centre_m", section.centre_m.as_ref())?;
-        keys.refuse("steps", section.steps.as_ref())?;
-        keys.refuse("file", section.file.as_ref())?;
-        keys.refuse("waypoints", section.waypoints.as_ref())?;
-        keys.refuse("setpoint_timeout_ms", section.setpoint_timeout_ms.as_ref())?;
+        written.only_of::<ReferenceKeys>(&reference)?;
         Ok(reference)
     }
 }
@@ -216,46 +206,13 @@ impl ReferenceSection {
         })
     }
 
-    /// Refuses what no hall holds and no car follows: the reference's points and
-    /// velocities are then finite, too.
-    fn check_sizes(&self) -> Result<(), ConfigError> {
-        let length = |key, value: f64| check::within(key, value, -FARTHEST_M..=FARTHEST_M);
-        let rate = |value: f64| {
-            check::within(
-                "reference.angular_velocity_rad_s",
-                value,
-                -FASTEST_RAD_S..=FASTEST_RAD_S,
-            )
-        };
-        match self {
-            Self::Circle {
-                radius_m,
-                angular_velocity_rad_s,
-                centre_m,
-            } => {
-                length("reference.radius_m", *radius_m)?;
-                rate(*angular_velocity_rad_s)?;
-                centre_m
-                    .iter()
-                    .try_for_each(|centre| length("reference.centre_m", *centre))
-            }
-            Self::FigureOfEight {
-                half_length_m,
-                half_width_m,
-                angular_velocity_rad_s,
-                centre_m,
-            } => {
-                length("reference.half_length_m", *half_length_m)?;
-                length("reference.half_width_m", *half_width_m)?;
-                rate(*angular_velocity_rad_s)?;
-                centre_m
-                    .iter()
-                    .try_for_each(|centre| length("reference.centre_m", *centre))
-            }
-            Self::VelocitySteps { .. }
-            | Self::Waypoints { .. }
-            | Self::WaypointList { .. }
-            | Self::External { .. } => Ok(()),
+    /// Refuses values outside their ranges, so that the reference's points and velocities are
+    /// finite.
+    fn check(&self) -> Result<(), ConfigError> {
+        match Value::try_from(self).map(Value::try_into::<ReferenceKeys>) {
+            Ok(Ok(keys)) => keys.check(),
+            // A path that is not UTF-8; its kind has no ranges.
+            _ => Ok(()),
         }
     }
 
@@ -265,7 +222,7 @@ impl ReferenceSection {
     ///
     /// A reference that makes no sense, or waypoints that can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
-        self.check_sizes()?;
+        self.check()?;
         Ok(match self {
             Self::Circle {
                 radius_m,
@@ -310,15 +267,7 @@ impl ReferenceSection {
             }
             Self::External {
                 setpoint_timeout_ms,
-            } => {
-                // Longer, and nobody would call it a deadman's switch.
-                check::within(
-                    "reference.setpoint_timeout_ms",
-                    *setpoint_timeout_ms,
-                    20..=1_000,
-                )?;
-                Reference::External(External::new(check::seconds(*setpoint_timeout_ms))?)
-            }
+            } => Reference::External(External::new(seconds(*setpoint_timeout_ms))?),
         })
     }
 }

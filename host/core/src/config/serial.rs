@@ -3,44 +3,30 @@
 use core::num::NonZeroU32;
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
+use super::{
+    ConfigError,
+    section::{Declared as _, section},
+};
 
-use super::{ConfigError, check};
+/// The rate of the firmware, in baud.
+const BAUD: NonZeroU32 = NonZeroU32::new(115_200).unwrap();
 
-/// The serial port that the board is at.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SerialSection {
-    /// The device; a link that stays the same when the board is plugged in
-    /// again.
-    pub port: PathBuf,
-    /// Rate of the line, in baud: the firmware's.
-    #[serde(default = "SerialSection::default_baud")]
-    pub baud: u32,
+section! {
+    /// The serial line to the board.
+    "serial", restart => pub SerialSection: Eq;
+    [new];
+
+    /// The board's device. Use a link that stays the same when the board is plugged in again:
+    /// /dev/serial/by-id/..., or one that a udev rule makes.
+    port: PathBuf, example "/dev/serial/by-id/usb-Arduino_Uno-if00";
+    /// Rate of the line, in baud; that of the firmware.
+    baud: u32 = BAUD.get(), in 9_600..=2_000_000;
 }
 
 impl SerialSection {
-    const DEFAULT_BAUD: NonZeroU32 = match NonZeroU32::new(115_200) {
-        Some(baud) => baud,
-        None => NonZeroU32::MIN,
-    };
-
-    fn default_baud() -> u32 {
-        Self::DEFAULT_BAUD.get()
-    }
-
-    /// The port at the firmware's rate.
-    #[must_use]
-    pub fn new(port: impl Into<PathBuf>) -> Self {
-        Self {
-            port: port.into(),
-            baud: Self::default_baud(),
-        }
-    }
-
-    /// The rate, which [`validate`](Self::validate) has seen not to be zero.
+    /// The rate, which [`validate`](Self::validate) has found in its range.
     pub(crate) fn baud(&self) -> NonZeroU32 {
-        NonZeroU32::new(self.baud).unwrap_or(Self::DEFAULT_BAUD)
+        NonZeroU32::new(self.baud).unwrap_or(BAUD)
     }
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
@@ -51,6 +37,6 @@ impl SerialSection {
                 "name the board's device, such as \"/dev/ttyACM0\"",
             ));
         }
-        check::within("serial.baud", self.baud, 9_600..=2_000_000)
+        self.check()
     }
 }

@@ -1,158 +1,63 @@
 //! `[supervisor]`: when the car may drive, and when it must stop.
 
-use serde::{Deserialize, Serialize};
 use singletrack_pilot::SupervisorConfig;
 
-use super::{ConfigError, check};
+use super::section::{Maps as _, section};
 
-/// When to stop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SupervisorSection {
-    /// For so long after its mid-exposure a pose may be held; then the car slows
-    /// down.
-    pub hold_ms: u32,
-    /// And for so far.
-    pub hold_distance_m: f64,
-    /// Blind for longer, a car that slows down stops for good.
-    pub blind_ms: u32,
-    /// And having gone farther.
-    pub blind_distance_m: f64,
-    /// A pose must be younger than this to arm, and for a slowing car to drive on.
-    pub fresh_ms: u32,
-    /// No inertial sample for this long stops the car.
-    pub imu_silence_ms: u32,
-    /// To arm, the yaw rate must have been below this for 0.2 s...
-    pub still_yaw_rate_rad_s: f64,
-    /// ...and the acceleration below this.
-    pub still_acceleration_m_s2: f64,
-    /// How long the board may take to arm.
-    pub arm_timeout_ms: u32,
-    /// Poses that the estimate needs to settle.
-    pub settling_poses: u32,
-    /// This many implausible poses in a row stop the car.
-    pub max_implausible_poses: u32,
-    /// Slowing down may take this long; then the board is disarmed anyway.
-    pub stop_timeout_ms: u32,
-    /// Below this speed the car stands.
-    pub standing_speed_m_s: f64,
-    /// A battery below this ends a drive; 0 does not look.
-    pub min_battery_v: f64,
-    /// A battery must be above this to arm; 0 does not look.
-    pub arm_battery_v: f64,
-    /// More than this part of the frames damaged over a second, either way, ends
-    /// a drive.
-    pub max_damaged_frames: f64,
-    /// Whether the car is only driven in real time.
-    pub require_real_time: bool,
-}
+section! {
+    /// When the car may drive, and when it must stop. The age of a pose counts from its
+    /// mid-exposure. `docs/safety.md` derives the defaults for lost markers from the
+    /// worst case.
+    "supervisor" => pub SupervisorSection: Copy;
+    [maps SupervisorConfig = SupervisorConfig::paper()];
 
-impl Default for SupervisorSection {
-    fn default() -> Self {
-        let config = SupervisorConfig::paper();
-        // Times in a configuration are a few seconds at most.
-        let milliseconds = |seconds: f64| (seconds * 1_000.0).round() as u32;
-        Self {
-            hold_ms: milliseconds(config.hold),
-            hold_distance_m: config.hold_distance,
-            blind_ms: milliseconds(config.blind),
-            blind_distance_m: config.blind_distance,
-            fresh_ms: milliseconds(config.fresh),
-            imu_silence_ms: milliseconds(config.imu_silence),
-            still_yaw_rate_rad_s: config.still_yaw_rate,
-            still_acceleration_m_s2: config.still_acceleration,
-            arm_timeout_ms: milliseconds(config.arm_timeout),
-            settling_poses: config.settling_poses,
-            max_implausible_poses: config.max_implausible,
-            stop_timeout_ms: milliseconds(config.stop_timeout),
-            standing_speed_m_s: config.standing_speed,
-            min_battery_v: config.min_battery,
-            arm_battery_v: config.arm_battery,
-            max_damaged_frames: config.max_damaged,
-            require_real_time: config.require_real_time,
-        }
-    }
+    /// Markers lost: the last pose is held for this time or `hold_distance_m`, whichever
+    /// ends first. Then the car slows down with its wheels held, and drives on if the
+    /// markers come back.
+    hold_ms: u32 => hold, in 20..=900;
+    /// Distance for which the last pose is held.
+    hold_distance_m: f64 => hold_distance, in up_to(1.0);
+    /// Blind for longer than this or farther than `blind_distance_m`, the car stops, and
+    /// must be armed again.
+    blind_ms: u32 => blind, in hold_ms..=950;
+    /// Longest distance that the car drives blind.
+    blind_distance_m: f64 => blind_distance, in hold_distance_m..=2.0;
+    /// To arm, and for a slowing car to drive on, a pose must be younger than this.
+    fresh_ms: u32 => fresh, in 10..=hold_ms;
+    // The estimator bridges 200 ms.
+    /// No inertial sample for longer than this stops the car.
+    imu_silence_ms: u32 => imu_silence, in 20..=200;
+    /// To arm, the yaw rate must have been below this for 0.2 s.
+    still_yaw_rate_rad_s: f64 => still_yaw_rate, in up_to(1.0);
+    /// To arm, the acceleration must have been below this for 0.2 s.
+    still_acceleration_m_s2: f64 => still_acceleration, in up_to(5.0);
+    /// Time that the board may take to arm.
+    arm_timeout_ms: u32 => arm_timeout, in 50..=5_000;
+    /// Number of poses after which the estimate is trusted.
+    settling_poses: u32 => settling_poses, in 1..=10_000;
+    /// Number of implausible poses in a row that stops the car.
+    max_implausible_poses: u32 => max_implausible, in 1..=100;
+    /// Slowing down takes at most this long; then the board is disarmed in any case.
+    stop_timeout_ms: u32 => stop_timeout, in 100..=1_700;
+    /// Below this speed the car counts as standing.
+    standing_speed_m_s: f64 => standing_speed, in up_to(0.2);
+    /// A lower battery voltage ends a drive, after three reports (0.6 s). The default is for
+    /// two lithium cells; 0 disables the check, for a board without a voltage divider.
+    min_battery_v: f64 => min_battery, in 0.0..=60.0;
+    /// To arm, the battery voltage must be above this; 0 disables the check.
+    arm_battery_v: f64 => arm_battery, in min_battery_v..=60.0;
+    /// A higher fraction of damaged frames over one second, to the board or from it, stops
+    /// the car.
+    max_damaged_frames: f64 => max_damaged, in up_to(1.0);
+    /// Refuses to drive unless the system grants `SCHED_FIFO` and locked memory.
+    require_real_time: bool => require_real_time;
 }
 
 impl SupervisorSection {
     /// For the controller.
     #[must_use]
     pub fn config(&self) -> SupervisorConfig {
-        SupervisorConfig {
-            hold: check::seconds(self.hold_ms),
-            hold_distance: self.hold_distance_m,
-            blind: check::seconds(self.blind_ms),
-            blind_distance: self.blind_distance_m,
-            fresh: check::seconds(self.fresh_ms),
-            imu_silence: check::seconds(self.imu_silence_ms),
-            still_yaw_rate: self.still_yaw_rate_rad_s,
-            still_acceleration: self.still_acceleration_m_s2,
-            arm_timeout: check::seconds(self.arm_timeout_ms),
-            settling_poses: self.settling_poses,
-            max_implausible: self.max_implausible_poses,
-            stop_timeout: check::seconds(self.stop_timeout_ms),
-            standing_speed: self.standing_speed_m_s,
-            min_battery: self.min_battery_v,
-            arm_battery: self.arm_battery_v,
-            max_damaged: self.max_damaged_frames,
-            require_real_time: self.require_real_time,
-        }
-    }
-
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        for (key, value, range) in [
-            ("supervisor.hold_ms", self.hold_ms, 20..=900),
-            ("supervisor.blind_ms", self.blind_ms, self.hold_ms..=950),
-            ("supervisor.fresh_ms", self.fresh_ms, 10..=self.hold_ms),
-            // The estimator bridges 200 ms.
-            ("supervisor.imu_silence_ms", self.imu_silence_ms, 20..=200),
-            ("supervisor.arm_timeout_ms", self.arm_timeout_ms, 50..=5_000),
-            ("supervisor.settling_poses", self.settling_poses, 1..=10_000),
-            (
-                "supervisor.max_implausible_poses",
-                self.max_implausible_poses,
-                1..=100,
-            ),
-            (
-                "supervisor.stop_timeout_ms",
-                self.stop_timeout_ms,
-                100..=1_700,
-            ),
-        ] {
-            check::within(key, value, range)?;
-        }
-        check::positive("supervisor.hold_distance_m", self.hold_distance_m, 1.0)?;
-        check::within(
-            "supervisor.blind_distance_m",
-            self.blind_distance_m,
-            self.hold_distance_m..=2.0,
-        )?;
-        check::positive(
-            "supervisor.still_yaw_rate_rad_s",
-            self.still_yaw_rate_rad_s,
-            1.0,
-        )?;
-        check::positive(
-            "supervisor.still_acceleration_m_s2",
-            self.still_acceleration_m_s2,
-            5.0,
-        )?;
-        check::positive(
-            "supervisor.standing_speed_m_s",
-            self.standing_speed_m_s,
-            0.2,
-        )?;
-        check::within("supervisor.min_battery_v", self.min_battery_v, 0.0..=60.0)?;
-        check::within(
-            "supervisor.arm_battery_v",
-            self.arm_battery_v,
-            self.min_battery_v..=60.0,
-        )?;
-        check::positive(
-            "supervisor.max_damaged_frames",
-            self.max_damaged_frames,
-            1.0,
-        )
+        self.onto(SupervisorConfig::paper())
     }
 
     /// How long after the mid-exposure of its last pose a car may be driven, in
@@ -168,7 +73,7 @@ impl SupervisorSection {
         [both, max_speed]
             .map(|speed| config.hold.min(config.hold_distance / speed) + speed / deceleration)
             .into_iter()
-            // A car that has slowed down to a stop waits for so long.
+            // A car that has slowed down to a stop waits for this long.
             .fold(config.blind, f64::max)
     }
 }

@@ -1,0 +1,294 @@
+//! One declaration for each section: what a key is called, its type, default, range and
+//! meaning stand once.
+//!
+//! From [`section!`] follow the struct, its reading (unknown keys are refused), its defaults,
+//! the check of its ranges, the conversion to the struct that it is for, and the description
+//! in [`SECTIONS`], from which come the example file, `docs/configuration.md` and the list of
+//! keys that take a restart.
+
+use serde::{Serialize, de};
+use toml::Value;
+
+use super::{
+    BoardSection, ConfigError, ControlSection, EscSection, EstimatorSection, FenceSection,
+    LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection,
+    SerialSection, ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection,
+    WatchSection, outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys,
+};
+
+/// Every section, in the order of the file.
+pub const SECTIONS: &[Section] = &[
+    SerialSection::SECTION,
+    MotionCaptureSection::SECTION,
+    PoseSection::SECTION,
+    TimingSection::SECTION,
+    LawSection::SECTION,
+    OuterLoopKeys::SECTION,
+    ReferenceKeys::SECTION,
+    VehicleKeys::SECTION,
+    LimitsSection::SECTION,
+    EstimatorSection::SECTION,
+    SupervisorSection::SECTION,
+    WatchSection::SECTION,
+    FenceSection::SECTION,
+    BoardSection::SECTION,
+    ServoSection::SECTION,
+    EscSection::SECTION,
+    SpeedSection::SECTION,
+    ControlSection::SECTION,
+    RecordSection::SECTION,
+    SocketSection::SECTION,
+    LiveSection::SECTION,
+];
+
+/// What a section of the configuration is.
+#[derive(Clone, Copy, Debug)]
+pub struct Section {
+    /// Its name in the file, as `motion_capture.pose`.
+    pub name: &'static str,
+    /// What it is for.
+    pub help: &'static str,
+    /// Whether a change of any of its keys takes a restart.
+    pub restart: bool,
+    /// Its keys, in the order of the file.
+    pub keys: &'static [Key],
+}
+
+/// What a key of the configuration is.
+#[derive(Clone, Copy, Debug)]
+pub struct Key {
+    /// Its name in the section.
+    pub name: &'static str,
+    /// Its type, or the list of its values, each after a comma.
+    pub values: &'static str,
+    /// Its range, as written in the declaration; empty if the type is the limit.
+    pub range: &'static str,
+    /// What it means.
+    pub help: &'static str,
+    /// Whether a change takes a restart.
+    pub restart: bool,
+    /// Whether the section needs it.
+    pub mandatory: bool,
+    /// Its default; none if the key is mandatory or left out by default.
+    pub default: fn() -> Option<Value>,
+    /// Its value in the example file, if that is not the default.
+    pub example: fn() -> Option<Value>,
+}
+
+/// What [`section!`] declares.
+pub(super) trait Declared {
+    /// The description.
+    const SECTION: Section;
+
+    /// Refuses a value outside its range.
+    fn check(&self) -> Result<(), ConfigError>;
+}
+
+/// A section that stands for the struct `T` of another crate.
+pub(super) trait Maps<T> {
+    /// The struct with the values of this section, and the others as they are.
+    fn onto(&self, inner: T) -> T;
+}
+
+/// A default or an example as TOML; none for a key that is left out.
+pub(super) fn toml_value<T: Serialize>(value: Option<T>) -> Option<Value> {
+    value.and_then(|value| Value::try_from(value).ok())
+}
+
+/// The value that is written, or else the default.
+pub(super) fn or_default<T, E: de::Error>(
+    written: Option<T>,
+    default: Option<T>,
+    key: &'static str,
+) -> Result<T, E> {
+    written.or(default).ok_or_else(|| E::missing_field(key))
+}
+
+/// Declares a section.
+///
+/// ```text
+/// section! {
+///     /// What the section is for.
+///     "name", restart => pub NameSection: Copy;   // a change of any key takes a restart
+///     [maps Inner = Inner::paper()];              // converts from and to this struct
+///
+///     /// What the key means.
+///     @restart hold_ms: u32 = 300 => hold, in 20..=900, example 200;
+/// }
+/// ```
+///
+/// A key's default stands after `=`, or is that of the inner struct's field after `=>`; a key
+/// with neither is mandatory. A range may name other keys of the section; a range that other
+/// code checks is a `text`. `otherwise` states the default of an optional key that some kinds
+/// of the section have. The second line may instead be `[maps Inner]` (no defaults from
+/// there), `[default]` (implements `Default`), `[new]` (a constructor from the mandatory
+/// keys), or `[]`.
+macro_rules! section {
+    (
+        $(#[doc = $help:literal])+
+        $name:literal $(, $restart:ident)? => $vis:vis $section:ident $(: $($derive:ident),+)?;
+        $extra:tt;
+        $(
+            $(#[doc = $key_help:literal])+
+            $(@$key_restart:ident)? $key:ident: $type:ty $(= $default:expr)? $(=> $inner:ident)?
+            $(, in $range:expr)? $(, text $text:literal)?
+            $(, otherwise $otherwise:expr)? $(, example $example:expr)?;
+        )+
+    ) => {
+        $(#[doc = $help])+
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, $($($derive),+)?)]
+        $vis struct $section {
+            $($(#[doc = $key_help])+ $vis $key: $type,)+
+        }
+
+        const _: () = {
+            use $crate::config::{ConfigError, section::*, value::*};
+
+            impl<'de> serde::Deserialize<'de> for $section {
+                fn deserialize<D: serde::Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+                    let written = {
+                        // Of the same name, which a message about the type states.
+                        #[derive(serde::Deserialize)]
+                        #[serde(deny_unknown_fields)]
+                        struct $section {
+                            $($key: Option<$type>,)+
+                        }
+                        $section::deserialize(source)?
+                    };
+                    Ok(Self {
+                        $($key: or_default(
+                            written.$key,
+                            section!(@default $extra [$($default)?] [$($inner)?] $key),
+                            stringify!($key),
+                        )?,)+
+                    })
+                }
+            }
+
+            impl Declared for $section {
+                const SECTION: Section = Section {
+                    name: $name,
+                    help: concat!($($help),+),
+                    restart: section!(@is $($restart)?),
+                    keys: &[$(Key {
+                        name: stringify!($key),
+                        values: <$type as Typed>::TYPE,
+                        range: concat!($(stringify!($range),)? $($text)?),
+                        help: concat!($($key_help),+),
+                        restart: section!(@is $($key_restart)?),
+                        mandatory: section!(@mandatory $extra [$($default)?] [$($inner)?]),
+                        default: || {
+                            let default: Option<$type> =
+                                section!(@default $extra [$($default)?] [$($inner)?] $key);
+                            toml_value(default)$(.or(toml_value(Some($otherwise))))?
+                        },
+                        example: || None$(.or(toml_value(Some($example))))?,
+                    }),+],
+                };
+
+                #[allow(clippy::clone_on_copy, reason = "not every section is Copy")]
+                fn check(&self) -> Result<(), ConfigError> {
+                    // The names that a range may refer to.
+                    let Self { $($key),+ } = self.clone();
+                    $(section!(@check concat!($name, ".", stringify!($key)), $key $(, $range)?);)+
+                    Ok(())
+                }
+            }
+
+            impl Typed for $section {
+                const TYPE: &'static str = "section";
+            }
+
+            section! { @extra $extra $section $($key: $type, [$($default)?] [$($inner)?];)+ }
+        };
+    };
+
+    // A default as an option: what is written here, the inner struct's, or none.
+    (@default $extra:tt [$default:expr] $inner:tt $key:ident) => { Some($default) };
+    (@default [maps $type:ty = $base:expr] [] [$inner:ident] $key:ident) => {
+        Some(Convert::from_inner($base.$inner, stringify!($key)))
+    };
+    (@default $extra:tt [] $inner:tt $key:ident) => { None };
+
+    (@mandatory $extra:tt [$default:expr] $inner:tt) => { false };
+    (@mandatory [maps $type:ty = $base:expr] [] [$inner:ident]) => { false };
+    (@mandatory $extra:tt [] $inner:tt) => { true };
+
+    (@check $path:expr, $key:ident) => { let _ = $key; };
+    (@check $path:expr, $key:ident, $range:expr) => { check($path, &$key, $range)?; };
+
+    (@is) => { false };
+    (@is restart) => { true };
+
+    // What the second line asks for.
+    (@extra [] $($rest:tt)+) => {};
+    (@extra [default] $section:ident $($key:ident: $type:ty, [$default:expr] [];)+) => {
+        impl Default for $section {
+            fn default() -> Self {
+                Self { $($key: $default,)+ }
+            }
+        }
+    };
+    (@extra [maps $type:ty = $base:expr] $section:ident
+        $($key:ident: $t:ty, [$($default:expr)?] [$($inner:ident)?];)+
+    ) => {
+        impl Default for $section {
+            fn default() -> Self {
+                let base = $base;
+                Self { $($key: section!(@initial base [$($default)?] [$($inner)?] $key),)+ }
+            }
+        }
+
+        impl Maps<$type> for $section {
+            fn onto(&self, mut inner: $type) -> $type {
+                $($(inner.$inner = Convert::to_inner(self.$key, stringify!($key));)?)+
+                inner
+            }
+        }
+    };
+    (@initial $base:ident [$default:expr] [] $key:ident) => { $default };
+    (@initial $base:ident [] [$inner:ident] $key:ident) => {
+        Convert::from_inner($base.$inner, stringify!($key))
+    };
+    (@extra [maps $type:ident] $section:ident
+        $($key:ident: $t:ty, [$($default:expr)?] [$inner:ident];)+
+    ) => {
+        impl Convert<$type> for $section {
+            fn to_inner(self, _: &str) -> $type {
+                $type { $($inner: Convert::to_inner(self.$key, stringify!($key)),)+ }
+            }
+
+            fn from_inner(inner: $type, _: &str) -> Self {
+                Self { $($key: Convert::from_inner(inner.$inner, stringify!($key)),)+ }
+            }
+        }
+    };
+    // A constructor: its parameters are the keys without a default.
+    (@extra [new] $section:ident $($keys:tt)+) => {
+        section! { @new $section [] [] $($keys)+ }
+    };
+    (@new $section:ident [$($parameters:tt)*] [$($fields:tt)*]
+        $key:ident: $type:ty, [] []; $($rest:tt)*
+    ) => {
+        section! {
+            @new $section [$($parameters)* $key: impl Into<$type>,] [$($fields)* $key: $key.into(),]
+            $($rest)*
+        }
+    };
+    (@new $section:ident $parameters:tt [$($fields:tt)*]
+        $key:ident: $type:ty, [$default:expr] []; $($rest:tt)*
+    ) => {
+        section! { @new $section $parameters [$($fields)* $key: $default,] $($rest)* }
+    };
+    (@new $section:ident [$($parameters:tt)+] [$($fields:tt)+]) => {
+        impl $section {
+            /// The section with its mandatory keys, and the default of every other.
+            #[must_use]
+            pub fn new($($parameters)+) -> Self {
+                Self { $($fields)+ }
+            }
+        }
+    };
+}
+
+pub(super) use section;

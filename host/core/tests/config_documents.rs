@@ -1,0 +1,331 @@
+//! The example file and the table of the keys are those that the declarations of the sections
+//! give. With `SINGLETRACK_RENEW=1` this test writes them instead.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{env, fs, path::Path};
+
+use singletrack_core::config::{Config, Key, SECTIONS, Section};
+use singletrack_protocol::ConfigurationError;
+
+/// The longest line of a comment in the example file.
+const WIDTH: usize = 80;
+
+const EXAMPLE_HEADER: &str = "\
+# singletrackd: the configuration, with every key.
+#
+# A line \"#key = value\" shows a default: remove the # to change it. The other keys
+# have no default, because they depend on your set-up. Unknown keys are refused.
+# docs/configuration.md lists units and ranges.
+#
+#   singletrackd --check --config FILE     reports what is wrong with a file
+";
+
+/// The section `[reference]`, of which every kind has keys of its own.
+const EXAMPLE_REFERENCE: &str = "\
+# This circle fits inside the fence below if the car starts with P near it, looking
+# along it; that of the paper has a radius of 1.0.
+[reference]
+kind = \"circle\"
+radius_m = 0.6
+angular_velocity_rad_s = 0.5
+#centre_m = [0.0, 0.0]
+# Or:
+#   kind = \"figure-of-eight\"
+#   half_length_m = 1.0
+#   half_width_m = 0.5
+#   angular_velocity_rad_s = 0.4
+#   centre_m = [0.0, 0.0]
+# Or, with outer_loop.kind = \"open-loop\":
+#   kind = \"velocity-steps\"
+#   steps = [ { duration_s = 3.0, v_x_m_s = 0.6, v_y_m_s = 0.0 } ]
+# Or through timed points, from a CSV file with the columns t_s,x_m,y_m beside
+# this one:
+#   kind = \"waypoints\"
+#   file = \"waypoints.csv\"
+# Or set-points that are sent to the control socket, for as long as they are
+# renewed:
+#   kind = \"external\"
+#   setpoint_timeout_ms = 200
+";
+
+const TABLE_HEADER: &str = "\
+# Configuration
+
+The daemon reads one TOML file. This page lists every key;
+[`singletrackd.example.toml`](../host/daemon/singletrackd.example.toml) is a file to start
+from. A key's name ends with its unit. Unknown keys are refused, and so is a value outside
+its range: `singletrackd --check --config FILE` reports what is wrong with a file.
+
+SIGHUP reloads the file while the car does not drive. A key marked ↻ takes a restart of the
+daemon.
+
+This page is generated from the declarations in `host/core/src/config`; see
+`host/core/tests/config_documents.rs`.
+";
+
+#[test]
+fn the_example_file_is_that_of_the_declarations() {
+    compare("host/daemon/singletrackd.example.toml", &example());
+}
+
+#[test]
+fn the_table_of_the_keys_is_that_of_the_declarations() {
+    compare("docs/configuration.md", &table());
+}
+
+/// The ranges of `[board]` are text in the declarations: the board checks the numbers.
+#[test]
+fn the_boards_ranges_are_those_that_it_checks() {
+    let board = |section: &&Section| section.name.split('.').next() == Some("board");
+    let mut count = 0;
+    for section in SECTIONS.iter().filter(board) {
+        for key in section.keys.iter().filter(|key| !key.range.is_empty()) {
+            let error = board_refusal(section, key);
+            // Of the gain it is the magnitude that has a range.
+            let range = key.range.split(" or ").next().unwrap();
+            let (lowest, highest) = range.split_once(" to ").unwrap();
+            assert_eq!(
+                (bound(section, lowest), bound(section, highest)),
+                (error.lowest, error.highest),
+                "{}.{}",
+                section.name,
+                key.name
+            );
+            count += 1;
+        }
+    }
+    assert_eq!(count, 19);
+}
+
+/// Why the board refuses the lowest or the highest value that the key can be given.
+fn board_refusal(section: &Section, key: &Key) -> ConfigurationError {
+    let path = format!("{}.{}", section.name, key.name);
+    for value in [0, u16::MAX.into()] {
+        let mut file: toml::Value = toml::from_str(&example()).unwrap();
+        let section = section
+            .name
+            .split('.')
+            .fold(&mut file, |at, name| &mut at[name]);
+        section
+            .as_table_mut()
+            .unwrap()
+            .insert(key.name.to_owned(), toml::Value::Integer(value));
+        let Ok(config) = file.try_into::<Config>() else {
+            continue;
+        };
+        if let Err(error) = config.board.configuration().validate() {
+            assert!(
+                error
+                    .field
+                    .to_string()
+                    .ends_with(path.strip_prefix("board.").unwrap()),
+                "{path}: {error}"
+            );
+            return error;
+        }
+    }
+    panic!("the board takes every value of {path}");
+}
+
+/// A bound such as `neutral_us - deadband_us - 1`, with the values of the example file.
+fn bound(section: &Section, text: &str) -> i32 {
+    let value = |word: &str| match section.keys.iter().find(|key| key.name == word) {
+        Some(key) => (key.example)().unwrap().as_integer().unwrap() as i32,
+        None => word.parse().unwrap(),
+    };
+    let words: Vec<_> = text.split(' ').collect();
+    words[1..]
+        .chunks(2)
+        .fold(value(words[0]), |sum, term| match term[0] {
+            "+" => sum + value(term[1]),
+            _ => sum - value(term[1]),
+        })
+}
+
+fn compare(path: &str, expected: &str) {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .join(path);
+    if env::var_os("SINGLETRACK_RENEW").is_some_and(|value| value == "1") {
+        fs::write(&file, expected).unwrap();
+    }
+    let found = fs::read_to_string(&file).unwrap_or_default();
+    let differs = expected.lines().zip(found.lines()).find(|(a, b)| a != b);
+    assert!(
+        found == expected,
+        "{path} differs from the declarations, first at {differs:?}; renew it with \
+         SINGLETRACK_RENEW=1 cargo test -p singletrack-core --test config_documents"
+    );
+}
+
+/// The help of a section or a key, on one line.
+fn help(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+fn example() -> String {
+    let mut text = EXAMPLE_HEADER.to_owned();
+    for section in SECTIONS {
+        text += "\n";
+        text += &comment(section.help);
+        match section.name {
+            "reference" => text += EXAMPLE_REFERENCE,
+            // Without a default for a single key: all keys or none.
+            "vehicle" => {
+                text += "#[vehicle]\n";
+                for key in section.keys {
+                    text += &assignment(section, key);
+                }
+            }
+            name => {
+                text += &format!("[{name}]\n");
+                for key in section.keys.iter().filter(|key| !is_section(section, key)) {
+                    text += &comment(key.help);
+                    text += &assignment(section, key);
+                }
+            }
+        }
+    }
+    text
+}
+
+/// Whether the key is a section of its own.
+fn is_section(section: &Section, key: &Key) -> bool {
+    let path = format!("{}.{}", section.name, key.name);
+    SECTIONS.iter().any(|section| section.name == path)
+}
+
+/// Whether the section's kind says which keys it has.
+fn has_kinds(section: &Section) -> bool {
+    section.keys.iter().any(|key| key.name == "kind")
+}
+
+/// The help as a comment, broken at [`WIDTH`].
+fn comment(text: &str) -> String {
+    let mut lines = vec!["#".to_owned()];
+    for word in text.replace('`', "").split_whitespace() {
+        let line = lines.last_mut().unwrap();
+        if line.chars().count() + 1 + word.chars().count() > WIDTH {
+            lines.push(format!("# {word}"));
+        } else {
+            *line += &format!(" {word}");
+        }
+    }
+    lines.join("\n") + "\n"
+}
+
+/// A key with its default, commented out, or with its example.
+fn assignment(section: &Section, key: &Key) -> String {
+    let name = key.name;
+    match ((key.default)(), (key.example)()) {
+        (Some(default), _) => format!("#{name} = {default}\n"),
+        (None, Some(example)) if key.mandatory || has_kinds(section) => {
+            format!("{name} = {example}\n")
+        }
+        (None, Some(example)) => format!("# {name} = {example}\n"),
+        (None, None) => panic!("{}.{name} has neither default nor example", section.name),
+    }
+}
+
+fn table() -> String {
+    let mut text = TABLE_HEADER.to_owned();
+    for section in SECTIONS {
+        let restart = if section.restart { " ↻" } else { "" };
+        text += &format!(
+            "\n## `[{}]`{restart}\n\n{}\n\n",
+            section.name,
+            help(section.help)
+        );
+        text += "| key | unit | default | range | meaning |\n|---|---|---|---|---|\n";
+        for key in section.keys.iter().filter(|key| !is_section(section, key)) {
+            let default = match (key.default)() {
+                Some(value) => format!("`{value}`"),
+                None if key.mandatory => "mandatory".to_owned(),
+                None if has_kinds(section) => "mandatory for its kind".to_owned(),
+                None => "none".to_owned(),
+            };
+            let restart = if key.restart { " ↻" } else { "" };
+            text += &format!(
+                "| `{}`{restart} | {} | {default} | {} | {} |\n",
+                key.name,
+                unit(key.name),
+                range(key),
+                help(key.help)
+            );
+        }
+    }
+    text
+}
+
+/// The unit that a key's name ends with.
+fn unit(name: &str) -> &'static str {
+    const UNITS: [(&str, &str); 22] = [
+        ("_rad_s_per_sqrt_hz", "rad/s/√Hz"),
+        ("_rad_s2_per_sqrt_hz", "rad/s²/√Hz"),
+        ("_m_s2_per_sqrt_hz", "m/s²/√Hz"),
+        ("_m_s3_per_sqrt_hz", "m/s³/√Hz"),
+        ("_us_per_20ms", "µs per 20 ms"),
+        ("_us_per_m_s", "µs per m/s"),
+        ("_us_per_rad", "µs/rad"),
+        ("_us_per_m", "µs/m"),
+        ("_kg_m2", "kg m²"),
+        ("_n_rad", "N/rad"),
+        ("_rad_s", "rad/s"),
+        ("_per_s", "1/s"),
+        ("_mm_s", "mm/s"),
+        ("_m_s2", "m/s²"),
+        ("_m_s", "m/s"),
+        ("_rad", "rad"),
+        ("_kg", "kg"),
+        ("_ms", "ms"),
+        ("_us", "µs"),
+        ("_um", "µm"),
+        ("_m", "m"),
+        ("_v", "V"),
+    ];
+    let unit = UNITS.iter().find(|(suffix, _)| name.ends_with(suffix));
+    unit.map_or("", |(_, unit)| unit)
+}
+
+/// The values that a key may have, in words.
+fn range(key: &Key) -> String {
+    if key.range.is_empty() {
+        // A choice has its texts, each after a comma.
+        return match key.values.strip_prefix(", ") {
+            Some(choices) => format!("`{}`", choices.replace(", ", "`, `")),
+            None => key.values.to_owned(),
+        };
+    }
+    let highest = key.range.strip_prefix("up_to(");
+    let text = match highest.and_then(|range| range.strip_suffix(')')) {
+        Some(highest) => format!("above 0, to {}", number(highest)),
+        None => match key.range.split_once("..=") {
+            Some((lowest, highest)) => format!("{} to {}", number(lowest), number(highest)),
+            None => key.range.to_owned(),
+        },
+    };
+    let name = |word: &str| {
+        SECTIONS
+            .iter()
+            .any(|s| s.keys.iter().any(|k| k.name == word))
+    };
+    let words = text.split(' ').map(|word| match name(word) {
+        true => format!("`{word}`"),
+        false => word.replace("PI", "π"),
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
+
+/// A number as a declaration has it, without its Rust: `1_000.0` is 1000.
+fn number(text: &str) -> String {
+    if text.starts_with(|c: char| c.is_ascii_alphabetic()) {
+        return text.to_owned();
+    }
+    let digits = text.replace('_', "");
+    digits.strip_suffix(".0").unwrap_or(&digits).to_owned()
+}
