@@ -1,34 +1,37 @@
-//! From what the law wants to what the car can do.
+//! The law within the limits of the car.
 //!
-//! The law is exact for a car without limits. This file keeps it inside them:
-//! speed, acceleration, steering angle and rate, no reverse unless enabled, and
-//! a way round when P should move where the car does not point.
+//! The law is exact for a car without limits. [`LimitedLaw`] limits speed, acceleration,
+//! steering angle and steering rate, drives in reverse only if that is enabled, and turns
+//! the car around when the wanted velocity of P points behind it.
 
 use libm::{atan, fabs, sqrt, tan};
 
-use crate::{FrontPointLaw, Motion, Singularity, Velocity, angle_between, direction};
+use crate::{
+    law::{FrontPointLaw, Motion, Singularity},
+    point::{Velocity, angle_between, direction},
+};
 
-/// What the car may do, in SI units and radians.
+/// Limits of speed, acceleration and steering, in SI units and radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Fastest forward, m/s.
+    /// Largest speed forward, m/s.
     pub max_speed: f64,
-    /// Fastest in reverse, m/s; 0 disables reverse.
+    /// Largest speed in reverse, m/s; 0 disables reverse.
     pub max_reverse_speed: f64,
     /// Largest change of speed, m/s².
     pub max_acceleration: f64,
-    /// Largest acceleration to the side, m/s²; below μg, or the tyres slide.
+    /// Largest lateral acceleration, m/s²; it must stay below μg, or the tyres slide.
     pub max_lateral_acceleration: f64,
-    /// Distance between the axles, m: with steering and speed it tells the
-    /// acceleration to the side.
+    /// Distance between the axles, m. Steering and speed give the lateral acceleration
+    /// with it.
     pub wheelbase: f64,
-    /// Largest steering angle to either side.
+    /// Largest steering angle to either side, rad.
     pub max_steering: f64,
-    /// Largest steering rate.
+    /// Largest steering rate, rad/s.
     pub max_steering_rate: f64,
-    /// Speed at which the car turns round, m/s.
+    /// Speed at which the car turns around, m/s.
     pub creep_speed: f64,
-    /// A wanted velocity of P below this is standstill, m/s.
+    /// A wanted velocity of P below this means standstill, m/s.
     pub standstill_speed: f64,
 }
 
@@ -49,17 +52,16 @@ impl Limits {
         }
     }
 
-    /// The steering angle at which the acceleration to the side reaches its limit,
-    /// at this speed (m/s).
+    /// The steering angle at which the lateral acceleration reaches its limit, at this speed
+    /// (m/s): atan(a L/v²), in rad.
     #[must_use]
     pub fn steering_at(&self, speed: f64) -> f64 {
         atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed))
     }
 
-    /// The speed at which the acceleration to the side reaches its limit, with
-    /// this steering angle (rad): that of a car that does not slip, v² tan δ/L.
-    /// One that understeers, as the paper's does, stays below. Straight on there is
-    /// no such speed: infinity.
+    /// The speed at which the lateral acceleration reaches its limit, with this steering
+    /// angle (rad), in m/s; infinite for straight wheels. The acceleration is that of a car
+    /// without slip, v² tan δ/L. A car that understeers, as the paper's does, has less.
     #[must_use]
     pub fn speed_in_bend(&self, steering: f64) -> f64 {
         let curvature = fabs(tan(steering)) / self.wheelbase;
@@ -67,28 +69,28 @@ impl Limits {
     }
 }
 
-/// P's wanted velocity this far off the car's heading starts a turn: 90 degrees,
+/// The angle between heading and wanted velocity of P at which a turn begins: 90 degrees,
 /// where the law would reverse.
 const TURN_FROM: f64 = core::f64::consts::FRAC_PI_2;
-/// And this far off ends it: 75 degrees. In between nothing changes, so that
-/// noise cannot make the car dither.
+/// The angle at which a turn ends: 75 degrees. The hysteresis keeps noise from switching
+/// it.
 const TURN_UNTIL: f64 = 1.31;
-/// A turn that has gone this far chases a velocity that turns as fast as the car
-/// does; from the other side they meet.
+/// The largest turn to one side: beyond it, the wanted velocity turns as fast as the car,
+/// and a turn to the other side meets it.
 const TURN_AT_MOST: f64 = 1.5 * core::f64::consts::PI;
 
-/// Speed and steering for the car.
+/// A command of speed and steering.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Actuation {
     /// Speed of G, m/s.
     pub speed: f64,
     /// Steering angle, rad.
     pub steering: f64,
-    /// Rate at which it got there, rad/s.
+    /// Steering rate of the last step, rad/s.
     pub steering_rate: f64,
 }
 
-/// The law with its steering integrator and the car's limits.
+/// The law with its steering integrator and the limits of the car.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LimitedLaw {
     law: FrontPointLaw,
@@ -101,7 +103,7 @@ pub struct LimitedLaw {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Turn {
     side: Side,
-    /// How far the car has turned, to either side.
+    /// The angle turned so far, rad; positive to the left.
     turned: f64,
 }
 
@@ -125,7 +127,7 @@ impl Side {
 }
 
 impl LimitedLaw {
-    /// A car that stands with its wheels straight.
+    /// A standing car with straight wheels.
     #[must_use]
     pub const fn new(law: FrontPointLaw, limits: Limits) -> Self {
         Self {
@@ -146,31 +148,31 @@ impl LimitedLaw {
         &self.law
     }
 
-    /// What the car was last told.
+    /// The last command.
     #[must_use]
     pub const fn actuation(&self) -> Actuation {
         self.actuation
     }
 
-    /// Whether the car is turning round.
+    /// Whether the car turns around.
     #[must_use]
     pub const fn is_turning_round(&self) -> bool {
         self.turning.is_some()
     }
 
-    /// Starts over from standstill; the steering stays where it is.
+    /// Restarts from standstill; the steering angle is kept.
     pub fn reset(&mut self) {
         self.actuation.speed = 0.0;
         self.actuation.steering_rate = 0.0;
         self.turning = None;
     }
 
-    /// One step of `period` seconds that moves P with `wanted` (world frame, m/s)
-    /// as well as the limits allow.
+    /// One step of `period` seconds that moves P with the velocity `wanted` (world frame,
+    /// m/s), as far as the limits allow. `measured_speed` is that of the car, in m/s.
     ///
     /// # Errors
     ///
-    /// Where the law has no answer; the actuation then stays what it was.
+    /// [`Singularity`] where the law is singular; the actuation does not change then.
     pub fn step(
         &mut self,
         motion: &Motion,
@@ -183,7 +185,7 @@ impl LimitedLaw {
         if !wanted_speed.is_finite() {
             return Err(Singularity::NotFinite);
         }
-        // The direction of P's motion is worth more than its pace.
+        // The speed of P is limited, its direction is kept.
         let wanted = if wanted_speed > limits.max_speed {
             wanted * (limits.max_speed / wanted_speed)
         } else {
@@ -192,7 +194,7 @@ impl LimitedLaw {
         let (speed, rate) = if wanted_speed < limits.standstill_speed {
             self.turning = None;
             (0.0, self.standing_rate(motion, measured_speed, &wanted)?)
-        } else if let Some(side) = self.turn_round(motion, &wanted, period) {
+        } else if let Some(side) = self.turn_around(motion, &wanted, period) {
             let rate = match side {
                 Side::Left => limits.max_steering_rate,
                 Side::Right => -limits.max_steering_rate,
@@ -205,13 +207,14 @@ impl LimitedLaw {
         Ok(self.apply(speed, rate, period))
     }
 
-    /// Keeps the speed that the next step starts from, and what it was told last,
-    /// at `most` m/s in either direction.
+    /// Limits the last command, from which the next step starts, to `most` m/s in either
+    /// direction.
     pub const fn cap_speed(&mut self, most: f64) {
         self.actuation.speed = self.actuation.speed.clamp(-most, most);
     }
 
-    /// One step of `period` seconds that slows down, wheels held.
+    /// One step of `period` seconds that slows down with `deceleration` (m/s²) and holds the
+    /// steering.
     pub fn slow_down(&mut self, deceleration: f64, period: f64) -> Actuation {
         let change = deceleration * period;
         let speed = self.actuation.speed;
@@ -224,10 +227,10 @@ impl LimitedLaw {
         self.actuation
     }
 
-    /// The steering rate of a car that should stand.
+    /// The steering rate of a car that should stand, rad/s.
     ///
-    /// Held once it does: the integrator has nothing to steer by, and a gyro
-    /// bias b would wind it up by -(`l_f`/p + 1) b.
+    /// The steering is held once the car stands: a gyro bias b would drive the integrator
+    /// with -(`l_f`/p + 1) b.
     fn standing_rate(
         &self,
         motion: &Motion,
@@ -245,8 +248,8 @@ impl LimitedLaw {
             .steering_rate)
     }
 
-    /// To which side the car turns round, if it does.
-    fn turn_round(&mut self, motion: &Motion, wanted: &Velocity, period: f64) -> Option<Side> {
+    /// The side to which the car turns around, if it does.
+    fn turn_around(&mut self, motion: &Motion, wanted: &Velocity, period: f64) -> Option<Side> {
         if self.limits.max_reverse_speed > 0.0 {
             return None;
         }
@@ -262,8 +265,8 @@ impl LimitedLaw {
                 })
             }
             Some(turn) if off_heading.abs() > TURN_UNTIL => {
-                // Straight behind, either side will do, but it must stay the
-                // same one, unless it leads nowhere.
+                // The side is kept, so that a velocity straight behind does not switch it,
+                // unless the turn never ends.
                 let turned = turn.turned + motion.yaw_rate * period;
                 Some(if turned.abs() > TURN_AT_MOST {
                     Turn {
@@ -282,12 +285,12 @@ impl LimitedLaw {
     fn apply(&mut self, speed: f64, rate: f64, period: f64) -> Actuation {
         let limits = self.limits;
         let rate = rate.clamp(-limits.max_steering_rate, limits.max_steering_rate);
-        // The integrator is limited itself, so it cannot wind up beyond.
+        // The integrator itself is limited, so it does not wind up.
         let steering = (self.actuation.steering + rate * period)
             .clamp(-limits.max_steering, limits.max_steering);
         let change = limits.max_acceleration * period;
-        // A car that can't slow down as fast as the wheels turn in, turns them in
-        // as fast as it slows down.
+        // A steering angle that would need a lower speed than the car can reach in this
+        // step is limited too.
         let slowest = (fabs(self.actuation.speed) - change).max(0.0);
         let widest = limits
             .steering_at(slowest)
@@ -390,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn the_side_of_a_turn_does_not_flicker_straight_behind() {
+    fn noise_straight_behind_does_not_switch_the_side_of_a_turn() {
         let mut law = limited(Limits::paper());
         let mut yaw: f64 = 0.0;
         let mut sides = 0;
@@ -411,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn reverse_is_only_driven_when_enabled() {
+    fn the_car_reverses_only_if_that_is_enabled() {
         let behind = Velocity::new(-0.5, 0.0);
         let mut forward_only = limited(Limits::paper());
         let mut either = limited(Limits {
@@ -432,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_bend_the_acceleration_to_the_side_bounds_the_speed() {
+    fn the_lateral_acceleration_limits_the_speed_in_a_bend() {
         let limits = Limits {
             max_speed: 5.0,
             ..Limits::paper()
@@ -440,7 +443,7 @@ mod tests {
         let mut law = limited(limits);
         let mut largest: f64 = 0.0;
         for step in 0..2_000 {
-            // Ever farther to the left of where the car points.
+            // The wanted velocity turns to the left of the heading.
             let wanted = 3.0 * direction(f64::from(step) * 5e-4);
             let now = law.step(&standing(0.0), 0.5, &wanted, PERIOD).unwrap();
             let lateral = now.speed * now.speed * libm::tan(now.steering.abs()) / 0.26;
@@ -454,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_turn_in_quickly_keep_to_the_acceleration_to_the_side() {
+    fn a_quick_steering_keeps_the_lateral_acceleration_within_its_limit() {
         let mut law = limited(Limits::paper());
         for _ in 0..200 {
             law.step(&standing(0.0), 1.5, &Velocity::new(1.5, 0.0), PERIOD)
@@ -471,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_that_is_no_number_changes_nothing() {
+    fn a_velocity_that_is_not_finite_changes_nothing() {
         let mut law = limited(Limits::paper());
         law.step(&standing(0.0), 0.0, &Velocity::new(0.5, 0.1), PERIOD)
             .unwrap();

@@ -1,11 +1,11 @@
-//! What the estimator believes.
+//! The estimated state of the car.
 
 use crate::{Motion, Position, Time};
 
-/// The car's state as estimated for a moment.
+/// The estimated state of the car at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// The moment that it is for.
+    /// The time of the state.
     pub time: Time,
     /// Position of the centre of mass G, world frame, in m.
     pub position: Position,
@@ -15,14 +15,14 @@ pub struct Estimate {
     pub yaw_rate: f64,
     /// Sideslip, in rad.
     pub sideslip: f64,
-    /// Speed of G, in m/s, negative in reverse.
+    /// Speed of G, in m/s; negative in reverse.
     pub speed: f64,
-    /// Mid-exposure of the last pose that was accepted.
+    /// Mid-exposure of the last accepted pose.
     pub pose_time: Time,
 }
 
 impl Estimate {
-    /// What the laws need of it.
+    /// The part of the state that the laws use.
     #[must_use]
     pub const fn motion(&self) -> Motion {
         Motion {

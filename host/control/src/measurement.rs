@@ -1,23 +1,23 @@
-//! What is measured of the car, and what is asked of it from outside.
+//! Measurements of the car, and set-points from outside.
 
 use crate::{Position, Time, Velocity};
 
-/// A valid pose from the motion capture.
+/// A valid pose of the rigid body, from the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample {
     /// Mid-exposure, on the host's clock.
     pub capture: Time,
-    /// When the packet arrived.
+    /// Arrival of the frame, on the host's clock.
     pub receive: Time,
-    /// Frame number of the motion capture.
+    /// The server's number of the frame.
     pub frame: i32,
     /// Position of the rigid body's origin on the floor, world frame, in m.
     pub position: Position,
-    /// Yaw of the rigid body, in rad, on the circle.
+    /// Yaw of the rigid body, in rad; any multiple of 2π may be added.
     pub yaw: f64,
 }
 
-/// A sample of the inertial measurement unit.
+/// A sample of the IMU, in the car's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InertialSample {
     /// When it was measured, on the host's clock.
@@ -30,19 +30,19 @@ pub struct InertialSample {
     pub left_acceleration: f64,
 }
 
-/// A set-point from outside.
+/// A set-point for P from outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setpoint {
-    /// When it arrived.
+    /// Time from which its age counts.
     pub time: Time,
-    /// Where P should be, in m; none for a velocity alone.
+    /// Wanted position of P, in m; `None` for a velocity alone.
     pub position: Option<Position>,
-    /// How fast P should move, in m/s.
+    /// Wanted velocity of P, in m/s.
     pub velocity: Velocity,
 }
 
 impl Setpoint {
-    /// Whether every number of it is one.
+    /// Whether every component is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         self.velocity.iter().all(|value| value.is_finite())

@@ -1,4 +1,4 @@
-//! Moments on the host's monotonic clock.
+//! Times on the host's monotonic clock.
 
 /// Nanoseconds on the host's monotonic clock (`CLOCK_MONOTONIC` in the daemon,
 /// simulated time elsewhere).
@@ -9,7 +9,7 @@ pub struct Time(pub u64);
 const SECOND: f64 = 1e9;
 
 impl Time {
-    /// Seconds from `earlier` to this moment; negative if it is the later one.
+    /// Seconds from `earlier` to this time; negative if `earlier` is later.
     #[must_use]
     pub fn seconds_since(self, earlier: Self) -> f64 {
         if self >= earlier {
@@ -19,13 +19,13 @@ impl Time {
         }
     }
 
-    /// The moment `seconds` after this one.
+    /// The time `seconds` after this one, rounded down to a nanosecond.
     #[must_use]
     pub fn after(self, seconds: f64) -> Self {
         Self(self.0.saturating_add((seconds * SECOND) as u64))
     }
 
-    /// The moment `seconds` before this one, not before the clock's zero.
+    /// The time `seconds` before this one, but not before the clock's zero.
     #[must_use]
     pub fn before(self, seconds: f64) -> Self {
         Self(self.0.saturating_sub((seconds * SECOND) as u64))

@@ -1,4 +1,4 @@
-//! The laws against the kinematics that they invert.
+//! The laws invert the kinematics.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -42,7 +42,7 @@ prop_compose! {
 
 proptest! {
     #[test]
-    fn the_proposed_law_gives_p_the_velocity_wanted(
+    fn the_proposed_law_gives_p_the_wanted_velocity(
         motion in motions(),
         steering in -0.6..0.6,
         vx in -2.0..2.0,
@@ -60,21 +60,21 @@ proptest! {
     fn with_a_wrong_centre_of_mass_the_deviation_is_that_of_equation_9(
         motion in motions(),
         steering in -0.6..0.6,
-        believed in 0.0..0.26,
+        assumed in 0.0..0.26,
     ) {
         let wanted = Velocity::new(0.4, -0.3);
-        let law = FrontPointLaw::new(believed, P, wheelbase()).unwrap();
+        let law = FrontPointLaw::new(assumed, P, wheelbase()).unwrap();
         let command = law.command(&motion, steering, &wanted).unwrap();
         let velocity =
             point_velocity(&motion, steering, command.speed, command.steering_rate, L_F, P);
-        let dl = believed - L_F;
+        let dl = assumed - L_F;
         let deviation =
             dl * motion.yaw_rate * Velocity::new(motion.yaw.sin(), -motion.yaw.cos());
         prop_assert!((velocity - wanted - deviation).norm() < 1e-12);
     }
 
     #[test]
-    fn the_appendix_law_turns_the_velocity_of_its_point_as_wanted(
+    fn the_appendix_law_gives_its_point_the_wanted_velocity(
         motion in motions(),
         pace in 0.1..2.0,
         angle in -1.2..1.2,
@@ -103,7 +103,7 @@ proptest! {
 }
 
 #[test]
-fn wheels_across_the_velocity_are_refused_as_singular() {
+fn wheels_across_the_velocity_are_singular() {
     let law = FrontPointLaw::new(L_F, P, wheelbase()).unwrap();
     let motion = Motion {
         yaw: 0.0,
@@ -116,7 +116,7 @@ fn wheels_across_the_velocity_are_refused_as_singular() {
             Err(Singularity::WheelsAcrossVelocity { .. })
         ));
     }
-    // The corner of the range that the paper calls typical.
+    // The corner of the paper's typical range.
     let corner = Motion {
         sideslip: 40.0_f64.to_radians(),
         ..motion
@@ -128,7 +128,7 @@ fn wheels_across_the_velocity_are_refused_as_singular() {
 }
 
 #[test]
-fn what_is_not_finite_is_refused() {
+fn inputs_that_are_not_finite_are_refused() {
     let law = FrontPointLaw::new(L_F, P, wheelbase()).unwrap();
     let good = Motion {
         yaw: 0.1,
@@ -155,7 +155,7 @@ fn what_is_not_finite_is_refused() {
 }
 
 #[test]
-fn the_appendix_law_refuses_standstill_by_name() {
+fn the_appendix_law_is_singular_at_standstill() {
     let law = VelocityPointLaw::new(VehicleParameters::paper(), P).unwrap();
     let motion = Motion {
         yaw: 0.0,
@@ -168,7 +168,7 @@ fn the_appendix_law_refuses_standstill_by_name() {
 }
 
 #[test]
-fn both_ends_of_the_meaningful_range_are_accepted_and_beyond_is_refused() {
+fn both_ends_of_the_valid_range_are_accepted_and_values_beyond_are_refused() {
     for accepted in [0.0, 0.26, L_F + 0.1232] {
         FrontPointLaw::new(accepted, P, wheelbase()).unwrap();
     }

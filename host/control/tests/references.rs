@@ -1,5 +1,5 @@
-//! References: their velocity is the derivative of their position, and they
-//! switch when they should.
+//! References: the velocity is the derivative of the position, and steps begin at their
+//! times.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -23,7 +23,7 @@ fn tenths(count: u32) -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn the_circle_starts_on_the_x_axis_and_moves_as_it_says() {
+fn a_circle_starts_on_the_x_axis_and_its_velocity_is_the_derivative() {
     let circle = Circle::new(Position::new(1.0, 2.0), 0.8, -0.5).unwrap();
     let reference = Reference::Circle(circle);
     assert_eq!(reference.at(0.0).position, Some(Position::new(1.8, 2.0)));
@@ -31,13 +31,13 @@ fn the_circle_starts_on_the_x_axis_and_moves_as_it_says() {
 }
 
 #[test]
-fn the_figure_of_eight_moves_as_it_says() {
+fn the_velocity_of_a_figure_of_eight_is_the_derivative() {
     let figure = FigureOfEight::new(Position::new(0.2, 0.0), 1.2, 0.5, 0.4).unwrap();
     assert_velocity_is_the_derivative(&Reference::FigureOfEight(figure), tenths(200));
 }
 
 #[test]
-fn waypoints_are_passed_at_their_times_and_waited_at() {
+fn waypoints_are_passed_at_their_times_and_the_last_one_is_held() {
     let at = |time, x, y| Waypoint {
         time,
         position: Position::new(x, y),
@@ -64,12 +64,12 @@ fn waypoints_are_passed_at_their_times_and_waited_at() {
 }
 
 #[test]
-fn a_velocity_step_starts_at_the_sum_of_the_earlier_durations_in_spite_of_rounding() {
+fn a_velocity_step_starts_at_the_sum_of_the_earlier_durations_despite_rounding() {
     let step = |duration, x| VelocityStep {
         duration,
         velocity: Velocity::new(x, 0.0),
     };
-    // 0.1 + 0.2 is above 0.3 in floating point; tick 30 is at 0.3 all the same.
+    // 0.1 + 0.2 is above 0.3 in floating point, and tick 30 is at 0.3.
     let steps = VelocitySteps::new(&[step(0.1, 1.0), step(0.2, 2.0), step(0.3, 3.0)]).unwrap();
     let reference = Reference::VelocitySteps(steps.clone());
     for (time, x) in [
@@ -89,7 +89,7 @@ fn a_velocity_step_starts_at_the_sum_of_the_earlier_durations_in_spite_of_roundi
 }
 
 #[test]
-fn references_that_make_no_sense_are_refused_by_name() {
+fn invalid_references_are_refused_with_the_key() {
     let centre = Position::origin();
     assert!(matches!(
         Circle::new(centre, 0.0, 0.5),

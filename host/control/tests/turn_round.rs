@@ -1,4 +1,4 @@
-//! However the car stands to its reference, it gets there, going forward.
+//! From any start, the car reaches its reference without reversing.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -9,8 +9,8 @@ use singletrack_control::{
 
 const PERIOD: f64 = 0.01;
 
-/// P's distance from where it settles on a circle driven at `angular_velocity`,
-/// as the largest over the last turn of `seconds` of driving.
+/// The largest distance of P from its reference during the last lap, in m: a circle at
+/// `angular_velocity` (rad/s), driven for `seconds`.
 fn final_error(yaw_deg: f64, start: Position, angular_velocity: f64, seconds: f64) -> f64 {
     let vehicle = VehicleParameters::paper();
     let model = RelaxedSingleTrack::new(vehicle);
@@ -49,7 +49,7 @@ fn final_error(yaw_deg: f64, start: Position, angular_velocity: f64, seconds: f6
         let actuation = limited
             .step(&motion, actuation.speed, &wanted, PERIOD)
             .unwrap();
-        assert!(actuation.speed >= 0.0, "it reversed");
+        assert!(actuation.speed >= 0.0, "the car reversed");
         for _ in 0..10 {
             let slope = model.derivative(&state, actuation.speed, actuation.steering);
             let h = PERIOD / 10.0;
@@ -67,7 +67,7 @@ fn final_error(yaw_deg: f64, start: Position, angular_velocity: f64, seconds: f6
 }
 
 #[test]
-fn it_comes_to_its_circle_from_every_heading_place_and_direction_of_travel() {
+fn the_car_reaches_its_circle_from_every_heading_place_and_direction_of_travel() {
     for angular_velocity in [0.5, -0.5, 0.3] {
         for yaw_deg in (0..360).step_by(30) {
             for start in [(1.5, -0.5), (0.0, 0.0), (-1.0, 1.0), (1.0, 0.0)] {

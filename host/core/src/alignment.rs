@@ -1,21 +1,21 @@
-//! When to tick, so that a fresh pose is there.
+//! Alignment of the ticks with the camera frames, so that a tick has a fresh pose.
 //!
-//! Cameras and controller both run at 100 Hz, each by its own clock. If frames
-//! arrive just when ticks begin, some ticks get none and the next gets two: a
-//! pose is a whole period old for no reason. So the grid of the ticks slides,
-//! slowly, until they begin a little after the frames arrive.
+//! Cameras and controller both run at 100 Hz, each by its own clock. If frames arrive just
+//! when ticks begin, some ticks get no frame and the next ones two, and poses are up to a
+//! period older than necessary. The grid of the ticks therefore slides slowly until ticks
+//! begin a little after frames arrive.
 
-/// How long before a tick a frame should have arrived: more than it jitters.
+/// The target time from the arrival of a frame to the tick, ns: more than the jitter.
 const MARGIN_NS: u64 = 2_000_000;
 
-/// While nothing is at stake the grid may slide by a part of the period.
+/// While the car does not drive, a step of the grid is at most the period over this.
 const FAST: u64 = 20;
 
-/// While the car drives it slides by a part so small that the control period
-/// stays what it is, and large enough for clocks that differ by 0.2 %.
+/// While the car drives, a step is at most the period over this: too small to matter for
+/// the control period, and large enough to follow clocks that differ by 0.2 %.
 const SLOW: u64 = 500;
 
-/// Keeps ticks behind the arrival of frames.
+/// Computes the slides of the grid from the arrivals of frames.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Alignment {
     period_ns: u64,
@@ -35,19 +35,20 @@ impl Alignment {
         self.arrival_ns = Some(time_ns);
     }
 
-    /// How much later the next tick should begin than a period after this one,
-    /// which began at `start_ns`; negative for earlier.
+    /// By how much to delay the next tick beyond a period after `start_ns`, the start of
+    /// this one, in ns; negative to advance it. 0 if no frame has arrived since the last
+    /// call.
     ///
-    /// One step towards the aim, whatever the distance: a single late frame
-    /// moves nothing far.
+    /// The result is at most one step towards the target, so that a single late frame has
+    /// little effect.
     pub(crate) fn slide_ns(&mut self, start_ns: u64, is_driving: bool) -> i64 {
         let Some(arrival_ns) = self.arrival_ns.take() else {
             return 0;
         };
         let age_ns = start_ns.saturating_sub(arrival_ns) % self.period_ns;
         let step_ns = self.period_ns / if is_driving { SLOW } else { FAST };
-        // Later, if the frame was hardly there, or if that is the shorter way
-        // to the next frame.
+        // Delay the tick if the frame arrived less than the margin before it, or if the
+        // target is closer in that direction.
         let late_ns = (age_ns + self.period_ns - MARGIN_NS % self.period_ns) % self.period_ns;
         let (distance_ns, sign) = if late_ns > self.period_ns / 2 {
             (self.period_ns - late_ns, 1)
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn from_any_phase_ticks_come_to_follow_frames_by_the_margin() {
+    fn from_any_phase_ticks_settle_at_the_margin_after_frames() {
         for phase in (0..PERIOD).step_by(250_000) {
             for age in &ages(PERIOD, phase, false, 60)[30..] {
                 assert!(age.abs_diff(MARGIN_NS) <= PERIOD / FAST, "{phase}: {age}");
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_clock_that_differs_is_followed_while_driving() {
+    fn a_different_camera_clock_is_followed_while_driving() {
         for frame_period in [PERIOD - 10_000, PERIOD + 10_000] {
             let ages = ages(frame_period, 8_000_000, true, 20_000);
             for age in &ages[1_000..] {
@@ -113,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn without_frames_the_grid_stays() {
+    fn without_frames_the_grid_does_not_slide() {
         let mut alignment = Alignment::new(PERIOD);
         assert_eq!(alignment.slide_ns(PERIOD, false), 0);
         alignment.arrived(PERIOD);

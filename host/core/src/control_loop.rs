@@ -1,6 +1,6 @@
-//! The body of the control thread: rings in, one tick, rings out.
+//! The body of the control thread: reads its rings, runs one tick, fills its rings.
 //!
-//! Nothing here waits, allocates or locks.
+//! It never waits, allocates or locks.
 
 use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
@@ -22,74 +22,74 @@ use crate::{
     setpoint_slot::SetpointReceiver,
 };
 
-/// What the control thread is asked.
+/// A request to the control thread.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlRequest {
-    /// Something for the pilot.
+    /// Pass a request to the pilot.
     Pilot(PilotRequest),
-    /// Take over another configuration, if the car does not drive, and give the
-    /// box back.
+    /// Replace the configuration if the car does not drive, and return the box with the
+    /// outcome.
     Reconfigure(Box<Reconfiguration>),
-    /// Bring the car to a stop and end.
+    /// Stop the car, disarm and end.
     Finish,
     /// Disarm at once and end.
     Abort,
 }
 
-/// The rings that end at the control thread.
+/// The rings of the control thread.
 #[derive(Debug)]
 pub struct Rings<L> {
-    /// From the line.
+    /// Bytes of the serial line, and its opening and closing.
     pub serial: Consumer<SerialEvent<L>>,
-    /// Write halves on their way back to who opened them.
+    /// Write halves, returned to be closed by their opener.
     pub returned: Producer<L>,
-    /// From the cameras.
+    /// Observations of the cameras.
     pub observations: Consumer<Observation>,
-    /// From people and programs.
+    /// Requests of people and programs.
     pub requests: Consumer<ControlRequest>,
-    /// From a program that says where P should go.
+    /// External set-points for P.
     pub setpoints: SetpointReceiver,
-    /// Configurations on their way back to who made them.
+    /// Configurations with their outcome, returned to be freed by their maker.
     pub reconfigured: Producer<Box<Reconfiguration>>,
-    /// Every tick.
+    /// The record of every tick.
     pub ticks: TickInput,
-    /// Everything else.
+    /// All other reports.
     pub reports: Producer<Report>,
 }
 
-/// So many commands may be under way to a board that says nothing: a line that
-/// is stuck both ways shows in nothing else when it is a pseudo-terminal.
+/// The number of commands that are written while the board is silent. The output queue of a
+/// pseudo-terminal does not show that the line is stuck.
 const COMMANDS_INTO_SILENCE: u32 = 2;
 
-/// What a tick takes in of the cameras: of more, the newest.
+/// The number of observations that a tick handles. Of more, the newest are handled.
 const OBSERVATIONS: usize = 16;
 
-/// What has waited for longer to be taken from the line waited for a stall.
+/// The control thread has stalled if bytes of the line have waited for longer than this, ns.
 const STALL_NS: u64 = 100_000_000;
 
-/// How long the car may take to stop and the board to confirm it, at the end.
+/// The longest time until the car has stopped and the board has confirmed it, at the end, ns.
 const FINISH_NS: u64 = 2_000_000_000;
 
-/// How long the last disarm requests are repeated to a board that does not
-/// confirm.
+/// The longest time that the last disarm request is repeated to a board that does not
+/// confirm it, ns.
 const ABORT_NS: u64 = 100_000_000;
 
-/// The counters are told every so many ticks.
+/// Interval of the reports of the counters, in ticks.
 const COUNTERS_TICKS: u64 = 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ending {
-    /// Not yet.
+    /// The loop runs.
     Running,
-    /// The car is brought to a stop, until this time at most.
+    /// The car stops, until this time at most.
     Finishing { until_ns: u64 },
     /// The board is disarmed, until this time at most.
     Aborting { until_ns: u64 },
-    /// There is nothing left to do.
+    /// The loop may end.
     Done,
 }
 
-/// The controller between its rings.
+/// The controller and its rings.
 #[derive(Debug)]
 pub struct ControlLoop<L> {
     controller: Controller,
@@ -105,7 +105,8 @@ pub struct ControlLoop<L> {
 }
 
 impl<L: Line> ControlLoop<L> {
-    /// A loop without a line. `arm_when_ready`: arms once, as soon as it can.
+    /// A loop with a closed line. With `arm_when_ready` it arms once, as soon as the pilot is
+    /// ready.
     #[must_use]
     pub fn new(controller: Controller, rings: Rings<L>, arm_when_ready: bool) -> Self {
         Self {
@@ -122,7 +123,7 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// The same, sliding its ticks to where frames have just arrived.
+    /// Aligns the ticks with the camera frames, see [`slide_ns`](Self::slide_ns).
     #[must_use]
     pub fn aligned_to_cameras(self, period_ns: u64) -> Self {
         Self {
@@ -131,12 +132,12 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// The rings that it writes to, for a caller that prepares their memory.
+    /// The rings, for a caller that prepares their memory.
     pub const fn rings_mut(&mut self) -> &mut Rings<L> {
         &mut self.rings
     }
 
-    /// What the system granted the thread that is to run it, for the pilot.
+    /// What the system granted the thread that runs the loop, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.real_time(state);
     }
@@ -147,14 +148,14 @@ impl<L: Line> ControlLoop<L> {
         &self.controller
     }
 
-    /// How much later the next tick should begin than a period after the last
-    /// one; negative for earlier.
+    /// By how much to delay the next tick beyond a period after the last one, in ns;
+    /// negative to advance it.
     #[must_use]
     pub const fn slide_ns(&self) -> i64 {
         self.slide_ns
     }
 
-    /// What was counted so far.
+    /// The counters so far.
     #[must_use]
     pub fn counters(&self) -> LineCounters {
         LineCounters {
@@ -163,16 +164,16 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// Whether it has done what it was asked to do before it ends.
+    /// Whether the loop has finished or aborted as requested, and may end.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.ending == Ending::Done
     }
 
-    /// One tick: takes in what came since the last one, decides, commands, tells.
+    /// One tick: handles the inputs since the last one, sends the command and reports.
     pub fn tick(&mut self, slot: Slot, clock: &impl Fn() -> u64) {
-        // After a stall there is more than a tick takes in: the newest poses are
-        // to be among it.
+        // After a stall there are more events than fit into a tick. Poses go first then, so
+        // that the newest are among them.
         let passed_over = if self.has_stalled(slot.start_ns) {
             let passed_over = self.take_observations();
             self.take_serial(slot.start_ns);
@@ -189,7 +190,7 @@ impl<L: Line> ControlLoop<L> {
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
             Mode::Ready if self.arm_when_ready => self.controller.request(PilotRequest::Arm),
-            // Once: what stops the car after that is not overruled.
+            // Once only: a later stop is not overruled.
             Mode::Arming | Mode::Driving => self.arm_when_ready = false,
             _ => {}
         }
@@ -254,7 +255,7 @@ impl<L: Line> ControlLoop<L> {
             .map_or(0, |alignment| alignment.slide_ns(slot.start_ns, is_driving));
         self.index += 1;
         if self.index.is_multiple_of(COUNTERS_TICKS) {
-            // They are told again soon.
+            // A lost report is superseded by the next one.
             let _ = self.rings.reports.push(Report::Counters(self.counters()));
         }
     }
@@ -266,7 +267,7 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// Takes the newest; returns how many older ones it passed over.
+    /// Handles the newest observations; returns the number of older ones skipped.
     fn take_observations(&mut self) -> u32 {
         let waiting = self.rings.observations.slots();
         let old = waiting.saturating_sub(OBSERVATIONS);
@@ -290,7 +291,7 @@ impl<L: Line> ControlLoop<L> {
                 SerialEvent::Opened(line) => {
                     self.controller.port_opened(Time(now_ns));
                     if let Some(old) = self.line.replace(line) {
-                        // Not closed here: see below.
+                        // It is closed by its opener: see below.
                         let _ = self.rings.returned.push(old);
                     }
                     self.commands_since_heard = 0;
@@ -308,8 +309,8 @@ impl<L: Line> ControlLoop<L> {
                         dropped += tell(reports, time_ns, event);
                     });
                     if let Some(line) = self.line.take() {
-                        // Without room it is closed here, which may take long;
-                        // but there is room for every line that was opened.
+                        // The ring has room for every line that was opened. Without room
+                        // the line would be closed here, which may take long.
                         let _ = self.rings.returned.push(line);
                     }
                 }
@@ -323,7 +324,7 @@ impl<L: Line> ControlLoop<L> {
             match request {
                 ControlRequest::Pilot(PilotRequest::Arm) if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
-                    // Who says stop before it was ready means that one too.
+                    // A stop before the first arming cancels that as well.
                     self.arm_when_ready &= request == PilotRequest::Arm;
                     self.controller.request(request);
                 }
@@ -333,7 +334,7 @@ impl<L: Line> ControlLoop<L> {
                         self.ending = Ending::Finishing {
                             until_ns: now_ns.saturating_add(FINISH_NS),
                         };
-                        // Also takes back an arm request of this very tick.
+                        // It also revokes an arm request of the same tick.
                         self.controller.request(PilotRequest::Disarm);
                     }
                 }
@@ -361,8 +362,8 @@ impl<L: Line> ControlLoop<L> {
         };
         change.outcome = Some(outcome);
         if let Err(PushError::Full(change)) = self.rings.reconfigured.push(change) {
-            // There is room for every one that can be under way. If ever there is
-            // not, it is lost and not freed: that may take long.
+            // The ring has room for every change that can be under way. Without room the
+            // box is leaked: to free it may take long.
             core::mem::forget(change);
         }
     }
@@ -378,7 +379,7 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// Judges by the state that the last tick left.
+    /// Advances the end of the loop, by the state after the last tick.
     fn end_if_done(&mut self, now_ns: u64) {
         match self.ending {
             Ending::Running | Ending::Done => {}
@@ -401,7 +402,7 @@ impl<L: Line> ControlLoop<L> {
         self.controller.pilot().mode().is_underway()
     }
 
-    /// Whether the board is armed, or was asked to disarm and has not confirmed it.
+    /// Whether the board is armed, or has not yet confirmed a disarm.
     fn is_board_armed(&self) -> bool {
         let session = self.controller.session();
         match session.state() {
@@ -409,13 +410,13 @@ impl<L: Line> ControlLoop<L> {
                 session.is_stop_pending()
                     || matches!(mode, Some(BoardMode::Armed | BoardMode::Driving))
             }
-            // It stops by itself, and cannot be told anything.
+            // Without a link the board stops by itself and gets no requests.
             _ => false,
         }
     }
 }
 
-/// Returns how many reports found no room.
+/// Reports a link event. Returns the number of reports that found no room: 0 or 1.
 fn tell(reports: &mut Producer<Report>, time_ns: u64, event: &LinkEvent) -> u64 {
     u64::from(reports.push(Report::of(time_ns, event)).is_err())
 }

@@ -1,7 +1,7 @@
-//! Link session and pilot together: one tick, without threads, ports or clocks.
+//! Joins link session and pilot: one tick, without threads, ports or clocks.
 //!
-//! The real-time thread and the simulations in virtual time run this very code;
-//! they differ only in where bytes and time come from.
+//! The real-time thread and the simulations in virtual time run the same code. They differ
+//! only in the source of bytes and time.
 
 use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
@@ -13,22 +13,22 @@ use singletrack_pilot::{
 };
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 
-/// How many events a tick can take: a stall of 300 ms at 100 Hz of poses and
+/// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
 /// telemetry.
 pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
 
-/// Room among them for what must not be lost: a stall fills the rest with
-/// samples just when somebody says stop.
+/// Places for events that must not be lost, such as a stop: after a stall, samples fill the
+/// others.
 const RESERVED: usize = 16;
 
 /// The events of one tick, in order.
 pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 
-/// The controller between two wires.
+/// Link session and pilot, and the events for the next tick.
 ///
-/// Between ticks, hand over what arrives ([`received`](Self::received),
-/// [`observed`](Self::observed), [`request`](Self::request), ...); at each tick
-/// call [`tick`](Self::tick), which writes what the board must get.
+/// Between ticks, pass in what arrives ([`received`](Self::received),
+/// [`observed`](Self::observed), [`request`](Self::request), ...). At each tick, call
+/// [`tick`](Self::tick), which writes the frames for the board.
 #[derive(Debug)]
 pub struct Controller {
     session: Session,
@@ -38,44 +38,44 @@ pub struct Controller {
     ticks: u32,
 }
 
-/// What a tick did.
+/// The result of a tick.
 #[derive(Clone, Debug)]
 pub struct Tick {
-    /// What the pilot saw.
+    /// The events that the pilot handled.
     pub events: Events,
-    /// How many events did not fit and were lost.
+    /// The number of events lost for want of room.
     pub dropped_events: u32,
-    /// What the pilot decided.
+    /// The pilot's output.
     pub output: Output,
-    /// What became of the drive command, if there was one.
+    /// Whether the drive command was written; `None` if there was none.
     pub drive: Option<Result<Sent, DriveError>>,
 }
 
-/// Why a configuration was not taken over.
+/// Why a configuration was not applied.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ReconfigureError {
-    /// The car drives.
+    /// A drive is underway.
     #[error(transparent)]
     Underway(#[from] Underway),
-    /// Not with this board, or not now.
+    /// The session does not accept the board's configuration.
     #[error("board: {0}")]
     Board(#[from] ConfigureError),
 }
 
-/// How often the pilot is told how well frames cross the line, in ticks.
+/// Interval of the events with the share of damaged frames, in ticks.
 const LINE_HEALTH_TICKS: u32 = 10;
 
-/// What became of a frame.
+/// Whether a frame was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// The port took it whole.
+    /// The port accepted the whole frame.
     Whole,
-    /// The port did not; it was dropped, for a newer one to come.
+    /// The port did not; the frame was dropped in favour of a newer one.
     Dropped,
 }
 
 impl Controller {
-    /// A controller whose port is closed.
+    /// A controller with a closed port.
     #[must_use]
     pub fn new(session: Session, pilot: Pilot) -> Self {
         Self {
@@ -99,12 +99,12 @@ impl Controller {
         &self.pilot
     }
 
-    /// The port has been opened.
+    /// The port was opened: the session greets the board.
     pub fn port_opened(&mut self, now: Time) {
         self.session.handle_opened(now.0);
     }
 
-    /// The port has been closed or has hung up.
+    /// The port was closed or has hung up: the link is down.
     pub fn port_closed(&mut self, now: Time, on_link: &mut impl FnMut(&LinkEvent)) {
         let mut queue = Queue {
             events: &mut self.events,
@@ -117,7 +117,7 @@ impl Controller {
         queue.push(Event::Link(LinkState::Down));
     }
 
-    /// Bytes have come from the board, read at `time`.
+    /// Bytes from the board were read at `time`.
     pub fn received(&mut self, time: Time, bytes: &[u8], on_link: &mut impl FnMut(&LinkEvent)) {
         let mut queue = Queue {
             events: &mut self.events,
@@ -129,7 +129,7 @@ impl Controller {
         });
     }
 
-    /// The motion capture has said something of the car.
+    /// The motion capture reported on the rigid body.
     pub fn observed(&mut self, observation: &Observation) {
         let event = match observation.state {
             PoseState::Valid(pose) => Event::Pose(PoseSample {
@@ -148,29 +148,28 @@ impl Controller {
         self.push(event);
     }
 
-    /// Somebody asks for something.
+    /// A person or a program asks the pilot for something.
     pub fn request(&mut self, request: PilotRequest) {
         self.push(Event::Request(request));
     }
 
-    /// Whether the controller runs in real time.
+    /// The system granted or refused real-time scheduling and locked memory.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.push(Event::RealTime(state));
     }
 
-    /// Somebody says where P should be. Only the newest of a tick counts.
+    /// A set-point for P from outside. Only the newest of a tick counts.
     pub fn setpoint(&mut self, setpoint: Setpoint) {
         self.push(Event::Setpoint(setpoint));
     }
 
-    /// Another configuration for pilot and board, with a number for the record.
-    /// The board is given it at the next tick, and takes no commands until it has
-    /// acknowledged it.
+    /// Replaces the configuration of pilot and board; `number` is for the record. The next
+    /// tick sends it to the board, which accepts no commands until it has acknowledged it.
     ///
     /// # Errors
     ///
-    /// While a drive is underway, and what no board would take. Nothing changes
-    /// then.
+    /// [`ReconfigureError`] while a drive is underway, and for an invalid configuration of
+    /// the board. Nothing changes then.
     pub fn reconfigure(
         &mut self,
         now: Time,
@@ -179,7 +178,7 @@ impl Controller {
         board: Configuration,
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
-        // A request that came first would be judged by the new configuration.
+        // The new configuration would apply to an arm request that came before it.
         let asked = self.events.contains(&Event::Request(PilotRequest::Arm));
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
@@ -193,13 +192,13 @@ impl Controller {
         Ok(())
     }
 
-    /// Asks the board to disarm without slowing down first; the next tick
-    /// writes it, and the link repeats it until telemetry shows it.
+    /// Asks the board to disarm without slowing down first. The next tick writes the
+    /// request, and the session repeats it until telemetry confirms it.
     pub fn disarm_now(&mut self, now: Time) {
         self.session.disarm(now.0);
     }
 
-    /// One control tick. `write` takes a whole frame or none.
+    /// One control tick. `write` accepts a whole frame or none.
     pub fn tick(
         &mut self,
         now: Time,
@@ -222,7 +221,7 @@ impl Controller {
         let dropped_events = core::mem::take(&mut self.dropped);
         let output = self.pilot.step(now, &events);
 
-        // The command first: it is what must not be late.
+        // The drive command is written first: it must not be late.
         let drive = output.command.map(|command| {
             let frame = self.session.drive(
                 now.0,
@@ -279,7 +278,7 @@ impl Queue<'_> {
     fn push(&mut self, event: Event) {
         let room = match event {
             Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
-            // However many came while nobody looked, the last one is how it is.
+            // Only the latest value matters.
             Event::Health(_) | Event::Line(_) | Event::RealTime(_) | Event::Setpoint(_) => {
                 if self.take_place_of_last(event) {
                     return;
@@ -299,7 +298,7 @@ impl Queue<'_> {
         }
     }
 
-    /// A link that is told to be as it was already: the later word counts.
+    /// Removes an equal state of the link if it is the last one: the later event counts.
     fn drop_repeated_link(&mut self, event: Event) {
         let mut links = self.events.iter().enumerate().rev();
         let last = links.find(|(_, other)| matches!(other, Event::Link(_)));
@@ -323,8 +322,8 @@ impl Queue<'_> {
         }
     }
 
-    /// Puts a state where the last one of its kind is. Not beyond a change of the
-    /// link or of the configuration: what came before that may not hold after it.
+    /// Replaces the last event of the same kind; false if there is none. An event before a
+    /// change of link or configuration is not replaced: the change may have invalidated it.
     fn take_place_of_last(&mut self, event: Event) -> bool {
         let kind = core::mem::discriminant(&event);
         let place = self
@@ -342,7 +341,7 @@ impl Queue<'_> {
         }
     }
 
-    /// What an event of the link means to the pilot.
+    /// Translates an event of the link for the pilot.
     fn link(&mut self, event: &LinkEvent) {
         match event {
             LinkEvent::Telemetry(record) => self.push(Event::Board(board_sample(record))),
@@ -375,7 +374,7 @@ impl Queue<'_> {
     }
 }
 
-/// How well frames cross the line, both ways.
+/// The share of damaged frames, in both directions.
 fn line_health(session: &Session, now: Time) -> LineHealth {
     let part = |fraction: Option<f32>| fraction.map(f64::from);
     LineHealth {
@@ -388,7 +387,7 @@ fn line_health(session: &Session, now: Time) -> LineHealth {
     }
 }
 
-/// Telemetry in SI units.
+/// Converts telemetry to SI units.
 fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
     let telemetry = &record.telemetry;
     let milli = |value: i16| f64::from(value) / 1000.0;

@@ -1,27 +1,27 @@
-//! The grid of the ticks: absolute deadlines, nothing made up for.
+//! The grid of the ticks: absolute deadlines. Missed ones are skipped, not caught up.
 
-/// Where a tick stands on the grid.
+/// The place of a tick on the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
-    /// The point of the grid.
+    /// The deadline of the tick.
     pub scheduled_ns: u64,
     /// When the thread woke up.
     pub start_ns: u64,
-    /// Points of the grid that were skipped just before.
+    /// The number of deadlines skipped just before this one.
     pub skipped: u32,
 }
 
-/// The points in time that ticks belong to.
+/// The deadlines of the ticks, a period apart.
 #[derive(Clone, Copy, Debug)]
 pub struct Grid {
     next_ns: u64,
     period_ns: u64,
-    /// Points that the last tick ran over.
+    /// Deadlines that passed during the last tick.
     overrun: u64,
 }
 
 impl Grid {
-    /// A grid whose first point is a period after `now_ns`.
+    /// A grid with its first deadline a period after `now_ns`.
     #[must_use]
     pub const fn new(now_ns: u64, period_ns: u64) -> Self {
         Self {
@@ -31,18 +31,18 @@ impl Grid {
         }
     }
 
-    /// The next point.
+    /// The next deadline.
     #[must_use]
     pub const fn next_ns(&self) -> u64 {
         self.next_ns
     }
 
-    /// Moves all points to come.
+    /// Moves all future deadlines by `by_ns`.
     pub const fn slide(&mut self, by_ns: i64) {
         self.next_ns = self.next_ns.saturating_add_signed(by_ns);
     }
 
-    /// A tick has ended: the points that it ran over are skipped.
+    /// A tick ended at `now_ns`: the deadlines that passed during it are skipped.
     pub fn leave(&mut self, now_ns: u64) {
         if now_ns > self.next_ns {
             self.overrun = (now_ns - self.next_ns) / self.period_ns + 1;
@@ -50,8 +50,8 @@ impl Grid {
         }
     }
 
-    /// The point that a thread which woke up now belongs to: the last one that
-    /// is past. Those before it are skipped; nothing is made up for.
+    /// The slot of a thread that woke up at `now_ns`: the last deadline that has passed.
+    /// Earlier ones are skipped.
     pub fn enter(&mut self, now_ns: u64) -> Slot {
         let skipped = now_ns.saturating_sub(self.next_ns) / self.period_ns;
         let scheduled_ns = self.next_ns + skipped * self.period_ns;
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tick_that_runs_over_the_next_one_skips_it() {
+    fn a_tick_that_overruns_deadlines_skips_them() {
         let mut grid = Grid::new(1_000, 100);
         grid.enter(1_100);
         grid.leave(1_190);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_wakes_late_skips_what_it_missed_and_keeps_the_grid() {
+    fn a_thread_that_wakes_late_skips_deadlines_and_keeps_the_grid() {
         let mut grid = Grid::new(1_000, 100);
         let on_time = grid.enter(1_103);
         assert_eq!((on_time.scheduled_ns, on_time.skipped), (1_100, 0));

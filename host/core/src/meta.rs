@@ -1,4 +1,4 @@
-//! What a record says of itself.
+//! The metadata of a record.
 
 use std::collections::BTreeMap;
 
@@ -6,15 +6,15 @@ use singletrack_record::{ClockMapping, Meta};
 
 use crate::config::Config;
 
-/// The name of this software in a record.
+/// The name of this software in the metadata.
 const SOFTWARE: &str = "singletrackd";
 
-/// What a record says of itself when it is made with this configuration, by the
-/// software at hand.
+/// The metadata of a record with this configuration, seed and clock mapping, for this
+/// version of the software.
 ///
 /// # Errors
 ///
-/// A path that is not UTF-8.
+/// The configuration has a path that is not UTF-8.
 pub fn record_meta(
     config: &Config,
     seed: Option<u64>,

@@ -1,42 +1,42 @@
-//! What the control thread tells those who keep the records.
+//! Reports of the control thread for record, log and figures.
 
 use singletrack_link::{Counters, Event, State, TimedTelemetry};
 use singletrack_protocol::Status;
 use singletrack_record::{Entry, LinkPhase, StatusRecord, TelemetryRecord};
 
-/// Beside the ticks, which have a ring of their own.
+/// A report of the control thread. Ticks have their own ring.
 #[derive(Clone, Copy, Debug)]
 pub enum Report {
-    /// The board reported.
+    /// Telemetry of the board.
     Telemetry(TelemetryRecord),
-    /// The board reported on itself.
+    /// A status message of the board.
     Status(StatusRecord),
-    /// Something worth a line in the log.
+    /// A rare event of the link, for the log.
     Link {
-        /// When.
+        /// When it happened.
         time_ns: u64,
-        /// What.
+        /// The event.
         event: Event,
     },
-    /// What was counted so far.
+    /// The counters so far.
     Counters(LineCounters),
 }
 
-/// What happened on the way to and from the board.
+/// Counts of the line to the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineCounters {
-    /// By the session.
+    /// The counters of the session.
     pub link: Counters,
-    /// Drive commands that were written.
+    /// Drive commands written to the port.
     pub drives_written: u64,
-    /// Drive commands that were not, because the line was stuck, silent or closed.
+    /// Drive commands not written because the port was full or closed, or the board silent.
     pub drives_withheld: u64,
-    /// Reports and ticks that found no room on their way to the records.
+    /// Reports and ticks that found no room in their rings.
     pub reports_dropped: u64,
 }
 
 impl Report {
-    /// What a record holds of it; none for what is only logged or counted.
+    /// The entry for the record; `None` for a report that is only logged or counted.
     #[must_use]
     pub const fn entry(self) -> Option<Entry> {
         match self {
@@ -46,7 +46,7 @@ impl Report {
         }
     }
 
-    /// What an event of the link is to the records.
+    /// The report of a link event that happened at `time_ns`.
     pub const fn of(time_ns: u64, event: &Event) -> Self {
         match *event {
             Event::Telemetry(record) => Self::telemetry(&record),
@@ -72,7 +72,7 @@ impl Report {
     }
 }
 
-/// Where the session stands, by name.
+/// The state of the session without its details, as the record has it.
 #[must_use]
 pub const fn link_phase(state: &State) -> LinkPhase {
     match state {

@@ -1,4 +1,4 @@
-//! The way of requests to the control thread.
+//! Requests to the control thread.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,30 +7,33 @@ use singletrack_pilot::PilotRequest;
 
 use crate::control_loop::ControlRequest;
 
-/// The control thread has not taken what it was asked before: it is stalled, or
-/// gone.
+/// The ring of requests is full: the control thread is stalled or has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the control thread takes no requests: it has ended or is stalled")]
 pub struct Stalled;
 
-/// Where anybody asks the control thread for something.
+/// The sending end of the ring of requests, for every thread but the control thread.
 #[derive(Clone, Debug)]
 pub struct Requests(Arc<Mutex<Producer<ControlRequest>>>);
 
-/// Room that only a stop may use: however often somebody asks for something
-/// else, it gets through.
+/// Slots of the ring for stops only: other requests can't keep them out.
 const RESERVED: usize = 4;
 
 impl Requests {
-    /// The sending end of the ring that the control loop takes requests from.
+    /// Wraps the sending end of the ring that the control loop reads.
     #[must_use]
     pub fn new(ring: Producer<ControlRequest>) -> Self {
         Self(Arc::new(Mutex::new(ring)))
     }
 
-    /// Those who ask wait for each other; the control thread waits for nobody.
+    /// Pushes a request. Senders may wait for each other; the control thread never waits.
+    ///
+    /// # Errors
+    ///
+    /// [`Stalled`] if the ring is full; for requests other than a stop, if only the reserved
+    /// slots are left.
     pub fn push(&self, request: ControlRequest) -> Result<(), Stalled> {
-        // The ring is whole at every moment.
+        // The ring is consistent even if a sender has panicked.
         let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let stops = match request {
             ControlRequest::Pilot(PilotRequest::Arm | PilotRequest::Disarm)
@@ -51,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stop_gets_through_however_often_something_else_is_asked() {
+    fn other_requests_do_not_keep_out_a_stop() {
         let (ring, mut taken) = rtrb::RingBuffer::new(12);
         let requests = Requests::new(ring);
         let disarm = ControlRequest::Pilot(PilotRequest::Disarm);

@@ -1,39 +1,40 @@
-//! The newest set-point, on its way to the control thread.
+//! A slot with the newest set-point for the control thread.
 //!
-//! A slot and not a queue: what the control thread has not taken when a newer
-//! one comes is gone. Neither side ever waits for the other.
+//! It is not a queue: a newer set-point replaces one that was not taken. Sender and
+//! receiver never wait for each other.
 
 use core::sync::atomic::{AtomicU64, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 
-/// Whether it has a position, position, velocity, time.
+/// The words of a set-point: whether it has a position, the position, the velocity, the
+/// time.
 const WORDS: usize = 6;
 
-/// Times that a reader tries to get one that is not being overwritten.
+/// Attempts of the reader to copy a set-point that is not being overwritten.
 const ATTEMPTS: usize = 3;
 
-/// Two copies and the number of set-points so far, whose lowest bit says which
-/// copy is whole. The other one is where the next is written.
+/// Two copies, and the number of set-points so far. Its lowest bit selects the complete
+/// copy; the next set-point is written to the other one.
 #[derive(Debug, Default)]
 struct Shared {
     written: AtomicU64,
     copies: [[AtomicU64; WORDS]; 2],
 }
 
-/// The end that set-points are put in at, by anybody but the control thread.
+/// The sending end, for every thread but the control thread.
 #[derive(Clone, Debug)]
 pub struct SetpointSender(Arc<Mutex<Arc<Shared>>>);
 
-/// The control thread's end.
+/// The receiving end, for the control thread.
 #[derive(Debug)]
 pub struct SetpointReceiver {
     shared: Arc<Shared>,
     taken: u64,
 }
 
-/// An empty slot.
+/// Makes an empty slot.
 #[must_use]
 pub fn setpoint_slot() -> (SetpointSender, SetpointReceiver) {
     let shared = Arc::new(Shared::default());
@@ -49,14 +50,14 @@ impl Shared {
 }
 
 impl SetpointSender {
-    /// Takes the place of every one before. Those who send wait for each other.
+    /// Replaces the set-point in the slot. Senders may wait for each other.
     pub fn send(&self, setpoint: &Setpoint) {
-        // The slot is whole whenever nobody is in the middle of writing it, and
-        // if somebody panicked there, the copy that is read is the other one.
+        // The slot is consistent: a sender that panicked while writing left the copy that
+        // is read unchanged.
         let shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let number = shared.written.load(Ordering::Relaxed).wrapping_add(1);
-        // A reader that sees any of what follows also sees the number of before:
-        // so it knows that its copy has been given up.
+        // A reader that sees any of the following stores also sees the number read above,
+        // and so that its copy is being replaced.
         fence(Ordering::Release);
         for (word, value) in shared.copy(number).iter().zip(words(setpoint)) {
             word.store(value, Ordering::Relaxed);
@@ -66,7 +67,7 @@ impl SetpointSender {
 }
 
 impl SetpointReceiver {
-    /// The newest, if there is one that was not taken before.
+    /// The newest set-point; `None` if it was taken before.
     pub fn take(&mut self) -> Option<Setpoint> {
         for _ in 0..ATTEMPTS {
             let number = self.shared.written.load(Ordering::Acquire);
@@ -77,14 +78,14 @@ impl SetpointReceiver {
             for (value, word) in values.iter_mut().zip(self.shared.copy(number)) {
                 *value = word.load(Ordering::Relaxed);
             }
-            // If any of these was of a newer set-point, the number is newer too.
+            // If any of these words is of a newer set-point, the number is newer too.
             fence(Ordering::Acquire);
             if self.shared.written.load(Ordering::Relaxed) == number {
                 self.taken = number;
                 return Some(setpoint(values));
             }
         }
-        // Somebody writes without a pause: the next tick gets one.
+        // Senders write without a pause. The next tick tries again.
         None
     }
 }
@@ -144,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_taken_while_others_send_is_whole_and_never_older_than_before() {
+    fn set_points_taken_while_others_send_are_complete_and_in_order() {
         const COUNT: u64 = 200_000;
         let (sender, mut receiver) = setpoint_slot();
         let writer = thread::spawn(move || {

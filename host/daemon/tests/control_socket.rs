@@ -1,4 +1,4 @@
-//! The control socket of a daemon that has neither board nor cameras.
+//! The control socket of a daemon without board and cameras.
 
 #![allow(
     clippy::unwrap_used,
@@ -69,7 +69,7 @@ fn config(folder: &Path, socket: &Path) -> Config {
 }
 
 #[test]
-fn status_tells_mode_reason_and_figures() {
+fn the_status_has_mode_reason_and_figures() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let status = loop {
@@ -91,7 +91,7 @@ fn status_tells_mode_reason_and_figures() {
 }
 
 #[test]
-fn arming_what_is_not_there_is_refused_with_the_reason() {
+fn an_arm_without_a_board_is_refused_with_the_reason() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let answer = client.ask(r#"{"version":1,"command":"arm"}"#);
@@ -105,14 +105,21 @@ fn arming_what_is_not_there_is_refused_with_the_reason() {
     );
     for command in ["disarm", "stop"] {
         let answer = client.ask(&json!({"version": 1, "command": command}).to_string());
-        // Not a mode from before.
+        // No mode: it would be the one before the request.
         assert_eq!(answer, json!({"version": 1, "ok": true}), "{command}");
     }
+    while daemon.snapshot().mode() != Mode::Fault {
+        std::thread::yield_now();
+    }
+    let answer = client.ask(r#"{"version":1,"command":"disarm"}"#);
+    assert_eq!(answer["ok"], true);
+    let note = answer["note"].as_str().unwrap();
+    assert!(note.contains("stays stopped until it is reset"), "{note}");
     daemon.stop().unwrap();
 }
 
 #[test]
-fn nonsense_is_answered_and_the_client_may_go_on() {
+fn an_invalid_line_is_answered_and_the_connection_stays_open() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     for line in [
@@ -138,7 +145,7 @@ fn nonsense_is_answered_and_the_client_may_go_on() {
 }
 
 #[test]
-fn a_watcher_sees_ticks_as_they_happen() {
+fn a_watcher_gets_every_tick() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let answer = client.ask(r#"{"version":1,"command":"watch","topics":["tick"]}"#);
@@ -154,18 +161,18 @@ fn a_watcher_sees_ticks_as_they_happen() {
 }
 
 #[test]
-fn watchers_that_are_gone_leave_their_places() {
+fn watchers_that_disconnect_free_their_slots() {
     let (_daemon, path, _folder) = start();
     for _ in 0..200 {
         let mut client = Client::connect(&path);
-        // Drops are rare: there is nothing to be told of.
+        // The topic has no entries: the daemon must detect the end of the connection.
         let answer = client.ask(r#"{"version":1,"command":"watch","topics":["drops"]}"#);
         assert_eq!(answer["ok"], true, "{answer}");
     }
 }
 
 #[test]
-fn a_stop_is_heard_when_every_place_is_taken() {
+fn a_stop_is_obeyed_when_every_slot_is_taken() {
     let (daemon, path, _folder) = start();
     let watchers: Vec<_> = (0..32)
         .map(|_| {
@@ -216,7 +223,7 @@ const CIRCLE: &str = r#"{"version":1,"command":"set-reference","reference":
 const EXTERNAL: &str = r#"{"version":1,"command":"set-reference","reference":
     {"kind":"external"}}"#;
 
-/// On one line.
+/// The text on one line.
 fn line(text: &str) -> String {
     text.replace('\n', " ")
 }
@@ -226,7 +233,7 @@ fn status(client: &mut Client) -> Value {
 }
 
 #[test]
-fn a_reference_is_set_while_the_car_stands_and_the_record_tells_it() {
+fn a_reference_is_set_while_the_car_stands_and_is_recorded() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     assert_eq!(
@@ -243,7 +250,7 @@ fn a_reference_is_set_while_the_car_stands_and_the_record_tells_it() {
         json!({"number": 2, "last_change": {"by": "set-reference", "error": null}})
     );
     let summary = daemon.stop().unwrap();
-    let told = singletrack_record::Reader::open(&summary.record.unwrap())
+    let recorded = singletrack_record::Reader::open(&summary.record.unwrap())
         .unwrap()
         .only(&[singletrack_record::Topic::Configuration])
         .map(Result::unwrap)
@@ -257,15 +264,15 @@ fn a_reference_is_set_while_the_car_stands_and_the_record_tells_it() {
         .collect::<Vec<_>>();
     assert!(
         matches!(
-            told[..],
+            recorded[..],
             [(2, ReferenceSection::Circle { radius_m: 0.8, .. })]
         ),
-        "{told:?}"
+        "{recorded:?}"
     );
 }
 
 #[test]
-fn a_reference_that_makes_no_sense_changes_nothing() {
+fn an_invalid_reference_changes_nothing() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     for (reference, part) in [
@@ -297,7 +304,7 @@ fn a_reference_that_makes_no_sense_changes_nothing() {
 }
 
 #[test]
-fn set_points_are_answered_only_when_something_is_wrong_with_them() {
+fn set_points_are_answered_only_when_they_have_no_effect() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let good = r#"{"version":1,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;

@@ -1,5 +1,5 @@
-//! The live view of a daemon that has neither board nor cameras, by a client of
-//! the protocol that Foxglove publishes.
+//! The live view of a daemon without board and cameras, through a client of the protocol
+//! that Foxglove publishes.
 
 #![allow(
     clippy::unwrap_used,
@@ -48,7 +48,7 @@ fn start() -> (Daemon, SocketAddr, TempDir) {
 struct Viewer {
     socket: WebSocket<TcpStream>,
     info: Value,
-    /// Ids of the channels, by topic.
+    /// The advertised channels, by topic.
     channels: BTreeMap<String, Value>,
 }
 
@@ -57,8 +57,8 @@ impl Viewer {
         Self::on(TcpStream::connect(address).unwrap(), address)
     }
 
-    /// With room for a few messages only: otherwise the kernel takes some seconds of
-    /// them for it.
+    /// Connects with a small receive buffer: by default the kernel queues some seconds of
+    /// messages.
     fn connect_slowly(address: SocketAddr) -> Self {
         let socket = Socket::new(Domain::for_address(address), Type::STREAM, None).unwrap();
         socket.set_recv_buffer_size(4_096).unwrap();
@@ -89,7 +89,7 @@ impl Viewer {
         viewer
     }
 
-    /// The next message of this kind.
+    /// The next text message with this `op`.
     fn text(&mut self, op: &str) -> Value {
         loop {
             if let Message::Text(text) = self.socket.read().unwrap() {
@@ -101,19 +101,19 @@ impl Viewer {
         }
     }
 
-    fn say(&mut self, message: &Value) {
+    fn send(&mut self, message: &Value) {
         let message = Message::text(message.to_string());
         self.socket.send(message).unwrap();
     }
 
-    /// Subscribes to topics, with their places in the list as ids.
+    /// Subscribes to topics; the index of a topic is the id of its subscription.
     fn subscribe(&mut self, topics: &[&str]) {
         let subscriptions: Vec<_> = topics
             .iter()
             .enumerate()
             .map(|(id, topic)| json!({"id": id, "channelId": self.channels[*topic]["id"]}))
             .collect();
-        self.say(&json!({"op": "subscribe", "subscriptions": subscriptions}));
+        self.send(&json!({"op": "subscribe", "subscriptions": subscriptions}));
     }
 
     /// The next message of a subscription: its id, log time and bytes.
@@ -136,7 +136,7 @@ impl Viewer {
 }
 
 #[test]
-fn a_viewer_gets_the_very_messages_of_the_record() {
+fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
     const TOPICS: [&str; 2] = ["/singletrack/tick", "/singletrack/log"];
     let (daemon, address, _folder) = start();
     let mut viewer = Viewer::connect(address);
@@ -160,7 +160,7 @@ fn a_viewer_gets_the_very_messages_of_the_record() {
         });
         assert!(same, "{topic} at {log_time} is not in the record");
     }
-    // And the tools are told the same of what they are.
+    // The advertised channels and schemas are those of the record, too.
     for message in &recorded {
         let channel = &message.channel;
         let schema = channel.schema.as_ref().unwrap();
@@ -176,17 +176,18 @@ fn a_viewer_gets_the_very_messages_of_the_record() {
 }
 
 #[test]
-fn a_viewer_can_do_nothing_but_look() {
+fn a_viewer_can_only_subscribe() {
     let (daemon, address, _folder) = start();
     let mut viewer = Viewer::connect(address);
     assert_eq!(viewer.info["capabilities"], json!([]));
-    viewer.say(&json!({"op": "advertise", "channels": [
+    viewer.send(&json!({"op": "advertise", "channels": [
         {"id": 1, "topic": "/cmd", "encoding": "cdr", "schemaName": "ackermann_msgs/msg/AckermannDriveStamped"}
     ]}));
-    viewer
-        .say(&json!({"op": "setParameters", "parameters": [{"name": "mode", "value": "driving"}]}));
+    viewer.send(
+        &json!({"op": "setParameters", "parameters": [{"name": "mode", "value": "driving"}]}),
+    );
     for _ in 0..2 {
-        // 2 is an error.
+        // Level 2 is an error.
         assert_eq!(viewer.text("status")["level"], 2);
     }
     assert_eq!(daemon.snapshot().mode(), Mode::Disconnected);
@@ -194,7 +195,7 @@ fn a_viewer_can_do_nothing_but_look() {
 }
 
 #[test]
-fn viewers_that_never_read_hold_up_nobody() {
+fn viewers_that_never_read_delay_no_other() {
     let (daemon, address, _folder) = start();
     let _idle: Vec<_> = (0..20)
         .map(|_| {
@@ -214,7 +215,7 @@ fn viewers_that_never_read_hold_up_nobody() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_named_and_leaves_no_record() {
+fn a_port_in_use_is_named_and_leaves_no_record() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(&folder);

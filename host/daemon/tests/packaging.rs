@@ -1,4 +1,4 @@
-//! The unit and its companions agree with the daemon that they start.
+//! The files of the package agree with the daemon.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,7 +19,7 @@ const RULES: &str = include_str!("../../../packaging/99-singletrack.rules");
 const MODULES: &str = include_str!("../../../packaging/modules-load.d/singletrack.conf");
 const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
 
-/// The lines that say something.
+/// The lines without comments and blank lines.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
     text.lines()
         .map(str::trim)
@@ -35,7 +35,7 @@ fn values<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
         .collect()
 }
 
-/// The one value of a key.
+/// The value of a key that occurs once.
 fn value<'a>(text: &'a str, key: &str) -> &'a str {
     match values(text, key)[..] {
         [value] => value,
@@ -51,7 +51,7 @@ fn daemon(arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn the_daemon_knows_the_options_that_the_unit_starts_it_with() {
+fn the_daemon_accepts_the_options_of_the_unit() {
     let mut words = value(UNIT, "ExecStart").split_whitespace();
     assert_eq!(words.next(), Some("/usr/bin/singletrackd"));
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("singletrackd.example.toml");
@@ -72,7 +72,7 @@ fn the_service_never_arms_the_car_by_itself() {
 }
 
 #[test]
-fn the_defaults_of_the_configuration_are_the_units_folders() {
+fn the_default_folders_of_the_configuration_are_those_of_the_unit() {
     let config = Config::from_toml(EXAMPLE).unwrap();
     let runtime = Path::new("/run").join(value(UNIT, "RuntimeDirectory"));
     assert_eq!(config.socket.path.parent(), Some(&*runtime));
@@ -85,7 +85,7 @@ fn the_defaults_of_the_configuration_are_the_units_folders() {
 }
 
 #[test]
-fn a_configuration_that_is_wrong_does_not_start_the_daemon_over_and_over() {
+fn an_invalid_configuration_does_not_restart_the_daemon() {
     let output = daemon(&["--config", "/nowhere/singletrackd.toml"]);
     let status = output.status.code().unwrap().to_string();
     assert_eq!(value(UNIT, "RestartPreventExitStatus"), status);
@@ -93,7 +93,7 @@ fn a_configuration_that_is_wrong_does_not_start_the_daemon_over_and_over() {
 }
 
 #[test]
-fn the_unit_grants_what_the_control_thread_asks_for() {
+fn the_unit_grants_what_the_control_thread_needs() {
     let config = Config::from_toml(EXAMPLE).unwrap();
     let granted: u8 = value(UNIT, "LimitRTPRIO").parse().unwrap();
     assert!(granted >= config.control.realtime_priority);
@@ -102,27 +102,27 @@ fn the_unit_grants_what_the_control_thread_asks_for() {
     for call in ["sched_setscheduler", "mlockall"] {
         assert!(calls.contains(call), "{call}");
     }
-    // Kernels with real-time group scheduling refuse it to a service.
+    // Kernels with real-time group scheduling refuse it to services.
     assert!(lines(UNIT).all(|line| !line.starts_with("CPUScheduling")));
-    // Other computers do not have the Odroid's cores.
+    // The cores of the Odroid do not exist on other computers.
     assert!(values(UNIT, "CPUAffinity").is_empty());
     assert_eq!(value(XU4, "CPUAffinity"), "4-7");
 }
 
 #[test]
-fn the_watchdog_is_fed_and_a_stop_has_the_time_that_it_takes() {
+fn the_timeouts_of_the_unit_are_longer_than_the_daemons() {
     assert_eq!(value(UNIT, "Type"), "notify");
     let seconds = |key| -> f64 { value(UNIT, key).parse().unwrap() };
     assert!(seconds("WatchdogSec") >= 1.0);
-    // The daemon gives up on its control thread after four.
+    // The daemon waits four seconds for its control thread.
     assert!(seconds("TimeoutStopSec") > 4.0);
 }
 
 #[test]
-fn the_driver_of_every_device_is_there_before_the_unit_starts() {
+fn the_driver_of_every_device_is_loaded_before_the_unit_starts() {
     let modules: Vec<&str> = lines(MODULES).collect();
     let devices = values(UNIT, "DeviceAllow");
-    // The last is the kernel's own.
+    // The last device has no driver to load.
     assert_eq!(
         devices,
         [
@@ -135,7 +135,7 @@ fn the_driver_of_every_device_is_there_before_the_unit_starts() {
 }
 
 #[test]
-fn every_rule_of_udev_is_well_formed() {
+fn every_udev_rule_is_well_formed() {
     let mut links = 0;
     for rule in lines(RULES) {
         for part in rule.split(", ") {
@@ -176,7 +176,7 @@ fn every_rule_of_udev_is_well_formed() {
 }
 
 #[test]
-fn every_file_that_is_to_be_installed_is_there() {
+fn every_file_to_install_exists() {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     // The list, and the page with the commands.
     for page in [

@@ -1,5 +1,4 @@
-//! What the control thread must not do while it ticks: ask the allocator for
-//! something, touch memory that is not there.
+//! A tick of the control thread allocates nothing and causes no page fault.
 
 #![expect(unsafe_code, reason = "an allocator is unsafe to write")]
 #![allow(
@@ -36,23 +35,23 @@ fn count() {
     });
 }
 
-// SAFETY: everything is the system allocator's; counting does not allocate.
+// SAFETY: every call goes to the system allocator; counting does not allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         count();
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -60,7 +59,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// How often `action` asks the allocator for something.
+/// The number of calls of the allocator during `action`.
 fn allocations(action: impl FnOnce()) -> u64 {
     let before = COUNT.with(Cell::get);
     COUNTS.with(|counts| counts.set(true));
@@ -69,11 +68,10 @@ fn allocations(action: impl FnOnce()) -> u64 {
     COUNT.with(Cell::get) - before
 }
 
-/// Pages that this thread had to wait for since it began: from the disk or only
-/// from the kernel.
+/// The number of page faults of this thread so far, minor and major.
 fn page_faults() -> libc::c_long {
     let mut usage = core::mem::MaybeUninit::<libc::rusage>::zeroed();
-    // SAFETY: the kernel fills it in, and zeros are one too.
+    // SAFETY: the kernel fills in the value, and zeros are a valid one.
     let usage = unsafe {
         libc::getrusage(libc::RUSAGE_THREAD, usage.as_mut_ptr());
         usage.assume_init()
@@ -84,9 +82,9 @@ fn page_faults() -> libc::c_long {
 const TICKS: u64 = 10_000;
 
 #[test]
-fn ten_thousand_ticks_allocate_nothing_and_wait_for_no_page_of_memory() {
-    // The daemon's own preparation. Where memory can't be locked, the program's
-    // code is not there before it has run once: a drive that is not counted.
+fn ten_thousand_ticks_allocate_nothing_and_cause_no_page_fault() {
+    // As the daemon prepares its thread. If memory can't be locked, the pages of the code
+    // are loaded when it first runs: during ticks that are not counted.
     let uncounted = match realtime::lock_memory() {
         Ok(()) => 0,
         Err(_) => 2_000,
@@ -110,7 +108,7 @@ fn ten_thousand_ticks_allocate_nothing_and_wait_for_no_page_of_memory() {
 }
 
 #[test]
-fn what_a_tick_is_asked_in_passing_allocates_and_frees_nothing() {
+fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
     let (mut control, mut outside) = set_up();
     let config = outside.config.clone();
     let mut total = 0;
@@ -126,7 +124,7 @@ fn what_a_tick_is_asked_in_passing_allocates_and_frees_nothing() {
         }
         total += allocations(|| tick(&mut control, index));
         if index.is_multiple_of(10) {
-            // Dropped here, on the other side of the ring.
+            // Freed here, on the other side of the ring.
             let _ = outside.outcome();
         }
         outside.after_tick();
@@ -135,7 +133,7 @@ fn what_a_tick_is_asked_in_passing_allocates_and_frees_nothing() {
 }
 
 #[test]
-fn the_allocator_and_the_kernel_count() {
+fn allocations_and_page_faults_are_counted() {
     assert!(allocations(|| drop(Vec::<u8>::with_capacity(10))) >= 2);
     let before = page_faults();
     let pages = vec![1_u8; 64 << 20];

@@ -1,4 +1,4 @@
-//! The serial line against a pseudo-terminal: who hangs up, who is stuck.
+//! The serial line on a pseudo-terminal: hang-ups, missing ports and full queues.
 
 #![allow(
     clippy::unwrap_used,
@@ -29,7 +29,7 @@ fn config(port: &Path) -> Config {
     let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
     config.serial.port = port.to_owned();
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    // Nobody is there.
+    // No server listens there.
     config.motion_capture.command_port = 9;
     config.control.realtime_priority = 0;
     config.record.enabled = false;
@@ -45,7 +45,7 @@ fn link(daemon: &Daemon) -> Option<LinkPhase> {
     daemon.snapshot().tick.map(|tick| tick.link)
 }
 
-/// A board that answers greeting and configuration, and reports itself armed.
+/// A board that answers greeting and configuration, and sends telemetry at neutral.
 struct Board {
     terminal: Terminal,
     decoder: Decoder,
@@ -94,7 +94,7 @@ impl Board {
         }
     }
 
-    fn report(&mut self) {
+    fn send_telemetry(&mut self) {
         self.time_us += 10_000;
         self.send(Telemetry {
             board_time_us: self.time_us,
@@ -116,7 +116,7 @@ impl Board {
         wait_for("connected", || {
             self.answer();
             if self.configuration_hash != 0 {
-                self.report();
+                self.send_telemetry();
             }
             link(daemon) == Some(LinkPhase::Ready)
         });
@@ -124,7 +124,7 @@ impl Board {
 }
 
 #[test]
-fn a_hang_up_is_noticed_at_once_and_the_port_opened_again() {
+fn a_hang_up_is_detected_at_once_and_the_port_is_opened_again() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("board");
     let terminal = Terminal::open();
@@ -134,10 +134,10 @@ fn a_hang_up_is_noticed_at_once_and_the_port_opened_again() {
     board.connect(&daemon);
 
     drop(board);
-    let noticed = wait_for("hang-up noticed", || {
+    let detected = wait_for("hang-up detected", || {
         link(&daemon) == Some(LinkPhase::Disconnected)
     });
-    assert!(noticed < Duration::from_millis(50), "{noticed:?}");
+    assert!(detected < Duration::from_millis(50), "{detected:?}");
 
     let terminal = Terminal::open();
     terminal.link(&port);
@@ -154,7 +154,7 @@ fn a_hang_up_is_noticed_at_once_and_the_port_opened_again() {
 }
 
 #[test]
-fn a_daemon_that_stands_ends_within_50_ms() {
+fn a_daemon_whose_car_stands_ends_within_50_ms() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("board");
     let terminal = Terminal::open();
@@ -170,7 +170,7 @@ fn a_daemon_that_stands_ends_within_50_ms() {
 }
 
 #[test]
-fn a_port_that_is_not_there_is_waited_for() {
+fn a_missing_port_is_opened_when_it_appears() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("board");
     let daemon = start(&port);
@@ -184,7 +184,7 @@ fn a_port_that_is_not_there_is_waited_for() {
 }
 
 #[test]
-fn opening_tells_what_is_wrong_and_what_to_do() {
+fn an_error_of_opening_says_what_to_do() {
     let missing = serial_port::open("/dev/no-such-port".as_ref(), 115_200).unwrap_err();
     assert!(matches!(missing, PortError::NotFound(_)));
     assert!(missing.to_string().contains("/dev/no-such-port"));
@@ -201,7 +201,7 @@ fn opening_tells_what_is_wrong_and_what_to_do() {
 }
 
 #[test]
-fn a_line_that_takes_no_more_drops_whole_frames_without_waiting() {
+fn a_full_line_drops_whole_frames_without_waiting() {
     let terminal = Terminal::open();
     let (_read, mut write) = serial_port::open(terminal.device(), 115_200).unwrap();
     let frame = [0x55; 15].iter().chain(&[0]).copied().collect::<Vec<u8>>();
@@ -212,8 +212,8 @@ fn a_line_that_takes_no_more_drops_whole_frames_without_waiting() {
     }
     assert_eq!(write.write_frame(&frame), Sent::Dropped);
     assert!(begin.elapsed() < Duration::from_secs(2));
-    // When there is room again, nothing of the refused frames is joined to a
-    // new one: between two zeros there is a frame, or its torn beginning.
+    // When there is room again, no part of a dropped frame is joined to a new one: between
+    // two zeros there is a whole frame or a partial one.
     let mut received = terminal.read();
     assert_eq!(write.write_frame(&frame), Sent::Whole);
     wait_for("the last frame", || {
@@ -222,12 +222,12 @@ fn a_line_that_takes_no_more_drops_whole_frames_without_waiting() {
     });
     let frames = received
         .split(|&byte| byte == 0)
-        .filter(|stretch| stretch.len() == 15)
+        .filter(|part| part.len() == 15)
         .count();
     assert_eq!(frames, whole + 1);
     assert!(
         received
             .split(|&byte| byte == 0)
-            .all(|stretch| stretch.len() <= 15)
+            .all(|part| part.len() <= 15)
     );
 }

@@ -1,4 +1,5 @@
-//! The shipped binary under a service manager: what it tells, and when.
+//! The shipped binary under a service manager: its notifications, and their times.
+
 #![expect(unsafe_code, reason = "calls of the C library, each with its reason")]
 #![allow(
     clippy::unwrap_used,
@@ -32,7 +33,7 @@ use singletrackd::monotonic_ns;
 use tempfile::TempDir;
 use terminal::Terminal;
 
-/// How long the manager waits for a sign of life.
+/// The longest time between two signs of life.
 const WATCHDOG: Duration = Duration::from_millis(400);
 
 /// A service manager with one service.
@@ -43,12 +44,12 @@ struct Manager {
 }
 
 impl Manager {
-    /// `address`: where it listens, made from a folder's path.
+    /// A manager that listens on `address`, made from a folder's path.
     fn start(address: impl FnOnce(&Path) -> (SocketAddr, String)) -> Self {
         Self::start_with(address, |_| {})
     }
 
-    /// The same, with a word about how the daemon is started.
+    /// As [`start`](Self::start); `prepare` changes the command that starts the daemon.
     fn start_with(
         address: impl FnOnce(&Path) -> (SocketAddr, String),
         prepare: impl FnOnce(&mut Command),
@@ -77,29 +78,29 @@ impl Manager {
         }
     }
 
-    /// By path.
+    /// A manager with a path for its address.
     fn by_path() -> Self {
         Self::start(path)
     }
 
     /// The next datagram.
-    fn hear(&self) -> String {
+    fn receive(&self) -> String {
         let mut buffer = [0; 4_096];
         let length = self.socket.recv(&mut buffer).unwrap();
         String::from_utf8(buffer[..length].to_vec()).unwrap()
     }
 
-    /// Listens until something is told that begins with `start`.
-    fn await_told(&self, start: &str) -> String {
+    /// Waits for a notification that begins with `start`.
+    fn wait_for(&self, start: &str) -> String {
         loop {
-            let told = self.hear();
-            if told.starts_with(start) {
-                return told;
+            let text = self.receive();
+            if text.starts_with(start) {
+                return text;
             }
         }
     }
 
-    /// How often it gives a sign of life in `time`.
+    /// The number of signs of life in `time`.
     fn signs_of_life(&self, time: Duration) -> usize {
         let begin = Instant::now();
         let mut count = 0;
@@ -118,14 +119,14 @@ impl Manager {
         count
     }
 
-    /// Replaces the configuration and has it read.
+    /// Replaces the configuration and reloads it. Returns both notifications.
     fn reload(&self, configuration: &str) -> (String, String) {
         fs::write(self.folder.path().join("singletrackd.toml"), configuration).unwrap();
         self.signal(libc::SIGHUP);
-        (self.await_told("RELOADING=1"), self.await_told("READY=1"))
+        (self.wait_for("RELOADING=1"), self.wait_for("READY=1"))
     }
 
-    /// What the control socket says of the configuration.
+    /// The state of the configuration, from the control socket.
     fn configuration(&self) -> serde_json::Value {
         let mut stream = UnixStream::connect(self.folder.path().join("control.sock")).unwrap();
         writeln!(stream, r#"{{"version":1,"command":"status"}}"#).unwrap();
@@ -168,7 +169,7 @@ impl Drop for Manager {
     }
 }
 
-/// A socket with a path in a folder, and its name.
+/// An address in a folder, and its name for the daemon.
 fn path(folder: &Path) -> (SocketAddr, String) {
     let path = folder.join("notify");
     (
@@ -177,7 +178,7 @@ fn path(folder: &Path) -> (SocketAddr, String) {
     )
 }
 
-/// Of a daemon that has neither board nor cameras.
+/// The configuration of a daemon without board and cameras.
 fn configuration(folder: &Path) -> String {
     let example = include_str!("../singletrackd.example.toml");
     let path = |name: &str| folder.join(name).display().to_string();
@@ -198,18 +199,18 @@ fn configuration(folder: &Path) -> String {
 }
 
 #[test]
-fn it_is_ready_when_the_controller_ticks_and_says_how_it_is_doing() {
+fn it_is_ready_when_the_controller_ticks_and_sends_its_status() {
     let manager = Manager::by_path();
-    let first = manager.hear();
+    let first = manager.receive();
     assert!(
         first.starts_with("READY=1\nSTATUS=mode disconnected"),
         "{first}"
     );
-    assert_eq!(manager.await_told("WATCHDOG"), "WATCHDOG=1");
+    assert_eq!(manager.wait_for("WATCHDOG"), "WATCHDOG=1");
 }
 
 #[test]
-fn a_manager_with_an_abstract_name_is_told_too() {
+fn a_manager_with_an_abstract_name_is_notified() {
     let manager = Manager::start(|folder| {
         let name = folder.display().to_string();
         (
@@ -217,51 +218,51 @@ fn a_manager_with_an_abstract_name_is_told_too() {
             format!("@{name}"),
         )
     });
-    assert!(manager.hear().starts_with("READY=1\n"));
+    assert!(manager.receive().starts_with("READY=1\n"));
 }
 
 #[test]
 fn signs_of_life_come_only_while_the_control_thread_lives() {
     let manager = Manager::by_path();
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     let alive = manager.signs_of_life(5 * WATCHDOG);
     assert!((5..=11).contains(&alive), "{alive} in five intervals");
 
     let control = manager.thread("control");
     let frozen = Frozen::new(control);
-    // One may be under way, and it has ticked since, which is worth one more.
+    // One may be on its way, and the ticks since the last one allow one more.
     assert!(manager.signs_of_life(WATCHDOG) <= 2);
     assert_eq!(manager.signs_of_life(3 * WATCHDOG), 0);
 
     drop(frozen);
-    assert_eq!(manager.await_told("WATCHDOG"), "WATCHDOG=1");
+    assert_eq!(manager.wait_for("WATCHDOG"), "WATCHDOG=1");
 }
 
 #[test]
-fn the_control_thread_waits_for_no_page_of_memory() {
+fn the_control_thread_causes_no_page_fault() {
     let manager = Manager::by_path();
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     let control = manager.thread("control");
     let status = format!("/proc/{}/task/{control}/stat", manager.daemon.id());
-    // minflt and majflt, counted from behind the name.
+    // minflt and majflt, counted from the field after the name.
     let faults = || -> u64 {
         let text = fs::read_to_string(&status).unwrap();
         let (_, numbers) = text.rsplit_once(") ").unwrap();
         let number = |place| -> u64 { numbers.split(' ').nth(place).unwrap().parse().unwrap() };
         number(7) + number(9)
     };
-    // The code of a tick is there once it has run.
+    // The pages of the code are loaded once it has run.
     manager.signs_of_life(WATCHDOG);
     let before = faults();
     assert!(before > 0);
-    // Some three hundred ticks: every ring is filled around its end.
+    // About three hundred ticks: every ring wraps around.
     manager.signs_of_life(Duration::from_secs(3));
     assert_eq!(faults(), before);
 }
 
 #[test]
-fn a_full_disk_ends_the_record_and_not_the_drive_and_is_told_clearly() {
-    // No file may be longer: to whoever writes it, the disk is full.
+fn a_full_disk_ends_the_record_and_not_the_daemon_and_is_reported() {
+    // The limit of a file's length has the same effect as a full disk.
     const LONGEST: libc::rlim_t = 40_000;
     let mut manager = Manager::start_with(path, |command| {
         let limit = || {
@@ -280,30 +281,30 @@ fn a_full_disk_ends_the_record_and_not_the_drive_and_is_told_clearly() {
         // SAFETY: see the calls.
         unsafe { command.pre_exec(limit) };
     });
-    manager.await_told("READY=1");
-    let mut told = String::new();
-    while !told.contains("nothing is recorded") {
-        told = manager.await_told("STATUS=");
+    manager.wait_for("READY=1");
+    let mut status = String::new();
+    while !status.contains("nothing is recorded") {
+        status = manager.wait_for("STATUS=");
     }
     assert!(
-        told.contains(".mcap") && told.contains("File too large"),
-        "{told}"
+        status.contains(".mcap") && status.contains("File too large"),
+        "{status}"
     );
-    // It goes on; only its end is no success.
-    manager.await_told("WATCHDOG=1");
+    // The daemon goes on; its exit status reports the failure.
+    manager.wait_for("WATCHDOG=1");
     manager.signal(libc::SIGTERM);
-    let mut status = None;
+    let mut exit = None;
     wait_for("the end", || {
-        status = manager.daemon.try_wait().unwrap();
-        status.is_some()
+        exit = manager.daemon.try_wait().unwrap();
+        exit.is_some()
     });
-    assert_eq!(status.unwrap().code(), Some(1));
+    assert_eq!(exit.unwrap().code(), Some(1));
 }
 
 #[test]
-fn a_configuration_is_read_anew_and_comes_into_force() {
+fn a_reloaded_configuration_comes_into_force() {
     let manager = Manager::by_path();
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     let before_us = monotonic_ns() / 1_000;
     let changed = configuration(manager.folder.path()).replace("radius_m = 0.6", "radius_m = 0.9");
     let (reloading, ready) = manager.reload(&changed);
@@ -318,9 +319,9 @@ fn a_configuration_is_read_anew_and_comes_into_force() {
 }
 
 #[test]
-fn a_configuration_that_can_not_come_into_force_changes_nothing_and_is_told_why() {
+fn a_refused_configuration_changes_nothing_and_the_reason_is_in_the_status() {
     let manager = Manager::by_path();
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     let good = configuration(manager.folder.path());
     for (changed, why) in [
         (good.replace("radius_m = 0.6", "radius_m = -1.0"), "radius"),
@@ -355,7 +356,7 @@ fn a_configuration_that_can_not_come_into_force_changes_nothing_and_is_told_why(
 }
 
 #[test]
-fn a_configuration_that_is_no_file_is_refused_at_once() {
+fn a_configuration_that_is_not_a_regular_file_is_refused_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let fifo = folder.path().join("singletrackd.toml");
     let made = Command::new("mkfifo").arg(&fifo).status().unwrap();
@@ -374,11 +375,11 @@ fn a_configuration_that_is_no_file_is_refused_at_once() {
 }
 
 #[test]
-fn a_terminal_that_is_closed_ends_the_daemon_and_one_that_is_not_does_not() {
+fn sighup_ends_the_daemon_only_after_its_terminal_was_closed() {
     let terminal = Terminal::open();
     let device = CString::new(terminal.device().as_os_str().as_bytes()).unwrap();
     let manager = Manager::start_with(path, |command| {
-        // The first terminal that the leader of a session opens is the session's.
+        // The first terminal that a session leader opens becomes the session's.
         let take_terminal = move || {
             // SAFETY: both calls are allowed between fork and exec, and the name
             // outlives its call.
@@ -394,22 +395,22 @@ fn a_terminal_that_is_closed_ends_the_daemon_and_one_that_is_not_does_not() {
         // SAFETY: see the calls.
         unsafe { command.pre_exec(take_terminal) };
     });
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     manager.signal(libc::SIGHUP);
-    manager.await_told("RELOADING=1");
-    // The system sends the signal.
+    manager.wait_for("RELOADING=1");
+    // The kernel sends the signal.
     drop(terminal);
-    let told = manager.await_told("STOPPING=1");
-    assert!(told.contains("SIGHUP"), "{told}");
+    let text = manager.wait_for("STOPPING=1");
+    assert!(text.contains("SIGHUP"), "{text}");
 }
 
 #[test]
-fn its_end_is_told_before_it_ends() {
+fn the_manager_is_notified_of_the_shutdown() {
     let mut manager = Manager::by_path();
-    manager.await_told("READY=1");
+    manager.wait_for("READY=1");
     manager.signal(libc::SIGTERM);
-    let told = manager.await_told("STOPPING=1");
-    assert!(told.contains("\nSTATUS=SIGTERM"), "{told}");
+    let text = manager.wait_for("STOPPING=1");
+    assert!(text.contains("\nSTATUS=SIGTERM"), "{text}");
     let mut status = None;
     wait_for("the end", || {
         status = manager.daemon.try_wait().unwrap();
@@ -419,7 +420,7 @@ fn its_end_is_told_before_it_ends() {
 }
 
 #[test]
-fn without_a_manager_and_with_one_that_is_unknown_it_runs() {
+fn it_runs_without_a_manager_and_with_one_of_an_unknown_kind() {
     for name in ["", "vsock:2:1234"] {
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("singletrackd.toml");
@@ -442,7 +443,7 @@ fn without_a_manager_and_with_one_that_is_unknown_it_runs() {
     }
 }
 
-/// A single thread of another process that is held; dropped, it goes on.
+/// A thread of another process that is stopped until this value is dropped.
 struct Frozen(libc::pid_t);
 
 impl Frozen {

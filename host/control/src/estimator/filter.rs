@@ -1,14 +1,14 @@
 //! An extended Kalman filter of the car's planar motion.
 //!
-//! Strapdown navigation: gyro and accelerometers drive the prediction, poses
-//! and motor speed correct it. No vehicle parameter enters but the distance of
-//! the rear axle, so the estimate is as robust as the law that uses it.
+//! Strapdown navigation: gyro and accelerometers drive the prediction; poses and motor
+//! speed correct it. The only vehicle parameter is the distance of the rear axle, so the
+//! estimate is as robust as the law that uses it.
 
 use libm::{cos, sin};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::{CarPose, EstimatorConfig, InertialSample};
-use crate::{Position, unwrap_near};
+use super::{config::EstimatorConfig, pose::CarPose};
+use crate::{angle::unwrap_near, measurement::InertialSample, point::Position};
 
 const STATES: usize = 8;
 /// Position of G, world frame, m.
@@ -28,14 +28,14 @@ const LEFT_BIAS: usize = 7;
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
 
-/// Mean and covariance at a moment that the caller keeps.
+/// Mean and covariance. The caller keeps their time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Filter {
     mean: State,
     covariance: Covariance,
 }
 
-/// The navigation state that a filter's mean implies.
+/// The navigation state of a filter's mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Navigation {
     pub(super) position: Position,
@@ -47,12 +47,12 @@ pub(super) struct Navigation {
 }
 
 impl Filter {
-    /// The gyro bias believed in, rad/s.
+    /// The estimated gyro bias, rad/s.
     pub(super) fn gyro_bias(&self) -> f64 {
         self.mean[GYRO_BIAS]
     }
 
-    /// Starts at a pose, with a velocity around zero.
+    /// A filter that starts at a pose, with zero velocity and biases.
     pub(super) fn at_pose(pose: &CarPose, config: &EstimatorConfig) -> Self {
         let mut mean = State::zeros();
         mean[X] = pose.position.x;
@@ -73,7 +73,7 @@ impl Filter {
         }
     }
 
-    /// Predicts over `dt` seconds with the inertial sample in force.
+    /// Predicts mean and covariance over `dt` seconds with a constant inertial sample.
     pub(super) fn predict(&mut self, dt: f64, inertial: &InertialSample, config: &EstimatorConfig) {
         let (forward, left) = (
             inertial.forward_acceleration - self.mean[FORWARD_BIAS],
@@ -115,7 +115,7 @@ impl Filter {
         }
     }
 
-    /// Predicts the mean alone, and returns the yaw halfway.
+    /// Predicts the mean only, over `dt` seconds. Returns the yaw at half of them, rad.
     pub(super) fn predict_mean(&mut self, dt: f64, inertial: &InertialSample) -> f64 {
         let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
         let heading = self.mean[YAW] + 0.5 * yaw_rate * dt;
@@ -131,8 +131,8 @@ impl Filter {
         heading
     }
 
-    /// Corrects with a pose; refuses one that differs too much from what was
-    /// predicted.
+    /// Corrects with a pose. Returns false, and changes nothing, if the pose is outside the
+    /// innovation gate.
     pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> bool {
         let innovation = Vector3::new(
             pose.position.x - self.mean[X],
@@ -164,8 +164,8 @@ impl Filter {
         true
     }
 
-    /// Corrects with the motor's speed, and with the rear wheels rolling where
-    /// they point.
+    /// Corrects with the speed from the motor pulses (m/s), and with a lateral speed of the
+    /// rear axle of zero: its wheels roll along the car.
     pub(super) fn correct_wheels(
         &mut self,
         motor_speed: f64,
@@ -209,7 +209,7 @@ impl Filter {
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
     }
 
-    /// Whether every number is one.
+    /// Whether mean and covariance are finite.
     pub(super) fn is_finite(&self) -> bool {
         self.mean.iter().all(|value| value.is_finite())
             && self.covariance.iter().all(|value| value.is_finite())
@@ -228,13 +228,13 @@ impl Filter {
     }
 }
 
-/// A car that is first seen may already roll, m/s.
+/// The car may already roll at its first pose, m/s.
 const INITIAL_VELOCITY_DEVIATION: f64 = 0.5;
 /// Typical of consumer gyros at start, rad/s.
 const INITIAL_GYRO_BIAS_DEVIATION: f64 = 0.05;
 /// Typical of consumer accelerometers, and of a floor that is not level, m/s².
 const INITIAL_ACCELERATION_BIAS_DEVIATION: f64 = 0.3;
-/// A pose this many standard deviations off, plus the gate, is not believed.
+/// The statistical part of the innovation gate, in standard deviations.
 const GATE_DEVIATIONS: f64 = 5.0;
 
 fn square(value: f64) -> f64 {

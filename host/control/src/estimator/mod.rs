@@ -1,164 +1,75 @@
-//! From poses, IMU and motor pulses to position, yaw, yaw rate, sideslip and
-//! speed.
+//! The estimator: position, yaw, yaw rate, sideslip and speed from poses, IMU and motor
+//! pulses.
 //!
-//! Poses arrive late (exposure, processing, network), inertial samples early.
-//! So the filter runs behind: it stays at the last pose's mid-exposure, keeps
-//! the inertial samples since, and predicts the present from there anew at
-//! every tick.
+//! Poses arrive later than inertial samples (exposure, processing, network). The filter
+//! therefore stays at the mid-exposure of the last pose and keeps the inertial samples
+//! since; every tick predicts the present from there.
 
+mod config;
 mod filter;
+mod pose;
 
-use filter::{Filter, Navigation};
 use heapless::Deque;
 use libm::{atan, atan2, hypot, tan};
 
-use crate::{Estimate, InertialSample, PoseSample, Position, Time, VehicleParameters, direction};
+pub use config::{EstimatorConfig, MarkerLoss};
+use filter::{Filter, Navigation};
+pub use pose::{CarPose, PoseVerdict};
 
-/// What the estimator does while the markers are lost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum MarkerLoss {
-    /// Position and yaw keep their last value, as in the paper; yaw rate and
-    /// sideslip stay live.
-    #[default]
-    Hold,
-    /// Position and yaw are predicted from IMU and motor speed.
-    DeadReckon,
-}
+use crate::{
+    estimate::Estimate,
+    measurement::{InertialSample, PoseSample},
+    point::{Position, direction},
+    time::Time,
+};
 
-/// The estimator's parameters, in SI units and radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EstimatorConfig {
-    /// What to do while the markers are lost.
-    pub marker_loss: MarkerLoss,
-    /// Position of the rigid body's origin from G, in the car's axes: forward, left.
-    pub marker_offset: [f64; 2],
-    /// Yaw of the rigid body when the car's yaw is zero.
-    pub marker_yaw: f64,
-    /// Distance from G to the rear axle, and wheelbase.
-    pub rear_axle_distance: f64,
-    /// Wheelbase.
-    pub wheelbase: f64,
-    /// Standard deviation of a pose's coordinate, m.
-    pub position_noise: f64,
-    /// Standard deviation of a pose's yaw, rad.
-    pub yaw_noise: f64,
-    /// Difference from the prediction at which a pose is refused, beyond the
-    /// statistical one, m.
-    pub position_gate: f64,
-    /// The same for yaw, rad.
-    pub yaw_gate: f64,
-    /// Gyro noise density, rad/s/√Hz.
-    pub gyro_noise_density: f64,
-    /// Random walk of the gyro bias, rad/s²/√Hz.
-    pub gyro_bias_walk: f64,
-    /// Accelerometer noise density with the car's vibration, m/s²/√Hz.
-    pub acceleration_noise_density: f64,
-    /// Random walk of the accelerometer bias, m/s³/√Hz.
-    pub acceleration_bias_walk: f64,
-    /// Standard deviation of the motor's speed at standstill, m/s.
-    pub motor_speed_noise: f64,
-    /// Standard deviation of the motor's speed, in proportion to it (tyre radius).
-    pub motor_speed_scale_noise: f64,
-    /// Standard deviation of the rear axle's sideways speed, m/s.
-    pub rear_slip_noise: f64,
-    /// How far beyond the last pose's mid-exposure position and yaw may be
-    /// predicted under [`MarkerLoss::Hold`], s: covers the latency of a pose
-    /// that arrives, not one that does not.
-    pub prediction_horizon: f64,
-}
-
-impl EstimatorConfig {
-    /// For a car under a motion capture of 0.2 mm and 0.1 degrees, with a
-    /// consumer IMU.
-    #[must_use]
-    pub const fn for_vehicle(vehicle: &VehicleParameters) -> Self {
-        Self {
-            marker_loss: MarkerLoss::Hold,
-            marker_offset: [0.0, 0.0],
-            marker_yaw: 0.0,
-            rear_axle_distance: vehicle.rear_axle_distance_m,
-            wheelbase: vehicle.wheelbase_m(),
-            position_noise: 2e-4,
-            yaw_noise: 1.7e-3,
-            position_gate: 0.05,
-            yaw_gate: 0.15,
-            gyro_noise_density: 5e-4,
-            gyro_bias_walk: 1e-4,
-            acceleration_noise_density: 0.02,
-            acceleration_bias_walk: 2e-3,
-            motor_speed_noise: 0.02,
-            motor_speed_scale_noise: 0.05,
-            rear_slip_noise: 0.03,
-            prediction_horizon: 0.03,
-        }
-    }
-}
-
-/// Pose of the car: of its centre of mass, from a pose of the rigid body.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CarPose {
-    /// Position of the centre of mass G on the floor, world frame, in m.
-    pub position: Position,
-    /// Yaw of the car, in rad, on the circle.
-    pub yaw: f64,
-}
-
-/// How many inertial samples are kept: 0.64 s at 100 Hz.
+/// The number of inertial samples kept: 0.64 s at 100 Hz.
 const SAMPLES: usize = 64;
 
-/// How far the filter may lag behind, s: a pose older than this comes too late.
+/// The largest lag of the filter, s: an older pose comes too late.
 const LAG: f64 = 0.15;
 
-/// A longer gap between inertial samples ends the track, s.
+/// The longest gap between inertial samples, s: a longer one restarts the estimate.
 const LONGEST_GAP: f64 = 0.2;
 
-/// Below this speed sideslip follows from steering alone, m/s.
+/// Below this speed, sideslip follows from the steering alone, m/s.
 const KINEMATIC_BELOW: f64 = 0.05;
-/// Above this speed sideslip follows from the velocity alone, m/s.
+/// Above this speed, sideslip follows from the velocity alone, m/s.
 const DYNAMIC_ABOVE: f64 = 0.15;
 
-/// An inertial sample with the motor speed that came with it.
+/// An inertial sample and the motor speed of the same telemetry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sample {
     inertial: InertialSample,
     motor_speed: f64,
 }
 
-/// What became of a pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PoseVerdict {
-    /// It corrected the estimate, or started it.
-    Accepted,
-    /// It is older than what was used already.
-    Late,
-    /// It differs too much from what gyro and speed predict.
-    Implausible,
-}
-
-/// Fuses motion capture, IMU and motor speed.
+/// Fuses motion capture, IMU and motor speed. The module describes how.
 #[derive(Clone, Debug)]
 pub struct Estimator {
     config: EstimatorConfig,
     track: Option<Track>,
     samples: Deque<Sample, SAMPLES>,
-    /// The sample in force at the filter's time.
+    /// The sample that holds at the filter's time.
     current: Option<Sample>,
     implausible_in_a_row: u32,
 }
 
-/// The filter from the first pose on.
+/// The filter since its first pose.
 #[derive(Clone, Debug)]
 struct Track {
     filter: Filter,
+    /// The time of the filter's state.
     time: Time,
+    /// Mid-exposure of the last accepted pose.
     pose_time: Time,
     poses: u32,
-    /// The last pose that was predicted within the horizon.
+    /// The position and yaw of the last estimate, to hold them beyond the horizon.
     held: Option<(Position, f64)>,
 }
 
 impl Estimator {
-    /// An estimator that has seen nothing.
+    /// An estimator before its first measurement.
     #[must_use]
     pub const fn new(config: EstimatorConfig) -> Self {
         Self {
@@ -170,25 +81,25 @@ impl Estimator {
         }
     }
 
-    /// Forgets the track; the next pose starts a new one.
+    /// Restarts the estimate: the next pose starts a new filter. Inertial samples are kept.
     pub fn reset(&mut self) {
         self.track = None;
         self.implausible_in_a_row = 0;
     }
 
-    /// How many poses in a row were implausible.
+    /// The number of implausible poses in a row.
     #[must_use]
     pub const fn implausible_in_a_row(&self) -> u32 {
         self.implausible_in_a_row
     }
 
-    /// How many poses the track has accepted.
+    /// The number of poses accepted since the estimate started.
     #[must_use]
     pub fn poses(&self) -> u32 {
         self.track.as_ref().map_or(0, |track| track.poses)
     }
 
-    /// The gyro bias that it believes in, rad/s.
+    /// The estimated gyro bias, rad/s; 0 before the first pose.
     #[must_use]
     pub fn gyro_bias(&self) -> f64 {
         self.track
@@ -196,7 +107,8 @@ impl Estimator {
             .map_or(0.0, |track| track.filter.gyro_bias())
     }
 
-    /// Takes in a pose.
+    /// Handles a pose. The first one starts the estimate; later ones must pass the
+    /// innovation gate.
     pub fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
         let measurement = self.centre_of_mass(pose);
         let Some(track) = &mut self.track else {
@@ -231,16 +143,15 @@ impl Estimator {
             return PoseVerdict::Implausible;
         }
         track.pose_time = pose.capture;
-        // However late it comes, it replaces what was held.
+        // An accepted pose replaces the held one, however old it is.
         track.held = None;
         track.poses = track.poses.saturating_add(1);
         self.implausible_in_a_row = 0;
         PoseVerdict::Accepted
     }
 
-    /// Takes in an inertial sample and the speed of the rear axle by the motor
-    /// pulses (m/s) that came with it. Samples must come in order of time; one that
-    /// does not is left out.
+    /// Handles an inertial sample and the speed of the rear axle from the motor pulses
+    /// (m/s) of the same telemetry. A sample out of order or not finite is ignored.
     pub fn handle_inertial(&mut self, inertial: InertialSample, motor_speed: f64) {
         let newest = self
             .samples
@@ -255,8 +166,8 @@ impl Estimator {
             return;
         }
         if newest > Time(0) && inertial.time.seconds_since(newest) > LONGEST_GAP {
-            // Nobody knows how the car moved meanwhile; to guess would teach
-            // the filter a wrong bias.
+            // The motion in between is unknown; predicting it would give the filter a
+            // wrong bias.
             self.reset();
             self.samples.clear();
             self.current = None;
@@ -268,12 +179,12 @@ impl Estimator {
         if self.samples.is_full() {
             self.current = self.samples.pop_front();
         }
-        // Never full here.
+        // There is room: see above.
         let _ = self.samples.push_back(sample);
     }
 
-    /// The estimate for `now`, with the steering angle commanded (rad); none
-    /// before the first pose and the first inertial sample.
+    /// The estimate for `now` with the commanded steering angle (rad). `None` before the
+    /// first pose and the first inertial sample.
     pub fn estimate(&mut self, now: Time, steering: f64) -> Option<Estimate> {
         let track = self.track.as_mut()?;
         let oldest = now.before(LAG);
@@ -313,8 +224,9 @@ impl Estimator {
         })
     }
 
-    /// Signed speed, and sideslip that turns kinematic where the velocity is
-    /// too small to have a direction.
+    /// Speed of G (m/s, negative in reverse) and sideslip (rad). At low speed the velocity
+    /// has no reliable direction, and sideslip follows from the steering:
+    /// atan(`l_r`/L tan δ).
     fn speed_and_sideslip(&self, navigation: &Navigation, steering: f64) -> (f64, f64) {
         let Navigation { forward, left, .. } = *navigation;
         let pace = hypot(forward, left);
@@ -326,7 +238,7 @@ impl Estimator {
         (sign * pace, kinematic + weight * (dynamic - kinematic))
     }
 
-    /// The pose of G that belongs to a pose of the markers.
+    /// The pose of the car for a pose of the rigid body.
     #[must_use]
     pub fn centre_of_mass(&self, pose: &PoseSample) -> CarPose {
         let yaw = pose.yaw - self.config.marker_yaw;
@@ -349,7 +261,7 @@ impl Estimator {
     }
 }
 
-/// Advances the filter to `end`, through the samples on the way.
+/// Advances the filter to `end`, with the samples up to it.
 fn advance(
     track: &mut Track,
     samples: &mut Deque<Sample, SAMPLES>,
@@ -362,8 +274,7 @@ fn advance(
     {
         samples.pop_front();
         if next.inertial.time > track.time {
-            // A sample holds from its own time on; before the first one, it
-            // is the best guess for the time before it too.
+            // A sample holds from its time on. The first one also holds before its time.
             let inertial = current.as_ref().unwrap_or(&next).inertial;
             let dt = next.inertial.time.seconds_since(track.time);
             track.filter.predict(dt, &inertial, config);
@@ -383,7 +294,7 @@ fn advance(
     }
 }
 
-/// The filter's mean predicted to `end`, the filter itself untouched.
+/// A copy of the filter with its mean predicted to `end`; its covariance is not.
 fn predict_mean(
     track: &Track,
     samples: &Deque<Sample, SAMPLES>,

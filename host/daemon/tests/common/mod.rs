@@ -1,8 +1,8 @@
-//! What several tests do.
+//! Helpers of several tests.
 
 use std::time::{Duration, Instant};
 
-/// Looks until `condition` holds; how long that took.
+/// Waits until `condition` holds. Returns how long that took.
 pub(crate) fn wait_for(what: &str, mut condition: impl FnMut() -> bool) -> Duration {
     let begin = Instant::now();
     while !condition() {

@@ -1,6 +1,6 @@
 //! A pseudo-terminal in place of the board's port.
 
-#![allow(dead_code, reason = "each test uses its part of it")]
+#![allow(dead_code, reason = "each test file uses its own part")]
 
 use std::{
     ffi::OsStr,
@@ -14,7 +14,7 @@ use rustix::{
     termios::{OptionalActions, tcgetattr, tcsetattr},
 };
 
-/// The board's end of a pseudo-terminal. Dropped, the line hangs up.
+/// The board's end of a pseudo-terminal. Dropping it hangs up the line.
 pub(crate) struct Terminal {
     master: OwnedFd,
     device: PathBuf,
@@ -39,13 +39,13 @@ impl Terminal {
         &self.device
     }
 
-    /// Points `link` at it.
+    /// Makes `link` a symbolic link to the device.
     pub(crate) fn link(&self, link: &Path) {
         let _ = std::fs::remove_file(link);
         std::os::unix::fs::symlink(&self.device, link).unwrap();
     }
 
-    /// What has come so far.
+    /// The bytes that wait.
     pub(crate) fn read(&self) -> Vec<u8> {
         let mut all = Vec::new();
         let mut buffer = [0; 4_096];
