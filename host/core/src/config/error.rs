@@ -1,4 +1,4 @@
-//! What can be wrong with a configuration.
+//! Why a configuration is refused.
 
 use core::fmt;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use singletrack_protocol::{ConfigurationError, ConfigurationField};
 
 use super::{WaypointFileError, explain::explain};
 
-/// A configuration with which nothing can be driven: key, value and fix.
+/// Why a configuration is refused: key, value and fix.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file can't be read.
+    /// The file cannot be read.
     #[error("can't read {}: {source}", .path.display())]
     Read {
         /// The file.
@@ -20,8 +20,8 @@ pub enum ConfigError {
         /// Why.
         source: std::io::Error,
     },
-    /// The text is no configuration: a syntax error, an unknown or a missing
-    /// key, a value of the wrong type.
+    /// The text does not parse: a syntax error, an unknown or a missing key, a value of the
+    /// wrong type.
     #[error("{}{message}", prefix(.path))]
     Parse {
         /// The file, if it came from one.
@@ -29,7 +29,7 @@ pub enum ConfigError {
         /// Where and why.
         message: String,
     },
-    /// What is wrong with a file that could be read.
+    /// The file can be read and is refused.
     #[error("{}: {source}", .path.display())]
     File {
         /// The file.
@@ -37,7 +37,7 @@ pub enum ConfigError {
         /// The error.
         source: Box<Self>,
     },
-    /// The waypoints can't be read.
+    /// The file of waypoints is refused.
     #[error("reference.file: {}: {source}", .path.display())]
     Waypoints {
         /// The file.
@@ -45,22 +45,22 @@ pub enum ConfigError {
         /// Where and why.
         source: WaypointFileError,
     },
-    /// The reference makes no sense.
+    /// The reference is invalid.
     #[error("reference.{0}")]
     Reference(#[from] ReferenceError),
-    /// The fence encloses nothing.
+    /// The fence is not a simple polygon.
     #[error("fence.corners_m: {0}")]
     Fence(#[from] FenceError),
-    /// The law makes no sense.
+    /// The law is invalid for the vehicle.
     #[error("law.{0}")]
     Law(#[from] LawError),
-    /// The vehicle makes no sense.
+    /// A vehicle parameter is invalid.
     #[error("vehicle.{} is {}: it must be finite and above zero", .0.name, .0.value)]
     Vehicle(#[from] VehicleParameterError),
-    /// No board would take these values.
+    /// The board refuses a value.
     #[error("{}", board_message(.0))]
     Board(#[from] ConfigurationError),
-    /// A value outside its range, or at odds with another.
+    /// A value is outside its range, or contradicts another.
     #[error("{key} is {value}: {fix}")]
     Value {
         /// The key.
@@ -85,7 +85,7 @@ impl ConfigError {
         }
     }
 
-    /// Why `text`, from a file or not, is no configuration.
+    /// The explanation why `text`, from a file or not, does not parse.
     pub(crate) fn parse(path: Option<&Path>, text: &str, error: &toml::de::Error) -> Self {
         Self::Parse {
             path: path.map(Path::to_owned),

@@ -1,17 +1,17 @@
-//! What is wrong with a TOML text: line, key, value and fix.
+//! Explains a parse error of a TOML text: line, key, value and fix.
 //!
-//! The parser says where a mistake is and what it expected. Whoever wrote the
-//! file wants to know which key that is, and what to write instead.
+//! The parser reports the position of a mistake and what it expected. The author of the file
+//! also needs the key, and what to write instead.
 
 use core::ops::Range;
 
 /// The longest piece of a file that a message quotes, in characters.
 const LONGEST_QUOTE: usize = 60;
 
-/// Names less alike than this are not taken for a slip of the pen.
+/// Names less similar than this do not count as a typing mistake.
 const ALIKE: f64 = 0.8;
 
-/// Explains why `text` is no configuration.
+/// Explains why `text` does not parse.
 pub(super) fn explain(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().trim();
     let place = Place::find(text, error.span().unwrap_or_default());
@@ -25,7 +25,7 @@ pub(super) fn explain(text: &str, error: &toml::de::Error) -> String {
         return format!("line {line}: {key} is missing; add it, as in singletrackd.example.toml");
     }
     match place.key {
-        // A message of our own, which says the key.
+        // A message from this crate, which names the key.
         _ if message.starts_with(&format!("{}.", place.table)) => format!("line {line}: {what}"),
         Some(key) => match place.value {
             Some(value) => format!("line {line}: {key} = {}: {what}", quote(value)),
@@ -38,15 +38,15 @@ pub(super) fn explain(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
-/// Where in a file something is.
+/// The position of a mistake in a file.
 struct Place<'a> {
     /// Counted from 1.
     line: usize,
-    /// The table that the line belongs to; empty before the first.
+    /// The table of the line; empty before the first table.
     table: String,
-    /// The whole key, tables and all.
+    /// The key with its tables.
     key: Option<String>,
-    /// What is given to the key, if that is what is wrong.
+    /// The value of the key, if the value is the mistake.
     value: Option<&'a str>,
 }
 
@@ -70,9 +70,9 @@ impl<'a> Place<'a> {
         let marked = text.get(span).unwrap_or_default().trim();
         let is_header = seen.lines().last().and_then(header).is_some();
         let (key, value) = match entry {
-            // A header is wrong itself: its last part is what is marked.
+            // The mistake is the header: the parser marks its last part.
             _ if is_header => (table.clone(), None),
-            // What is marked is a key, perhaps one within an inline table.
+            // The parser marks a key, perhaps one within an inline table.
             Some(_) if is_key(marked) && rest_is_assignment(rest, marked) => {
                 (join(&table, marked), None)
             }
@@ -91,7 +91,7 @@ impl<'a> Place<'a> {
     }
 }
 
-/// Whether what is marked is followed by an equals sign.
+/// Whether an equals sign follows the marked text.
 fn rest_is_assignment(rest: &str, marked: &str) -> bool {
     rest.get(marked.len()..)
         .is_some_and(|rest| rest.trim_start().starts_with('='))
@@ -105,7 +105,7 @@ fn header(line: &str) -> Option<&str> {
         .strip_prefix('[')
         .and_then(|name| name.strip_suffix(']'))
         .unwrap_or(name);
-    // The last line of a list of numbers looks much the same.
+    // The last line of a list of numbers looks similar.
     (is_key(name) && name.starts_with(|c: char| c.is_ascii_alphabetic())).then_some(name)
 }
 
@@ -176,7 +176,7 @@ fn quoted_after<'a>(message: &'a str, words: &str) -> Option<&'a str> {
     Some(rest.split_once('`')?.0)
 }
 
-/// The words in backquotes that a message says were expected.
+/// The words in backquotes that a message expects.
 fn expected(message: &str) -> impl Iterator<Item = &str> {
     let list = message
         .split_once("expected ")
@@ -184,7 +184,7 @@ fn expected(message: &str) -> impl Iterator<Item = &str> {
     list.split('`').skip(1).step_by(2)
 }
 
-/// The known word that the unknown one most probably stands for.
+/// The known word most similar to the unknown one.
 fn alike<'a>(unknown: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     known
         .map(|word| (strsim::jaro_winkler(unknown, word), word))

@@ -1,4 +1,4 @@
-//! Files that a person has written: read whole, and refused if they can't be one.
+//! Text files written by a person: read whole, and refused if they are not regular files.
 
 use std::{
     fs::OpenOptions,
@@ -7,17 +7,17 @@ use std::{
     path::Path,
 };
 
-/// No configuration and no list of waypoints that the controller takes is longer.
+/// Longer than every valid configuration and every valid list of waypoints.
 const LONGEST: u64 = 1 << 20;
 
 /// The text of a file.
 ///
 /// # Errors
 ///
-/// What the system says; or that it is none, is too long, or is no UTF-8, with
-/// what to do about it.
+/// The system's error; or the file is not a regular file, is too long, or is not UTF-8, each
+/// with a fix.
 pub(super) fn read_text(path: &Path) -> io::Result<String> {
-    // Non-blocking: to open a pipe that nobody writes to would wait for ever.
+    // Non-blocking: opening a pipe without a writer would wait for ever.
     let file = OpenOptions::new()
         .read(true)
         .custom_flags(libc::O_NONBLOCK)
@@ -32,7 +32,7 @@ pub(super) fn read_text(path: &Path) -> io::Result<String> {
         return Err(io::Error::other(format!("it is {kind}; name a file")));
     }
     let mut bytes = Vec::new();
-    // What the system calls a file may still have no end, as in /proc.
+    // A regular file may still have no end, as in /proc.
     file.take(LONGEST + 1).read_to_end(&mut bytes)?;
     let length = metadata.len().max(bytes.len() as u64);
     if length > LONGEST {

@@ -1,7 +1,7 @@
 //! The configuration: one TOML file, units in the key names, unknown keys
 //! refused, every value checked before anything starts.
 //!
-//! Each section is declared once, with [`section!`](section); the example file
+//! Each section is declared once, with `section!`; the example file
 //! `singletrackd.example.toml` and `docs/configuration.md` are generated from that.
 
 mod board;

@@ -116,7 +116,7 @@ section! {
     /// Velocity steps, in order, each with `duration_s`, `v_x_m_s` and `v_y_m_s`.
     steps: Option<Vec<StepSection>> = None;
     /// Waypoints: CSV file with the columns `t_s,x_m,y_m`; its path is relative to the
-    /// configuration file.
+    /// configuration file. `waypoints` may take its place.
     file: Option<PathBuf> = None;
     /// Waypoints in the place of a file, each with `t_s`, `x_m` and `y_m`, in order of time.
     waypoints: Option<Vec<WaypointSection>> = None;

@@ -9,13 +9,13 @@ use super::file::read_text;
 /// The columns, in any order.
 const COLUMNS: [&str; 3] = ["t_s", "x_m", "y_m"];
 
-/// What is wrong with a file of waypoints.
+/// Why a file of waypoints is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum WaypointFileError {
-    /// It can't be read.
+    /// The file cannot be read.
     #[error("{0}")]
     File(#[from] io::Error),
-    /// Not a table.
+    /// The file is not CSV.
     #[error("{0}; write three numbers a line, as 0.0,1.5,-0.5")]
     Csv(#[from] csv::Error),
     /// The first line does not name the columns.
@@ -24,14 +24,14 @@ pub enum WaypointFileError {
         /// The first line.
         found: String,
     },
-    /// A field that is no finite number.
+    /// A field is not a finite number.
     #[error("line {line}: {column} is {value:?}; write a finite number, as 0.5")]
     Number {
         /// Counted from 1.
         line: u64,
-        /// Its column.
+        /// The column of the field.
         column: &'static str,
-        /// What is written there.
+        /// The text of the field.
         value: String,
     },
     /// The waypoints are not in order of time.
@@ -41,12 +41,12 @@ pub enum WaypointFileError {
     Order {
         /// Counted from 1.
         line: u64,
-        /// Its time.
+        /// The time of the waypoint.
         t_s: f64,
         /// The time of the waypoint before.
         before_s: f64,
     },
-    /// Too few, or too many.
+    /// There are too few waypoints, or too many.
     #[error("{0}; write one waypoint a line")]
     Waypoints(#[from] ReferenceError),
 }
