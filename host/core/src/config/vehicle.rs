@@ -1,4 +1,6 @@
 //! `[vehicle]`: the parameters of the car.
+//!
+//! [`VehicleParameters`] is read as it is; the section declared here describes it.
 
 use singletrack_control::VehicleParameters;
 
