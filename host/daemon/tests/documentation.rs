@@ -1,5 +1,5 @@
 //! The documentation, compared with the repository: pages, links, anchors, paths
-//! and configuration keys.
+//! and the dependencies of the crates.
 
 #![allow(
     clippy::unwrap_used,
@@ -236,74 +236,70 @@ fn every_file_of_the_repository_that_a_page_names_exists() {
     assert!(count >= 20, "only {count} files");
 }
 
-/// A key of the example configuration: whether it has no default, and the default
-/// if the line shows one.
-#[derive(Debug, Default)]
-struct Key {
-    required: bool,
-    default: Option<String>,
-}
-
-/// The keys of the example, by section and name.
-fn example_keys() -> BTreeMap<(String, String), Key> {
-    let mut keys = BTreeMap::<_, Key>::new();
-    let mut section = String::new();
-    for line in include_str!("../singletrackd.example.toml").lines() {
-        let bare = line.trim_start_matches('#');
-        if let Some(name) = bare.strip_prefix('[').and_then(|it| it.strip_suffix(']')) {
-            name.clone_into(&mut section);
-        } else if let Some((name, value)) = bare.trim_start().split_once(" = ")
-            && name.chars().all(|it| it == '_' || it.is_alphanumeric())
-            && !section.is_empty()
-        {
-            let key = keys.entry((section.clone(), name.to_owned())).or_default();
-            key.required |= !line.starts_with('#');
-            if line.starts_with('#') && !bare.starts_with(' ') {
-                key.default = Some(value.to_owned());
-            }
+/// The crates of this repository that a manifest depends on, without those for tests.
+fn dependencies(manifest: &str) -> BTreeSet<String> {
+    let mut section = "";
+    let mut names = BTreeSet::new();
+    for line in manifest.lines() {
+        if line.starts_with('[') {
+            section = line;
+        } else if section == "[dependencies]" && line.starts_with("singletrack") {
+            let name = line.split(['.', ' ']).next().unwrap();
+            names.insert(short(name).to_owned());
         }
     }
-    keys
+    names
 }
 
-/// The keys of the tables in the documentation, with the column of the defaults.
-fn documented_keys() -> BTreeMap<(String, String), String> {
-    let mut keys = BTreeMap::new();
-    let mut section = String::new();
-    let text = fs::read_to_string(root().join("docs/configuration.md")).unwrap();
-    for line in text.lines() {
-        if let Some(name) = line.strip_prefix("## `[") {
-            name.trim_end_matches("]`").clone_into(&mut section);
-        } else if let Some(row) = line.strip_prefix("| `") {
-            let (name, rest) = row.split_once("` | ").unwrap();
-            let (default, meaning) = rest.split_once(" | ").unwrap();
-            assert!(
-                !meaning.trim_end_matches(" |").is_empty(),
-                "{section}.{name}"
-            );
-            let key = (section.clone(), name.to_owned());
-            let before = keys.insert(key, default.to_owned());
-            assert!(before.is_none(), "{section}.{name} twice");
-        }
+/// The name of a crate on the architecture page.
+fn short(name: &str) -> &str {
+    match name {
+        "singletrack" => "cli",
+        "singletrackd" => "daemon",
+        name => name.strip_prefix("singletrack-").unwrap_or(name),
     }
-    keys
 }
 
 #[test]
-fn the_tables_have_every_configuration_key_with_its_default() {
-    let example = example_keys();
-    let documented = documented_keys();
-    let of_the_example: BTreeSet<_> = example.keys().collect();
-    let of_the_page: BTreeSet<_> = documented.keys().collect();
-    assert_eq!(of_the_example, of_the_page);
-    for (key, value) in &example {
-        let cell = &documented[key];
-        if let Some(default) = &value.default {
-            assert_eq!(*cell, format!("`{default}`"), "{key:?}");
-        }
-        if value.required {
-            assert_eq!(cell, "**required**", "{key:?}");
+fn the_crates_depend_on_each_other_as_the_architecture_page_allows() {
+    let page = include_str!("../../../docs/architecture.md");
+    let table = page.split("| crate | may depend on |\n|---|---|\n").nth(1);
+    let mut allowed = BTreeMap::new();
+    for row in table.unwrap().lines().map_while(|line| line.strip_prefix("| ")) {
+        let (names, dependencies) = row.trim_end_matches(" |").split_once(" | ").unwrap();
+        for name in names.split(", ") {
+            allowed.insert(name.to_owned(), dependencies);
         }
     }
-    assert!(example.len() >= 90, "only {} keys", example.len());
+    let mut manifests = vec![root()];
+    let mut count = 0;
+    while let Some(folder) = manifests.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() && !name.starts_with('.') && name != "target" {
+                manifests.push(path);
+            } else if name == "Cargo.toml" {
+                let text = fs::read_to_string(&path).unwrap();
+                let package = text.lines().find_map(|line| line.strip_prefix("name = \""));
+                let Some(package) = package.filter(|_| text.starts_with("[package]")) else {
+                    continue;
+                };
+                let package = short(package.trim_end_matches('"'));
+                if ["xtask", "real-packets"].contains(&package) {
+                    continue;
+                }
+                let allowed = allowed
+                    .get(package)
+                    .unwrap_or_else(|| panic!("{package} is not on the architecture page"));
+                if *allowed != "(any)" {
+                    let allowed: BTreeSet<_> = allowed.split(", ").map(str::to_owned).collect();
+                    let extra: Vec<_> = dependencies(&text).difference(&allowed).cloned().collect();
+                    assert!(extra.is_empty(), "{package} depends on {extra:?}");
+                }
+                count += 1;
+            }
+        }
+    }
+    assert_eq!(count, allowed.len(), "crates, and names on the page");
 }

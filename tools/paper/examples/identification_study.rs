@@ -1,5 +1,5 @@
 //! How good the identification is, over many seeds:
-//! `cargo run --release -p singletrack --example identification_study -- 100`.
+//! `cargo run --release -p singletrack-paper --example identification_study -- 100`.
 
 use indicatif::ProgressBar;
 use singletrack_paper::identify::study::{StudyError, run_study};

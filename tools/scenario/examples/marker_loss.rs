@@ -3,7 +3,7 @@
 //! rest on this table.
 //!
 //! ```sh
-//! cargo run --release -p singletrack --example marker_loss
+//! cargo run --release -p singletrack-scenario --example marker_loss
 //! ```
 
 use std::error::Error;
