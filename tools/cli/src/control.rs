@@ -87,7 +87,11 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
             serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
         }
         ControlCommand::Arm => "driving".to_owned(),
-        ControlCommand::Disarm => "disarming: the car slows down and stops".to_owned(),
+        // An emergency stop stays in force: the daemon then answers with a note.
+        ControlCommand::Disarm => match answer.get("note").and_then(Value::as_str) {
+            Some(note) => note.to_owned(),
+            None => "disarming: the car slows down and stops".to_owned(),
+        },
         ControlCommand::Stop => "stopped: neutral until the board is reset".to_owned(),
     })
 }

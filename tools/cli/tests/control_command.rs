@@ -71,6 +71,15 @@ fn what_was_done_is_said_in_words() {
 }
 
 #[test]
+fn a_disarm_prints_the_note_of_the_daemon() {
+    let (output, _) = ask(
+        "disarm",
+        r#"{"version":1,"ok":true,"note":"still stopped"}"#,
+    );
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), "still stopped\n");
+}
+
+#[test]
 fn a_reader_that_has_gone_is_success() {
     let answer = r#"{"version":1,"ok":true,"status":{"mode":"idle"}}"#;
     let (reader, writer) = std::io::pipe().unwrap();

@@ -6,7 +6,7 @@
 
 use singletrack_control::Time;
 
-use super::{Conditions, Reason, SupervisorConfig};
+use super::{conditions::Conditions, config::SupervisorConfig, reason::Reason};
 use crate::{
     event::{BoardHealth, BoardState, LineHealth, LinkState, PoseMissing, RealTimeState},
     watch::ImuVerdict,
