@@ -203,14 +203,14 @@ fn one_bit_of_an_input_is_found_and_shown_with_all_inputs() {
     let folder = tempfile::tempdir().unwrap();
     let path = circle(&folder);
     for (name, change) in changes {
-        let (path, _folder) = tick_changed(&path, 700, change);
+        let (path, _folder) = tick_changed(&path, 740, change);
         let told = stderr(&replay(&path, &["--verify"]));
         // An input may show a few ticks later.
         assert!(told.contains("comes out otherwise"), "{name}: {told}");
         assert!(told.contains("recorded "), "{name}: {told}");
         assert!(told.contains("The pilot was told, at "), "{name}: {told}");
         assert!(
-            told.contains(r#"{"topic":"tick","index":70"#),
+            told.contains(r#"{"topic":"tick","index":74"#),
             "{name}: {told}"
         );
     }

@@ -6,7 +6,7 @@ use singletrack_control::VehicleParameters;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentificationError {
     /// A list of the drive has fewer than two samples.
-    #[error("the drive has {count} {what}: record it with motion capture and board")]
+    #[error("there are {count} {what} in the drive: record one with motion capture and board")]
     TooFew {
         /// The samples of the list.
         what: &'static str,
