@@ -15,13 +15,12 @@
 //!
 //! # What is real
 //!
-//! Real are the daemon's control loop with link session and pilot, its motion
-//! capture session, its configuration, the rings between its threads and their
-//! sizes; the board's code or the image; frames on a line paced at its baud rate;
-//! NatNet packets. Modelled are the loops of the daemon's other threads, the
-//! kernel's queues of a port and a socket, and the network, which falsifies
-//! packets. Nothing reads a clock: the same schedule gives the same bits on any
-//! number of threads.
+//! Real are the daemon's host loop (serial reader, camera receiver, control loop with
+//! link session and pilot, rings, alignment of the ticks, reconfiguration) and its
+//! configuration; the board's code or the image; frames on a line paced at its baud
+//! rate; NatNet packets. Modelled are the kernel's queues of a port and a socket, and
+//! the network, which falsifies packets. Nothing reads a clock: the same schedule
+//! gives the same bits on any number of threads.
 //!
 //! # Schedules
 //!
