@@ -52,6 +52,7 @@ impl OuterLoop for OpenLoop {
 
 /// The outer loop that the configuration selects.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum TrackingLoop {
     /// See [`ProportionalLoop`].
     Proportional(ProportionalLoop),

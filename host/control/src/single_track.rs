@@ -81,6 +81,19 @@ pub struct LateralRate<N = f64> {
 /// The single-track model: a vehicle whose speed and steering angle are inputs.
 ///
 /// The parameters are of type `P`; each method is generic over the [`Number`] of the motion.
+///
+/// ```
+/// use singletrack_control::{SingleTrack, SingleTrackState, VehicleParameters};
+///
+/// let model = SingleTrack::new(VehicleParameters::paper());
+/// let straight_on = SingleTrackState::default();
+/// // 0.8 m/s along the world's x axis, with the wheels 0.1 rad to the left.
+/// let rate = model.derivative(&straight_on, 0.8, 0.1);
+/// assert_eq!((rate.x, rate.y, rate.yaw), (0.8, 0.0, 0.0));
+/// // C_f l_f δ / I_z: the front axle begins to turn the car.
+/// let yaw_acceleration = 58.085 * 0.1368 * 0.1 / 0.0251;
+/// assert!((rate.yaw_rate - yaw_acceleration).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingleTrack<P = f64> {
     vehicle: VehicleParameters<P>,

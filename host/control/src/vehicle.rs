@@ -30,6 +30,7 @@ pub struct VehicleParameters<P = f64> {
 /// A vehicle parameter that is not finite or not positive.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("vehicle parameter {name} is {value}: it must be finite and above zero")]
+#[non_exhaustive]
 pub struct VehicleParameterError {
     /// The parameter's name.
     pub name: &'static str,

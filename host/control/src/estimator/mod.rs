@@ -44,7 +44,44 @@ struct Sample {
     motor_speed: f64,
 }
 
-/// Fuses motion capture, IMU and motor speed. The module describes how.
+/// Fuses motion capture, IMU and motor speed in an extended Kalman filter.
+///
+/// Poses arrive later than inertial samples. The filter stays at the mid-exposure of the
+/// last pose, and [`Estimator::estimate`] predicts the present from there.
+///
+/// ```
+/// use singletrack_control::{
+///     Estimator, EstimatorConfig, InertialSample, PoseSample, PoseVerdict, Position, Time,
+///     VehicleParameters,
+/// };
+///
+/// let config = EstimatorConfig::for_vehicle(&VehicleParameters::paper());
+/// let mut estimator = Estimator::new(config);
+/// // A car that stands at (1 m, 2 m): an inertial sample and a pose every 10 ms.
+/// let mut now = Time(1_000_000_000);
+/// for frame in 0..20 {
+///     let inertial = InertialSample {
+///         time: now,
+///         yaw_rate: 0.0,
+///         forward_acceleration: 0.0,
+///         left_acceleration: 0.0,
+///     };
+///     estimator.handle_inertial(inertial, 0.0);
+///     let pose = PoseSample {
+///         capture: now.before(0.005),
+///         receive: now,
+///         frame,
+///         position: Position::new(1.0, 2.0),
+///         yaw: 0.3,
+///     };
+///     assert_eq!(estimator.handle_pose(&pose), PoseVerdict::Accepted);
+///     now = now.after(0.01);
+/// }
+/// let estimate = estimator.estimate(now, 0.0).ok_or("no estimate")?;
+/// assert!((estimate.position - Position::new(1.0, 2.0)).norm() < 1e-3);
+/// assert!(estimate.speed.abs() < 1e-3);
+/// # Ok::<(), &str>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Estimator {
     config: EstimatorConfig,

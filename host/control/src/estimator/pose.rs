@@ -13,6 +13,7 @@ pub struct CarPose {
 
 /// The result of handling a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum PoseVerdict {
     /// The pose corrected the estimate, or started it.
     Accepted,

@@ -12,6 +12,20 @@ const SMALLEST_COSINE: f64 = 0.1;
 ///
 /// Its only parameters are the distance p of the point P from the front axle and the
 /// distance `l_f` of the front axle from G.
+///
+/// ```
+/// use singletrack_control::{FrontPointLaw, Motion, Velocity};
+///
+/// // l_f = 0.1368 m, p = 0.35 m, wheelbase 0.26 m.
+/// let law = FrontPointLaw::new(0.1368, 0.35, 0.26)?;
+/// let straight_on = Motion { yaw: 0.0, yaw_rate: 0.0, sideslip: 0.0 };
+/// // P is to move forward with 0.5 m/s and to the left with 0.07 m/s.
+/// let command = law.command(&straight_on, 0.0, &Velocity::new(0.5, 0.07))?;
+/// assert_eq!(command.speed, 0.5);
+/// // The sideways velocity over p.
+/// assert!((command.steering_rate - 0.2).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrontPointLaw {
     front_axle_distance: f64,

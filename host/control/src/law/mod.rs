@@ -22,6 +22,7 @@ pub struct Motion {
 
 /// The state is at a singularity of the law, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Singularity {
     /// The front wheels are nearly perpendicular to the velocity: |cos(β - δ)| is too small.
     #[error(
@@ -47,6 +48,7 @@ pub enum Singularity {
 
 /// An invalid parameter of a law.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum LawError {
     /// The distance p must not be zero (paper, footnote to equation 3).
     #[error("point_distance_m is {0}: it must be finite and above zero")]

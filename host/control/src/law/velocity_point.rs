@@ -12,6 +12,20 @@ const SMALLEST_SPEED: f64 = 1e-3;
 ///
 /// Needs the mass, both cornering stiffnesses and both axle distances, and is
 /// singular at standstill.
+///
+/// ```
+/// use singletrack_control::{Motion, Singularity, VehicleParameters, Velocity, VelocityPointLaw};
+///
+/// let law = VelocityPointLaw::new(VehicleParameters::paper(), 0.35)?;
+/// let straight_on = Motion { yaw: 0.0, yaw_rate: 0.0, sideslip: 0.0 };
+/// let command = law.command(&straight_on, &Velocity::new(0.5, 0.07))?;
+/// assert_eq!(command.speed, 0.5);
+/// assert!(command.steering > 0.0, "to the left");
+///
+/// let standstill = law.command(&straight_on, &Velocity::zeros());
+/// assert!(matches!(standstill, Err(Singularity::Standstill { .. })));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityPointLaw {
     vehicle: VehicleParameters,

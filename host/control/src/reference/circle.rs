@@ -4,6 +4,16 @@ use super::{ReferenceError, ReferencePoint, finite, positive};
 use crate::{Position, direction};
 
 /// A circle at constant angular velocity, which starts on the x axis of the centre.
+///
+/// ```
+/// use singletrack_control::{Circle, Position, ReferenceError};
+///
+/// let circle = Circle::new(Position::new(1.0, 2.0), 0.8, 0.5)?;
+/// assert_eq!(circle.radius(), 0.8);
+/// let flat = Circle::new(Position::origin(), 0.0, 0.5);
+/// assert!(matches!(flat, Err(ReferenceError::NotPositive { name: "radius_m", .. })));
+/// # Ok::<(), ReferenceError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circle {
     centre: Position,

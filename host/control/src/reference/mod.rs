@@ -24,11 +24,29 @@ pub struct ReferencePoint {
 }
 
 /// A reference for P over time.
+///
+/// ```
+/// use singletrack_control::{Circle, Position, Reference, Velocity, VelocityStep, VelocitySteps};
+///
+/// let circle = Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5)?);
+/// let start = circle.at(0.0);
+/// assert_eq!(start.position, Some(Position::new(1.0, 0.0)));
+/// assert_eq!(start.velocity, Velocity::new(0.0, 0.5));
+/// assert_eq!(circle.duration(), None, "it does not end");
+///
+/// // A reference of velocity alone.
+/// let step = VelocityStep { duration: 2.0, velocity: Velocity::new(0.5, 0.0) };
+/// let steps = Reference::VelocitySteps(VelocitySteps::new(&[step])?);
+/// assert_eq!(steps.at(1.0).position, None);
+/// assert_eq!(steps.duration(), Some(2.0));
+/// # Ok::<(), singletrack_control::ReferenceError>(())
+/// ```
 #[expect(
     clippy::large_enum_variant,
     reason = "a controller has one of them, and without an allocator it cannot be boxed"
 )]
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Reference {
     /// A circle.
     Circle(Circle),
@@ -44,6 +62,7 @@ pub enum Reference {
 
 /// An invalid parameter of a reference.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReferenceError {
     /// The value must be finite and above zero.
     #[error("{name} is {value}: it must be finite and above zero")]
