@@ -13,28 +13,14 @@ use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
 use crate::{
     alignment::Alignment,
-    controller::{Controller, Sent},
+    controller::Controller,
     grid::Slot,
-    line::{Line, drive_number},
-    reconfigure::{Reconfiguration, Refusal},
+    line::{Line, Sent, drive_number},
     report::{LineCounters, Report, link_phase},
+    requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
     setpoint_slot::SetpointReceiver,
 };
-
-/// A request to the control thread.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ControlRequest {
-    /// Pass a request to the pilot.
-    Pilot(PilotRequest),
-    /// Replace the configuration if the car does not drive, and return the box with the
-    /// outcome.
-    Reconfigure(Box<Reconfiguration>),
-    /// Stop the car, disarm and end.
-    Finish,
-    /// Disarm at once and end.
-    Abort,
-}
 
 /// The rings of the control thread.
 #[derive(Debug)]

@@ -13,6 +13,8 @@ use singletrack_pilot::{
 };
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 
+use crate::line::Sent;
+
 /// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
 /// telemetry.
 pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
@@ -64,15 +66,6 @@ pub enum ReconfigureError {
 
 /// Interval of the events with the share of damaged frames, in ticks.
 const LINE_HEALTH_TICKS: u32 = 10;
-
-/// Whether a frame was written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sent {
-    /// The port accepted the whole frame.
-    Whole,
-    /// The port did not; the frame was dropped in favour of a newer one.
-    Dropped,
-}
 
 impl Controller {
     /// A controller with a closed port.

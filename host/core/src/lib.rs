@@ -27,6 +27,6 @@ pub use config::{Config, ConfigError};
 pub use host::{Host, HostOptions};
 pub use meta::record_meta;
 pub use report::{LineCounters, Report, link_phase};
-pub use requests::{Requests, Stalled};
+pub use requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled};
 pub use restart_keys::restart_keys;
 pub use virtual_host::VirtualHost;

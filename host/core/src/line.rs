@@ -3,12 +3,19 @@
 
 use singletrack_protocol::{Decoder, Sequence, ToBoard};
 
-use crate::controller::Sent;
-
 /// Takes frames for the board, whole or not at all.
 pub trait Line: Send {
     /// Writes a frame, without ever waiting.
     fn write_frame(&mut self, frame: &[u8]) -> Sent;
+}
+
+/// Whether a frame was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// The port accepted the whole frame.
+    Whole,
+    /// The port did not; the frame was dropped in favour of a newer one.
+    Dropped,
 }
 
 /// The board's port.

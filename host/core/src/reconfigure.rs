@@ -8,45 +8,12 @@
 use std::path::PathBuf;
 
 use rtrb::Consumer;
-use singletrack_pilot::PilotConfig;
-use singletrack_protocol::Configuration;
 
 use crate::{
     config::{Config, ConfigError, ReferenceSection},
-    control_loop::ControlRequest,
-    controller::ReconfigureError,
-    requests::{Requests, Stalled},
+    requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled},
     restart_keys::restart_keys,
 };
-
-/// What the control loop takes over between two ticks.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Reconfiguration {
-    /// Its number; the one at the start is 1.
-    pub number: u32,
-    /// For the pilot.
-    pub pilot: PilotConfig,
-    /// For the board.
-    pub board: Configuration,
-    /// After this the caller has given up, and it is not taken over.
-    pub until_ns: u64,
-    /// The outcome; none until the control loop has seen it.
-    pub outcome: Option<Result<(), Refusal>>,
-}
-
-/// Why the control loop did not take a configuration over.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Refusal {
-    /// The pilot or the board does not take it.
-    #[error(transparent)]
-    Pilot(#[from] ReconfigureError),
-    /// The loop is about to end.
-    #[error("singletrackd is about to end")]
-    Ending,
-    /// It arrived too late.
-    #[error("the control thread was stalled")]
-    Late,
-}
 
 /// Why the configuration in force stays.
 #[derive(Debug, thiserror::Error)]

@@ -3,9 +3,53 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{PilotConfig, PilotRequest};
+use singletrack_protocol::Configuration;
 
-use crate::control_loop::ControlRequest;
+use crate::controller::ReconfigureError;
+
+/// A request to the control thread.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ControlRequest {
+    /// Pass a request to the pilot.
+    Pilot(PilotRequest),
+    /// Replace the configuration if the car does not drive, and return the box with the
+    /// outcome.
+    Reconfigure(Box<Reconfiguration>),
+    /// Stop the car, disarm and end.
+    Finish,
+    /// Disarm at once and end.
+    Abort,
+}
+
+/// What the control loop takes over between two ticks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reconfiguration {
+    /// Its number; the one at the start is 1.
+    pub number: u32,
+    /// For the pilot.
+    pub pilot: PilotConfig,
+    /// For the board.
+    pub board: Configuration,
+    /// After this the caller has given up, and it is not taken over.
+    pub until_ns: u64,
+    /// The outcome; none until the control loop has seen it.
+    pub outcome: Option<Result<(), Refusal>>,
+}
+
+/// Why the control loop did not take a configuration over.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The pilot or the board does not take it.
+    #[error(transparent)]
+    Pilot(#[from] ReconfigureError),
+    /// The loop is about to end.
+    #[error("singletrackd is about to end")]
+    Ending,
+    /// It arrived too late.
+    #[error("the control thread was stalled")]
+    Late,
+}
 
 /// The ring of requests is full: the control thread is stalled or has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

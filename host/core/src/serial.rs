@@ -98,11 +98,15 @@ pub struct ReaderWait {
 }
 
 #[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a reader has one phase, and must not allocate to change it"
+)]
 enum Phase<L> {
     Closed {
         retry_at_ns: u64,
     },
-    /// The control loop has yet to be told.
+    /// The event waits for room in the control loop's ring.
     HandingOver(SerialEvent<L>),
     Open,
     /// Hung up; the control loop still has the write half.
@@ -241,7 +245,7 @@ mod tests {
     use rtrb::RingBuffer;
 
     use super::*;
-    use crate::controller::Sent;
+    use crate::line::Sent;
 
     struct NoLine;
 

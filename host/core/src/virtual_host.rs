@@ -8,13 +8,12 @@ use singletrack_record::{Entry, TickRecord};
 use crate::{
     cameras::{CameraReport, Sockets},
     config::{Config, ConfigError},
-    control_loop::ControlRequest,
     controller::Controller,
     grid::Grid,
     host::{Host, HostOptions},
     line::{Line, Port},
     reconfigure::ChangeError,
-    requests::Stalled,
+    requests::{ControlRequest, Stalled},
 };
 
 /// Polls of the camera receiver without time passing: for more datagrams than any

@@ -14,11 +14,11 @@ mod outside;
 use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{
-    Config,
+    Config, ControlRequest, Refusal,
     config::{OuterLoopSection, ReferenceSection},
-    control_loop::{ControlLoop, ControlRequest},
-    controller::{Controller, ReconfigureError, Sent},
-    reconfigure::Refusal,
+    control_loop::ControlLoop,
+    controller::{Controller, ReconfigureError},
+    line::Sent,
 };
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};

@@ -14,9 +14,9 @@ use std::{
 };
 
 use singletrack_core::{
-    Host, HostOptions, LineCounters, Stalled,
+    ControlRequest, Host, HostOptions, LineCounters, Stalled,
     config::{Config, ConfigError},
-    control_loop::{ControlLoop, ControlRequest},
+    control_loop::ControlLoop,
     reconfigure::ChangeError,
     serial::ReaderCounters,
 };

@@ -61,10 +61,10 @@ impl AnswerWatch {
     const fn handle(&mut self, now_ns: u64, event: &PlanarEvent) {
         match event {
             PlanarEvent::Session(SessionEvent::Connected(_) | SessionEvent::Refused(_)) => {
-                self.waiting_since_ns = None
+                self.waiting_since_ns = None;
             }
             PlanarEvent::Session(SessionEvent::Restarted(_)) => {
-                self.waiting_since_ns = Some(now_ns)
+                self.waiting_since_ns = Some(now_ns);
             }
             _ => {}
         }
@@ -143,10 +143,10 @@ fn log(event: &PlanarEvent, config: &MotionCaptureSection) {
             info!(name, "the server's rigid bodies are requested again");
         }
         PlanarEvent::Session(SessionEvent::Stale) => {
-            warn!("frames of the motion capture have stopped")
+            warn!("frames of the motion capture have stopped");
         }
         PlanarEvent::Session(SessionEvent::Restarted(reason)) => {
-            warn!(?reason, "motion capture reconnects")
+            warn!(?reason, "motion capture reconnects");
         }
         event => info!(?event, "motion capture"),
     }

@@ -10,7 +10,7 @@ use rustix::{
     fs::OFlags,
     termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
 };
-use singletrack_core::{controller::Sent, line::Line};
+use singletrack_core::line::{Line, Sent};
 use singletrack_link::Transmit;
 use singletrack_protocol::{Drive, Message, frame_length};
 

@@ -13,7 +13,10 @@ mod terminal;
 use std::{net::Ipv4Addr, path::Path, time::Duration};
 
 use common::wait_for;
-use singletrack_core::{Config, controller::Sent, line::Line};
+use singletrack_core::{
+    Config,
+    line::{Line, Sent},
+};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Decoder, Hello, ImuState, Request, StopCause, Telemetry, ToBoard,
     ToHost, VERSION,

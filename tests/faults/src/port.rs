@@ -6,10 +6,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use singletrack_core::{
-    controller::Sent,
-    line::{Line, PortRead},
-};
+use singletrack_core::line::{Line, PortRead, Sent};
 use singletrack_protocol::{Drive, Message, frame_length};
 
 /// A device whose queue shows takes nothing while more than this waits: the

@@ -14,8 +14,8 @@ use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
     config::Config,
-    controller::{Controller, Sent},
-    line::{Line, Port, PortRead},
+    controller::Controller,
+    line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
 use singletrack_pilot::PilotRequest;

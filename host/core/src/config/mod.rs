@@ -20,6 +20,7 @@ mod outer_loop;
 mod output;
 mod reference;
 mod section;
+mod sections;
 mod serial;
 mod supervisor;
 mod together;
@@ -50,7 +51,8 @@ pub use motion_capture::{
 pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, RecordSection, SocketSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
-pub use section::{Key, SECTIONS, Section};
+pub use section::{Key, Section};
+pub use sections::SECTIONS;
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
 pub use watch::WatchSection;

@@ -7,7 +7,6 @@ use singletrack_control::{
     Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
     Waypoint, Waypoints,
 };
-
 use toml::Value;
 
 use super::{
@@ -15,7 +14,7 @@ use super::{
     choice::choice,
     kind::Written,
     section::{Declared as _, section},
-    value::seconds,
+    value::{Typed, seconds},
     waypoint_file::read_waypoints,
 };
 
@@ -89,6 +88,14 @@ pub struct WaypointSection {
     pub x_m: f64,
     /// Where, in m.
     pub y_m: f64,
+}
+
+impl Typed for Vec<StepSection> {
+    const TYPE: &'static str = "list";
+}
+
+impl Typed for Vec<WaypointSection> {
+    const TYPE: &'static str = "list";
 }
 
 /// How long a set-point is in force by default.

@@ -3,43 +3,13 @@
 //!
 //! From [`section!`] follow the struct, its reading (unknown keys are refused), its defaults,
 //! the check of its ranges, the conversion to the struct that it is for, and the description
-//! in [`SECTIONS`], from which come the example file, `docs/configuration.md` and the list of
-//! keys that take a restart.
+//! in [`SECTIONS`](super::SECTIONS), from which come the example file,
+//! `docs/configuration.md` and the list of keys that take a restart.
 
 use serde::{Serialize, de};
 use toml::Value;
 
-use super::{
-    BoardSection, ConfigError, ControlSection, EscSection, EstimatorSection, FenceSection,
-    LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection,
-    SerialSection, ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection,
-    WatchSection, outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys,
-};
-
-/// Every section, in the order of the file.
-pub const SECTIONS: &[Section] = &[
-    SerialSection::SECTION,
-    MotionCaptureSection::SECTION,
-    PoseSection::SECTION,
-    TimingSection::SECTION,
-    LawSection::SECTION,
-    OuterLoopKeys::SECTION,
-    ReferenceKeys::SECTION,
-    VehicleKeys::SECTION,
-    LimitsSection::SECTION,
-    EstimatorSection::SECTION,
-    SupervisorSection::SECTION,
-    WatchSection::SECTION,
-    FenceSection::SECTION,
-    BoardSection::SECTION,
-    ServoSection::SECTION,
-    EscSection::SECTION,
-    SpeedSection::SECTION,
-    ControlSection::SECTION,
-    RecordSection::SECTION,
-    SocketSection::SECTION,
-    LiveSection::SECTION,
-];
+use super::ConfigError;
 
 /// What a section of the configuration is.
 #[derive(Clone, Copy, Debug)]

@@ -6,7 +6,7 @@ use core::{
 };
 use std::path::PathBuf;
 
-use super::{ConfigError, StepSection, WaypointSection};
+use super::ConfigError;
 
 /// What the type of a key says.
 pub(super) trait Typed {
@@ -37,8 +37,6 @@ typed! {
     "text" PathBuf;
     "IP address" Ipv4Addr;
     "IP address" IpAddr;
-    "list" Vec<StepSection>;
-    "list" Vec<WaypointSection>;
     "whole number" u8 => |&number| vec![f64::from(number)];
     "whole number" u16 => |&number| vec![f64::from(number)];
     "whole number" i16 => |&number| vec![f64::from(number)];

@@ -7,12 +7,11 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 use singletrack_core::{
-    Config, Report,
-    control_loop::{ControlLoop, ControlRequest, Rings},
-    controller::{Controller, Sent},
+    Config, ControlRequest, Reconfiguration, Refusal, Report,
+    control_loop::{ControlLoop, Rings},
+    controller::Controller,
     grid::Slot,
-    line::Line,
-    reconfigure::{Reconfiguration, Refusal},
+    line::{Line, Sent},
     serial::{Chunk, SerialEvent},
     setpoint_slot::{SetpointSender, setpoint_slot},
 };

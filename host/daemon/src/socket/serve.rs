@@ -4,7 +4,7 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
-use singletrack_core::{config::ReferenceSection, control_loop::ControlRequest};
+use singletrack_core::{ControlRequest, config::ReferenceSection};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
 use tokio::{

@@ -13,7 +13,7 @@ use std::{
 
 use singletrack_sim::Pty;
 
-use super::simulated::be_punctual;
+use super::priority::raise_priority;
 use crate::{Failure, Outcome};
 
 /// Time between two bytes.
@@ -45,7 +45,7 @@ impl Canary {
         let thread = thread::Builder::new()
             .name("canary".to_owned())
             .spawn(move || {
-                be_punctual();
+                raise_priority();
                 measure(&pty, far_end, &worst_us, &stopped);
             })
             .map_err(Failure::system("cannot start a thread"))?;

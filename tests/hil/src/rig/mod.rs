@@ -2,6 +2,7 @@
 
 mod canary;
 mod physical;
+mod priority;
 mod proxy;
 mod simulated;
 

@@ -19,6 +19,7 @@ use singletrack_sim::{LossKind, Pty, RealTimeConfig, RealTimeSimulator, Truth};
 use super::{
     LineFaults, Need, Rig,
     canary::Canary,
+    priority::raise_priority,
     proxy::{Damage, Frames, replace_motion},
     simulated,
 };
@@ -110,7 +111,7 @@ impl PhysicalRig {
         let thread = thread::Builder::new()
             .name("line".to_owned())
             .spawn(move || {
-                simulated::be_punctual();
+                raise_priority();
                 line.run(&stopped);
             })
             .map_err(Failure::system("cannot start the line's thread"))?;

@@ -12,7 +12,7 @@ use singletrack_sim::{
     BoardKind, BusFault, Hang, LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth,
 };
 
-use super::{LineFaults, Need, Rig, canary::Canary};
+use super::{LineFaults, Need, Rig, canary::Canary, priority::raise_priority};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// Rig with simulated board, car and cameras.
@@ -55,19 +55,12 @@ pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
 /// Starts the simulator on a thread with raised priority.
 pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
     thread::spawn(move || {
-        be_punctual();
+        raise_priority();
         RealTimeSimulator::start(config)
     })
     .join()
     .map_err(|_| Failure::new("the simulator's start panicked"))?
     .map_err(Failure::from)
-}
-
-/// Raises the priority of this thread and of those that it starts: they stand for
-/// hardware, which shares no processor.
-pub(super) fn be_punctual() {
-    // Without permission, the rig is late more often, which it reports.
-    let _ = rustix::process::setpriority_process(None, -20);
 }
 
 impl Rig for SimulatedRig {

@@ -1,0 +1,36 @@
+//! The list of the sections.
+
+use super::{
+    BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, LawSection,
+    LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection, SerialSection,
+    ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection, WatchSection,
+    outer_loop::OuterLoopKeys,
+    reference::ReferenceKeys,
+    section::{Declared as _, Section},
+    vehicle::VehicleKeys,
+};
+
+/// Every section, in the order of the file.
+pub const SECTIONS: &[Section] = &[
+    SerialSection::SECTION,
+    MotionCaptureSection::SECTION,
+    PoseSection::SECTION,
+    TimingSection::SECTION,
+    LawSection::SECTION,
+    OuterLoopKeys::SECTION,
+    ReferenceKeys::SECTION,
+    VehicleKeys::SECTION,
+    LimitsSection::SECTION,
+    EstimatorSection::SECTION,
+    SupervisorSection::SECTION,
+    WatchSection::SECTION,
+    FenceSection::SECTION,
+    BoardSection::SECTION,
+    ServoSection::SECTION,
+    EscSection::SECTION,
+    SpeedSection::SECTION,
+    ControlSection::SECTION,
+    RecordSection::SECTION,
+    SocketSection::SECTION,
+    LiveSection::SECTION,
+];
