@@ -57,7 +57,7 @@ const TABLE_HEADER: &str = "\
 # Configuration
 
 The daemon reads one TOML file. This page lists every key;
-[`singletrackd.example.toml`](../host/daemon/singletrackd.example.toml) is a file to start
+`host/daemon/singletrackd.example.toml` is a file to start
 from. A key's name ends with its unit. Unknown keys are refused, and so is a value outside
 its range: `singletrackd --check --config FILE` reports what is wrong with a file.
 
