@@ -169,7 +169,8 @@ impl<L: Line> SerialReader<L> {
                         self.retry_ns = FIRST_RETRY_NS;
                         self.phase = Phase::HandingOver(SerialEvent::Opened(line));
                     }
-                    None => self.retry_later(now_ns),
+                    // Dated after the attempt, which may have taken longer than the delay.
+                    None => self.retry_later(clock()),
                 },
                 Phase::HandingOver(event) => {
                     let closes = matches!(event, SerialEvent::Closed { .. });
@@ -197,7 +198,7 @@ impl<L: Line> SerialReader<L> {
                         return wait(now_ns.saturating_add(HAND_OVER_NS));
                     }
                     port.close();
-                    self.retry_later(now_ns);
+                    self.retry_later(clock());
                 }
             }
         }
@@ -242,6 +243,8 @@ impl<L: Line> SerialReader<L> {
 
 #[cfg(test)]
 mod tests {
+    use core::cell::Cell;
+
     use rtrb::RingBuffer;
 
     use super::*;
@@ -306,6 +309,42 @@ mod tests {
         }
         assert_eq!(waits, [50, 100, 200, 400, 400, 400]);
         assert_eq!(port.attempts, 6);
+    }
+
+    /// A device that does not answer: each attempt to open it takes a second and fails.
+    struct Unanswered<'a> {
+        now_ns: &'a Cell<u64>,
+        attempts: u32,
+    }
+
+    impl Port for Unanswered<'_> {
+        type Line = NoLine;
+
+        fn open(&mut self) -> Option<NoLine> {
+            self.attempts += 1;
+            assert_eq!(self.attempts, 1, "the poll must return after an attempt");
+            self.now_ns.set(self.now_ns.get() + 1_000 * MS);
+            None
+        }
+
+        fn read(&mut self, _: &mut [u8]) -> PortRead {
+            PortRead::HungUp
+        }
+
+        fn close(&mut self) {}
+    }
+
+    #[test]
+    fn a_slow_attempt_is_followed_by_the_whole_delay() {
+        let (events, _taken) = RingBuffer::new(4);
+        let (_back, returned) = RingBuffer::new(2);
+        let now_ns = Cell::new(0);
+        let mut port = Unanswered {
+            now_ns: &now_ns,
+            attempts: 0,
+        };
+        let wait = SerialReader::new(events, returned).poll(&|| now_ns.get(), &mut port);
+        assert_eq!(wait.until_ns, 1_050 * MS);
     }
 
     #[test]
