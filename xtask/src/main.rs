@@ -16,6 +16,7 @@ mod odroid;
 mod packages;
 mod prerequisites;
 mod process;
+mod publish;
 mod readers;
 mod release;
 mod same_bits;

@@ -75,12 +75,12 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
 }
 
 /// Variants of the two programs.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 enum Programs {
-    /// Complete.
+    /// Without the commands that reproduce the paper, which are not for the car.
     AsInstalled,
-    /// Without live view and figures, which take most of the build time and are not
-    /// compared.
+    /// Also without the live view and the demo, which take most of the build time and are
+    /// not compared.
     AsCompared,
 }
 
@@ -97,6 +97,16 @@ impl Programs {
                 "--config",
                 "build.warnings=\"deny\"",
             ],
+        }
+    }
+
+    fn features(self) -> &'static [&'static str] {
+        match self {
+            Self::AsInstalled => &[
+                "--features",
+                "singletrack/desk,singletrack/live,singletrackd/live",
+            ],
+            Self::AsCompared => &[],
         }
     }
 
@@ -131,7 +141,8 @@ fn build(programs: Programs) -> Result<PathBuf, Failure> {
             ])
             .arg(&target)
             .args(["--package", "singletrackd", "--package", "singletrack"])
-            .args((programs == Programs::AsCompared).then_some("--no-default-features"))
+            .arg("--no-default-features")
+            .args(programs.features())
             .stdout(Stdio::null()),
     )?;
     Ok(target.join(TARGET).join(programs.folder()))

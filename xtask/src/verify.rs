@@ -8,7 +8,7 @@ use crate::{
     odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check},
-    readers,
+    publish, readers,
     release::{Release, features},
     same_bits,
     step::{Step, run_all},
@@ -196,6 +196,11 @@ fn text_steps(release: Release) -> Vec<Step> {
             "packages",
             "each pure package builds alone, with its own features",
             packages::check_all,
+        ),
+        Step::new(
+            "publish",
+            "the packages for others can be packed, and build outside of the workspace",
+            publish::check_all,
         ),
         Step::new(
             "documentation",
@@ -397,7 +402,7 @@ mod tests {
         ] {
             assert_eq!(needed(line), uno, "{line}");
         }
-        assert_eq!(needed("format documentation packages"), []);
+        assert_eq!(needed("format documentation packages publish"), []);
         assert_eq!(needed("readers"), [Part::Uno, Part::Readers]);
         assert_eq!(needed("odroid"), [Part::Uno, Part::Odroid]);
         assert_eq!(needed(""), Part::ALL);

@@ -1,0 +1,61 @@
+//! Checks that the packages that others may use can be published: `cargo package` packs
+//! each from its `include` list and builds the result outside of the workspace. A file
+//! that is not packed, and a dependency without a version, are errors there only.
+
+use crate::{
+    process::{Failure, check},
+    target,
+    workspace::cargo,
+};
+
+/// The packages with `publish = true`.
+const PACKAGES: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
+
+pub(crate) fn check_all() -> Result<(), Failure> {
+    let packages = PACKAGES.iter().flat_map(|package| ["--package", package]);
+    check(
+        cargo()
+            // Offline: earlier steps have downloaded what is needed, and nothing is
+            // uploaded. The working tree may hold changes.
+            .args(["package", "--quiet", "--offline", "--allow-dirty"])
+            .args(packages)
+            // A packed package is a workspace of its own. Its dependencies are built once
+            // for all of them, and kept.
+            .env("CARGO_TARGET_DIR", target::folder()?),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use crate::workspace;
+
+    use super::*;
+
+    #[test]
+    fn every_package_that_may_be_published_is_checked() {
+        let root = workspace::find().unwrap();
+        let workspace = fs::read_to_string(root.join("Cargo.toml")).unwrap();
+        let (_, members) = workspace.split_once("members = [").unwrap();
+        let (members, _) = members.split_once(']').unwrap();
+        let mut publishable: Vec<String> = members
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix('"')?.strip_suffix("\","))
+            .filter_map(|member| {
+                let manifest = root.join(member).join("Cargo.toml");
+                let manifest = fs::read_to_string(manifest).unwrap();
+                let name = manifest
+                    .lines()
+                    .find_map(|line| line.strip_prefix("name = "))
+                    .unwrap()
+                    .trim_matches('"')
+                    .to_owned();
+                let publish = manifest.lines().any(|line| line == "publish = true");
+                publish.then_some(name)
+            })
+            .collect();
+        publishable.sort();
+        assert_eq!(publishable, PACKAGES);
+    }
+}
