@@ -2,10 +2,11 @@
 
 mod harness;
 
-use harness::{MS, Uno, bytes, spaced};
 use singletrack_simavr::{
     Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Request, ResetFlags, Run,
 };
+
+use harness::{MS, Uno, bytes, spaced};
 
 /// Ten bits at 115200 baud, as generated from 16 MHz with U2X.
 const BYTE: u64 = 10 * 17 * 8;

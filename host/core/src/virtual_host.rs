@@ -1,8 +1,7 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
 use singletrack_mocap::planar::PlanarEvent;
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Mode, RealTimeState};
+use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
 use singletrack_record::{Entry, TickRecord};
 
 use crate::{

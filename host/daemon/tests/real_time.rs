@@ -15,10 +15,11 @@ use std::{
     cell::Cell,
 };
 
-use simulated_drive::SimulatedDrive;
 use singletrack_control::{Setpoint, Time, Velocity};
 use singletrack_pilot::Mode;
 use singletrackd::realtime;
+
+use simulated_drive::SimulatedDrive;
 
 struct Counting;
 

@@ -4,8 +4,7 @@ use std::collections::BTreeSet;
 
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::Reason;
+use singletrack_pilot::{PilotRequest, Reason};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};

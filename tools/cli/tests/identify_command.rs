@@ -15,7 +15,6 @@ use std::{
     process::{Command, Output},
 };
 
-use recorded::Script;
 use serde_json::Value;
 use singletrack_analysis::identification::Parameter;
 use singletrack_control::VehicleParameters;
@@ -25,6 +24,8 @@ use singletrack_paper::{
 };
 use singletrack_record::{Entry, Reader, Recorder};
 use singletrack_scenario::simulate::{Scenario, simulate_recorded};
+
+use recorded::Script;
 
 fn identify(record: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_singletrack"))

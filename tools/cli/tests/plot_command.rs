@@ -10,9 +10,10 @@ use std::{
     process::{Command, Output},
 };
 
-use recorded::{PERIOD_NS, STOPPING, Script};
 use singletrack_figures::plot::FigureKind;
 use singletrack_record::part_path;
+
+use recorded::{PERIOD_NS, STOPPING, Script};
 
 /// A record in a folder of its own, and what plotting it said.
 struct Plot {

@@ -18,8 +18,7 @@ use singletrack_core::{
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 

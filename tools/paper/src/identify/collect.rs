@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
 use singletrack_control::{VehicleParameters, direction};
 use singletrack_core::{Config, ConfigError};
+use singletrack_figures::plot;
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, TelemetryRecord, Topic, seconds_since};
 
 use super::IdentifyError;
-use singletrack_figures::plot;
 
 /// A drive of a record.
 #[derive(Clone, Debug)]

@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
-
-use super::{Identified, Report};
 use singletrack_figures::figure::{
     Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width,
 };
+
+use super::{Identified, Report};
 
 /// Of a long drive the figures over time show this much from its middle, in s: on paper
 /// more can't be told apart.

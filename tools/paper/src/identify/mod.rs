@@ -20,17 +20,17 @@ use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
 use singletrack_core::ConfigError;
+use singletrack_figures::plot::PlotError;
 use singletrack_record::RecordError;
 
 use crate::vehicle_file::{self, VehicleFileError};
-use singletrack_figures::plot::PlotError;
 
 pub use collect::{Collector, RecordedDrive, read};
 pub use figures::figures;
 pub use report::{Identified, Report};
 
 /// Options of `singletrack identify`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
     /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
     pub record: PathBuf,

@@ -15,10 +15,10 @@ use singletrack_analysis::identification::{
 };
 use singletrack_control::VehicleParameters;
 use singletrack_core::{Config, ConfigError};
+use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
 use singletrack_sim::{CameraParameters, ImuParameters, ServoParameters};
 
 use super::Collector;
-use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
 
 /// The drive that is identified from.
 pub const SCENARIO: &str = include_str!("../../../scenarios/identify-car.toml");

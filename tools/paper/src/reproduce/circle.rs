@@ -3,6 +3,8 @@
 use std::f64::consts::TAU;
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
+use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
 use super::{
     Setup,
@@ -14,8 +16,6 @@ use super::{
     setup::{GAIN, TURN_RATE},
     text::{number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
-use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
 /// Where P starts.
 struct Start {

@@ -7,6 +7,7 @@ use singletrack_control::{
     VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
 
 use super::{
     Setup,
@@ -17,7 +18,6 @@ use super::{
     steps,
     text::{metres, mm, number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// How far behind its place the centre of mass is believed, for the paper's car, in m.
 pub(super) const DEVIATION_M: f64 = 0.01;

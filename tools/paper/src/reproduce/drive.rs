@@ -3,13 +3,13 @@
 use singletrack_control::{Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
-use singletrack_statistics::RootMeanSquare;
-
-use super::{Setup, extreme::largest};
 use singletrack_scenario::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection, SteeringHold,
 };
+use singletrack_statistics::RootMeanSquare;
+
+use super::{Setup, extreme::largest};
 
 /// An experiment, whatever it is driven on.
 #[derive(Clone, Debug)]

@@ -8,6 +8,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
+use singletrack_scenario::csv_text::csv_text;
 
 use super::{
     claims::{Judged, Verdict},
@@ -16,7 +17,6 @@ use super::{
     section::Reproduction,
     table,
 };
-use singletrack_scenario::csv_text::csv_text;
 
 /// The names of the files.
 const REPORT: &str = "report.html";

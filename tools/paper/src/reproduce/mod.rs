@@ -35,7 +35,7 @@ use claims::{Judged, Measurements, judge, surprises};
 use progress::Progress;
 
 /// Options of `singletrack reproduce`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
     #[arg(

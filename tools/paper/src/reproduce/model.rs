@@ -5,6 +5,8 @@ use std::path::Path;
 use serde::Serialize;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::VehicleParameters;
+use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
+use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateError};
 
 use super::{
     Setup,
@@ -16,8 +18,6 @@ use crate::identify::{
     self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, TyreKind,
     study::{SCENARIO, Study, VALIDATION, run_study},
 };
-use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
-use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateError};
 
 /// How wrong the fit starts: `C_f`, `C_r`, `I_z`.
 const START: [f64; 3] = [1.4, 0.7, 1.4];

@@ -1,10 +1,11 @@
 //! The paper's experimental figures of a drive, on either plant.
 
-use super::drive::{Run, Seen};
 use singletrack_figures::figure::{
     Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width,
 };
 use singletrack_scenario::simulate::Row;
+
+use super::drive::{Run, Seen};
 
 impl Run {
     /// A number for each row.

@@ -1,15 +1,16 @@
 //! The contents of a section of the report, independent of its format.
 
+use singletrack_figures::figure::Figure;
+use singletrack_scenario::{
+    csv_text::csv_text,
+    simulate::{HEADER, Row},
+};
+
 use super::{
     Setup,
     claims::{Judged, Measurements},
     drive::{DriveError, Experiment, Run},
     text,
-};
-use singletrack_figures::figure::Figure;
-use singletrack_scenario::{
-    csv_text::csv_text,
-    simulate::{HEADER, Row},
 };
 
 /// A section of the report, with everything that was computed for it.

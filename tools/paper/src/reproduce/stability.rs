@@ -4,6 +4,7 @@ use singletrack_analysis::stability::{
     Belief, ClosedLoop, HopfPoint, Law, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
+use singletrack_figures::figure::Figure;
 
 use super::{
     Setup,
@@ -17,7 +18,6 @@ use crate::stability::{
     figures::{self, Scene},
     hopf_curve, region,
 };
-use singletrack_figures::figure::Figure;
 
 /// The speeds that are looked at, for the paper's car, in m/s. The paper does not say
 /// which it considers.

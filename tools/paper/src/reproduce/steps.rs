@@ -1,6 +1,8 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
+use singletrack_figures::figure::{Axis, Curve, Look, Symbol, Width};
+use singletrack_scenario::simulate::MarkerLoss;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{
@@ -12,8 +14,6 @@ use super::{
     section::{Picture, Plate, Section, Table, or_note},
     text::{metres, mm, number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Look, Symbol, Width};
-use singletrack_scenario::simulate::MarkerLoss;
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
 /// degrees. The paper's are known from its picture only.

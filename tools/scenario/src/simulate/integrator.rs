@@ -154,8 +154,9 @@ impl<const N: usize> Integrator<N> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::Vector2;
+
+    use super::*;
 
     #[test]
     fn an_oscillator_keeps_its_circle_for_a_hundred_turns() {

@@ -1,13 +1,13 @@
 //! What the paper leaves out: the loop in ticks, with delay and with missing poses.
 
 use singletrack_analysis::stability::MarginLimits;
+use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
 
 use super::{
     super::{SampledRow, TimingArgs},
     levels::{around_one, margins},
     scene::{DEVIATION, Frame, SPEED, Scene, band, grid_of},
 };
-use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
 
 /// How fast disturbances decay from tick to tick: the spectral radius.
 ///

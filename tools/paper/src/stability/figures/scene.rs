@@ -3,11 +3,11 @@
 use singletrack_analysis::stability::{
     ClosedLoop, HopfPoint, Law, StabilityError, infinite_speed_limit,
 };
-
-use super::super::{Grid as Deviations, Subject};
 use singletrack_figures::figure::{
     Axis, Band, Column, Curve, Grid, GridError, Level, Look, Shade, Symbol,
 };
+
+use super::super::{Grid as Deviations, Subject};
 
 /// A car under a law, with what is drawn into every map of it: the Hopf curve and the
 /// ends of the physically meaningful range.
