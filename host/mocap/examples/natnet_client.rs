@@ -215,7 +215,7 @@ impl Client {
             while let Some(transmit) = self.session.poll_transmit(now_ns) {
                 // The session repeats what matters.
                 if let Err(error) = command.send_to(&transmit.bytes, transmit.destination) {
-                    eprintln!("cannot send to {}: {error}", transmit.destination);
+                    eprintln!("can't send to {}: {error}", transmit.destination);
                 }
             }
             // 4. When to wake up. A closed session has no deadline.
