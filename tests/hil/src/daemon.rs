@@ -25,8 +25,8 @@ impl Daemon {
     ///
     /// Fails if the program cannot be run.
     pub fn start(program: &Path, config: &Path, log: &Path) -> Outcome<Self> {
-        let output = File::create(log)
-            .map_err(Failure::system(format!("can't write {}", log.display())))?;
+        let output =
+            File::create(log).map_err(Failure::system(format!("can't write {}", log.display())))?;
         let errors = output
             .try_clone()
             .map_err(Failure::system("can't share the log"))?;

@@ -389,7 +389,7 @@ fn a_serial_port_is_counted_for_as_long_as_asked() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    // Nothing tells from outside when it has opened the port.
+    // From outside it is not visible when it has opened the port.
     thread::sleep(Duration::from_millis(700));
     for index in [1, 2, 5] {
         let bytes = telemetry(10_000 * index);

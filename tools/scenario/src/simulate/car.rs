@@ -28,7 +28,7 @@ pub enum CarError {
     /// The drive did not start.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
-    /// There is no record of it.
+    /// The record could not be written.
     #[error(transparent)]
     Record(#[from] VirtualRecordError),
 }
@@ -37,7 +37,7 @@ pub enum CarError {
 ///
 /// # Errors
 ///
-/// What a scenario may ask of the ideal plant but not of the car.
+/// A scenario that only the ideal plant can run.
 pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationConfig), CarError> {
     if scenario.law.kind != LawKind::FrontPoint {
         return Err(ScenarioError::value(
@@ -97,8 +97,8 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
     Ok((config, simulation))
 }
 
-/// Drives a scenario on the simulated car, without marker losses, and tells each entry
-/// that a record of it would hold. Returns the configuration that it was driven with.
+/// Drives a scenario on the simulated car, without marker losses, and passes on each entry
+/// of its record. Returns the configuration of the drive.
 ///
 /// # Errors
 ///

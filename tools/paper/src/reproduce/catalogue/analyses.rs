@@ -363,7 +363,7 @@ fn comparison(setup: &Setup) -> Vec<Claim> {
             "compare.largest.parameters.front-point",
             near(0.0, 1e-6),
         )
-        .because("it is told none of them"),
+        .because("it uses none of them"),
         claim(
             "compare-parameters-appendix",
             7,

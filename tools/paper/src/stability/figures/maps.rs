@@ -11,7 +11,7 @@ use super::{
     scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
 };
 
-/// So many values of the first Lyapunov coefficient stand along a Hopf curve that
+/// The number of values of the first Lyapunov coefficient along a Hopf curve that
 /// crosses the whole figure.
 const LYAPUNOV_LABELS: f64 = 7.0;
 
