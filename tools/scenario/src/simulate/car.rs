@@ -19,7 +19,7 @@ use crate::{
     virtual_record::{VirtualRecord, VirtualRecordError},
 };
 
-/// Why a car could not be simulated.
+/// Why a scenario failed on the simulated car.
 #[derive(Debug, thiserror::Error)]
 pub enum CarError {
     /// The scenario can't be driven.
@@ -33,7 +33,7 @@ pub enum CarError {
     Record(#[from] VirtualRecordError),
 }
 
-/// The daemon's configuration for a scenario, and the world that it drives in.
+/// The configurations of the daemon and of the simulation for a scenario.
 ///
 /// # Errors
 ///
@@ -102,7 +102,7 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
 ///
 /// # Errors
 ///
-/// A scenario that the car can't drive, or a car that does not start.
+/// The car can't drive the scenario, or does not start.
 pub fn drive_entries(
     scenario: &Scenario,
     take: &mut impl FnMut(&Entry),
@@ -125,7 +125,7 @@ pub fn drive_entries(
 ///
 /// # Errors
 ///
-/// A scenario that the car can't drive, or a car that does not start.
+/// The car can't drive the scenario, or does not start.
 pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Simulation, CarError> {
     let (daemon, simulation) = virtual_drive_config(scenario)?;
     let period_us = daemon.control.period_ns() / 1_000;
