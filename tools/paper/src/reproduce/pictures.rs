@@ -13,7 +13,7 @@ impl Run {
         self.rows.iter().map(value).collect()
     }
 
-    /// A number for each moment that the controller saw.
+    /// A number for each estimate of the controller.
     fn seen_column(&self, value: impl Fn(&Seen) -> f64) -> Column {
         self.seen.iter().map(value).collect()
     }
@@ -262,7 +262,7 @@ pub(super) fn trajectories(runs: &[&Run]) -> Figure {
     }
 }
 
-/// Numbers over time: what theory says, if it does, below what was.
+/// A figure of curves over time; later curves cover earlier ones.
 pub(super) fn over_time(
     title: &str,
     caption: &str,

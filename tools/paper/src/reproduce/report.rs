@@ -1,4 +1,4 @@
-//! `report.html`: everything in one file that needs nothing else.
+//! `report.html`: one self-contained file.
 
 use singletrack_figures::{
     figure::{Width, escaped},
