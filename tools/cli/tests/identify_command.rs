@@ -258,7 +258,7 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
 }
 
 #[test]
-fn a_vehicle_file_of_somebodys_is_not_written_over_nor_a_folder_tried_too_late() {
+fn a_foreign_vehicle_file_is_kept_and_a_bad_folder_is_refused_first() {
     let folder = tempfile::tempdir().unwrap();
     // Refused before the record is even looked at.
     let record = folder.path().join("none.mcap");

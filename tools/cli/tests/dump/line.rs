@@ -191,7 +191,7 @@ fn a_capture_on_standard_input_is_printed_as_one_in_a_file() {
 }
 
 #[test]
-fn bytes_to_the_board_are_understood_when_told_so() {
+fn bytes_to_the_board_are_decoded_with_the_option_for_it() {
     let folder = tempfile::tempdir().unwrap();
     // A name that says record, and bytes that are none.
     let path = folder.path().join("to_board.mcap");

@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_somebody_elses_is_left_alone() {
+    fn a_folder_with_foreign_files_is_not_changed() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("thesis.tex"), "mine").unwrap();
         let error = prepare(folder.path()).unwrap_err().to_string();
