@@ -18,16 +18,16 @@ use rustix::{
 #[derive(Debug, thiserror::Error)]
 pub enum PtyError {
     /// The system provides none.
-    #[error("cannot open a pseudo-terminal: {0}")]
+    #[error("can't open a pseudo-terminal: {0}")]
     Open(#[source] io::Error),
     /// The path of the link is occupied.
-    #[error("cannot link {link} to the pseudo-terminal: the path exists and is not a link; remove it or choose another path", link = link.display())]
+    #[error("can't link {link} to the pseudo-terminal: the path exists and is not a link; remove it or choose another path", link = link.display())]
     Occupied {
         /// Path of the link.
         link: PathBuf,
     },
     /// The link cannot be created.
-    #[error("cannot link {link} to the pseudo-terminal: {source}", link = link.display())]
+    #[error("can't link {link} to the pseudo-terminal: {source}", link = link.display())]
     Link {
         /// Path of the link.
         link: PathBuf,

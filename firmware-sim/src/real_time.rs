@@ -64,7 +64,7 @@ pub enum RealTimeError {
     #[error(transparent)]
     Udp(#[from] UdpError),
     /// The thread cannot be started.
-    #[error("cannot start the simulator's thread: {0}")]
+    #[error("can't start the simulator's thread: {0}")]
     Thread(#[source] io::Error),
     /// The simulator's thread has ended.
     #[error("the simulator has stopped")]

@@ -36,7 +36,7 @@ impl Default for UdpConfig {
 /// Error while opening a socket of the NatNet server.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "cannot serve NatNet on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
+    "can't serve NatNet on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
 )]
 pub struct UdpError {
     /// Requested address.

@@ -68,7 +68,7 @@ structure! {
 structure! {
     /// Steering and speed, with the two ages that let the board judge them.
     ///
-    /// Not acknowledged: [`crate::Telemetry::last_sequence`] tells what the board
+    /// Not acknowledged: [`crate::Telemetry::last_sequence`] states what the board
     /// accepted.
     pub struct Drive {
         /// Newest wins.

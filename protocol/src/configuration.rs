@@ -3,8 +3,11 @@
 //! The host keeps them in one file. The board loses them at a reset and refuses to
 //! arm without them.
 
-use crate::codec::{Field, Writer, enumeration, structure};
-use crate::{Configure, Message, crc::crc32};
+use crate::{
+    Configure, Message,
+    codec::{Field, Writer, enumeration, structure},
+    crc::crc32,
+};
 
 structure! {
     /// Everything that the board must know about the car that it is built into.

@@ -10,7 +10,7 @@ structure! {
     ///
     /// The host sends it with a non-zero nonce; the board answers with its own
     /// versions and the same nonce. The board also sends one with the nonce
-    /// [`UNSOLICITED`] when it starts, which tells the host that all state on the
+    /// [`UNSOLICITED`] when it starts, from which the host learns that all state on the
     /// board is lost.
     pub struct Hello {
         /// The speaker's [`crate::VERSION`].

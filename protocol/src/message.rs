@@ -2,11 +2,11 @@
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::codec::{Field, Reader, structure};
-use crate::frame::{Frame, MAX_PAYLOAD_LENGTH, Packet};
 use crate::{
     Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
     Status, Telemetry,
+    codec::{Field, Reader, structure},
+    frame::{Frame, MAX_PAYLOAD_LENGTH, Packet},
 };
 
 structure! {

@@ -42,7 +42,7 @@ enumeration! {
         StopInput = "stop-input",
         /// The host asked by [`crate::EmergencyStop`].
         EmergencyStop = "emergency-stop",
-        /// The host started anew (a [`crate::Hello`] while armed).
+        /// The host restarted (a [`crate::Hello`] while armed).
         HostRestarted = "host-restarted",
     }
 }

@@ -3,8 +3,9 @@
 mod samples;
 
 use proptest::prelude::*;
-use samples::configuration;
 use singletrack_protocol::{Configuration, ConfigurationField as Field, FailsafeAction};
+
+use samples::configuration;
 
 type Change = fn(&mut Configuration, i32);
 

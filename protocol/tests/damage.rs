@@ -5,10 +5,11 @@
 mod samples;
 
 use proptest::prelude::*;
-use samples::{Either, samples};
 use singletrack_protocol::{
     DecodeError, Decoder, Frame, FrameError, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost,
 };
+
+use samples::{Either, samples};
 
 /// Decodes a packet of either direction.
 fn decode(packet: Packet<'_>) -> Option<Either> {

@@ -8,8 +8,9 @@
 
 mod samples;
 
-use samples::{Sample, samples};
 use singletrack_protocol::{Decoder, Message, ToBoard, ToHost, VERSION};
+
+use samples::{Sample, samples};
 
 const GOLDEN: [(&str, &str); 11] = [
     ("hello to the board", "03010101090102d4c3b2a136c200"),

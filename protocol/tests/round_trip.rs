@@ -5,8 +5,9 @@
 mod samples;
 
 use proptest::prelude::*;
-use samples::{Either, samples};
 use singletrack_protocol::{Decoder, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost};
+
+use samples::{Either, samples};
 
 /// Messages with random fields: random payloads of the right length, of which the
 /// accepted ones are used. Enumerations and Booleans are mutated seldom, because

@@ -177,7 +177,7 @@ fn attempt(
         return lacks(format!("is older than {OLDEST}"));
     }
     if let Err(why) = compile(machine, target, rustc) {
-        return lacks(format!("cannot compile for {}{why}", target.triple));
+        return lacks(format!("can't compile for {}{why}", target.triple));
     }
     let sources = sources(machine, rustc);
     let missing = target.libraries.iter().find(|library| {
@@ -231,7 +231,7 @@ fn at_least(release: &str, oldest: &str) -> bool {
 /// may know the target but lack the back end. The error is the compiler's first
 /// one.
 fn compile(machine: &Machine, target: Target, rustc: &Path) -> Result<(), String> {
-    let failed = |error: std::io::Error| format!(": cannot create a test file: {error}");
+    let failed = |error: std::io::Error| format!(": can't create a test file: {error}");
     let scratch = Scratch::new("compiler").map_err(failed)?;
     let source = "#![feature(no_core)]\n#![allow(internal_features)]\n#![no_core]\n";
     let file = scratch.file("nothing.rs", source).map_err(failed)?;
@@ -358,7 +358,7 @@ mod tests {
         assert_eq!(reasons.len(), 1);
         assert!(
             reasons[0].contains("SINGLETRACK_RUSTC")
-                && reasons[0].ends_with("cannot compile for avr-none"),
+                && reasons[0].ends_with("can't compile for avr-none"),
             "{reasons:?}"
         );
         machine.machine.named_compiler = Some("/no/such/rustc".into());
@@ -426,14 +426,14 @@ mod tests {
                 "1.96.0",
                 "armv7",
                 AVR,
-                "cannot compile for avr-none",
+                "can't compile for avr-none",
             ),
             (
                 "no-arm",
                 "1.96.0",
                 "avr-none",
                 ARM,
-                "cannot compile for armv7",
+                "can't compile for armv7",
             ),
         ] {
             let machine = Bare::new(test);

@@ -28,7 +28,7 @@ fn forbidden(symbols: &str) -> Result<(), String> {
             .filter_map(|line| line.split_whitespace().last())
     };
     if !names().any(|name| name.starts_with("__vector_")) {
-        return Err("no interrupt among its symbols, so it cannot be checked".into());
+        return Err("no interrupt among its symbols, so it can't be checked".into());
     }
     if let Some(name) = names().find(|name| ["__mulosi4", "__mulodi4", "__muloti4"].contains(name))
     {

@@ -33,7 +33,7 @@ pub(crate) fn adopt() -> Result<(), Failure> {
     }
     fs::create_dir_all(&folder)
         .and_then(|()| fs::write(&note, here))
-        .map_err(|error| Failure::new(format!("cannot write {}: {error}", note.display())))
+        .map_err(|error| Failure::new(format!("can't write {}: {error}", note.display())))
 }
 
 /// The target folder in cargo's JSON.

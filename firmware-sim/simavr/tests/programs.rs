@@ -2,10 +2,11 @@
 
 mod harness;
 
-use harness::{MS, Uno, bytes, spaced};
 use singletrack_simavr::{
     Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Request, ResetFlags, Run,
 };
+
+use harness::{MS, Uno, bytes, spaced};
 
 /// Ten bits at 115200 baud, as generated from 16 MHz with U2X.
 const BYTE: u64 = 10 * 17 * 8;
@@ -410,7 +411,7 @@ fn a_crash_is_reported_with_cycle_and_address_until_the_next_start() {
 #[test]
 fn an_invalid_image_is_refused_with_its_name() {
     for (path, reason) in [
-        ("/nonexistent/uno.elf", "cannot read /nonexistent/uno.elf"),
+        ("/nonexistent/uno.elf", "can't read /nonexistent/uno.elf"),
         ("/bin/sh", "/bin/sh is not an ELF file of 32 bits"),
     ] {
         let output = harness::command().arg(path).output().unwrap();

@@ -53,7 +53,7 @@ pub enum UnoError {
         file: &'static str,
     },
     /// The image is invalid.
-    #[error("cannot read the image {}: {reason}", image.display())]
+    #[error("can't read the image {}: {reason}", image.display())]
     Unreadable {
         /// The image.
         image: PathBuf,
@@ -69,7 +69,7 @@ pub enum UnoError {
         reason: String,
     },
     /// The program cannot be started.
-    #[error("cannot start {}: {reason}", program.display())]
+    #[error("can't start {}: {reason}", program.display())]
     Start {
         /// The program.
         program: PathBuf,

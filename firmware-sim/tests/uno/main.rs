@@ -14,9 +14,10 @@ mod program;
 #[path = "../closed_loop/scenarios.rs"]
 mod scenarios;
 
-use scenarios::{armed, seeded as config};
 use singletrack_protocol::BoardMode;
 use singletrack_sim::{BoardKind, PulseRecord, ScriptedDrive, default_board_configuration};
+
+use scenarios::{armed, seeded as config};
 
 /// Compiled for the ATmega328P.
 const KIND: BoardKind = BoardKind::Uno;

@@ -2,8 +2,9 @@
 
 mod rig;
 
-use rig::{MS, NEUTRAL, Rig, configuration};
 use singletrack_protocol::BoardMode;
+
+use rig::{MS, NEUTRAL, Rig, configuration};
 
 #[test]
 fn the_servo_slews_at_the_configured_rate_for_any_poll_rate() {

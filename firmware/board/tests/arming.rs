@@ -2,10 +2,11 @@
 
 mod rig;
 
-use rig::{MS, NEUTRAL, Rig, TTL, configuration};
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, EscCalibration, Hello, RefusalReason, Sequence, StopCause,
 };
+
+use rig::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[test]
 fn before_configuration_the_esc_is_neutral_and_the_servo_silent() {

@@ -2,8 +2,9 @@
 
 mod rig;
 
-use rig::{MS, NEUTRAL, Rig, configuration};
 use singletrack_protocol::{BoardMode, Configuration, EscCalibration, FailsafeAction, SpeedLoop};
+
+use rig::{MS, NEUTRAL, Rig, configuration};
 
 fn with_reverse() -> Configuration {
     let speed = SpeedLoop {

@@ -3,12 +3,13 @@
 mod rig;
 
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
-use rig::{MS, NEUTRAL, Rig, TTL, configuration};
 use singletrack_board::{ImuSample, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop, EscCalibration,
     FailsafeAction, Hello, Sequence, ServoCalibration, SpeedLoop, VERSION,
 };
+
+use rig::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[derive(Clone, Debug)]
 enum Step {

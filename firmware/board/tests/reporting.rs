@@ -2,12 +2,13 @@
 
 mod rig;
 
-use rig::{MS, Rig, SOFTWARE_VERSION, configuration};
 use singletrack_board::{Board, ImuSample, Inputs};
 use singletrack_protocol::{
     Decoder, Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNSOLICITED,
     VERSION,
 };
+
+use rig::{MS, Rig, SOFTWARE_VERSION, configuration};
 
 fn hellos(rig: &Rig) -> Vec<Hello> {
     rig.messages

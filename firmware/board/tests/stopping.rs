@@ -2,8 +2,9 @@
 
 mod rig;
 
-use rig::{MS, NEUTRAL, Rig, configuration};
 use singletrack_protocol::{BoardMode, Configuration, FailsafeAction, RefusalReason, StopCause};
+
+use rig::{MS, NEUTRAL, Rig, configuration};
 
 const BRAKE: u16 = 1_300;
 

@@ -14,8 +14,8 @@ use singletrack_mocap::planar::{
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_535;
 
-/// Datagrams of one socket per poll: a flood must not keep the receiver from
-/// noticing silence or from requesting the stream.
+/// The largest number of datagrams of a socket in a poll: during a flood the receiver
+/// must still detect silence and request the stream.
 const DATAGRAMS: usize = 64;
 
 /// The longest wait between two polls.
@@ -24,7 +24,7 @@ const IDLE_NS: u64 = 100_000_000;
 /// Interval at which the counters are reported.
 const COUNTERS_NS: u64 = 200_000_000;
 
-/// Which socket.
+/// A socket to the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
     /// Replies of the server, and frames if they are unicast.
@@ -38,11 +38,11 @@ pub trait Sockets {
     /// Takes the next datagram that waits, without waiting.
     fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>;
 
-    /// Sends a datagram; a lost one is repeated by the session.
+    /// Sends a datagram. The session repeats lost ones.
     fn send(&mut self, to: SocketAddr, bytes: &[u8]);
 }
 
-/// What the receiver reports to the record.
+/// A report of the receiver.
 #[derive(Clone, Copy, Debug)]
 pub enum CameraReport {
     /// An observation of the car.
@@ -51,7 +51,7 @@ pub enum CameraReport {
     Counters(PlanarCounters),
 }
 
-/// Talks to the cameras for the control loop.
+/// The session with the cameras, which passes observations to the control loop.
 #[derive(Debug)]
 pub struct CameraReceiver {
     session: PlanarSession,
@@ -91,14 +91,14 @@ impl CameraReceiver {
         self.session.counters()
     }
 
-    /// Observations that found no room on their way to the control loop.
+    /// Observations lost because the control loop's ring was full.
     #[must_use]
     pub const fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// Takes in the datagrams that wait, sends those that are due, reports silence.
-    /// Returns when it is to be polled again at the latest.
+    /// Handles the received datagrams, sends those that are due, and reports silence.
+    /// Returns the time of the next poll at the latest, in ns.
     pub fn poll(
         &mut self,
         clock: &impl Fn() -> u64,
@@ -151,7 +151,7 @@ impl CameraReceiver {
         self.session.poll_timeout().unwrap_or(idle_ns).min(idle_ns)
     }
 
-    /// Ends the session and takes leave of the server.
+    /// Ends the session and sends the disconnect message.
     pub fn close(&mut self, clock: &impl Fn() -> u64, sockets: &mut impl Sockets) {
         self.session.close();
         self.transmit(clock(), sockets);
@@ -164,7 +164,7 @@ impl CameraReceiver {
     }
 
     fn observed(&mut self, observation: Observation) {
-        // The record may miss one.
+        // A report that finds no room is missing in the record only.
         let _ = self.reports.push(CameraReport::Observation(observation));
         self.dropped += u64::from(self.observations.push(observation).is_err());
     }

@@ -6,8 +6,7 @@ use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::Observation;
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Mode, RealTimeState};
+use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 

@@ -6,10 +6,9 @@
 use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::PilotRequest;
 use singletrack_pilot::{
     BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth, LinkState, Output,
-    Pilot, PilotConfig, PoseMissing, RealTimeState, Underway,
+    Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Underway,
 };
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
 

@@ -29,23 +29,23 @@ use crate::{
     setpoint_slot::{SetpointSender, setpoint_slot},
 };
 
-/// Capacities of the rings. A stall of the control loop of half a second loses
-/// nothing; one of the record of two seconds neither.
+/// Capacities of the rings. A stall of the control loop loses nothing up to half a second,
+/// a stall of the record up to two seconds.
 const SERIAL_EVENTS: usize = 512;
 const OBSERVATIONS: usize = 256;
 const TICKS: usize = 256;
 const REPORTS: usize = 512;
 /// Write halves: the one in use and its successor.
 const LINES: usize = 2;
-/// One is under way at a time.
+/// One is underway at a time.
 const RECONFIGURATIONS: usize = 2;
-/// All of them find room among a tick's events, see `controller::RESERVED`.
+/// A tick has room for all of them among its events, see `controller::RESERVED`.
 const REQUESTS: usize = 10;
 
-/// What a host is started with beside its configuration.
+/// Options of a host that are not in its configuration.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HostOptions {
-    /// Differs from one start to the next: the board recognises a restarted host.
+    /// It must differ from one start to the next: by it the board detects a restarted host.
     pub nonce_seed: u64,
     /// Arms once, as soon as the pilot is ready.
     pub arm_when_ready: bool,
@@ -58,19 +58,19 @@ pub struct Host<L> {
     pub control: ControlLoop<L>,
     /// Reads the board's port.
     pub reader: SerialReader<L>,
-    /// Talks to the cameras.
+    /// The session with the cameras.
     pub receiver: CameraReceiver,
-    /// Takes requests for the control loop.
+    /// Sends requests to the control loop.
     pub requests: Requests,
-    /// Takes set-points for the control loop.
+    /// Sends set-points to the control loop.
     pub setpoints: SetpointSender,
     /// The configuration in force.
     pub configurations: Configurations,
-    /// Every tick.
+    /// The record of every tick.
     pub ticks: TickOutput,
-    /// What the control loop reports beside the ticks.
+    /// All other reports of the control loop.
     pub reports: Consumer<Report>,
-    /// What the camera receiver reports.
+    /// Reports of the camera receiver.
     pub camera_reports: Consumer<CameraReport>,
 }
 
@@ -79,10 +79,10 @@ impl<L: Line> Host<L> {
     ///
     /// # Errors
     ///
-    /// An invalid configuration, by key.
+    /// The configuration is invalid; the error names the key.
     pub fn new(mut config: Config, options: HostOptions) -> Result<Self, ConfigError> {
         config.validate()?;
-        // Read once, for pilot and record alike.
+        // Read once, so that pilot and record have the same waypoints.
         config.reference = config.reference.written_out()?;
         let controller = Controller::new(
             LinkSession::new(config.link(options.nonce_seed))?,

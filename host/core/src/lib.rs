@@ -2,8 +2,8 @@
 //! that joins link session and pilot, and the loop around it.
 //!
 //! Everything that runs the car runs this code: the daemon in real time on its
-//! threads, simulations and tests in virtual time on one. No clock, thread, port or
-//! socket stands here; time, bytes and datagrams are arguments.
+//! threads, simulations and tests in virtual time on one. It has no clock, thread, port or
+//! socket; time, bytes and datagrams are arguments.
 
 pub mod cameras;
 pub mod config;

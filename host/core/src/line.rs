@@ -3,9 +3,9 @@
 
 use singletrack_protocol::{Decoder, Sequence, ToBoard};
 
-/// Takes frames for the board, whole or not at all.
+/// The write half: accepts frames for the board, whole or not at all.
 pub trait Line: Send {
-    /// Writes a frame, without ever waiting.
+    /// Writes a frame without waiting.
     fn write_frame(&mut self, frame: &[u8]) -> Sent;
 }
 
@@ -23,7 +23,7 @@ pub trait Port {
     /// Its write half.
     type Line: Line;
 
-    /// Opens it; none while that fails.
+    /// Opens the port; `None` if that fails.
     fn open(&mut self) -> Option<Self::Line>;
 
     /// Reads without waiting.
@@ -38,7 +38,7 @@ pub trait Port {
 pub enum PortRead {
     /// Nothing to read now.
     Nothing,
-    /// As many bytes, at least one.
+    /// The number of bytes, at least one.
     Bytes(usize),
     /// The port has hung up.
     HungUp,
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn drive_commands_are_known_by_their_number_and_nothing_else_is_one() {
+    fn only_drive_commands_have_a_drive_number() {
         for number in [0, 1, 0x13, 255] {
             let drive = Drive {
                 sequence: Sequence(number),

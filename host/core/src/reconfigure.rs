@@ -1,9 +1,8 @@
-//! Another configuration for a controller that runs.
+//! Change of the configuration while the control loop runs.
 //!
-//! It is read, checked and built by the caller, and handed to the control loop as a
-//! whole, in a box that is returned to be freed by the caller: the control loop reads
-//! no file, waits for nothing and frees nothing. A configuration that it refuses
-//! changes nothing.
+//! The caller reads, checks and builds the configuration and hands it to the control loop
+//! in a box. The loop returns the box, and the caller frees it: the loop reads no file,
+//! never waits and frees no memory. A refused configuration has no effect.
 
 use std::path::PathBuf;
 
@@ -18,10 +17,10 @@ use crate::{
 /// Why the configuration in force stays.
 #[derive(Debug, thiserror::Error)]
 pub enum ChangeError {
-    /// The new one is invalid.
+    /// The new configuration is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The new one differs in keys that are read at the start only.
+    /// It differs in keys that are only read at the start.
     #[error(
         "{} can't change while singletrackd runs: restart it, or take {} back",
         .0.join(", "),
@@ -42,7 +41,7 @@ pub enum ChangeError {
     RelativePath(PathBuf),
 }
 
-/// The configuration in force, and the change that is under way.
+/// The configuration in force, and the change that is underway.
 #[derive(Debug)]
 pub struct Configurations {
     in_force: Config,
@@ -80,7 +79,7 @@ impl Configurations {
     ///
     /// # Errors
     ///
-    /// A reference that does not fit the rest.
+    /// The reference is invalid or contradicts the rest of the configuration.
     pub fn with_reference(&self, reference: ReferenceSection) -> Result<Config, ChangeError> {
         if let ReferenceSection::Waypoints { file } = &reference
             && !file.is_absolute()
@@ -95,12 +94,12 @@ impl Configurations {
         Ok(config)
     }
 
-    /// Hands `config` to the control loop, which may take it over until `until_ns`.
-    /// The outcome comes from [`settle`](Self::settle).
+    /// Hands `config` to the control loop, which refuses it after `until_ns`.
+    /// [`settle`](Self::settle) returns the outcome.
     ///
     /// # Errors
     ///
-    /// Why it can't be handed over. The configuration in force stays.
+    /// The reason why it can't be handed over. The configuration in force stays.
     pub fn begin(
         &mut self,
         mut config: Config,
@@ -127,8 +126,8 @@ impl Configurations {
         Ok(())
     }
 
-    /// Takes in the outcome of the change under way; none while there is none. Returns
-    /// the number that is in force now.
+    /// Handles the outcome of the change that is underway, and returns the number of the
+    /// configuration in force; `None` while there is no outcome.
     pub fn settle(&mut self) -> Option<Result<u32, ChangeError>> {
         let change = self.returned.pop().ok()?;
         let config = self.under_way.take()?;

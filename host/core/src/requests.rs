@@ -22,31 +22,31 @@ pub enum ControlRequest {
     Abort,
 }
 
-/// What the control loop takes over between two ticks.
+/// A configuration that the control loop takes over between two ticks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reconfiguration {
-    /// Its number; the one at the start is 1.
+    /// Its number; the configuration at the start has 1.
     pub number: u32,
     /// For the pilot.
     pub pilot: PilotConfig,
     /// For the board.
     pub board: Configuration,
-    /// After this the caller has given up, and it is not taken over.
+    /// The caller's time-out: after this the configuration is refused, ns.
     pub until_ns: u64,
-    /// The outcome; none until the control loop has seen it.
+    /// The outcome; `None` until the control loop has handled it.
     pub outcome: Option<Result<(), Refusal>>,
 }
 
-/// Why the control loop did not take a configuration over.
+/// Why the control loop refused a configuration.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// The pilot or the board does not take it.
+    /// The pilot or the session with the board refuses it.
     #[error(transparent)]
     Pilot(#[from] ReconfigureError),
     /// The loop is about to end.
     #[error("singletrackd is about to end")]
     Ending,
-    /// It arrived too late.
+    /// The caller's time-out had passed.
     #[error("the control thread was stalled")]
     Late,
 }

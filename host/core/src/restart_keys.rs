@@ -1,15 +1,15 @@
-//! Which keys of the configuration are only read when the daemon starts.
+//! The keys of the configuration that are only read when the daemon starts.
 
 use toml::Value;
 
 use crate::config::{Config, SECTIONS, Section};
 
-/// The keys in which `new` differs from `old` and which take a restart: first those of
-/// sections that take a restart as a whole.
+/// The keys in which `new` differs from `old` and that require a restart: first those of
+/// sections that require a restart as a whole.
 ///
 /// # Errors
 ///
-/// A path that is not UTF-8, which no file can have named.
+/// A path is not UTF-8. No configuration file can contain one.
 pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
     let (old, new) = (Value::try_from(old)?, Value::try_from(new)?);
     let (whole, partly): (Vec<&Section>, Vec<_>) =

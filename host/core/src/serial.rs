@@ -8,37 +8,37 @@ use rtrb::{Consumer, Producer, PushError};
 
 use crate::line::{Line, Port, PortRead};
 
-/// The most bytes that are handed over at once.
+/// The largest number of bytes in a [`Chunk`].
 pub const CHUNK: usize = 240;
 
 /// Delays between two attempts to open the port.
 const FIRST_RETRY_NS: u64 = 50_000_000;
 const LAST_RETRY_NS: u64 = 400_000_000;
 
-/// How long a hang-up waits for the control loop to give the write half back.
+/// The longest wait for the write half after a hang-up, until the port is closed.
 const RETURN_PATIENCE_NS: u64 = 200_000_000;
 
-/// Delay between two attempts to hand something over or to get it back.
+/// Delay between two attempts to hand an event over or to get the write half back.
 const HAND_OVER_NS: u64 = 1_000_000;
 
-/// The longest wait on a port that is silent.
+/// The longest wait on a silent port.
 const IDLE_NS: u64 = 200_000_000;
 
-/// Reads of one poll: a flood must not keep the caller from its other duties.
+/// The largest number of reads in a poll: a flood of bytes must not block the caller.
 const READS: u32 = 512;
 
-/// What the serial reader hands to the control loop.
+/// An event of the serial line, for the control loop.
 #[derive(Debug)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "the control thread must not allocate to take it in"
+    reason = "the control thread must not allocate to receive one"
 )]
 pub enum SerialEvent<L> {
-    /// The port is open; this is its write half.
+    /// The port was opened; this is its write half.
     Opened(L),
     /// Bytes were received.
     Bytes(Chunk),
-    /// The port has hung up: the write half is to be returned.
+    /// The port has hung up. The control loop returns the write half.
     Closed {
         /// When the hang-up was noticed.
         time_ns: u64,
@@ -80,15 +80,15 @@ impl Chunk {
 /// Counters of the serial reader.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReaderCounters {
-    /// Times that the port was opened.
+    /// The number of times that the port was opened.
     pub opened: u64,
     /// Bytes received.
     pub bytes: u64,
-    /// Bytes that found no room on their way to the control loop.
+    /// Bytes lost because the control loop's ring was full.
     pub bytes_dropped: u64,
 }
 
-/// When the serial reader is to be polled again.
+/// When to poll the serial reader again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderWait {
     /// As soon as the port is readable.
@@ -109,7 +109,7 @@ enum Phase<L> {
     /// The event waits for room in the control loop's ring.
     HandingOver(SerialEvent<L>),
     Open,
-    /// Hung up; the control loop still has the write half.
+    /// The port has hung up; the control loop still has the write half.
     Returning {
         until_ns: u64,
     },
@@ -149,8 +149,8 @@ impl<L: Line> SerialReader<L> {
         self.counters
     }
 
-    /// Does what is due: opens, reads or closes the port. Bytes are dated by `clock`
-    /// after they are read.
+    /// Opens, reads or closes the port, whichever is due. Bytes get the time of `clock`
+    /// after the read.
     pub fn poll(&mut self, clock: &impl Fn() -> u64, port: &mut impl Port<Line = L>) -> ReaderWait {
         let wait = |until_ns| ReaderWait {
             readable: false,
@@ -204,7 +204,7 @@ impl<L: Line> SerialReader<L> {
         }
     }
 
-    /// Reads until there is nothing left, or the port hangs up.
+    /// Reads until no bytes are left or the port hangs up.
     fn read(
         &mut self,
         clock: &impl Fn() -> u64,

@@ -1,8 +1,7 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
 use singletrack_mocap::planar::PlanarEvent;
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Mode, RealTimeState};
+use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
 use singletrack_record::{Entry, TickRecord};
 
 use crate::{
@@ -16,11 +15,11 @@ use crate::{
     requests::{ControlRequest, Stalled},
 };
 
-/// Polls of the camera receiver without time passing: for more datagrams than any
-/// socket holds.
+/// The largest number of polls of the camera receiver at one time: enough for all
+/// datagrams that a socket holds.
 const POLLS: u32 = 8;
 
-/// A host whose threads are polled.
+/// A host that is polled in the place of its threads.
 #[derive(Debug)]
 pub struct VirtualHost<L> {
     host: Host<L>,
@@ -28,12 +27,12 @@ pub struct VirtualHost<L> {
 }
 
 impl<L: Line> VirtualHost<L> {
-    /// A host that starts at `now_ns`; its first tick is due a period later. Virtual time
-    /// is kept to the nanosecond, so the pilot takes it for real time.
+    /// A host that starts at `now_ns`; its first tick is due a period later. The pilot is
+    /// given real-time scheduling, because virtual time is exact.
     ///
     /// # Errors
     ///
-    /// An invalid configuration, by key.
+    /// The configuration is invalid; the error names the key.
     pub fn new(config: Config, options: HostOptions, now_ns: u64) -> Result<Self, ConfigError> {
         let mut host = Host::new(config, options)?;
         host.control.real_time(RealTimeState {
@@ -47,7 +46,7 @@ impl<L: Line> VirtualHost<L> {
         })
     }
 
-    /// The parts, to look at.
+    /// The parts, read-only.
     #[must_use]
     pub const fn parts(&self) -> &Host<L> {
         &self.host
@@ -71,21 +70,21 @@ impl<L: Line> VirtualHost<L> {
         self.grid.next_ns()
     }
 
-    /// What the serial reader's thread does at `now_ns`. Returns whether bytes were read.
+    /// Runs the serial reader at `now_ns`. Returns whether it read bytes.
     pub fn poll_serial(&mut self, now_ns: u64, port: &mut impl Port<Line = L>) -> bool {
         let before = self.host.reader.counters().bytes;
         self.host.reader.poll(&|| now_ns, port);
         self.host.reader.counters().bytes > before
     }
 
-    /// What the camera receiver's thread does at `now_ns`.
+    /// Runs the camera receiver at `now_ns`.
     pub fn poll_cameras(
         &mut self,
         now_ns: u64,
         sockets: &mut impl Sockets,
         on_event: &mut impl FnMut(&PlanarEvent),
     ) {
-        // A thread polls again at once while datagrams are left.
+        // A thread polls again at once while datagrams wait.
         for _ in 0..POLLS {
             if self.host.receiver.poll(&|| now_ns, sockets, on_event) > now_ns {
                 break;
@@ -93,22 +92,22 @@ impl<L: Line> VirtualHost<L> {
         }
     }
 
-    /// What the control thread does when it wakes up at `now_ns`.
+    /// Runs a tick of the control loop that wakes up at `now_ns`.
     pub fn tick(&mut self, now_ns: u64) {
         let slot = self.grid.enter(now_ns);
         self.host.control.tick(slot, &|| now_ns);
         self.grid.slide(self.host.control.slide_ns());
     }
 
-    /// The next tick that was not taken yet. What else was reported until then is
-    /// dropped: see [`entries`](Self::entries) for all of it.
+    /// Takes the record of the next tick, and drops all other reports. See
+    /// [`entries`](Self::entries) to take everything.
     pub fn next_tick(&mut self) -> Option<TickRecord> {
         while self.host.reports.pop().is_ok() {}
         while self.host.camera_reports.pop().is_ok() {}
         self.host.ticks.pop()
     }
 
-    /// Hands out what a record holds of everything since the last time, in the order of
+    /// Passes all entries for the record since the last call to `take`, in the order of
     /// the daemon's collector.
     pub fn entries(&mut self, take: &mut impl FnMut(Entry)) {
         while let Ok(report) = self.host.reports.pop() {
@@ -124,28 +123,28 @@ impl<L: Line> VirtualHost<L> {
         }
     }
 
-    /// Requests something of the pilot.
+    /// Sends a request to the pilot.
     ///
     /// # Errors
     ///
-    /// When the control loop has not taken the requests before.
+    /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.requests.push(ControlRequest::Pilot(request))
     }
 
-    /// Hands another configuration to the control loop, to be taken over until
+    /// Hands another configuration to the control loop, which refuses it after
     /// `until_ns`.
     ///
     /// # Errors
     ///
-    /// Why it can't be handed over.
+    /// The reason why it can't be handed over.
     pub fn reconfigure(&mut self, config: Config, until_ns: u64) -> Result<(), ChangeError> {
         self.host
             .configurations
             .begin(config, until_ns, &self.host.requests)
     }
 
-    /// The outcome of the change under way; none while there is none.
+    /// The outcome of the change that is underway; `None` while there is none.
     pub fn settle(&mut self) -> Option<Result<u32, ChangeError>> {
         self.host.configurations.settle()
     }

@@ -220,7 +220,7 @@ reference | kind = "external" | reference.radius_m | external | remove it
 "#;
 
 #[test]
-fn every_mistake_in_a_line_is_told_by_key_value_and_fix() {
+fn every_mistake_in_a_line_is_reported_with_key_value_and_fix() {
     let mistakes = [
         WRONG_TYPES,
         OUT_OF_RANGE,
@@ -251,7 +251,7 @@ fn every_mistake_in_a_line_is_told_by_key_value_and_fix() {
 }
 
 #[test]
-fn every_mistake_in_a_text_is_told_by_key_value_and_fix() {
+fn every_mistake_in_a_text_is_reported_with_key_value_and_fix() {
     let example = spelt_out();
     let twice = example.replace("\nhold_ms = 300\n", "\nhold_ms = 300\nhold_ms = 400\n");
     let steps = |steps: &str| {
@@ -376,7 +376,7 @@ fn waypoint_refusal(folder: &Path) -> String {
 }
 
 #[test]
-fn every_mistake_in_a_file_of_waypoints_is_told_by_line_value_and_fix() {
+fn every_mistake_in_a_waypoint_file_is_reported_with_line_value_and_fix() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("path.csv");
     let missing = waypoint_refusal(folder.path());
@@ -467,7 +467,7 @@ fn every_mistake_in_a_file_of_waypoints_is_told_by_line_value_and_fix() {
 }
 
 #[test]
-fn every_path_that_is_no_file_of_text_is_told_with_what_it_is() {
+fn every_path_that_is_not_a_text_file_is_reported_with_its_kind() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     fs::write(path("latin1"), b"[serial]\nport = \"/dev/\xe4\"\n").unwrap();

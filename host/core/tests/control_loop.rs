@@ -1,6 +1,5 @@
-//! The body of the control thread in virtual time, with the simulated car at
-//! the other end of its rings: what it does when it is asked to, and that it
-//! queues nothing.
+//! The control loop with the simulated car, in virtual time: requests, configurations,
+//! set-points and stalls.
 
 #![allow(
     clippy::unwrap_used,
@@ -8,23 +7,22 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-#[path = "common/outside.rs"]
-mod outside;
+#[path = "common/simulated_drive.rs"]
+mod simulated_drive;
 
-use outside::{Outside, PERIOD_US, RingLine, drive, set_up, tick};
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{
     Config, ControlRequest, Refusal,
     config::{OuterLoopSection, ReferenceSection},
-    control_loop::ControlLoop,
     controller::{Controller, ReconfigureError},
     line::Sent,
 };
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Event, Mode, Pilot, RealTimeState, Reason};
+use singletrack_pilot::{Event, Mode, Pilot, PilotRequest, RealTimeState, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
+
+use simulated_drive::{PERIOD_US, SimulatedDrive};
 
 /// The drive commands in `bytes`.
 fn drives(bytes: &[u8]) -> usize {
@@ -41,37 +39,34 @@ fn drives(bytes: &[u8]) -> usize {
 
 #[test]
 fn a_line_that_is_stuck_both_ways_holds_two_commands_at_most() {
-    let (mut control, mut outside) = set_up();
-    let start = drive(&mut control, &mut outside);
+    let mut drive = SimulatedDrive::new();
+    let start = drive.start_driving();
     let mut queued = Vec::new();
     for index in start..start + 50 {
-        outside.stuck = true;
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        queued.extend(outside.sent());
-        while outside.reports.pop().is_ok() {}
-        while outside.ticks.pop().is_some() {}
+        drive.stuck = true;
+        drive.run_until_tick(index);
+        drive.tick(index);
+        queued.extend(drive.sent());
+        while drive.host.reports.pop().is_ok() {}
+        while drive.host.ticks.pop().is_some() {}
     }
     assert!(
         (1..=2).contains(&drives(&queued)),
         "{} commands",
         drives(&queued)
     );
-    assert!(control.counters().drives_withheld > 0);
+    assert!(drive.host.control.counters().drives_withheld > 0);
 }
 
 #[test]
-fn asked_to_finish_it_stops_the_car_and_disarms_the_board_first() {
-    let (mut control, mut outside) = set_up();
-    let start = drive(&mut control, &mut outside);
-    outside.requests.push(ControlRequest::Finish).unwrap();
+fn a_finish_stops_the_car_and_disarms_the_board_first() {
+    let mut drive = SimulatedDrive::new();
+    let start = drive.start_driving();
+    drive.request(ControlRequest::Finish);
     let mut ticks = 0;
     let mut modes = Vec::new();
-    while !control.is_done() {
-        let index = start + ticks;
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        modes.extend(outside.after_tick());
+    while !drive.host.control.is_done() {
+        modes.extend(drive.step(start + ticks));
         ticks += 1;
         assert!(ticks < 200, "never done");
     }
@@ -81,70 +76,55 @@ fn asked_to_finish_it_stops_the_car_and_disarms_the_board_first() {
         "{modes:?}"
     );
     // At neutral it coasts the rest of the way.
-    let speed = outside.world.truth().speed;
+    let speed = drive.world.truth().speed;
     assert!(speed.abs() < 0.1, "{speed} m/s");
-    assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
+    assert_eq!(drive.board_mode(), Some(BoardMode::Neutral));
 }
 
 #[test]
-fn asked_to_abort_it_disarms_the_board_at_full_speed() {
-    let (mut control, mut outside) = set_up();
-    let start = drive(&mut control, &mut outside);
-    outside.requests.push(ControlRequest::Abort).unwrap();
+fn an_abort_disarms_the_board_at_full_speed() {
+    let mut drive = SimulatedDrive::new();
+    let start = drive.start_driving();
+    drive.request(ControlRequest::Abort);
     let mut ticks = 0;
-    while !control.is_done() {
-        let index = start + ticks;
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        outside.after_tick();
+    while !drive.host.control.is_done() {
+        drive.step(start + ticks);
         ticks += 1;
         assert!(ticks < 10, "not at once");
     }
-    assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
+    assert_eq!(drive.board_mode(), Some(BoardMode::Neutral));
 }
 
 #[test]
-fn standing_it_is_done_at_the_next_tick() {
-    let (mut control, mut outside) = set_up();
+fn a_finish_of_a_car_at_rest_is_done_at_the_next_tick() {
+    let mut drive = SimulatedDrive::new();
     for index in 1..100 {
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        outside.after_tick();
+        drive.step(index);
     }
-    outside.requests.push(ControlRequest::Finish).unwrap();
-    tick(&mut control, 100);
-    assert!(control.is_done());
+    drive.request(ControlRequest::Finish);
+    drive.tick(100);
+    assert!(drive.host.control.is_done());
 }
 
 #[test]
-fn whoever_says_stop_before_it_was_ready_takes_back_that_it_arms_by_itself() {
-    let (mut control, mut outside) = set_up();
-    outside
-        .requests
-        .push(ControlRequest::Pilot(PilotRequest::Disarm))
-        .unwrap();
+fn a_disarm_before_ready_cancels_arming_at_the_start() {
+    let mut drive = SimulatedDrive::new();
+    drive.request(ControlRequest::Pilot(PilotRequest::Disarm));
     let mut modes = Vec::new();
     for index in 1..600 {
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        modes.extend(outside.after_tick());
+        modes.extend(drive.step(index));
     }
     modes.dedup();
     assert_eq!(modes, [Mode::Disconnected, Mode::Idle, Mode::Ready]);
 
-    // And to end in the tick in which somebody arms leaves nothing armed.
-    outside
-        .requests
-        .push(ControlRequest::Pilot(PilotRequest::Arm))
-        .unwrap();
-    outside.requests.push(ControlRequest::Finish).unwrap();
+    // An end in the same tick as an arm request leaves nothing armed.
+    drive.request(ControlRequest::Pilot(PilotRequest::Arm));
+    drive.request(ControlRequest::Finish);
     for index in 600..640 {
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        outside.after_tick();
-        assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
+        drive.step(index);
+        assert_eq!(drive.board_mode(), Some(BoardMode::Neutral));
     }
-    assert!(control.is_done());
+    assert!(drive.host.control.is_done());
 }
 
 fn controller() -> Controller {
@@ -180,7 +160,7 @@ fn a_flood_of_samples_leaves_room_for_a_stop() {
 }
 
 #[test]
-fn after_a_long_pause_a_stop_is_heard_whatever_else_has_piled_up() {
+fn after_a_long_pause_a_stop_finds_room_among_other_events() {
     let mut controller = controller();
     observe(&mut controller, 1_000);
     for _ in 0..100 {
@@ -203,7 +183,7 @@ fn after_a_long_pause_a_stop_is_heard_whatever_else_has_piled_up() {
 }
 
 #[test]
-fn of_many_set_points_in_a_tick_only_the_newest_is_told() {
+fn of_many_set_points_in_a_tick_the_pilot_gets_the_newest() {
     let mut controller = controller();
     for ms in 0..1_000 {
         controller.setpoint(Setpoint {
@@ -213,7 +193,7 @@ fn of_many_set_points_in_a_tick_only_the_newest_is_told() {
         });
     }
     let tick = controller.tick(Time(1_000), &mut |_| Sent::Whole, &mut |_| {});
-    let told: Vec<_> = tick
+    let seen: Vec<_> = tick
         .events
         .iter()
         .filter_map(|event| match event {
@@ -221,64 +201,51 @@ fn of_many_set_points_in_a_tick_only_the_newest_is_told() {
             _ => None,
         })
         .collect();
-    assert_eq!((told, tick.dropped_events), (vec![999], 0));
+    assert_eq!((seen, tick.dropped_events), (vec![999], 0));
 }
 
 /// Runs `ticks` ticks from `index` on; the modes that they ended in, each once.
-fn run(
-    control: &mut ControlLoop<RingLine>,
-    outside: &mut Outside,
-    index: u64,
-    ticks: u64,
-) -> Vec<Mode> {
+fn run(drive: &mut SimulatedDrive, index: u64, ticks: u64) -> Vec<Mode> {
     let mut modes = Vec::new();
     for index in index..index + ticks {
-        outside.run_until_tick(index);
-        tick(control, index);
-        modes.extend(outside.after_tick());
+        modes.extend(drive.step(index));
     }
     modes.dedup();
     modes
 }
 
 #[test]
-fn a_configuration_is_taken_over_between_two_ticks_and_its_box_comes_back() {
-    let (mut control, mut outside) = set_up();
-    outside
-        .requests
-        .push(ControlRequest::Pilot(PilotRequest::Disarm))
-        .unwrap();
-    run(&mut control, &mut outside, 1, 300);
-    let mut config = outside.config.clone();
+fn a_configuration_is_taken_over_between_two_ticks_and_its_box_is_returned() {
+    let mut drive = SimulatedDrive::new();
+    drive.request(ControlRequest::Pilot(PilotRequest::Disarm));
+    run(&mut drive, 1, 300);
+    let mut config = drive.config();
     config.limits.max_speed_m_s = 0.2;
     config.board.speed.max_forward_mm_s = 300;
-    outside.reconfigure(&config, u64::MAX);
-    outside.run_until_tick(301);
-    tick(&mut control, 301);
-    assert_eq!(outside.outcome(), Ok(()));
-    let record = outside.ticks.pop().unwrap();
+    drive.reconfigure(config, u64::MAX);
+    drive.run_until_tick(301);
+    drive.tick(301);
+    assert_eq!(drive.outcome(), Ok(()));
+    let record = drive.host.ticks.pop().unwrap();
     assert!(record.events.contains(&Event::Reconfigured(2)));
 
     // Pilot and board are as before, only slower.
-    run(&mut control, &mut outside, 302, 200);
-    outside
-        .requests
-        .push(ControlRequest::Pilot(PilotRequest::Arm))
-        .unwrap();
-    run(&mut control, &mut outside, 502, 300);
-    assert_eq!(outside.board_mode(), Some(BoardMode::Driving));
-    let speed = outside.world.truth().speed;
+    run(&mut drive, 302, 200);
+    drive.request(ControlRequest::Pilot(PilotRequest::Arm));
+    run(&mut drive, 502, 300);
+    assert_eq!(drive.board_mode(), Some(BoardMode::Driving));
+    let speed = drive.world.truth().speed;
     assert!((0.15..0.22).contains(&speed), "{speed} m/s");
 }
 
 #[test]
 fn a_car_that_drives_keeps_its_configuration() {
-    let (mut control, mut outside) = set_up();
-    let start = drive(&mut control, &mut outside);
-    let config = outside.config.clone();
-    outside.reconfigure(&config, u64::MAX);
-    let modes = run(&mut control, &mut outside, start, 50);
-    let outcome = outside.outcome();
+    let mut drive = SimulatedDrive::new();
+    let start = drive.start_driving();
+    let config = drive.config();
+    drive.reconfigure(config, u64::MAX);
+    let modes = run(&mut drive, start, 50);
+    let outcome = drive.outcome();
     assert!(
         matches!(outcome, Err(Refusal::Pilot(ReconfigureError::Underway(_)))),
         "{outcome:?}"
@@ -287,17 +254,17 @@ fn a_car_that_drives_keeps_its_configuration() {
 }
 
 #[test]
-fn a_configuration_for_which_nobody_waits_any_more_is_not_taken_over() {
-    let (mut control, mut outside) = set_up();
-    let config = outside.config.clone();
-    outside.reconfigure(&config, 10 * PERIOD_US * 1_000);
-    tick(&mut control, 11);
-    assert_eq!(outside.outcome(), Err(Refusal::Late));
+fn a_configuration_is_not_taken_over_after_its_deadline_or_at_the_end() {
+    let mut drive = SimulatedDrive::new();
+    let config = drive.config();
+    drive.reconfigure(config.clone(), 10 * PERIOD_US * 1_000);
+    drive.tick(11);
+    assert_eq!(drive.outcome(), Err(Refusal::Late));
 
-    outside.requests.push(ControlRequest::Finish).unwrap();
-    outside.reconfigure(&config, u64::MAX);
-    tick(&mut control, 12);
-    assert_eq!(outside.outcome(), Err(Refusal::Ending));
+    drive.request(ControlRequest::Finish);
+    drive.reconfigure(config, u64::MAX);
+    drive.tick(12);
+    assert_eq!(drive.outcome(), Err(Refusal::Ending));
 }
 
 fn setpoint(time_us: u64, velocity: Velocity) -> Setpoint {
@@ -310,63 +277,66 @@ fn setpoint(time_us: u64, velocity: Velocity) -> Setpoint {
 
 #[test]
 fn of_many_set_points_a_tick_sees_the_newest() {
-    let (mut control, mut outside) = set_up();
+    let mut drive = SimulatedDrive::new();
     for number in 1..=1_000 {
-        outside.setpoints.send(&Setpoint {
+        drive.host.setpoints.send(&Setpoint {
             position: Some(Position::new(number as f64, 0.0)),
             ..setpoint(number, Velocity::zeros())
         });
     }
-    let setpoints = |outside: &mut Outside| -> Vec<Setpoint> {
-        let record = outside.ticks.pop().unwrap();
+    let setpoints = |drive: &mut SimulatedDrive| -> Vec<Setpoint> {
+        let record = drive.host.ticks.pop().unwrap();
         let setpoint = |event: &Event| match event {
             Event::Setpoint(setpoint) => Some(*setpoint),
             _ => None,
         };
         record.events.iter().filter_map(setpoint).collect()
     };
-    tick(&mut control, 1);
-    let seen = setpoints(&mut outside);
+    drive.tick(1);
+    let seen = setpoints(&mut drive);
     assert_eq!(seen.len(), 1);
     assert_eq!(seen[0].position, Some(Position::new(1_000.0, 0.0)));
-    tick(&mut control, 2);
-    assert_eq!(setpoints(&mut outside), []);
+    drive.tick(2);
+    assert_eq!(setpoints(&mut drive), []);
 }
 
 #[test]
 fn the_car_follows_set_points_and_stops_when_they_cease() {
-    let (mut control, mut outside) = set_up();
-    let mut config = outside.config.clone();
+    let mut drive = SimulatedDrive::new();
+    let mut config = drive.config();
     config.reference = ReferenceSection::External {
         setpoint_timeout_ms: 200,
     };
     config.outer_loop = OuterLoopSection::OpenLoop {};
-    outside.reconfigure(&config, u64::MAX);
+    drive.reconfigure(config, u64::MAX);
     let mut index = 1;
     let mut driving = 0;
-    let heading = outside.world.truth().yaw;
+    let heading = drive.world.truth().yaw;
     let ahead = Velocity::new(0.3 * heading.cos(), 0.3 * heading.sin());
     while driving < 200 {
-        outside.setpoints.send(&setpoint(index * PERIOD_US, ahead));
-        let modes = run(&mut control, &mut outside, index, 1);
+        drive
+            .host
+            .setpoints
+            .send(&setpoint(index * PERIOD_US, ahead));
+        let modes = run(&mut drive, index, 1);
         driving += u64::from(modes == [Mode::Driving]);
         index += 1;
         assert!(index < 2_000, "it never drove: {modes:?}");
     }
-    assert_eq!(outside.outcome(), Ok(()));
-    let speed = outside.world.truth().speed;
+    assert_eq!(drive.outcome(), Ok(()));
+    let speed = drive.world.truth().speed;
     assert!((0.25..0.35).contains(&speed), "{speed} m/s");
 
     let last = index;
     let (stopping, reason) = loop {
-        outside.run_until_tick(index);
-        tick(&mut control, index);
-        let record = outside.ticks.pop().unwrap();
+        drive.run_until_tick(index);
+        drive.tick(index);
+        let record = drive.host.ticks.pop().unwrap();
         if record.output.mode != Mode::Driving {
             break (index, record.output.reason);
         }
-        let sent = outside.sent();
-        outside.world.host_write(&sent);
+        let sent = drive.sent();
+        drive.world.host_write(&sent);
         index += 1;
     };
     assert_eq!(reason, Some(Reason::SetpointStale));
@@ -376,24 +346,24 @@ fn the_car_follows_set_points_and_stops_when_they_cease() {
         "{}",
         stopping - last
     );
-    outside.after_tick();
-    run(&mut control, &mut outside, stopping + 1, 200);
-    assert!(outside.world.truth().speed.abs() < 0.05);
-    assert_eq!(outside.board_mode(), Some(BoardMode::Neutral));
+    drive.after_tick();
+    run(&mut drive, stopping + 1, 200);
+    assert!(drive.world.truth().speed.abs() < 0.05);
+    assert_eq!(drive.board_mode(), Some(BoardMode::Neutral));
 }
 
 #[test]
 fn after_a_stall_the_newest_pose_is_among_what_a_tick_takes_in() {
-    let (mut control, mut outside) = set_up();
-    let start = drive(&mut control, &mut outside);
+    let mut drive = SimulatedDrive::new();
+    let start = drive.start_driving();
     // The thread sleeps for half a second; the rest of the world goes on.
     let stall = 50;
     for index in start..start + stall {
-        outside.run_until_tick(index);
+        drive.run_until_tick(index);
     }
-    let newest = outside.last_frame;
-    tick(&mut control, start + stall - 1);
-    let record = outside.ticks.pop().unwrap();
+    let newest = drive.last_frame;
+    drive.tick(start + stall - 1);
+    let record = drive.host.ticks.pop().unwrap();
     let frames: Vec<i32> = record
         .events
         .iter()

@@ -97,7 +97,7 @@ fn the_table_has_every_reason_not_to_believe_a_pose() {
 }
 
 #[test]
-fn nobody_else_decides_and_every_row_says_meaning_effect_and_remedy() {
+fn every_row_has_a_source_a_meaning_an_effect_and_a_remedy() {
     let rows = rows();
     let known = ["host", "board stop", "board refusal", "cameras"];
     for row in &rows {

@@ -7,18 +7,19 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-#[path = "../../core/tests/common/outside.rs"]
-mod outside;
+#[path = "../../core/tests/common/simulated_drive.rs"]
+mod simulated_drive;
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
 };
 
-use outside::{set_up, tick};
 use singletrack_control::{Setpoint, Time, Velocity};
 use singletrack_pilot::Mode;
 use singletrackd::realtime;
+
+use simulated_drive::SimulatedDrive;
 
 struct Counting;
 
@@ -89,45 +90,45 @@ fn ten_thousand_ticks_allocate_nothing_and_cause_no_page_fault() {
         Ok(()) => 0,
         Err(_) => 2_000,
     };
-    let (mut control, mut outside) = set_up();
-    realtime::touch_memory(control.rings_mut());
+    let mut drive = SimulatedDrive::new();
+    realtime::touch_memory(drive.host.control.rings_mut());
     let (mut driving, mut allocated, mut faults) = (0, 0, 0);
     for index in 1..=uncounted + TICKS {
-        outside.run_until_tick(index);
+        drive.run_until_tick(index);
         let before = page_faults();
-        allocated += allocations(|| tick(&mut control, index));
+        allocated += allocations(|| drive.tick(index));
         if index > uncounted {
             faults += page_faults() - before;
         }
-        driving += u64::from(outside.after_tick() == Some(Mode::Driving));
+        driving += u64::from(drive.after_tick() == Some(Mode::Driving));
     }
     assert_eq!((allocated, faults), (0, 0), "allocations, page faults");
     assert!(driving > TICKS * 8 / 10, "only {driving} driving ticks");
-    assert_eq!(control.counters().reports_dropped, 0);
-    assert_eq!(control.counters().drives_withheld, 0);
+    assert_eq!(drive.host.control.counters().reports_dropped, 0);
+    assert_eq!(drive.host.control.counters().drives_withheld, 0);
 }
 
 #[test]
 fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
-    let (mut control, mut outside) = set_up();
-    let config = outside.config.clone();
+    let mut drive = SimulatedDrive::new();
+    let config = drive.config();
     let mut total = 0;
     for index in 1..=300 {
-        outside.run_until_tick(index);
+        drive.run_until_tick(index);
         if index.is_multiple_of(10) {
-            outside.reconfigure(&config, u64::MAX);
-            outside.setpoints.send(&Setpoint {
+            drive.reconfigure(config.clone(), u64::MAX);
+            drive.host.setpoints.send(&Setpoint {
                 time: Time(index),
                 position: None,
                 velocity: Velocity::zeros(),
             });
         }
-        total += allocations(|| tick(&mut control, index));
+        total += allocations(|| drive.tick(index));
         if index.is_multiple_of(10) {
             // Freed here, on the other side of the ring.
-            let _ = outside.outcome();
+            let _ = drive.outcome();
         }
-        outside.after_tick();
+        drive.after_tick();
     }
     assert_eq!(total, 0, "allocations");
 }

@@ -12,7 +12,6 @@ mod terminal;
 
 use std::{net::Ipv4Addr, path::Path, time::Duration};
 
-use common::wait_for;
 use singletrack_core::{
     Config,
     line::{Line, Sent},
@@ -26,6 +25,8 @@ use singletrackd::{
     Daemon, StartOptions,
     serial_port::{self, PortError},
 };
+
+use common::wait_for;
 use terminal::Terminal;
 
 fn config(port: &Path) -> Config {

@@ -28,9 +28,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use common::wait_for;
 use singletrackd::monotonic_ns;
 use tempfile::TempDir;
+
+use common::wait_for;
 use terminal::Terminal;
 
 /// The longest time between two signs of life.

@@ -2,8 +2,7 @@
 
 use singletrack_protocol::{RefusalReason, Sequence, UNSOLICITED};
 
-use crate::event::VersionMismatch;
-use crate::request::Pending;
+use crate::{event::VersionMismatch, request::Pending};
 
 /// Time between two greetings. Opening the port resets the board, and its bootloader
 /// discards the first greetings.

@@ -5,13 +5,15 @@ use singletrack_protocol::{
     Sequence, Status, TELEMETRY_PERIOD_US, Telemetry, ToHost, UNSOLICITED, VERSION, frame_length,
 };
 
-use crate::clock::{Stamp, StampOutcome};
-use crate::counters::QualityWindow;
-use crate::drive::NewestTelemetry;
-use crate::event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch};
-use crate::handshake::{Phase, SLOW_RETRY_NS};
-use crate::request::Pending;
-use crate::session::{Session, is_armed};
+use crate::{
+    clock::{Stamp, StampOutcome},
+    counters::QualityWindow,
+    drive::NewestTelemetry,
+    event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch},
+    handshake::{Phase, SLOW_RETRY_NS},
+    request::Pending,
+    session::{Session, is_armed},
+};
 
 /// Start bit, eight data bits, stop bit.
 const BITS_PER_BYTE: u64 = 10;

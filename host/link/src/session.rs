@@ -6,13 +6,15 @@ use singletrack_protocol::{
     BoardMode, Configuration, ConfigurationError, Decoder, Drive, Frame, Sequence, ToBoard,
 };
 
-use crate::clock::BoardClock;
-use crate::counters::{BoardQuality, Counters, LineQuality, QualityWindow};
-use crate::drive::{self, DriveCommand, DriveError, NewestTelemetry, NotReady};
-use crate::event::{Event, LossCause, State};
-use crate::handshake::{Greeting, Nonces, Phase};
-use crate::latency::{Latency, RoundTrip};
-use crate::request::{Pending, Stop, StopKind};
+use crate::{
+    clock::BoardClock,
+    counters::{BoardQuality, Counters, LineQuality, QualityWindow},
+    drive::{self, DriveCommand, DriveError, NewestTelemetry, NotReady},
+    event::{Event, LossCause, State},
+    handshake::{Greeting, Nonces, Phase},
+    latency::{Latency, RoundTrip},
+    request::{Pending, Stop, StopKind},
+};
 
 /// The configuration of a [`Session`].
 #[derive(Clone, Copy, Debug)]

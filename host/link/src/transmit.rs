@@ -4,9 +4,11 @@ use singletrack_protocol::{
     Arm, Configure, Frame, Hello, MAX_FRAME_LENGTH, Request, ToBoard, VERSION,
 };
 
-use crate::event::{Event, LossCause};
-use crate::handshake::{HELLO_INTERVAL_NS, Phase, SLOW_RETRY_NS};
-use crate::session::Session;
+use crate::{
+    event::{Event, LossCause},
+    handshake::{HELLO_INTERVAL_NS, Phase, SLOW_RETRY_NS},
+    session::Session,
+};
 
 /// The board is lost when no good frame has arrived from it for this long, in
 /// nanoseconds.

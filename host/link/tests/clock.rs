@@ -2,8 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
-use proptest::prelude::*;
-use proptest::test_runner::FileFailurePersistence;
+use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{BoardClock, Stamp, StampOutcome};
 
 /// `SplitMix64`: the same noise on every run.

@@ -4,9 +4,10 @@
 
 mod common;
 
-use common::{Bench, MS, configuration};
 use proptest::prelude::*;
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request, Sequence, VERSION};
+
+use common::{Bench, MS, configuration};
 
 /// An input, a request, or time that passes.
 #[derive(Clone, Copy, Debug)]

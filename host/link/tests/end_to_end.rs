@@ -4,13 +4,16 @@
 
 mod common;
 
-use common::board::TestBoard;
-use common::wire::{Faults, Noise, Wire};
-use common::{MS, START_NS, configuration, session_config};
-use proptest::prelude::*;
-use proptest::test_runner::FileFailurePersistence;
+use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
+
+use common::{
+    MS, START_NS,
+    board::TestBoard,
+    configuration, session_config,
+    wire::{Faults, Noise, Wire},
+};
 
 /// The board's clock runs fast by this fraction.
 const SKEW: f64 = 0.004;

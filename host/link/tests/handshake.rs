@@ -4,12 +4,13 @@
 
 mod common;
 
-use common::{Bench, MS, START_NS, configuration, session_config, telemetry};
 use singletrack_link::{Event, LossCause, RestartEvidence, Session, Side, State};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, RefusalReason, Request, ResetCause, Sequence, Status, ToBoard,
     VERSION,
 };
+
+use common::{Bench, MS, START_NS, configuration, session_config, telemetry};
 
 fn is_hello(message: &ToBoard) -> bool {
     matches!(message, ToBoard::Hello(_))

@@ -4,9 +4,10 @@
 
 mod common;
 
-use common::{Bench, MS, START_NS, configuration, to_board};
 use singletrack_link::{DriveCommand, DriveError, Event, NotReady};
 use singletrack_protocol::{BoardMode, Drive, RefusalReason, Request, Sequence, ToBoard};
+
+use common::{Bench, MS, START_NS, configuration, to_board};
 
 const COMMAND: DriveCommand = DriveCommand {
     speed_m_s: 0.4,

@@ -3,8 +3,10 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use singletrack_mocap::codec::{BitstreamVersion, CameraTicks, RigidBody, ServerMessage};
-use singletrack_mocap::encode::{self, FrameContent};
+use singletrack_mocap::{
+    codec::{BitstreamVersion, CameraTicks, RigidBody, ServerMessage},
+    encode::{self, FrameContent},
+};
 
 /// A frame of ten bodies.
 fn ten_bodies(version: BitstreamVersion) -> Vec<u8> {

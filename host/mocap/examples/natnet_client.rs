@@ -10,19 +10,23 @@
 //! since the program started with its uncertainty, the body, its position in metres
 //! (z up) and its quaternion x, y, z, w.
 
-use std::collections::BTreeMap;
-use std::error::Error;
-use std::io::{self, Write};
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver, Sender};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::{
+    collections::BTreeMap,
+    error::Error,
+    io::{self, Write},
+    net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket},
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc::{self, Receiver, Sender},
+    },
+    thread,
+    time::{Duration, Instant},
+};
 
-use singletrack_mocap::codec::{BitstreamVersion, MAX_DATAGRAM_LEN};
 use singletrack_mocap::{
     BodyState, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DatagramOutcome,
     PoseFrame, Session, SessionConfig, SessionEvent, Transport, UpAxis,
+    codec::{BitstreamVersion, MAX_DATAGRAM_LEN},
 };
 
 const USAGE: &str = "usage: natnet_client SERVER [--multicast INTERFACE] [--group ADDRESS]
@@ -33,7 +37,7 @@ const USAGE: &str = "usage: natnet_client SERVER [--multicast INTERFACE] [--grou
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// The command line.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Options {
     /// The server's address.
     pub(crate) server: Ipv4Addr,
@@ -211,7 +215,7 @@ impl Client {
             while let Some(transmit) = self.session.poll_transmit(now_ns) {
                 // The session repeats what matters.
                 if let Err(error) = command.send_to(&transmit.bytes, transmit.destination) {
-                    eprintln!("cannot send to {}: {error}", transmit.destination);
+                    eprintln!("can't send to {}: {error}", transmit.destination);
                 }
             }
             // 4. When to wake up. A closed session has no deadline.

@@ -2,7 +2,7 @@
 
 /// The axis that points up in the server's stream: a setting of the server that
 /// is not on the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UpAxis {
     /// y points up (Motive's default). World x is the stream's x, world y its -z.
     Y,

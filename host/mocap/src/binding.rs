@@ -5,7 +5,7 @@ use crate::codec::ModelDefinitions;
 /// What the model definitions say of a rigid body's name.
 ///
 /// This enum is exhaustive: every user must decide what each case means to it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Binding {
     /// The definitions have not been read, or they have changed since.
     Unresolved,

@@ -1,10 +1,12 @@
 //! The rigid bodies of a frame, with whole poses.
 
-use crate::axes::UpAxis;
-use crate::codec::{RigidBodies, RigidBody};
+use crate::{
+    axes::UpAxis,
+    codec::{RigidBodies, RigidBody},
+};
 
 /// Where a rigid body is, in the right-handed world frame with z up.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BodyPose {
     /// Position x, y, z of the body's pivot, in metres.
@@ -17,7 +19,7 @@ pub struct BodyPose {
 }
 
 /// What one frame says of one rigid body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Body {
     /// The streaming id. The model definitions give it a name.
@@ -27,7 +29,7 @@ pub struct Body {
 }
 
 /// A body's pose, or why there is none.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BodyState {
     /// The cameras see the body.
     Tracked(BodyPose),
@@ -39,7 +41,7 @@ pub enum BodyState {
 }
 
 /// Why the numbers of a tracked body are not a pose.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum InvalidBody {
     /// A number of the pose or its mean error is not finite.
     #[error("a number of the pose is not finite")]
@@ -53,7 +55,7 @@ pub enum InvalidBody {
 }
 
 /// How streamed bodies are read.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BodyReading {
     pub(crate) up_axis: UpAxis,
     pub(crate) quaternion_norm_tolerance: f64,
@@ -99,7 +101,7 @@ impl BodyReading {
 }
 
 /// The bodies of a frame in wire order, tracked or not.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct Bodies<'a> {
     pub(crate) bodies: RigidBodies<'a>,
     pub(crate) reading: BodyReading,

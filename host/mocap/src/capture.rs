@@ -1,7 +1,7 @@
 //! When a frame was captured, in local time.
 
 /// The capture time of a frame on the local clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CaptureTime {
     /// The middle of the exposure, in nanoseconds of the local clock. It is never
@@ -17,7 +17,7 @@ pub struct CaptureTime {
 ///
 /// This enum is exhaustive: a new source is a breaking change, because every user
 /// must decide whether it trusts it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CaptureTimeSource {
     /// Mid-exposure time, mapped by echo exchanges. The uncertainty is a bound.
     MidExposureEcho,

@@ -2,8 +2,7 @@
 
 use core::net::{IpAddr, Ipv4Addr};
 
-use crate::axes::UpAxis;
-use crate::codec::BitstreamVersion;
+use crate::{axes::UpAxis, codec::BitstreamVersion};
 
 /// The server's command port, unless configured otherwise.
 pub const DEFAULT_COMMAND_PORT: u16 = 1510;
@@ -25,7 +24,7 @@ pub const DEFAULT_QUATERNION_NORM_TOLERANCE: f64 = 0.01;
 /// let mut config = SessionConfig::new(server, Transport::Multicast, UpAxis::Y);
 /// config.timing.stale_after_ns = 50_000_000;
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SessionConfig {
     /// The server's address. Datagrams from other addresses are counted and
@@ -44,7 +43,7 @@ pub struct SessionConfig {
 }
 
 /// How the frames arrive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
     /// The server sends to this client alone, as long as it is kept alive.
     Unicast {
@@ -57,7 +56,7 @@ pub enum Transport {
 }
 
 /// Intervals, time-outs and assumptions, in nanoseconds.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Timing {
     /// Between two attempts to connect, or to have the bitstream changed.
@@ -98,7 +97,7 @@ impl Default for Timing {
 }
 
 /// Why a session refuses its configuration.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SessionConfigError {
     /// A limit that is not a positive number.

@@ -1,7 +1,7 @@
 //! What happened to every datagram.
 
 /// Counts since the session was made. Nothing resets them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SessionCounters {
     /// Frames taken as the newest.

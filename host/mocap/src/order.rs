@@ -5,7 +5,7 @@
 const RESTART_AFTER: u32 = 10;
 
 /// The place of a frame in the stream.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Order {
     /// It is the newest; `lost` frames before it never arrived.
     Newest { lost: u64 },
@@ -19,7 +19,7 @@ pub(crate) enum Order {
     Restarted,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Mark {
     number: i32,
     /// The server's clock when it sent the frame, in any unit; 0 if unknown.
@@ -33,7 +33,7 @@ impl Mark {
     }
 }
 
-#[derive(Debug, Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Sequence {
     newest: Option<Mark>,
     suspect: Option<Mark>,

@@ -9,17 +9,22 @@
 #[allow(dead_code, reason = "its main function is not called here")]
 mod natnet_client;
 
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::num::NonZeroU64;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::{
+    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    num::NonZeroU64,
+    thread,
+    time::{Duration, Instant},
+};
+
+use singletrack_mocap::{
+    codec::{
+        BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, RigidBody,
+        RigidBodyDefinition, ServerInfo,
+    },
+    encode::{self, Dataset, FrameContent},
+};
 
 use natnet_client::Options;
-use singletrack_mocap::codec::{
-    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, RigidBody,
-    RigidBodyDefinition, ServerInfo,
-};
-use singletrack_mocap::encode::{self, Dataset, FrameContent};
 
 const VERSION: BitstreamVersion = BitstreamVersion::V4_1;
 

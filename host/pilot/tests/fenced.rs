@@ -4,11 +4,12 @@
 
 mod bench;
 
-use bench::{Bench, Pose, config};
 use singletrack_control::{
     Circle, Position, Reference, Velocity, VelocityStep, VelocitySteps, direction,
 };
 use singletrack_pilot::{Fence, Mode, PilotConfig, Reason};
+
+use bench::{Bench, Pose, config};
 
 /// The distance of a stop, in m: 0.1 s of reaction, then 1.5 m/s².
 fn stopping_distance(speed: f64) -> f64 {

@@ -5,7 +5,6 @@
 
 mod bench;
 
-use bench::{AT_START, Bench, Pose, TICK_NS, config};
 use singletrack_control::{
     Circle, External, InertialSample, Limits, PoseSample, Position, Reference, Setpoint, Time,
     VehicleParameters, Velocity, VelocityStep, VelocitySteps,
@@ -14,6 +13,8 @@ use singletrack_pilot::{
     BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
     PilotRequest, Reason, Underway,
 };
+
+use bench::{AT_START, Bench, Pose, TICK_NS, config};
 
 #[test]
 fn it_drives_only_after_an_explicit_request() {

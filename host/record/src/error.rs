@@ -6,7 +6,7 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// An operation on the file failed.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("can't {action} {}: {source}", path.display())]
     Io {
         /// The operation.
         action: &'static str,
@@ -22,7 +22,7 @@ pub enum RecordError {
     #[error("{} is being written: wait until its recorder has ended", .0.display())]
     Busy(PathBuf),
     /// The container could not be written.
-    #[error("cannot write {}: {source}; its entries up to the last second can be read", path.display())]
+    #[error("can't write {}: {source}; its entries up to the last second can be read", path.display())]
     Write {
         /// The unfinished file.
         path: PathBuf,
@@ -112,7 +112,7 @@ pub enum RecordError {
 
 /// A message cannot be encoded, because a text in it is longer than 4 GB.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("cannot encode a message of {topic}: {reason}")]
+#[error("can't encode a message of {topic}: {reason}")]
 pub struct EncodeError {
     /// Its topic.
     pub topic: &'static str,

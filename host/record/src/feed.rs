@@ -90,7 +90,7 @@ impl RecorderThread {
             .spawn(move || run(recorder, feeds, observe, &stopped))
             .map_err(|error| RecordError::Thread {
                 path: path.clone(),
-                what: format!("cannot be started: {error}"),
+                what: format!("can't be started: {error}"),
             })?;
         Ok(Self { path, stop, thread })
     }

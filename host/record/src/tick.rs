@@ -133,9 +133,8 @@ pub(crate) mod tests {
     use singletrack_control::{
         Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Velocity,
     };
-    use singletrack_pilot::PilotRequest;
     use singletrack_pilot::{
-        BoardSample, BoardState, DriveCommand, LinkState, Mode, PoseMissing, Reason,
+        BoardSample, BoardState, DriveCommand, LinkState, Mode, PilotRequest, PoseMissing, Reason,
     };
 
     use super::*;

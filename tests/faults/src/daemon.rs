@@ -13,11 +13,10 @@ use crate::{
     port::{Port, WriteHalf},
 };
 
-/// The host's clock when everything is switched on, in ns.
+/// The host's clock at the start of the simulation, in ns.
 const EPOCH_NS: u64 = 1_000_000_000_000;
 
-/// How long the control loop may take to take a configuration over, in ns: as in the
-/// daemon.
+/// The time-out of a change of the configuration, in ns, as in the daemon.
 const PATIENCE_NS: u64 = 200_000_000;
 
 /// The host's clock at a simulation time.
@@ -57,41 +56,41 @@ impl Daemon {
         (self.host.next_tick_ns() - EPOCH_NS).div_ceil(1_000)
     }
 
-    /// The serial reader's thread runs. Returns whether there were bytes.
+    /// Runs the serial reader. Returns whether it read bytes.
     pub(crate) fn poll_serial(&mut self, now_us: u64, port: &mut Port) -> bool {
         self.host.poll_serial(host_ns(now_us), port)
     }
 
-    /// The camera receiver's thread runs.
+    /// Runs the camera receiver.
     pub(crate) fn poll_cameras(&mut self, now_us: u64, sockets: &mut HostSockets<'_>) {
         self.host
             .poll_cameras(host_ns(now_us), sockets, &mut |_| {});
     }
 
-    /// The control socket takes a request; false when the control loop has no room.
+    /// Sends a request, as a client of the control socket. Returns false if the control
+    /// loop has no room.
     pub(crate) fn request(&self, request: PilotRequest) -> bool {
         self.host.request(request).is_ok()
     }
 
-    /// The control socket takes a set-point.
+    /// Sends a set-point, as a client of the control socket.
     pub(crate) fn send(&self, setpoint: &Setpoint) {
         self.host.parts().setpoints.send(setpoint);
     }
 
-    /// The daemon reloads its configuration. Refusals show in the log of a daemon; here
-    /// they have no effect, like there.
+    /// Reloads the configuration. A refusal has no effect; the daemon would log it.
     pub(crate) fn reload(&mut self, now_us: u64, config: &Config) {
         let until_ns = host_ns(now_us) + PATIENCE_NS;
         let _ = self.host.reconfigure(config.clone(), until_ns);
     }
 
-    /// The configuration that has come into force since the last call, with its number.
+    /// The configuration that came into force since the last call, with its number.
     pub(crate) fn settled(&mut self) -> Option<(u32, &Config)> {
         let number = self.host.settle()?.ok()?;
         Some((number, self.host.parts().configurations.in_force()))
     }
 
-    /// The control thread wakes up and does a tick.
+    /// Runs a tick of the control loop.
     pub(crate) fn tick(&mut self, now_us: u64) -> Option<TickRecord> {
         self.host.tick(host_ns(now_us));
         self.host.next_tick()

@@ -1,11 +1,10 @@
-//! One drive: world, network, port and daemon in step, and everybody watching.
+//! One drive: world, network, port and daemon in step, checked by every invariant.
 
 use std::collections::BTreeSet;
 
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::Reason;
+use singletrack_pilot::{PilotRequest, Reason};
 use singletrack_protocol::{Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
@@ -26,33 +25,34 @@ use crate::{
     tamper::Tamper,
 };
 
-/// How often the host looks for bytes and packets, in µs: as often as USB does.
+/// Interval at which the host reads bytes and packets, in µs: that of USB.
 const LOOK_US: u64 = 1_000;
 
-/// A native board has no watchdog of its own: it bites after so long, in µs.
+/// Time from a hang to the watchdog's reset, in µs. A native board has no watchdog of its
+/// own.
 const WATCHDOG_US: u64 = 64_000;
 
-/// What a drive came to.
+/// The result of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveOutcome {
-    /// Names everything that happened: the same schedule has the same one.
+    /// A hash of all events of the drive: the same for the same schedule.
     pub digest: u64,
-    /// What was broken, if anything was.
+    /// The first violation, if there was one.
     pub violation: Option<Violation>,
-    /// For how long the car was driven, in ms.
+    /// How long the motor was driven, in ms.
     pub driven_ms: u32,
-    /// The host's reasons not to drive that came up, by name.
+    /// The names of the reasons for which the host did not drive.
     pub reasons: BTreeSet<&'static str>,
 }
 
-/// Something that must always hold, and did not.
+/// A violation of an invariant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// Which invariant.
+    /// The invariant's name.
     pub invariant: &'static str,
-    /// When, in µs since everything was switched on.
+    /// When, in µs of the simulation.
     pub time_us: u64,
-    /// What was found.
+    /// What the invariant found.
     pub details: String,
 }
 
@@ -60,7 +60,7 @@ pub struct Violation {
 ///
 /// # Errors
 ///
-/// What can't be set up.
+/// The part that can't be set up.
 pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
     let mut drive = Drive::new(schedule)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
@@ -75,13 +75,13 @@ pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcom
 
 struct Drive<'a> {
     schedule: &'a Schedule,
-    /// What the daemon's configuration file holds.
+    /// The content of the daemon's configuration file.
     file: ConfigurationFile,
-    /// The configuration that has just come into force, with its number.
+    /// The configuration that came into force at this step, with its number.
     changed: Option<(u32, Config)>,
     /// Sends set-points.
     program: Program,
-    /// What the program sees of the daemon.
+    /// The drive time of the last tick, which the program reads from the daemon.
     drive_time_s: Option<f64>,
     newest_setpoint_ns: Option<u64>,
     spec: Spec,
@@ -96,16 +96,16 @@ struct Drive<'a> {
     wall_ns: u64,
     random: Random,
     next_request: usize,
-    /// Requests that were taken and that no tick has heard of yet.
+    /// Requests that were accepted and that no tick has handled yet.
     pending_requests: Vec<PilotRequest>,
-    /// In the order in which they began.
+    /// The active faults, in the order in which they began.
     faults: Vec<Fault>,
     new_faults: Vec<Fault>,
-    /// The serial reader of a daemon starts a little later than its control thread.
+    /// When the serial reader starts: a little later than the control thread.
     reads_from_us: u64,
     bites_us: Option<u64>,
     tick_us: u64,
-    /// Its next tick comes before it takes in what has arrived.
+    /// At the next step, the tick comes before the daemon's reads.
     ticks_first: bool,
     newest_pose: Option<ReceivedPose>,
     invariants: Vec<Box<dyn Invariant>>,
@@ -189,7 +189,7 @@ impl<'a> Drive<'a> {
         }
     }
 
-    /// Lets time pass until something is due, and does it.
+    /// Advances to the next time at which something is due, and does it.
     fn step(&mut self, end_us: u64, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         let mut next_us = (self.now_us / LOOK_US + 1) * LOOK_US;
         if self.is_awake() {
@@ -198,7 +198,7 @@ impl<'a> Drive<'a> {
         self.now_us = next_us.min(end_us);
         self.world.advance_to(self.now_us);
         self.change_faults()?;
-        self.ask()?;
+        self.send_requests()?;
         let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
         let has_read = self.receive();
         let tick = first.unwrap_or_else(|| self.tick());
@@ -214,7 +214,7 @@ impl<'a> Drive<'a> {
         self.faults.iter().any(|fault| fault.kind == kind)
     }
 
-    /// Faults end and begin, and what follows from it happens.
+    /// Ends and begins faults, with their effects.
     fn change_faults(&mut self) -> Result<(), SetupError> {
         self.new_faults.clear();
         let now_us = self.now_us;
@@ -306,16 +306,16 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    /// After a pause the control thread's deadline has passed: it wakes at once,
-    /// before the others or after them.
+    /// Ends a pause: the control thread's deadline has passed, so it wakes at once, before
+    /// the other threads or after them.
     fn wake(&mut self) {
         self.tick_us = self.tick_us.min(self.now_us);
         self.ticks_first = self.random.happens(500);
     }
 
-    /// People ask; a daemon that does not run hears nothing, one that is paused
-    /// hears later.
-    fn ask(&mut self) -> Result<(), SetupError> {
+    /// Sends the operator's requests and the program's set-points. A daemon that does not
+    /// run misses them; a paused one gets the requests later.
+    fn send_requests(&mut self) -> Result<(), SetupError> {
         if self.paused {
             return Ok(());
         }
@@ -362,7 +362,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    /// The operator edits the daemon's configuration file, and has it reloaded.
+    /// The operator edits the daemon's configuration file and reloads it.
     fn reload(&mut self) -> Result<(), SetupError> {
         self.file = self.file.other();
         let config = setting::config(&self.schedule.situation, self.file)?;
@@ -372,7 +372,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    /// Bytes and datagrams reach the host, and the daemon if it is awake.
+    /// Delivers bytes and datagrams to the host, and to the daemon if it is awake.
     fn receive(&mut self) -> bool {
         let now_us = self.now_us;
         let client = self.daemon.as_ref().map(|daemon| daemon.address);
@@ -439,7 +439,7 @@ impl<'a> Drive<'a> {
         record
     }
 
-    /// Everybody looks.
+    /// Checks every invariant.
     fn watch(
         &mut self,
         has_read: bool,
@@ -526,7 +526,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    /// What the daemon wrote goes on the line.
+    /// Passes the bytes that the daemon wrote to the line.
     fn write(&mut self, tamper: &mut dyn Tamper) {
         let Buffers { bytes, written, .. } = &mut self.buffers;
         bytes.clear();

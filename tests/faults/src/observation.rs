@@ -2,8 +2,7 @@
 //! host.
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Fence, PilotConfig};
+use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
 use singletrack_protocol::{BoardMode, Configuration, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{PulseRecord, ReceivedMessage, Truth};

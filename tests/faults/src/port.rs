@@ -1,5 +1,5 @@
-//! The daemon's serial port as the kernel has it: it is plugged in or not, takes
-//! frames whole, and keeps what nobody reads.
+//! The daemon's serial port as the kernel implements it: it is plugged in or not, takes
+//! whole frames, and keeps unread bytes.
 
 use std::{
     collections::VecDeque,
@@ -9,19 +9,19 @@ use std::{
 use singletrack_core::line::{Line, PortRead, Sent};
 use singletrack_protocol::{Drive, Message, frame_length};
 
-/// A device whose queue shows takes nothing while more than this waits: the
-/// daemon looks, see `singletrackd::serial_port`.
+/// A device that reports its queue takes nothing while more bytes than this wait: the
+/// daemon checks the queue, see `singletrackd::serial_port`.
 const MOST_QUEUED: usize = frame_length(Drive::PAYLOAD_LENGTH);
 
-/// What Linux keeps for a reader that does not read: the line discipline's 4095
-/// bytes and the 64 KiB of the buffers before it. What comes on top is lost.
+/// The bytes that Linux keeps until they are read: 4095 in the line discipline and
+/// 64 KiB in the buffers before it. Further bytes are lost.
 const UNREAD: usize = 4_095 + 65_536;
 
 #[derive(Debug, Default)]
 struct State {
     plugged: bool,
     queue_shows: bool,
-    /// Bytes that wait to leave, when the world was last asked.
+    /// Bytes in the output queue at the last query of the world.
     queued: usize,
     written: Vec<u8>,
 }
@@ -72,7 +72,7 @@ impl Port {
         lock(&self.state).queued = bytes;
     }
 
-    /// What the daemon has written since the last time.
+    /// Takes the bytes that the daemon has written since the last call.
     pub(crate) fn take_written(&self, into: &mut Vec<u8>) {
         into.append(&mut lock(&self.state).written);
     }
@@ -92,7 +92,7 @@ impl Port {
 impl singletrack_core::line::Port for Port {
     type Line = WriteHalf;
 
-    /// What waits there belongs to an earlier connection.
+    /// Drops unread bytes: they belong to an earlier connection.
     fn open(&mut self) -> Option<WriteHalf> {
         if !self.is_plugged() {
             return None;

@@ -1,4 +1,4 @@
-//! A program that sends set-points to the daemon: P is to go round a circle.
+//! A program that sends the daemon set-points along a circle.
 
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 
@@ -7,15 +7,15 @@ use crate::{daemon::host_ns, schedule::Situation, setting::radius};
 /// Interval between two set-points, in µs.
 const INTERVAL_US: u64 = 20_000;
 
-/// The program: it follows the daemon's drive time, which it watches.
+/// The program. It follows the daemon's drive time.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Program {
     next_us: u64,
 }
 
 impl Program {
-    /// The set-point that is due at `now_us`, `drive_time_s` seconds after the drive
-    /// began (none while the car does not drive).
+    /// The set-point that is due at `now_us`; `drive_time_s` is the time since the drive
+    /// began, `None` while the car does not drive.
     pub(crate) fn poll(
         &mut self,
         now_us: u64,

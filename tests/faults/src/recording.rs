@@ -1,4 +1,4 @@
-//! The records that the daemons of a drive would leave.
+//! Records of a drive, one for each daemon.
 
 use std::{
     mem,
@@ -12,15 +12,15 @@ use singletrack_record::{
 
 use crate::{SetupError, schedule::Schedule, tamper::Tamper};
 
-/// What the clock on the wall shows when everything is switched on, in ns since 1970.
+/// The wall clock at the start of the simulation, in ns since 1970.
 const WALL_NS: u64 = 1_700_000_000_000_000_000;
 
-/// Takes the ticks of a drive. Tampers with nothing.
+/// Collects the ticks of a drive. It changes nothing.
 #[derive(Debug, Default)]
 pub struct Recording {
-    /// One for every daemon that was started.
+    /// One for each daemon that was started.
     daemons: Vec<DaemonRecord>,
-    /// A configuration that came into force with the tick to come.
+    /// A configuration that comes into force with the next tick.
     changed: Option<(u32, Config)>,
 }
 
@@ -61,13 +61,13 @@ impl Tamper for Recording {
     }
 }
 
-/// Why there is no record.
+/// Why a record was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// The configuration of the schedule.
+    /// The configuration of the schedule is invalid.
     #[error(transparent)]
     Setup(#[from] SetupError),
-    /// The file.
+    /// The file can't be written.
     #[error(transparent)]
     Record(#[from] RecordError),
 }
@@ -77,7 +77,7 @@ impl Recording {
     ///
     /// # Errors
     ///
-    /// A file that exists or can't be written.
+    /// A file exists or can't be written.
     pub fn write(
         &mut self,
         folder: &Path,

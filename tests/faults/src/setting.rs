@@ -1,4 +1,4 @@
-//! From a situation to the world and the daemon's configuration.
+//! Converts a situation to the world's and the daemon's configuration.
 
 use singletrack_core::config::{BoardSection, Config, FailsafeKind};
 use singletrack_sim::{
@@ -11,10 +11,10 @@ use crate::{
     schedule::{ReferenceKind, Schedule, Situation},
 };
 
-/// What the daemon's configuration file holds: a reload finds the other one.
+/// The content of the daemon's configuration file. Each reload finds the other one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum ConfigurationFile {
-    /// As the situation has it.
+    /// That of the situation.
     #[default]
     Initial,
     /// With lower limits, for the host and for the board, and a slower reference.
@@ -37,11 +37,11 @@ impl ConfigurationFile {
     }
 }
 
-/// The daemon's configuration, as text: whatever it does not say is as shipped.
+/// The daemon's configuration. Keys that are not set here have their defaults.
 ///
 /// # Errors
 ///
-/// What the daemon would say of it.
+/// The daemon refuses the configuration.
 pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<Config, SetupError> {
     let speed = file.speed_share() * f64::from(situation.speed_mm_s) * 1e-3;
     let marker_loss = if situation.coast { "coast" } else { "hold" };
@@ -57,8 +57,8 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
             )
         }
         ReferenceKind::Eight => {
-            // The fastest and the most curved place of a lemniscate are not the
-            // same; with this length both stay within what the tyres hold.
+            // The fastest and the most curved point of a lemniscate differ; with this
+            // length both stay within the tyres' grip.
             let length = 1.5 * radius(speed);
             (
                 "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true",
@@ -118,7 +118,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     Ok(config)
 }
 
-/// Calibration has no default; this one is replaced by the simulated car's.
+/// Mandatory keys of the board; the simulated car's calibration replaces their values.
 const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\
                      max_us = 1920\n\
                      [board.esc]\nneutral_us = 1500\ndeadband_us = 30\nmin_us = 1200\n\
@@ -127,23 +127,23 @@ const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmi
                      proportional_us_per_m_s = 80\nintegral_us_per_m = 250\n\
                      integral_limit_us = 60\nmax_forward_mm_s = 1500\n";
 
-/// A circle on which the tyres hold with a margin: 1.5 m/s² of 2.45.
+/// The radius of a circle within the tyres' grip, in m: 1.5 m/s² of 2.45 m/s².
 pub(crate) fn radius(speed: f64) -> f64 {
     (speed * speed / 1.5).max(0.8)
 }
 
-/// How far P goes from the origin, in m.
+/// The largest distance of P from the origin, in m.
 fn reach(situation: &Situation) -> f64 {
     let speed = f64::from(situation.speed_mm_s) * 1e-3;
     match situation.reference {
         ReferenceKind::Circle | ReferenceKind::External => radius(speed),
         ReferenceKind::Eight => 1.5 * radius(speed),
-        // With 1.2 s for each step.
+        // Each step takes 1.2 s.
         ReferenceKind::Steps => 1.2 * 2.2 * speed,
     }
 }
 
-/// What is simulated.
+/// The simulation of a schedule.
 pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
     let situation = &schedule.situation;
     SimulationConfig {
@@ -170,7 +170,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
     }
 }
 
-/// The line when nothing is wrong with it.
+/// The line without faults.
 pub(crate) fn wire_faults(situation: &Situation) -> WireFaults {
     WireFaults {
         delay_us: u64::from(situation.serial_delay_us),
@@ -178,7 +178,7 @@ pub(crate) fn wire_faults(situation: &Situation) -> WireFaults {
     }
 }
 
-/// With P near where the reference begins, and the car nearly along it.
+/// A start with P near the beginning of the reference, and the car almost parallel to it.
 fn start(situation: &Situation) -> StartPose {
     const REACH_M: f64 = 0.1368 + 0.35;
     let speed = f64::from(situation.speed_mm_s) * 1e-3;

@@ -78,7 +78,7 @@ impl Bench {
         let folder = tempfile::Builder::new()
             .prefix("singletrack-hil-")
             .tempdir()
-            .map_err(Failure::system("cannot make a folder for the test"))?;
+            .map_err(Failure::system("can't make a folder for the test"))?;
         let link = folder.path().join("board");
         let rig: Box<dyn Rig> = match &equipment.port {
             Some(port) => Box::new(PhysicalRig::start(port, link, seed)?),

@@ -39,7 +39,7 @@ impl Client {
             Ok(Self { read, write })
         };
         connect().map_err(Failure::system(format!(
-            "cannot connect to {}",
+            "can't connect to {}",
             path.display()
         )))
     }
@@ -47,7 +47,7 @@ impl Client {
     fn send(&mut self, request: &Value) -> Outcome {
         self.write
             .write_all(format!("{request}\n").as_bytes())
-            .map_err(Failure::system(format!("cannot send {request}")))
+            .map_err(Failure::system(format!("can't send {request}")))
     }
 
     fn receive(&mut self) -> Outcome<Value> {

@@ -25,11 +25,11 @@ impl Daemon {
     ///
     /// Fails if the program cannot be run.
     pub fn start(program: &Path, config: &Path, log: &Path) -> Outcome<Self> {
-        let output = File::create(log)
-            .map_err(Failure::system(format!("cannot write {}", log.display())))?;
+        let output =
+            File::create(log).map_err(Failure::system(format!("can't write {}", log.display())))?;
         let errors = output
             .try_clone()
-            .map_err(Failure::system("cannot share the log"))?;
+            .map_err(Failure::system("can't share the log"))?;
         let child = Command::new(program)
             .arg("--config")
             .arg(config)
@@ -37,7 +37,7 @@ impl Daemon {
             .stdout(output)
             .stderr(errors)
             .spawn()
-            .map_err(Failure::system(format!("cannot run {}", program.display())))?;
+            .map_err(Failure::system(format!("can't run {}", program.display())))?;
         Ok(Self {
             child,
             log: log.to_owned(),
@@ -64,7 +64,7 @@ impl Daemon {
     pub fn status(&mut self) -> Outcome<Option<ExitStatus>> {
         self.child
             .try_wait()
-            .map_err(Failure::system("cannot query the daemon's exit status"))
+            .map_err(Failure::system("can't query the daemon's exit status"))
     }
 
     /// Kills it (SIGKILL).
@@ -76,7 +76,7 @@ impl Daemon {
         self.child
             .kill()
             .and_then(|()| self.child.wait())
-            .map_err(Failure::system("cannot kill the daemon"))?;
+            .map_err(Failure::system("can't kill the daemon"))?;
         Ok(())
     }
 
@@ -113,7 +113,7 @@ impl Daemon {
 
     fn signal(&self, signal: Signal) -> Outcome {
         kill_process(Pid::from_child(&self.child), signal)
-            .map_err(|error| Failure::system("cannot signal the daemon")(error.into()))
+            .map_err(|error| Failure::system("can't signal the daemon")(error.into()))
     }
 }
 

@@ -30,7 +30,7 @@ pub fn build() -> Outcome<PathBuf> {
         .arg("--message-format=json-render-diagnostics")
         .stderr(Stdio::inherit())
         .output()
-        .map_err(Failure::system(format!("cannot run {}", cargo.display())))?;
+        .map_err(Failure::system(format!("can't run {}", cargo.display())))?;
     if !output.status.success() {
         return Err(Failure::new(format!(
             "singletrackd does not build ({}); see above, or try `cargo build --release -p singletrackd`",

@@ -104,7 +104,7 @@ pub fn write(config: &Config, file: &Path) -> Outcome {
     let text = config
         .to_toml()
         .map_err(|error| Failure::new(format!("the configuration: {error}")))?;
-    std::fs::write(file, text).map_err(Failure::system("cannot write the configuration"))
+    std::fs::write(file, text).map_err(Failure::system("can't write the configuration"))
 }
 
 /// The daemon's control socket.

@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_no_set_point_is_told_why() {
+    fn a_line_that_is_not_a_set_point_is_reported_with_the_reason() {
         for (line, part) in [
             ("0.5", "it has 1 numbers"),
             ("0.5 0 0", "it has 3 numbers"),

@@ -15,7 +15,6 @@ use std::{
     process::{Command, Output},
 };
 
-use recorded::Script;
 use serde_json::Value;
 use singletrack_analysis::identification::Parameter;
 use singletrack_control::VehicleParameters;
@@ -25,6 +24,8 @@ use singletrack_paper::{
 };
 use singletrack_record::{Entry, Reader, Recorder};
 use singletrack_scenario::simulate::{Scenario, simulate_recorded};
+
+use recorded::Script;
 
 fn identify(record: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_singletrack"))
@@ -257,7 +258,7 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
 }
 
 #[test]
-fn a_vehicle_file_of_somebodys_is_not_written_over_nor_a_folder_tried_too_late() {
+fn a_foreign_vehicle_file_is_kept_and_a_bad_folder_is_refused_first() {
     let folder = tempfile::tempdir().unwrap();
     // Refused before the record is even looked at.
     let record = folder.path().join("none.mcap");

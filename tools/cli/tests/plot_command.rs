@@ -10,9 +10,10 @@ use std::{
     process::{Command, Output},
 };
 
-use recorded::{PERIOD_NS, STOPPING, Script};
 use singletrack_figures::plot::FigureKind;
 use singletrack_record::part_path;
+
+use recorded::{PERIOD_NS, STOPPING, Script};
 
 /// A record in a folder of its own, and what plotting it said.
 struct Plot {
@@ -472,7 +473,7 @@ fn a_reference_that_is_a_velocity_is_integrated_to_the_nominal_path() {
 }
 
 #[test]
-fn a_drive_is_told_with_the_configuration_that_it_was_driven_with() {
+fn a_drive_is_reported_with_its_own_configuration() {
     let script = Script {
         drives: vec![300, 200],
         other_distance: Some(0.5),

@@ -56,7 +56,7 @@ fn cut_record(folder: &Path) {
 }
 
 #[test]
-fn a_cut_record_gets_its_name_and_it_is_told_what_was_saved_and_lost() {
+fn a_truncated_record_is_renamed_with_a_report_of_saved_and_lost_data() {
     let folder = tempfile::tempdir().unwrap();
     cut_record(folder.path());
     let output = recover(folder.path(), &["drive.mcap.part"]);

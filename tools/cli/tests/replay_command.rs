@@ -366,7 +366,7 @@ fn the_same_configuration_set_again_deviates_in_nothing() {
 }
 
 #[test]
-fn what_can_not_be_set_is_told_by_key_and_value() {
+fn a_key_that_can_not_be_set_is_reported_with_its_value() {
     let folder = tempfile::tempdir().unwrap();
     let path = circle(&folder);
     for (set, parts) in [
@@ -409,7 +409,7 @@ fn a_reader_that_goes_away_is_no_failure() {
 }
 
 #[test]
-fn what_is_no_record_is_told_so() {
+fn a_file_that_is_not_a_record_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     std::fs::write(&path, "no record").unwrap();

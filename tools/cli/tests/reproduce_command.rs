@@ -259,7 +259,7 @@ fn the_data_hold_the_trajectories_and_the_curves() {
 }
 
 #[test]
-fn a_folder_that_is_somebody_elses_is_refused_before_anything_is_computed() {
+fn a_folder_with_foreign_files_is_refused_before_anything_is_computed() {
     let folder = tempfile::tempdir().unwrap();
     let thesis = folder.path().join("thesis.tex");
     fs::write(&thesis, "mine").unwrap();

@@ -86,7 +86,7 @@ fn a_reference_comes_into_force_with_waypoints_beside_its_file() {
 }
 
 #[test]
-fn a_file_that_is_no_reference_is_told_why() {
+fn a_file_that_is_not_a_reference_is_reported_with_the_reason() {
     let fixture = start(None);
     let file = fixture.folder.path().join("reference.toml");
     for (content, part) in [

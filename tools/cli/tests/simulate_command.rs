@@ -82,7 +82,7 @@ fn unknown_keys_are_refused_by_name() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_with_the_key_and_the_value() {
+fn an_invalid_value_is_refused_with_its_key() {
     for (from, to, words) in [
         (
             "point_distance_m = 0.35",

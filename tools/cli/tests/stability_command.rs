@@ -279,7 +279,7 @@ fn nothing_of_the_papers_car_is_in_the_numbers_of_another() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_with_its_name_and_the_fix() {
+fn an_invalid_argument_is_refused_with_its_name_and_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     let broken = folder.path().join("car.toml");
     fs::write(&broken, "[vehicle]\nmass = 1.9\n").unwrap();

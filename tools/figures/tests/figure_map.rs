@@ -4,11 +4,12 @@
 
 mod picture;
 
-use picture::{Frame, attribute, covers, labels, pieces, titled};
 use singletrack_figures::figure::{
     Axis, Band, Callout, Callouts, Column, Curve, Estimate, Figure, Grid, Isoline, Level, Look,
     Map, MarkKind, Panel, Scale, Shade, Symbol, Width,
 };
+
+use picture::{Frame, attribute, covers, labels, pieces, titled};
 
 fn axis(from: f64, to: f64, count: i32) -> Column {
     let step = (to - from) / f64::from(count - 1);

@@ -1,7 +1,7 @@
 //! Rows of cells as CSV.
 
-/// The rows as CSV (RFC 4180, lines ended by a line feed): cells in quotes only where
-/// they need them.
+/// The rows as CSV (RFC 4180, lines ended by a line feed). Cells are quoted only if
+/// necessary.
 pub fn csv_text<Row>(rows: impl IntoIterator<Item = Row>) -> String
 where
     Row: IntoIterator<Item: AsRef<[u8]>>,

@@ -1,4 +1,4 @@
-//! How far the estimate is from the truth, on the simulated car.
+//! Errors of the estimate on the simulated car.
 
 use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLossKind;
@@ -26,28 +26,28 @@ pub struct EstimateErrors {
     pub speed_m_s: f64,
 }
 
-/// What a drive showed.
+/// Errors of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EstimationStudy {
-    /// Errors over the time that counted.
+    /// Errors of the estimate over the counted ticks.
     pub errors: EstimateErrors,
     /// Largest distance of the estimated from the true G, in m.
     pub worst_position_m: f64,
     /// Root mean square of the distance from P to its reference, in m.
     pub tracking_m: f64,
-    /// Ticks that counted.
+    /// The number of counted ticks.
     pub ticks: u32,
 }
 
-/// Seconds of a drive that do not count: the car is on its way to the circle.
+/// The first part of a drive, which is not counted, in s: the car approaches the circle.
 const SETTLING: f64 = 10.0;
 
-/// Drives a scenario on the car with markers lost as `loss` says, and compares
-/// estimate and truth at every tick after the first 10 s.
+/// Drives a scenario on the car with the marker losses `loss`, and compares estimate and
+/// truth at every tick after the first 10 s.
 ///
 /// # Errors
 ///
-/// A scenario that the car can't drive, or a car that does not start.
+/// The car can't drive the scenario, or does not start.
 pub fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
@@ -56,7 +56,7 @@ pub fn study(
     let (mut config, simulation) = virtual_drive_config(scenario)?;
     config.estimator.marker_loss = marker_loss;
     if let Some(loss) = loss {
-        // The longest loss is what is studied, not when the car gives up.
+        // The study needs the whole loss: the supervisor must not end the drive.
         let longest_ms = u32::try_from(loss.duration_us() / 1_000).unwrap_or(u32::MAX);
         let supervisor = &mut config.supervisor;
         supervisor.hold_ms = supervisor.hold_ms.max(longest_ms.saturating_add(100));

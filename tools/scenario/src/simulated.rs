@@ -16,8 +16,8 @@ const RIGID_BODY: &str = "car";
 /// Width of the simulated hall, in m.
 const HALL_WIDTH_M: f64 = 20.0;
 
-/// What a drive of the simulated car is about; everything else is as the daemon
-/// has it by default.
+/// The subject of a drive of the simulated car. Everything else has the daemon's
+/// defaults.
 #[derive(Clone, Debug)]
 pub struct Drive {
     /// The car.
@@ -31,8 +31,7 @@ pub struct Drive {
 }
 
 /// The daemon's configuration for the simulated car, with the calibration of its
-/// board. Port, addresses and paths are those of a car that is simulated in
-/// virtual time: nowhere.
+/// board. Port, addresses and paths are placeholders: virtual time uses none of them.
 #[must_use]
 pub fn daemon_config(drive: Drive) -> Config {
     Config {
@@ -46,7 +45,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         estimator: EstimatorSection::default(),
         supervisor: SupervisorSection::default(),
         watch: WatchSection::default(),
-        // A hall: drives may begin and end anywhere.
+        // The size of a hall, so that drives may begin and end anywhere.
         fence: FenceSection::square(HALL_WIDTH_M),
         board: BoardSection::from(&default_board_configuration()),
         control: ControlSection::default(),

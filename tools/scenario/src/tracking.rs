@@ -1,18 +1,18 @@
-//! How well P followed a circle.
+//! Figures of tracking: how closely P followed a circle.
 
 use std::f64::consts::TAU;
 
 use serde::Serialize;
 use singletrack_statistics::RootMeanSquare;
 
-/// P and its reference at a moment.
+/// P and its reference at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Seconds since the first driving tick.
     pub time: f64,
     /// The true P, in m.
     pub point: [f64; 2],
-    /// Where it should be, in m.
+    /// The reference of P, in m.
     pub reference: [f64; 2],
 }
 
@@ -21,7 +21,7 @@ pub struct Sample {
 pub struct Tracking {
     /// Amplitude of P's motion at the reference's frequency, in m.
     pub amplitude_m: f64,
-    /// How far P's motion is behind the reference, in rad.
+    /// Lag of P's motion behind the reference, in rad.
     pub lag_rad: f64,
     /// Root mean square of the distance from P to its reference, in m.
     pub rms_error_m: f64,
@@ -29,10 +29,10 @@ pub struct Tracking {
 
 /// The figures of the last full turn about `centre` (m) at
 /// `angular_velocity` (rad/s), from evenly spaced samples in order of time;
-/// none when there was no full turn.
+/// `None` without a full turn.
 ///
-/// Amplitude and lag are those of the least-squares fit of a circle of the
-/// reference's frequency to P.
+/// Amplitude and lag come from a least-squares fit of a circle at the reference's
+/// frequency to P.
 #[must_use]
 pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) -> Option<Tracking> {
     let turn = TAU / angular_velocity.abs();

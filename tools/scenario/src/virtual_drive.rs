@@ -1,8 +1,8 @@
 //! The daemon's host loop and the simulator, in virtual time.
 //!
-//! Everything is real but the clock and the two cables: the host with its rings,
-//! the board's code, bytes paced at the baud rate, NatNet packets. The same seed
-//! gives the same bits.
+//! Only the clock, the serial line and the network are replaced. The host with its rings,
+//! the board's code, bytes paced at the baud rate and NatNet packets are real. The same
+//! seed gives the same bits.
 
 use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
@@ -18,8 +18,7 @@ use singletrack_core::{
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -27,44 +26,45 @@ use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 /// are late by up to this.
 const HOST_POLL_US: u64 = 250;
 
-/// Where the host's datagrams come from, as the simulated server sees it.
+/// The source address of the host's datagrams.
 const HOST_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
 
-/// Where the server's datagrams come from.
+/// The source address of the server's datagrams.
 const SERVER_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_510);
 
-/// Longer than any handshake, in s: bootloader, ESC arming, estimator.
+/// The time-out until the car drives, in s: longer than bootloader, ESC arming and
+/// estimator take.
 const READY_TIMEOUT: f64 = 15.0;
 
-/// Why a virtual drive could not be set up or did not get going.
+/// Why a virtual drive could not be set up or started.
 #[derive(Debug, thiserror::Error)]
 pub enum VirtualDriveError {
     /// The world can't be simulated.
     #[error("[simulation] {0}")]
     Simulation(#[from] singletrack_sim::ConfigError),
-    /// The host does not take its configuration.
+    /// The host refuses its configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The pilot never became ready, or did not start to drive.
     #[error("the car did not start: mode {mode} after {seconds} s, because of {}", reason.map_or("nothing", Reason::name))]
     NotStarted {
-        /// The mode that it stayed in.
+        /// The mode at the time-out.
         mode: Mode,
-        /// Why.
+        /// The reason for this mode.
         reason: Option<Reason>,
-        /// How long it was given.
+        /// The time-out, in s.
         seconds: f64,
     },
 }
 
-/// A tick, with the truth just before it.
+/// A tick, with the ground truth just before it.
 #[derive(Clone, Debug)]
 pub struct VirtualTick {
     /// The tick's time.
     pub now: Time,
-    /// The truth, before the tick's command.
+    /// The ground truth before the tick's command.
     pub truth: Truth,
-    /// What the controller saw and did.
+    /// The record of the tick.
     pub tick: TickRecord,
 }
 
@@ -75,7 +75,7 @@ pub struct VirtualDrive {
     host: VirtualHost<WriteHalf>,
     port: SimulatedPort,
     host_us: u64,
-    /// What a record of the drive would hold; none if nothing is kept.
+    /// The entries for a record of the drive; `None` if they are not kept.
     entries: Option<Vec<Entry>>,
 }
 
@@ -152,7 +152,7 @@ impl VirtualDrive {
     ///
     /// # Errors
     ///
-    /// A configuration that one of the parts refuses.
+    /// One of the parts refuses its configuration.
     pub fn new(
         config: Config,
         seed: u64,
@@ -173,13 +173,13 @@ impl VirtualDrive {
         Ok(drive)
     }
 
-    /// Keeps what a record holds of everything from now on, for
-    /// [`VirtualDrive::entries`]. For a replay it must be from the first tick on.
+    /// Keeps all entries for a record from now on, see [`VirtualDrive::entries`]. A record
+    /// for a replay needs them from the first tick on.
     pub fn keep_entries(&mut self) {
         self.entries = Some(Vec::new());
     }
 
-    /// What was kept since the last time, in order.
+    /// The entries kept since the last call, in order.
     pub fn entries(&mut self) -> Vec<Entry> {
         self.entries.as_mut().map_or_else(Vec::new, core::mem::take)
     }
@@ -190,7 +190,7 @@ impl VirtualDrive {
         &self.world
     }
 
-    /// The world, to break something.
+    /// The world, for faults.
     pub const fn world_mut(&mut self) -> &mut World {
         &mut self.world
     }
@@ -201,20 +201,20 @@ impl VirtualDrive {
         self.host.controller()
     }
 
-    /// Requests something of the pilot, at the next tick.
+    /// Sends a request to the pilot, for the next tick.
     ///
     /// # Errors
     ///
-    /// When the control loop has not taken the requests before.
+    /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.request(request)
     }
 
-    /// Has the next tick take over another configuration. Returns its number.
+    /// Changes the configuration at the next tick. Returns its number.
     ///
     /// # Errors
     ///
-    /// Why the configuration in force stays.
+    /// The reason why the configuration in force stays.
     pub fn reconfigure(&mut self, config: Config) -> Result<u32, ChangeError> {
         self.host.reconfigure(config, u64::MAX)?;
         loop {
@@ -233,8 +233,7 @@ impl VirtualDrive {
         self.host.next_tick_ns().div_ceil(1_000)
     }
 
-    /// Lets time pass until `until_us` of the simulation, at most until the
-    /// next tick.
+    /// Advances to `until_us` of the simulation, at most to the next tick.
     pub fn advance_to(&mut self, until_us: u64) {
         let until_us = until_us.min(self.next_tick_us());
         while self.host_us < until_us {
@@ -245,7 +244,7 @@ impl VirtualDrive {
         }
     }
 
-    /// Lets time pass until the next tick, and does it.
+    /// Advances to the next tick and runs it.
     pub fn step(&mut self) -> VirtualTick {
         loop {
             self.advance_to(self.next_tick_us());
@@ -265,12 +264,12 @@ impl VirtualDrive {
     ///
     /// # Errors
     ///
-    /// When something keeps it from driving for 15 s.
+    /// The car does not drive within 15 s.
     pub fn start(&mut self) -> Result<VirtualTick, VirtualDriveError> {
         let mut armed = false;
         while self.next_tick_us() as f64 * 1e-6 < READY_TIMEOUT {
             if !armed && self.host.mode() == Mode::Ready {
-                // The ring is empty: every tick takes all that waits in it.
+                // The ring is empty: every tick takes all requests.
                 armed = self.request(PilotRequest::Arm).is_ok();
             }
             let tick = self.step();
@@ -285,7 +284,7 @@ impl VirtualDrive {
         })
     }
 
-    /// Bytes and packets both ways, at the host's time.
+    /// Exchanges bytes and datagrams in both directions, at the host's time.
     fn exchange(&mut self) {
         let now_ns = self.host_us * 1_000;
         self.world.host_read(&mut self.port.received);
@@ -294,7 +293,7 @@ impl VirtualDrive {
             .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
     }
 
-    /// What the tick wrote goes on the line.
+    /// Passes the bytes that the tick wrote to the line.
     fn write(&mut self) {
         let mut written = self
             .port
@@ -306,7 +305,7 @@ impl VirtualDrive {
         written.clear();
     }
 
-    /// The tick that was just done.
+    /// Takes the record of the tick that just ended.
     fn take_tick(&mut self) -> Option<TickRecord> {
         let Some(kept) = &mut self.entries else {
             return self.host.next_tick();

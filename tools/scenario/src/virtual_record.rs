@@ -1,4 +1,4 @@
-//! The record of a drive in virtual time: the same bytes from the same seed.
+//! The record of a drive in virtual time. The same seed gives the same bytes.
 
 use std::path::Path;
 
@@ -7,11 +7,10 @@ use singletrack_record::{ClockMapping, Entry, Finished, RecordError, Recorder};
 
 use crate::virtual_drive::VirtualDrive;
 
-/// What the clock on the virtual wall shows at the beginning: 2000-01-01, in ns
-/// since 1970.
+/// The wall clock at the start: 2000-01-01, in ns since 1970.
 const EPOCH_NS: u64 = 946_684_800_000_000_000;
 
-/// Why there is no record.
+/// Why a record was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum VirtualRecordError {
     /// The file.
@@ -26,12 +25,12 @@ pub enum VirtualRecordError {
 pub struct VirtualRecord(Recorder);
 
 impl VirtualRecord {
-    /// Starts the record at `path` and has the drive, which has not yet begun, keep
-    /// its entries.
+    /// Starts the record at `path`. The drive must not have begun; it keeps its entries
+    /// from now on.
     ///
     /// # Errors
     ///
-    /// When the file exists or can't be written.
+    /// The file exists or can't be written.
     pub fn start(
         path: &Path,
         drive: &mut VirtualDrive,
@@ -47,11 +46,11 @@ impl VirtualRecord {
         Ok(Self(Recorder::create(path, &meta)?.without_timed_flushes()))
     }
 
-    /// Writes what the drive has kept since the last time.
+    /// Writes the entries that the drive has kept since the last call.
     ///
     /// # Errors
     ///
-    /// When the file can't be written.
+    /// The file can't be written.
     pub fn write(&mut self, drive: &mut VirtualDrive) -> Result<(), VirtualRecordError> {
         for entry in drive.entries() {
             self.0.write(&entry)?;
@@ -59,11 +58,11 @@ impl VirtualRecord {
         Ok(())
     }
 
-    /// Writes an entry that the drive does not know of.
+    /// Writes an entry that does not come from the drive.
     ///
     /// # Errors
     ///
-    /// When the file can't be written.
+    /// The file can't be written.
     pub fn entry(&mut self, entry: &Entry) -> Result<(), VirtualRecordError> {
         Ok(self.0.write(entry)?)
     }
@@ -72,7 +71,7 @@ impl VirtualRecord {
     ///
     /// # Errors
     ///
-    /// When the file can't be written.
+    /// The file can't be written.
     pub fn finish(mut self, drive: &mut VirtualDrive) -> Result<Finished, VirtualRecordError> {
         self.write(drive)?;
         Ok(self.0.finish()?)

@@ -4,8 +4,7 @@
 
 use std::{path::Path, sync::OnceLock};
 
-use singletrack_core::config::MarkerLossKind;
-use singletrack_core::config::OuterLoopSection;
+use singletrack_core::config::{MarkerLossKind, OuterLoopSection};
 use singletrack_scenario::{
     estimation::{EstimationStudy, study},
     simulate::{MarkerLoss as LostTicks, Row, Scenario, simulate},

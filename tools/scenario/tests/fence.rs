@@ -48,7 +48,7 @@ fn wall(x: f64) -> FenceSection {
 }
 
 /// Drives from the origin until the car stands; the least clearance and why it
-/// stopped. The markers are lost for good after so many seconds.
+/// stopped. The markers are lost for good after this time, in s.
 fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<Reason>) {
     let simulation = SimulationConfig {
         seed,

@@ -76,7 +76,7 @@ fn link(
     let name = words.next().unwrap_or_default();
     let file = scratch
         .file("probe.c", source)
-        .map_err(|error| format!("cannot write a test file: {error}"))?;
+        .map_err(|error| format!("can't write a test file: {error}"))?;
     let program = scratch.path().join("probe");
     let linked = answer(
         machine
@@ -103,7 +103,7 @@ fn link(
 
 /// A temporary folder for a probe.
 fn scratch(name: &str) -> Result<Scratch, String> {
-    Scratch::new(name).map_err(|error| format!("cannot create a folder for a probe: {error}"))
+    Scratch::new(name).map_err(|error| format!("can't create a folder for a probe: {error}"))
 }
 
 /// cc, or the compiler in `CC`, possibly with a wrapper.

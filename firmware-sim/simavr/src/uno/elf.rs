@@ -31,7 +31,7 @@ pub(crate) struct Image {
 /// Why a file is not a program for the board.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ImageError {
-    #[error("cannot read {0}: {1}")]
+    #[error("can't read {0}: {1}")]
     Read(PathBuf, #[source] io::Error),
     #[error("{0} is not an ELF file of 32 bits, little-endian")]
     NotElf(PathBuf),

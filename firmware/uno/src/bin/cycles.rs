@@ -23,14 +23,15 @@ mod sections;
 
 use core::{arch::asm, hint::black_box, panic::PanicInfo};
 
-use in_place::InPlace;
-use sections::measured;
 use singletrack_board::{Board, Inputs};
 use singletrack_protocol::{
     BoardMode, Configuration, Configure, Decoder, Drive, EscCalibration, FailsafeAction, Frame,
     ImuState, RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, StopCause,
     Telemetry, ToBoard, ToHost,
 };
+
+use in_place::InPlace;
+use sections::measured;
 
 const ROUNDS: u8 = 100;
 

@@ -248,6 +248,8 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
 
 #[cfg(test)]
 mod tests {
+    use singletrack_control::VehicleParameters;
+
     use super::{
         super::{
             data::{Inertial, Pose},
@@ -256,7 +258,6 @@ mod tests {
         },
         *,
     };
-    use singletrack_control::VehicleParameters;
 
     /// An artificial drive: the test of the derivatives needs no realistic one.
     fn drive() -> DriveData {

@@ -86,8 +86,7 @@ mod tests {
     use proptest::prelude::*;
     use singletrack_control::{FrontPointLaw, Motion, SingleTrackState, VelocityPointLaw};
 
-    use super::super::closed_loop::Law;
-    use super::*;
+    use super::{super::closed_loop::Law, *};
 
     fn closed_loop(law: Law, speed: f64, deviation: f64) -> ClosedLoop {
         ClosedLoop::new(VehicleParameters::paper(), law, 0.35, speed, deviation).unwrap()

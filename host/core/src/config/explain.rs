@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mistake_is_told_by_line_key_value_and_fix() {
+    fn an_error_names_line_key_value_and_fix() {
         let good = "radius_m = 1.0\nhold_ms = 2\nsides = [1.0, 2.0]\n";
         for (text, message) in [
             (

@@ -227,7 +227,7 @@ impl ReferenceSection {
     ///
     /// # Errors
     ///
-    /// A reference that makes no sense, or waypoints that can't be read.
+    /// An invalid reference, or waypoints that can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
         self.check()?;
         Ok(match self {

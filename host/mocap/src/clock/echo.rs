@@ -14,7 +14,7 @@ const SAMPLES: usize = 32;
 const MIN_BASELINE_NS: f64 = 1e9;
 
 /// One exchange.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct EchoSample {
     pub(crate) sent_ns: u64,
     pub(crate) received_ns: u64,
@@ -22,7 +22,7 @@ pub(crate) struct EchoSample {
 }
 
 /// The effect of an exchange.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SampleUse {
     /// It agrees with the others.
     Agreed,
@@ -32,7 +32,7 @@ pub(crate) enum SampleUse {
     Backward,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct EchoClock {
     samples: heapless::Deque<EchoSample, SAMPLES>,
     ns_per_tick: f64,
@@ -42,7 +42,7 @@ pub(crate) struct EchoClock {
 }
 
 /// A local time relative to some origin, and a bound on its error, in ns.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Bound {
     middle: f64,
     half_width: f64,

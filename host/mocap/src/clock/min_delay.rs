@@ -7,7 +7,7 @@ use super::ticks::{Mapped, difference, offset_by};
 /// enough to catch a quick frame, short enough that the clocks do not drift apart.
 const WINDOW_NS: u64 = 1_000_000_000;
 
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct MinDelay {
     ns_per_tick: f64,
     max_skew: f64,
@@ -15,7 +15,7 @@ pub(crate) struct MinDelay {
     windows: Option<Windows>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Windows {
     /// Ticks and local time that differences are taken from.
     origin: (u64, u64),

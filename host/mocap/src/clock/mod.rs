@@ -6,17 +6,18 @@ mod ticks;
 
 use core::num::NonZeroU64;
 
-use crate::capture::{CaptureTime, CaptureTimeSource};
-use crate::codec::Frame;
-use crate::config::Timing;
-
+use crate::{
+    capture::{CaptureTime, CaptureTimeSource},
+    codec::Frame,
+    config::Timing,
+};
 use echo::EchoClock;
 pub(crate) use echo::{EchoSample, SampleUse};
 use min_delay::MinDelay;
 use ticks::Mapped;
 
 /// What is known of one server's clock.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct CaptureClock {
     echo: Option<EchoClock>,
     transmit: Option<MinDelay>,

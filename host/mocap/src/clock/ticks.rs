@@ -1,7 +1,7 @@
 //! Arithmetic between the server's clock and the local one.
 
 /// A time of the server on the local clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Mapped {
     pub(crate) local_ns: u64,
     pub(crate) uncertainty_ns: u64,

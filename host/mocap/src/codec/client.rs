@@ -1,17 +1,19 @@
 //! Messages from a client.
 
-use super::error::DecodeError;
-use super::packet::{MessageId, Packet};
-use super::server::read_text;
-use super::server_info::{SENDER_LEN, SENDER_NAME_LEN, name_prefix};
-use super::version::{BitstreamVersion, UnsupportedVersion};
+use super::{
+    error::DecodeError,
+    packet::{MessageId, Packet},
+    server::read_text,
+    server_info::{SENDER_LEN, SENDER_NAME_LEN, name_prefix},
+    version::{BitstreamVersion, UnsupportedVersion},
+};
 
 /// The longest known CONNECT: the sender block, a flag, a version, and up to two
 /// further bytes that sample clients append.
 const MAX_CONNECT_LEN: usize = SENDER_LEN + 1 + 4 + 2;
 
 /// A message from a client.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ClientMessage<'a> {
     /// Asks the server to stream to this client and to identify itself.
@@ -34,7 +36,7 @@ pub enum ClientMessage<'a> {
 }
 
 /// The payload of CONNECT.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Connect<'a> {
     /// The client's name.
     pub name: &'a str,

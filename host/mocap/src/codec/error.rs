@@ -3,7 +3,7 @@
 use super::version::BitstreamVersion;
 
 /// Why a datagram cannot be decoded. Offsets count from the datagram's first byte.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
     /// The datagram or the section ends inside a field.

@@ -1,15 +1,17 @@
 //! FRAMEOFDATA: one frame of poses.
 
-use super::error::DecodeError;
-use super::packet::Packet;
-use super::reader::Reader;
-use super::rigid_body::{RigidBodies, RigidBody};
-use super::version::BitstreamVersion;
+use super::{
+    error::DecodeError,
+    packet::Packet,
+    reader::Reader,
+    rigid_body::{RigidBodies, RigidBody},
+    version::BitstreamVersion,
+};
 
 const MARKER_LEN: usize = 12;
 
 /// One frame of data, checked from the first byte to the last.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct Frame<'a> {
     /// The frame's number. It grows by one with every frame, wraps, and starts again
     /// with the server.
@@ -33,7 +35,7 @@ pub struct Frame<'a> {
 }
 
 /// Times of a frame in ticks of the server's high-resolution clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CameraTicks {
     /// The middle of the exposure; 0 when it is not available.
     pub mid_exposure: u64,
@@ -44,7 +46,7 @@ pub struct CameraTicks {
 }
 
 /// PTP time of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PrecisionTime {
     /// Whole seconds.
     pub seconds: u32,
@@ -53,7 +55,7 @@ pub struct PrecisionTime {
 }
 
 /// The flags at the end of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameFlags(pub u16);
 
 impl FrameFlags {
@@ -71,7 +73,7 @@ impl FrameFlags {
 }
 
 /// How many entries each section of a frame holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SectionCounts {
     /// Named marker sets.
     pub marker_sets: usize,

@@ -1,9 +1,6 @@
 //! MODELDEF: the models that the server tracks, with their names and ids.
 
-use super::error::DecodeError;
-use super::packet::Packet;
-use super::reader::Reader;
-use super::version::BitstreamVersion;
+use super::{error::DecodeError, packet::Packet, reader::Reader, version::BitstreamVersion};
 
 /// Dataset types of a model definition.
 pub(crate) mod dataset {
@@ -16,7 +13,7 @@ pub(crate) mod dataset {
 }
 
 /// The definition of one rigid body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBodyDefinition<'a> {
     /// Its name, as in the server's asset list.
     pub name: &'a str,
@@ -29,7 +26,7 @@ pub struct RigidBodyDefinition<'a> {
 }
 
 /// The definitions of all models that the server tracks.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct ModelDefinitions<'a> {
     /// Number of datasets, rigid bodies and others.
     pub dataset_count: usize,
@@ -37,7 +34,7 @@ pub struct ModelDefinitions<'a> {
 }
 
 /// The rigid bodies among the definitions, in wire order.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct RigidBodyDefinitions<'a> {
     reader: Reader<'a>,
     datasets_left: usize,

@@ -1,7 +1,6 @@
 //! The header of a datagram, separate from its payload.
 
-use super::error::DecodeError;
-use super::reader::Reader;
+use super::{error::DecodeError, reader::Reader};
 
 /// Length of the header: message id and payload length.
 pub const HEADER_LEN: usize = 4;
@@ -11,7 +10,7 @@ pub const HEADER_LEN: usize = 4;
 pub const MAX_DATAGRAM_LEN: usize = 65_507;
 
 /// The NatNet messages that this crate knows, by their id on the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u16)]
 #[non_exhaustive]
 pub enum MessageId {
@@ -70,7 +69,7 @@ impl MessageId {
 }
 
 /// A datagram split into message id and raw payload; the payload is unchecked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
     id: u16,
     payload: &'a [u8],

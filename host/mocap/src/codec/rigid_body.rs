@@ -1,8 +1,6 @@
 //! Rigid bodies as a frame carries them.
 
-use super::error::DecodeError;
-use super::reader::Reader;
-use super::version::BitstreamVersion;
+use super::{error::DecodeError, reader::Reader, version::BitstreamVersion};
 
 /// Bit 0 of a rigid body's parameters.
 const TRACKING_VALID: u16 = 1;
@@ -14,7 +12,7 @@ const BODY_MARKER_LEN: usize = 12 + 4 + 4;
 ///
 /// A frame lists untracked bodies as well; an untracked one repeats an old
 /// pose, or zeros. Check [`tracking_valid`](Self::tracking_valid) first.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBody {
     /// The streaming id, which the model definitions give a name.
     pub id: i32,
@@ -101,7 +99,7 @@ impl RigidBody {
 }
 
 /// The rigid bodies of a decoded frame, in wire order.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct RigidBodies<'a> {
     reader: Reader<'a>,
     left: usize,

@@ -1,15 +1,17 @@
 //! Messages from a server.
 
-use super::error::DecodeError;
-use super::frame::Frame;
-use super::model::ModelDefinitions;
-use super::packet::{MessageId, Packet};
-use super::reader::Reader;
-use super::server_info::ServerInfo;
-use super::version::BitstreamVersion;
+use super::{
+    error::DecodeError,
+    frame::Frame,
+    model::ModelDefinitions,
+    packet::{MessageId, Packet},
+    reader::Reader,
+    server_info::ServerInfo,
+    version::BitstreamVersion,
+};
 
 /// A message from a server. Every byte of it has been checked.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum ServerMessage<'a> {
     /// The answer to CONNECT.
@@ -31,7 +33,7 @@ pub enum ServerMessage<'a> {
 }
 
 /// The answer to a text request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response<'a> {
     /// A status; 0 is success.
     Status(i32),
@@ -40,7 +42,7 @@ pub enum Response<'a> {
 }
 
 /// The answer to an echo request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
     /// The stamp of the request, unchanged.
     pub client_stamp: u64,

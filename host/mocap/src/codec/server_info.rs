@@ -1,11 +1,12 @@
 //! SERVERINFO: the server's name, bitstream, data channel and clock frequency.
 
-use core::net::Ipv4Addr;
-use core::num::NonZeroU64;
+use core::{net::Ipv4Addr, num::NonZeroU64};
 
-use super::error::DecodeError;
-use super::packet::Packet;
-use super::version::{BitstreamVersion, UnsupportedVersion};
+use super::{
+    error::DecodeError,
+    packet::Packet,
+    version::{BitstreamVersion, UnsupportedVersion},
+};
 
 pub(crate) const SENDER_NAME_LEN: usize = 256;
 
@@ -16,7 +17,7 @@ pub const SENDER_LEN: usize = SENDER_NAME_LEN + 4 + 4;
 const EXTENDED_LEN: usize = SENDER_LEN + 8 + 2 + 1 + 4;
 
 /// The answer to CONNECT.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ServerInfo<'a> {
     /// The application's name, for example `Motive`.
     pub application: &'a str,
@@ -30,7 +31,7 @@ pub struct ServerInfo<'a> {
 }
 
 /// Clock and data channel of a server, from 3.0 on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Connection {
     /// Frequency of the high-resolution clock. `None` when the server sends 0.
     pub ticks_per_second: Option<NonZeroU64>,
@@ -39,7 +40,7 @@ pub struct Connection {
 }
 
 /// Where a server sends frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DataChannel {
     /// UDP port of the data.
     pub port: u16,

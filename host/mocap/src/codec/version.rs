@@ -5,14 +5,14 @@ use core::fmt;
 /// A NatNet bitstream version whose layout this crate reads.
 ///
 /// Only supported versions can be constructed, so every value can be decoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BitstreamVersion {
     major: u8,
     minor: u8,
 }
 
 /// The server's bitstream has a layout that this crate does not read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "NatNet bitstream {major}.{minor} is not supported, only {oldest} to {newest}: \
      request a supported one (unicast) or change the server's version",

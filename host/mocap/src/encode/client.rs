@@ -1,7 +1,6 @@
 //! Messages from a client.
 
-use super::error::EncodeError;
-use super::writer::Writer;
+use super::{error::EncodeError, writer::Writer};
 use crate::codec::{BitstreamVersion, ClientMessage, MessageId, SENDER_NAME_LEN};
 
 /// Encodes any message of a client.

@@ -3,7 +3,7 @@
 use crate::codec::BitstreamVersion;
 
 /// Why a message cannot be encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EncodeError {
     /// The buffer ends before the message does.

@@ -1,14 +1,13 @@
 //! Encodes FRAMEOFDATA.
 
-use super::error::EncodeError;
-use super::writer::Writer;
+use super::{error::EncodeError, writer::Writer};
 use crate::codec::{
     BitstreamVersion, CameraTicks, FrameFlags, MessageId, PrecisionTime, RigidBody,
 };
 
 /// The content of a frame. A field that the version does not have is left out: ticks
 /// before 3.0, precision time before 4.1, latency and body markers from 3.0 on.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameContent<'a> {
     /// The frame's number.
     pub number: i32,
@@ -33,7 +32,7 @@ pub struct FrameContent<'a> {
 }
 
 /// The sections of a frame other than rigid bodies.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sections<'a> {
     /// Named sets of markers.
     pub marker_sets: &'a [MarkerSet<'a>],
@@ -52,7 +51,7 @@ pub struct Sections<'a> {
 }
 
 /// A marker of a rigid body, before 3.0.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyMarker {
     /// Position in metres.
     pub position_m: [f32; 3],
@@ -63,7 +62,7 @@ pub struct BodyMarker {
 }
 
 /// A named set of markers.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarkerSet<'a> {
     /// Its name.
     pub name: &'a str,
@@ -72,7 +71,7 @@ pub struct MarkerSet<'a> {
 }
 
 /// A skeleton.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Skeleton<'a> {
     /// Its id.
     pub id: i32,
@@ -81,7 +80,7 @@ pub struct Skeleton<'a> {
 }
 
 /// An asset.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Asset<'a> {
     /// Its id.
     pub id: i32,
@@ -92,7 +91,7 @@ pub struct Asset<'a> {
 }
 
 /// A labelled marker.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LabelledMarker {
     /// Its id: model in the upper half, member in the lower.
     pub id: i32,
@@ -107,7 +106,7 @@ pub struct LabelledMarker {
 }
 
 /// A force plate or another device: channels of samples.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnalogDevice<'a> {
     /// Its id.
     pub id: i32,

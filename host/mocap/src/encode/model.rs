@@ -1,11 +1,10 @@
 //! Encodes MODELDEF.
 
-use super::error::EncodeError;
-use super::writer::Writer;
+use super::{error::EncodeError, writer::Writer};
 use crate::codec::{BitstreamVersion, MessageId, RigidBodyDefinition, dataset};
 
 /// One entry of the model definitions.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Dataset<'a> {
     /// A rigid body.
     RigidBody {
@@ -40,7 +39,7 @@ pub enum Dataset<'a> {
 }
 
 /// A marker of a rigid-body definition.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DefinitionMarker<'a> {
     /// Position in the body, in metres.
     pub position_m: [f32; 3],

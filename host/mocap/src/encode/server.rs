@@ -1,7 +1,6 @@
 //! Messages from a server, other than frames and model definitions.
 
-use super::error::EncodeError;
-use super::writer::Writer;
+use super::{error::EncodeError, writer::Writer};
 use crate::codec::{Echo, MessageId, SENDER_NAME_LEN, ServerInfo};
 
 /// Encodes the answer to CONNECT: the long form when `info` has a connection

@@ -2,14 +2,16 @@
 
 use core::net::IpAddr;
 
-use crate::axes::UpAxis;
-use crate::config::{SessionConfig, SessionConfigError, Transport};
+use crate::{
+    axes::UpAxis,
+    config::{SessionConfig, SessionConfigError, Transport},
+};
 
 /// A rigid body's name as in the server's asset list.
 pub type RigidBodyName = heapless::String<255>;
 
 /// The configuration of a [`PlanarSession`](super::PlanarSession).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct PlanarConfig {
     /// The camera session's configuration.
@@ -21,7 +23,7 @@ pub struct PlanarConfig {
 }
 
 /// Which poses are plausible.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseLimits {
     /// Largest mean marker error, in metres.
     pub max_mean_error_m: f64,
@@ -57,7 +59,7 @@ impl Default for PoseLimits {
 }
 
 /// Why a configuration is refused.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanarConfigError {
     /// The camera session's configuration.

@@ -5,7 +5,7 @@ use crate::counters::SessionCounters;
 use super::observation::RejectReason;
 
 /// Counts since the session was made. Nothing resets them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PlanarCounters {
     /// The camera session's counts.
@@ -25,7 +25,7 @@ pub struct PlanarCounters {
 }
 
 /// Rejected poses by reason.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RejectedCounts {
     /// See [`RejectReason::NotFinite`].

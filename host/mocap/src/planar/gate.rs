@@ -2,18 +2,20 @@
 
 use core::f64::consts::{PI, TAU};
 
-use super::config::PoseLimits;
-use super::observation::{PlanarPose, RejectReason};
+use super::{
+    config::PoseLimits,
+    observation::{PlanarPose, RejectReason},
+};
 
 /// The gate's decision on a pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Verdict {
     Valid(PlanarPose),
     Rejected(RejectReason),
     LockedOut(RejectReason),
 }
 
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(super) struct Gate {
     limits: PoseLimits,
     last_valid: Option<PlanarPose>,

@@ -1,11 +1,13 @@
 //! What is known of the body: a pose in the plane, or why there is none.
 
-use crate::binding::Binding;
-use crate::body::BodyPose;
-use crate::capture::{CaptureTime, CaptureTimeSource};
+use crate::{
+    binding::Binding,
+    body::BodyPose,
+    capture::{CaptureTime, CaptureTimeSource},
+};
 
 /// What one frame says of the body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// The server's number of the frame.
     pub frame_number: i32,
@@ -16,7 +18,7 @@ pub struct Observation {
 }
 
 /// What is known of the body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PoseState {
     /// No frame has arrived yet.
     NoFrames,
@@ -40,7 +42,7 @@ pub enum PoseState {
 }
 
 /// An accepted pose of the body, in the world frame with z up.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarPose {
     /// Position of the body's pivot, in metres.
     pub x_m: f64,
@@ -72,7 +74,7 @@ pub struct PlanarPose {
 }
 
 /// Why a pose is not accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RejectReason {
     /// A number is not finite.
     NotFinite,

@@ -2,14 +2,17 @@
 
 use core::net::SocketAddr;
 
-use crate::binding::Binding;
-use crate::codec::DecodeError;
-use crate::session::{DatagramOutcome, Phase, Session, SessionEvent, Transmit};
-
-use super::config::{PlanarConfig, PlanarConfigError};
-use super::counters::PlanarCounters;
-use super::observation::{Observation, PoseState};
-use super::tracker::PlanarTracker;
+use super::{
+    config::{PlanarConfig, PlanarConfigError},
+    counters::PlanarCounters,
+    observation::{Observation, PoseState},
+    tracker::PlanarTracker,
+};
+use crate::{
+    binding::Binding,
+    codec::DecodeError,
+    session::{DatagramOutcome, Phase, Session, SessionEvent, Transmit},
+};
 
 /// A NatNet client that follows one rigid body in the plane.
 ///
@@ -36,7 +39,7 @@ use super::tracker::PlanarTracker;
 /// # Ok(())
 /// # }
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct PlanarSession {
     session: Session,
     tracker: PlanarTracker,
@@ -44,7 +47,7 @@ pub struct PlanarSession {
 }
 
 /// What became of a datagram. Every case is counted as well.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum PlanarOutcome {
     /// The newest frame, and what it says of the body.
@@ -64,7 +67,7 @@ pub enum PlanarOutcome {
 }
 
 /// A rare event, worth a line in the log.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlanarEvent {
     /// An event of the camera session, other than
     /// [`DefinitionsOutdated`](SessionEvent::DefinitionsOutdated).

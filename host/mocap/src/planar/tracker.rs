@@ -1,14 +1,17 @@
 //! Follows one body through the frames.
 
-use crate::binding::Binding;
-use crate::body::{BodyState, InvalidBody};
-use crate::codec::ModelDefinitions;
-use crate::session::PoseFrame;
-
-use super::config::{PlanarConfigError, PoseLimits, RigidBodyName};
-use super::counters::PlanarCounters;
-use super::gate::{Gate, Verdict};
-use super::observation::{Observation, PlanarPose, PoseState, RejectReason};
+use super::{
+    config::{PlanarConfigError, PoseLimits, RigidBodyName},
+    counters::PlanarCounters,
+    gate::{Gate, Verdict},
+    observation::{Observation, PlanarPose, PoseState, RejectReason},
+};
+use crate::{
+    binding::Binding,
+    body::{BodyState, InvalidBody},
+    codec::ModelDefinitions,
+    session::PoseFrame,
+};
 
 /// Follows one rigid body: finds it by its name, projects its pose onto the plane,
 /// and rejects what is not plausible.
@@ -23,7 +26,7 @@ use super::observation::{Observation, PlanarPose, PoseState, RejectReason};
 ///   [`DatagramOutcome::Frame`](crate::DatagramOutcome::Frame).
 ///
 /// [`PlanarSession`](super::PlanarSession) does this.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct PlanarTracker {
     rigid_body: RigidBodyName,
     limits: PoseLimits,

@@ -3,7 +3,7 @@
 use crate::codec::{BitstreamVersion, DecodeError, UnsupportedVersion};
 
 /// How far a session is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Phase {
     /// The server has not answered yet.
@@ -23,7 +23,7 @@ pub enum Phase {
 
 /// A rare event, worth a line in the log. Poses are not events: they are in
 /// [`DatagramOutcome::Frame`](super::DatagramOutcome::Frame).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {
     /// The server answered, and the session waits for frames.
@@ -54,7 +54,7 @@ pub enum SessionEvent {
 }
 
 /// The result of the handshake.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Connected {
     /// The bitstream of the frames.
@@ -66,7 +66,7 @@ pub struct Connected {
 }
 
 /// Why a session starts over.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum RestartReason {
     /// No frame arrived for longer than

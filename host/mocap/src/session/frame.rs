@@ -1,11 +1,13 @@
 //! What became of a datagram, and the frame that it may have held.
 
-use crate::body::{Bodies, Body};
-use crate::capture::CaptureTime;
-use crate::codec::{DecodeError, FrameFlags, ModelDefinitions};
+use crate::{
+    body::{Bodies, Body},
+    capture::CaptureTime,
+    codec::{DecodeError, FrameFlags, ModelDefinitions},
+};
 
 /// What became of a datagram. Every case is counted as well.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum DatagramOutcome<'a> {
     /// The newest frame: the poses of all rigid bodies.
@@ -27,7 +29,7 @@ pub enum DatagramOutcome<'a> {
 }
 
 /// The newest frame: the poses of all rigid bodies, and their time.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct PoseFrame<'a> {
     /// The server's number of the frame.

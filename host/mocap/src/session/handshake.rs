@@ -1,13 +1,16 @@
 //! From CONNECT to a stream, and back to the start.
 
-use crate::clock::CaptureClock;
-use crate::codec::{BitstreamVersion, ServerInfo};
-use crate::config::Transport;
-use crate::order::Sequence;
-
-use super::event::{Connected, Phase, RestartReason, SessionEvent};
-use super::schedule::Schedule;
-use super::state::{Server, Session};
+use super::{
+    event::{Connected, Phase, RestartReason, SessionEvent},
+    schedule::Schedule,
+    state::{Server, Session},
+};
+use crate::{
+    clock::CaptureClock,
+    codec::{BitstreamVersion, ServerInfo},
+    config::Transport,
+    order::Sequence,
+};
 
 impl Session {
     /// Starts over with CONNECT.

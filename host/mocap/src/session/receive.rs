@@ -2,18 +2,21 @@
 
 use core::net::SocketAddr;
 
-use crate::body::{Bodies, BodyReading};
-use crate::capture::CaptureTime;
-use crate::clock::{CaptureClock, EchoSample, SampleUse};
-use crate::codec::{
-    BitstreamVersion, DecodeError, Echo, Frame, FrameFlags, MessageId, Packet, Response,
-    ServerMessage,
+use super::{
+    event::{Phase, RestartReason, SessionEvent},
+    frame::{DatagramOutcome, PoseFrame},
+    state::Session,
 };
-use crate::order::Order;
-
-use super::event::{Phase, RestartReason, SessionEvent};
-use super::frame::{DatagramOutcome, PoseFrame};
-use super::state::Session;
+use crate::{
+    body::{Bodies, BodyReading},
+    capture::CaptureTime,
+    clock::{CaptureClock, EchoSample, SampleUse},
+    codec::{
+        BitstreamVersion, DecodeError, Echo, Frame, FrameFlags, MessageId, Packet, Response,
+        ServerMessage,
+    },
+    order::Order,
+};
 
 /// This number of frames in a row that cannot be decoded, over a time for which a
 /// stream may be silent, means that the bitstream is another one.

@@ -6,7 +6,7 @@ const UNREAD_MODELS_NS: u64 = 100_000_000;
 const INCOMPLETE_MODELS_NS: u64 = 500_000_000;
 
 /// When each message is due next, on the local clock.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Schedule {
     /// CONNECT, or the bitstream request.
     pub(super) handshake_ns: u64,

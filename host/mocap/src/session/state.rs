@@ -1,13 +1,16 @@
 //! What a session knows, and what its owner may ask of it.
 
-use crate::clock::CaptureClock;
-use crate::codec::{BitstreamVersion, Connection, UnsupportedVersion};
-use crate::config::{SessionConfig, SessionConfigError, Transport};
-use crate::counters::SessionCounters;
-use crate::order::Sequence;
-
-use super::event::{Phase, SessionEvent};
-use super::schedule::Schedule;
+use super::{
+    event::{Phase, SessionEvent},
+    schedule::Schedule,
+};
+use crate::{
+    clock::CaptureClock,
+    codec::{BitstreamVersion, Connection, UnsupportedVersion},
+    config::{SessionConfig, SessionConfigError, Transport},
+    counters::SessionCounters,
+    order::Sequence,
+};
 
 /// A NatNet client without socket and clock: it follows all rigid bodies of one
 /// server.
@@ -40,7 +43,7 @@ use super::schedule::Schedule;
 /// # Ok(())
 /// # }
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub struct Session {
     pub(super) config: SessionConfig,
     pub(super) phase: Phase,
@@ -62,7 +65,7 @@ pub struct Session {
 }
 
 /// What a server said of itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Server {
     pub(super) natnet_version: [u8; 4],
     pub(super) native: Result<BitstreamVersion, UnsupportedVersion>,

@@ -2,11 +2,14 @@
 
 use core::net::SocketAddr;
 
-use crate::codec::{BitstreamVersion, ClientMessage, Connect};
-use crate::encode;
-
-use super::event::{Phase, RestartReason, SessionEvent};
-use super::state::Session;
+use super::{
+    event::{Phase, RestartReason, SessionEvent},
+    state::Session,
+};
+use crate::{
+    codec::{BitstreamVersion, ClientMessage, Connect},
+    encode,
+};
 
 /// The name that the client introduces itself with.
 const CLIENT_NAME: &str = "Singletrack";
@@ -22,7 +25,7 @@ const BITSTREAM_ATTEMPTS: u32 = 5;
 const MAX_LEN: usize = 288;
 
 /// A datagram to send.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Transmit {
     /// The address to send it to.

@@ -1,14 +1,12 @@
 //! Damaged and invented datagrams.
 
-use proptest::collection::vec;
-use proptest::prelude::*;
-use singletrack_mocap::codec::{
-    BitstreamVersion, ClientMessage, DecodeError, RigidBody, ServerMessage,
+use proptest::{collection::vec, prelude::*};
+use singletrack_mocap::{
+    codec::{BitstreamVersion, ClientMessage, DecodeError, RigidBody, ServerMessage},
+    encode::{self, FrameContent},
 };
-use singletrack_mocap::encode::{self, FrameContent};
 
-use crate::strategies::any_frame;
-use crate::{all_versions, encoded, with_fitting_header};
+use crate::{all_versions, encoded, strategies::any_frame, with_fitting_header};
 
 /// Decodes a datagram and reads every value of the message.
 fn exercise(datagram: &[u8], version: BitstreamVersion) {

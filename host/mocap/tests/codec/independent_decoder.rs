@@ -1,17 +1,15 @@
 //! An independent decoder reads the encoded messages.
 
-use core::net::Ipv4Addr;
-use core::num::NonZeroU64;
+use core::{net::Ipv4Addr, num::NonZeroU64};
 
 use natnet::{DataSet, Decoder, FrameOfData, Message, ParsePolicy, Version};
 use proptest::prelude::*;
-use singletrack_mocap::codec::{
-    BitstreamVersion, Connection, DataChannel, RigidBodyDefinition, ServerInfo,
+use singletrack_mocap::{
+    codec::{BitstreamVersion, Connection, DataChannel, RigidBodyDefinition, ServerInfo},
+    encode::{self, Dataset, DefinitionMarker},
 };
-use singletrack_mocap::encode::{self, Dataset, DefinitionMarker};
 
-use crate::encoded;
-use crate::strategies::any_frame;
+use crate::{encoded, strategies::any_frame};
 
 /// The versions that both decoders read.
 const SHARED: [BitstreamVersion; 4] = [

@@ -1,14 +1,15 @@
 //! Every message other than frames and model definitions.
 
-use core::net::Ipv4Addr;
-use core::num::NonZeroU64;
+use core::{net::Ipv4Addr, num::NonZeroU64};
 
 use proptest::prelude::*;
-use singletrack_mocap::codec::{
-    BitstreamVersion, ClientMessage, Connect, Connection, DataChannel, DecodeError, Echo, Response,
-    ServerInfo, ServerMessage, UnsupportedVersion, bitstream_request,
+use singletrack_mocap::{
+    codec::{
+        BitstreamVersion, ClientMessage, Connect, Connection, DataChannel, DecodeError, Echo,
+        Response, ServerInfo, ServerMessage, UnsupportedVersion, bitstream_request,
+    },
+    encode::{self, EncodeError},
 };
-use singletrack_mocap::encode::{self, EncodeError};
 
 use crate::{encoded, with_fitting_header};
 

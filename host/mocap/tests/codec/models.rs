@@ -1,18 +1,20 @@
 //! Model definitions.
 
-use proptest::collection::vec;
-use proptest::prelude::*;
-use singletrack_mocap::codec::{
-    BitstreamVersion, DecodeError, ModelDefinitions, RigidBodyDefinition, ServerMessage,
+use proptest::{collection::vec, prelude::*};
+use singletrack_mocap::{
+    codec::{BitstreamVersion, DecodeError, ModelDefinitions, RigidBodyDefinition, ServerMessage},
+    encode::{self, Dataset, DefinitionMarker},
 };
-use singletrack_mocap::encode::{self, Dataset, DefinitionMarker};
 
-use crate::strategies::{name, number};
-use crate::{all_versions, encoded, with_fitting_header};
+use crate::{
+    all_versions, encoded,
+    strategies::{name, number},
+    with_fitting_header,
+};
 
 type OwnedBody = (String, i32, i32, [f32; 3]);
 
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 enum OwnedDataset {
     RigidBody(OwnedBody, Vec<([f32; 3], i32, String)>),
     MarkerSet(String, Vec<String>),

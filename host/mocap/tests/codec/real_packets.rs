@@ -1,8 +1,7 @@
 //! Packets captured from real Motive servers. The published package `natnet-decode`
 //! contains them; they are read from the folder into which cargo unpacked it.
 
-use std::path::PathBuf;
-use std::process::Command;
+use std::{path::PathBuf, process::Command};
 
 use singletrack_mocap::codec::{
     BitstreamVersion, Frame, ServerInfo, ServerMessage, UnsupportedVersion,

@@ -1,11 +1,15 @@
 //! Frames are decoded to the values that were encoded.
 
 use proptest::prelude::*;
-use singletrack_mocap::codec::{BitstreamVersion, RigidBody, SectionCounts, ServerMessage};
-use singletrack_mocap::encode::{self, Asset, EncodeError, FrameContent, Sections};
+use singletrack_mocap::{
+    codec::{BitstreamVersion, RigidBody, SectionCounts, ServerMessage},
+    encode::{self, Asset, EncodeError, FrameContent, Sections},
+};
 
-use crate::all_versions;
-use crate::strategies::{AnyFrame, any_frame};
+use crate::{
+    all_versions,
+    strategies::{AnyFrame, any_frame},
+};
 
 fn assert_round_trip(frame: &AnyFrame, version: BitstreamVersion) {
     let datagram = frame.encode(version);

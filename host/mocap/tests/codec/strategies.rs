@@ -1,17 +1,16 @@
 //! Arbitrary frames.
 
-use proptest::collection::vec;
-use proptest::prelude::*;
-use singletrack_mocap::codec::{
-    BitstreamVersion, CameraTicks, FrameFlags, PrecisionTime, RigidBody,
-};
-use singletrack_mocap::encode::{
-    self, AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections,
-    Skeleton,
+use proptest::{collection::vec, prelude::*};
+use singletrack_mocap::{
+    codec::{BitstreamVersion, CameraTicks, FrameFlags, PrecisionTime, RigidBody},
+    encode::{
+        self, AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections,
+        Skeleton,
+    },
 };
 
 /// The content of a frame, owned.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct AnyFrame {
     pub(crate) number: i32,
     pub(crate) rigid_bodies: Vec<RigidBody>,

@@ -1,8 +1,10 @@
 //! Observations keep their bits: records of one release replay in the next.
 
-use singletrack_mocap::UpAxis;
-use singletrack_mocap::codec::RigidBody;
-use singletrack_mocap::planar::{PlanarPose, PoseState};
+use singletrack_mocap::{
+    UpAxis,
+    codec::RigidBody,
+    planar::{PlanarPose, PoseState},
+};
 
 use crate::world::{CAR, Frame, MS, UNICAST, World, config, jitter};
 

@@ -1,16 +1,15 @@
 //! The camera session by itself: whole poses of every body.
 
-use std::f64::consts::FRAC_1_SQRT_2;
-use std::num::NonZeroU64;
+use std::{f64::consts::FRAC_1_SQRT_2, num::NonZeroU64};
 
-use singletrack_mocap::codec::{
-    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
-    RigidBody, RigidBodyDefinition, ServerInfo,
-};
-use singletrack_mocap::encode::{self, Dataset, EncodeError, FrameContent};
 use singletrack_mocap::{
     Binding, BodyPose, BodyState, CaptureTimeSource, DatagramOutcome, InvalidBody, PoseFrame,
     Session, SessionConfig, SessionEvent, UpAxis,
+    codec::{
+        BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+        RigidBody, RigidBodyDefinition, ServerInfo,
+    },
+    encode::{self, Dataset, EncodeError, FrameContent},
 };
 
 use crate::world::{MS, SERVER, TICKS_PER_SECOND, UNICAST};

@@ -1,9 +1,11 @@
 //! When a frame was captured, on the local clock.
 
 use proptest::prelude::*;
-use singletrack_mocap::codec::BitstreamVersion;
-use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
-use singletrack_mocap::{CaptureTimeSource, RestartReason, SessionEvent};
+use singletrack_mocap::{
+    CaptureTimeSource, RestartReason, SessionEvent,
+    codec::BitstreamVersion,
+    planar::{PlanarPose, PoseState, RejectReason},
+};
 
 use crate::world::{Frame, MS, S, UNICAST, World, config, jitter};
 

@@ -2,12 +2,10 @@
 
 use std::net::SocketAddr;
 
-use singletrack_mocap::codec::{BitstreamVersion, UnsupportedVersion};
-use singletrack_mocap::planar::{
-    PlanarConfig, PlanarConfigError, PlanarOutcome, PlanarSession, PoseState,
-};
 use singletrack_mocap::{
     Binding, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
+    codec::{BitstreamVersion, UnsupportedVersion},
+    planar::{PlanarConfig, PlanarConfigError, PlanarOutcome, PlanarSession, PoseState},
 };
 
 use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};

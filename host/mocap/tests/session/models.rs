@@ -1,8 +1,10 @@
 //! The streaming id of the body's name.
 
-use singletrack_mocap::Binding;
-use singletrack_mocap::codec::{FrameFlags, RigidBody};
-use singletrack_mocap::planar::PoseState;
+use singletrack_mocap::{
+    Binding,
+    codec::{FrameFlags, RigidBody},
+    planar::PoseState,
+};
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, config};
 

@@ -1,11 +1,15 @@
 //! Which poses are accepted.
 
-use std::f32::consts::{FRAC_1_SQRT_2, PI};
-use std::f64::consts::FRAC_PI_2;
+use std::{
+    f32::consts::{FRAC_1_SQRT_2, PI},
+    f64::consts::FRAC_PI_2,
+};
 
-use singletrack_mocap::UpAxis;
-use singletrack_mocap::codec::RigidBody;
-use singletrack_mocap::planar::{PlanarPose, PoseState, RejectReason};
+use singletrack_mocap::{
+    UpAxis,
+    codec::RigidBody,
+    planar::{PlanarPose, PoseState, RejectReason},
+};
 
 use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config};
 

@@ -1,7 +1,9 @@
 //! Order of frames, and streams that break.
 
-use singletrack_mocap::planar::{PlanarOutcome, PoseState};
-use singletrack_mocap::{Phase, RestartReason, SessionEvent};
+use singletrack_mocap::{
+    Phase, RestartReason, SessionEvent,
+    planar::{PlanarOutcome, PoseState},
+};
 
 use crate::world::{Frame, MS, S, Sent, UNICAST, World, config};
 

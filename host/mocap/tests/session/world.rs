@@ -1,17 +1,19 @@
 //! A server, a network and a session that share one virtual clock.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::num::NonZeroU64;
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    num::NonZeroU64,
+};
 
-use singletrack_mocap::codec::{
-    BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
-    RigidBody, RigidBodyDefinition, ServerInfo, bitstream_request,
+use singletrack_mocap::{
+    Binding, SessionEvent, Transport, UpAxis,
+    codec::{
+        BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
+        RigidBody, RigidBodyDefinition, ServerInfo, bitstream_request,
+    },
+    encode::{self, Dataset, FrameContent},
+    planar::{Observation, PlanarConfig, PlanarEvent, PlanarOutcome, PlanarSession, PoseState},
 };
-use singletrack_mocap::encode::{self, Dataset, FrameContent};
-use singletrack_mocap::planar::{
-    Observation, PlanarConfig, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
-};
-use singletrack_mocap::{Binding, SessionEvent, Transport, UpAxis};
 
 pub(crate) const MS: u64 = 1_000_000;
 pub(crate) const S: u64 = 1_000 * MS;
@@ -120,7 +122,7 @@ impl Server {
 }
 
 /// The part of a client's message that tests check.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Sent {
     Connect,
     Request(String),
@@ -309,7 +311,7 @@ fn keep(event: PlanarEvent, events: &mut Vec<SessionEvent>, bindings: &mut Vec<B
 }
 
 /// A frame to be sent.
-#[derive(Debug, Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Frame {
     pub(crate) number: i32,
     pub(crate) bodies: Vec<RigidBody>,

@@ -37,12 +37,12 @@ pub use config::SupervisorConfig;
 pub use mode::Mode;
 pub use reason::Reason;
 
-use checks::LatestState;
 use singletrack_control::Time;
 
 use crate::event::{
     BoardHealth, BoardState, LineHealth, LinkState, PilotRequest, PoseMissing, RealTimeState,
 };
+use checks::LatestState;
 
 /// The time between the command to stand and the disarm of a car that the cameras do
 /// not see, s. Its wheels may still turn: a motor at neutral needs no commands, and the

@@ -80,8 +80,9 @@ const fn count(counter: &mut u32, again: bool) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use singletrack_control::Time;
+
+    use super::*;
 
     fn sample(yaw_rate: f64, forward_acceleration: f64) -> InertialSample {
         InertialSample {

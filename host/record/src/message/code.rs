@@ -3,8 +3,9 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PoseMissing, Reason};
+use singletrack_pilot::{
+    BoardRequest, BoardState, LinkState, Mode, PilotRequest, PoseMissing, Reason,
+};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
 use super::{

@@ -1,9 +1,9 @@
 //! The events of a tick, exactly: a replay starts from them.
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint};
-use singletrack_pilot::PilotRequest;
 use singletrack_pilot::{
-    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PoseMissing, RealTimeState,
+    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PilotRequest, PoseMissing,
+    RealTimeState,
 };
 
 use super::{

@@ -1,7 +1,6 @@
 //! Authority: the car drives only on request, and stops on request.
 
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Event, Mode};
+use singletrack_pilot::{Event, Mode, PilotRequest};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
 
 use super::{Invariant, SERVO_US, Verdict};

@@ -1,7 +1,6 @@
 //! Neutral within the specified time of each stop cause.
 
-use singletrack_pilot::PilotRequest;
-use singletrack_pilot::{Event, Mode};
+use singletrack_pilot::{Event, Mode, PilotRequest};
 use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};

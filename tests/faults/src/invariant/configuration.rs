@@ -6,7 +6,7 @@ use singletrack_protocol::ToBoard;
 use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
-/// `reconfigured-underway`: no tick of a drive takes another configuration over.
+/// `reconfigured-underway`: no configuration comes into force during a drive.
 #[derive(Default)]
 pub(super) struct ReconfiguredUnderway {
     last: Option<Mode>,

@@ -8,13 +8,13 @@ use crate::{
     schedule::{FaultKind, FaultTarget},
 };
 
-/// Largest change of the period while the car stands and while it is underway, as
-/// parts of the period.
+/// Largest slide of the grid in a tick while the car stands and while it is underway, as
+/// a divisor of the period.
 const SLIDE_STANDING: u64 = 20;
 const SLIDE_UNDERWAY: u64 = 500;
 
-/// `tick-grid`: the points of the grid are a period apart, but for the slide towards
-/// the cameras; no tick begins before its point, nor after the next.
+/// `tick-grid`: the deadlines are a period apart, except for the slide towards the
+/// cameras; a tick begins between its deadline and the next one.
 #[derive(Default)]
 pub(super) struct TickGrid {
     last: Option<(u64, Mode)>,
@@ -58,9 +58,9 @@ impl Invariant for TickGrid {
     }
 }
 
-/// `camera-alignment`: with nothing wrong for 6 s, a tick begins 0.5 to 4.5 ms after
-/// a frame has arrived: the aim of 2 ms, the host's 1 ms of polling, and half a
-/// millisecond of slide.
+/// `camera-alignment`: after 6 s without disturbance, a tick begins 0.5 to 4.5 ms after
+/// the arrival of a frame: the target of 2 ms, the host's polling interval of 1 ms, and
+/// 0.5 ms of slide.
 #[derive(Default)]
 pub(super) struct CameraAlignment {
     calm_from_us: u64,

@@ -159,7 +159,7 @@ fn requests(random: &mut Random, end_ms: u32, faults: &[Fault]) -> Vec<Scheduled
             });
         }
     }
-    // A configuration is changed between two drives, or when somebody errs.
+    // A configuration is changed between two drives, or by mistake during one.
     if random.happens(500) {
         for _ in 0..random.between(1, 3) {
             requests.push(ScheduledRequest {

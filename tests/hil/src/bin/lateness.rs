@@ -150,7 +150,7 @@ fn cyclictest(seconds: u64) -> Outcome<Vec<f64>> {
         .args(["--histogram", BUCKETS, "--duration"])
         .arg(format!("{seconds}s"))
         .output()
-        .map_err(Failure::system("cannot run cyclictest (install rt-tests)"))?;
+        .map_err(Failure::system("can't run cyclictest (install rt-tests)"))?;
     ensure!(
         output.status.success(),
         "cyclictest: {}",
@@ -182,7 +182,7 @@ impl Load {
             .stdin(Stdio::null())
             .spawn()
             .map(Self)
-            .map_err(Failure::system("cannot load a processor (taskset)"))
+            .map_err(Failure::system("can't load a processor (taskset)"))
     }
 }
 

@@ -38,7 +38,7 @@ impl Canary {
         let far_end = OpenOptions::new()
             .read(true)
             .open(pty.path())
-            .map_err(Failure::system("cannot open a pseudo-terminal"))?;
+            .map_err(Failure::system("can't open a pseudo-terminal"))?;
         let late_us = Arc::new(AtomicU64::new(0));
         let stop = Arc::new(AtomicBool::new(false));
         let (worst_us, stopped) = (Arc::clone(&late_us), Arc::clone(&stop));
@@ -48,7 +48,7 @@ impl Canary {
                 raise_priority();
                 measure(&pty, far_end, &worst_us, &stopped);
             })
-            .map_err(Failure::system("cannot start a thread"))?;
+            .map_err(Failure::system("can't start a thread"))?;
         Ok(Self {
             late_us,
             stop,

@@ -76,7 +76,7 @@ impl PhysicalRig {
             .open_native()
             .map_err(|error| {
                 Failure::new(format!(
-                    "cannot open {}: {error}; is the UNO plugged in, and are you in its group (dialout)?",
+                    "can't open {}: {error}; is the UNO plugged in, and are you in its group (dialout)?",
                     port.display()
                 ))
             })?;
@@ -114,7 +114,7 @@ impl PhysicalRig {
                 raise_priority();
                 line.run(&stopped);
             })
-            .map_err(Failure::system("cannot start the line's thread"))?;
+            .map_err(Failure::system("can't start the line's thread"))?;
         let mut rig = Self {
             canary: Canary::start()?,
             fresh: false,
@@ -274,9 +274,9 @@ impl Rig for PhysicalRig {
 pub(crate) fn lacks(need: Need) -> Option<&'static str> {
     match need {
         Need::Reset => Some("the harness has no reset line to a physical UNO"),
-        Need::MotorSensor => Some("the harness cannot cut the motor sensor of a physical car"),
-        Need::StopSwitch => Some("the harness cannot open the stop switch of a physical car"),
-        Need::Image => Some("the harness cannot make the processor of a physical UNO fail"),
+        Need::MotorSensor => Some("the harness can't cut the motor sensor of a physical car"),
+        Need::StopSwitch => Some("the harness can't open the stop switch of a physical car"),
+        Need::Image => Some("the harness can't make the processor of a physical UNO fail"),
         Need::FreshBoard => None,
     }
 }
@@ -335,7 +335,7 @@ impl Line {
         self.damage.apply(&mut self.to_board, line.corrupt);
         self.uno
             .write_all(&self.to_board)
-            .map_err(|error| format!("cannot write to the UNO: {error}"))?;
+            .map_err(|error| format!("can't write to the UNO: {error}"))?;
         self.to_board.clear();
         Ok(())
     }
@@ -345,7 +345,7 @@ impl Line {
         let count = match self.uno.read(&mut buffer) {
             Ok(count) => count,
             Err(error) if error.kind() == std::io::ErrorKind::TimedOut => 0,
-            Err(error) => return Err(format!("cannot read from the UNO: {error}")),
+            Err(error) => return Err(format!("can't read from the UNO: {error}")),
         };
         let (car, shared) = (&self.car, &self.shared);
         let mut stopped = false;

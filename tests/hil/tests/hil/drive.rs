@@ -99,7 +99,7 @@ fn assert_replays(bench: &mut Bench) -> Outcome {
         .args(["replay", "--verify"])
         .arg(record)
         .output()
-        .map_err(Failure::system(format!("cannot run {}", tool.display())))?;
+        .map_err(Failure::system(format!("can't run {}", tool.display())))?;
     ensure!(
         output.status.success(),
         "{}",

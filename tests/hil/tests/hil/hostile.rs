@@ -100,7 +100,7 @@ fn frame_of(number: u32) -> Vec<u8> {
 fn udp_ports(process: u32) -> Outcome<Vec<u16>> {
     let folder = format!("/proc/{process}/fd");
     let inodes: HashSet<String> = std::fs::read_dir(&folder)
-        .map_err(Failure::system(format!("cannot read {folder}")))?
+        .map_err(Failure::system(format!("can't read {folder}")))?
         .flatten()
         .filter_map(|entry| {
             let target = std::fs::read_link(entry.path()).ok()?;
@@ -110,7 +110,7 @@ fn udp_ports(process: u32) -> Outcome<Vec<u16>> {
         .collect();
     let table = format!("/proc/{process}/net/udp");
     let text =
-        std::fs::read_to_string(&table).map_err(Failure::system(format!("cannot read {table}")))?;
+        std::fs::read_to_string(&table).map_err(Failure::system(format!("can't read {table}")))?;
     // sl local_address rem_address st queues tr tm->when retrnsmt uid timeout inode
     Ok(text
         .lines()

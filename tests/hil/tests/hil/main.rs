@@ -103,7 +103,7 @@ const ATTEMPTS: u64 = 4;
 const PAUSE: Duration = Duration::from_secs(3);
 
 /// Lateness of the rig above which a failure is not valid: the time to live of a
-/// command is 95 ms, of which the simulator must not use up half.
+/// command is 95 ms; the simulator must not use up half of that.
 const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
 
 fn main() -> ExitCode {

@@ -5,8 +5,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::error::DemoError;
 use singletrack_figures::plot::{FigureKind, REPORT};
+
+use super::error::DemoError;
 
 /// The files of a demo.
 pub(super) const RECORD: &str = "demo.mcap";

@@ -18,16 +18,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use board_figures::BoardFigures;
-use files::{CONFIGURATION, RECORD, SIMULATION, prepare, write};
-use outcome::{Drive, Ended};
-use progress::Progress;
-use singletrack_pilot::Mode;
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Mode, PilotRequest};
 use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot, StartOptions};
 
 use crate::interrupt::Interrupt;
+use board_figures::BoardFigures;
+use files::{CONFIGURATION, RECORD, SIMULATION, prepare, write};
+use outcome::{Drive, Ended};
+use progress::Progress;
 
 pub use arguments::DemoArgs;
 pub use error::DemoError;

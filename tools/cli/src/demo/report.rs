@@ -3,7 +3,11 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
+use singletrack_figures::plot::{
+    self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_figures, write_report,
+};
 use singletrack_pilot::Reason;
+use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 use singletrack_sim::{LossPattern, TimedTruth};
 use singletrackd::{Percentiles, Summary};
 
@@ -15,10 +19,6 @@ use super::{
     outcome::Drive,
     settings,
 };
-use singletrack_figures::plot::{
-    self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_figures, write_report,
-};
-use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
 /// `summary.json`.
 #[derive(Serialize)]

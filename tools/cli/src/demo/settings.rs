@@ -5,12 +5,12 @@ use std::{net::Ipv4Addr, path::Path};
 use serde::Serialize;
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
     RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
 
 use super::arguments::DemoArgs;
-use singletrack_scenario::simulated::{self, daemon_config};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;

@@ -4,11 +4,11 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::Value;
 
-use super::words::words;
 use super::{
     DumpError,
     kind::{Kind, Place, check_field},
     source::Row,
+    words::words,
 };
 
 /// A condition such as `mode=driving` or `lateness_ns>500000`.

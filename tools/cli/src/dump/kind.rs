@@ -147,7 +147,7 @@ pub(super) fn check_field<'a>(
     })
 }
 
-/// The name that was probably meant: one of which it is a part, or one that
+/// The name that was probably meant: one that contains it, or one that
 /// differs by little, in whole or in its last part.
 fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     const ALIKE: f64 = 0.6;

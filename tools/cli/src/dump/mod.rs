@@ -17,16 +17,16 @@ use std::{
 };
 
 use clap::Args;
-use filter::{Filter, Verdict};
-use format::Printer;
-use kind::Kind;
 use singletrack_core::config::{SerialSection, SocketSection};
 use singletrack_record::{Topic, Value};
 use singletrack_sim::{LossPatternError, parse_duration_us};
-use source::{Close, Line, Live, Next, Place, Record, Row, Source};
-use stats::Stats;
 
 use crate::interrupt::Interrupt;
+use filter::{Filter, Verdict};
+use format::Printer;
+use kind::Kind;
+use source::{Close, Line, Live, Next, Place, Record, Row, Source};
+use stats::Stats;
 
 pub use error::DumpError;
 pub use filter::{Condition, ParseConditionError};
@@ -35,7 +35,7 @@ pub use moment::{Moment, ParseTimeError};
 pub use source::Direction;
 
 /// Options of `singletrack dump`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct DumpArgs {
     /// The source: a record, the running daemon, a serial port, or a capture of its bytes.

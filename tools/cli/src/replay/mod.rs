@@ -26,7 +26,7 @@ pub use verdict::{Deviation, Deviations};
 use span::Span;
 
 /// Options of `singletrack replay`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct ReplayArgs {
     /// A record (*.mcap, or *.mcap.part).
     pub log: PathBuf,

@@ -5,12 +5,12 @@ use std::{
     path::Path,
 };
 
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
 use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
 use singletrack_statistics::RootMeanSquare;
 
 use super::span::Span;
-use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
 
 /// Who makes records, as they name it.
 const DAEMON: &str = "singletrackd";

@@ -191,7 +191,7 @@ fn a_capture_on_standard_input_is_printed_as_one_in_a_file() {
 }
 
 #[test]
-fn bytes_to_the_board_are_understood_when_told_so() {
+fn bytes_to_the_board_are_decoded_with_the_option_for_it() {
     let folder = tempfile::tempdir().unwrap();
     // A name that says record, and bytes that are none.
     let path = folder.path().join("to_board.mcap");
@@ -389,7 +389,7 @@ fn a_serial_port_is_counted_for_as_long_as_asked() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    // Nothing tells from outside when it has opened the port.
+    // From outside it is not visible when it has opened the port.
     thread::sleep(Duration::from_millis(700));
     for index in [1, 2, 5] {
         let bytes = telemetry(10_000 * index);

@@ -187,7 +187,7 @@ fn errors_name_the_file_and_what_to_do() {
             &[],
             "notes.mcap is not an MCAP file: name a record",
         ),
-        (&missing, &[], "cannot open"),
+        (&missing, &[], "can't open"),
         (&missing, &[], "missing.mcap"),
         (
             &path,

@@ -225,7 +225,7 @@ pub struct Isoline {
 }
 
 impl Isoline {
-    /// A line labelled by its value, with so many digits behind the point.
+    /// A line labelled by its value, with this number of decimals.
     #[must_use]
     pub fn new(value: f64, decimals: usize) -> Self {
         let label = super::scale::minus(format!("{value:.decimals$}"));

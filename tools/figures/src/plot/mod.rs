@@ -25,7 +25,7 @@ pub use read::Record;
 use drive::Drive;
 
 /// Options of `singletrack plot`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct PlotArgs {
     /// A record (*.mcap, or *.mcap.part if it is unfinished or truncated).
     pub record: PathBuf,

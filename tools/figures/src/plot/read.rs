@@ -19,7 +19,7 @@ pub struct Record {
     pub meta: Meta,
     /// The drives in it.
     pub recording: Recording,
-    /// What whoever reads the figures must know: that it is unfinished, or damaged.
+    /// Notes for the reader of the figures: that the record is unfinished or damaged.
     pub notes: Vec<String>,
 }
 

@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_configuration_the_law_with_its_error_is_told() {
+    fn the_summary_states_the_law_with_its_error() {
         let lines = configured(
             "[law]\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.26\n\
              [vehicle]\nfront_axle_distance_m = 0.1368\n\

@@ -1,16 +1,16 @@
-//! From the entries of a record to what the identification needs: what a real car
-//! has, and never the simulator's truth.
+//! Collects the data of the identification from the entries of a record: only data that
+//! a real car has too, never the simulator's truth.
 
 use std::path::{Path, PathBuf};
 
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
 use singletrack_control::{VehicleParameters, direction};
 use singletrack_core::{Config, ConfigError};
+use singletrack_figures::plot;
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, TelemetryRecord, Topic, seconds_since};
 
 use super::IdentifyError;
-use singletrack_figures::plot;
 
 /// A drive of a record.
 #[derive(Clone, Debug)]
@@ -23,11 +23,11 @@ pub struct RecordedDrive {
     pub vehicle: VehicleParameters,
     /// What was measured, in s since the drive began.
     pub data: DriveData,
-    /// What whoever reads the result must know of the record.
+    /// Notes on the record for the reader of the result.
     pub notes: Vec<String>,
 }
 
-/// Servo pulses and samples from so long before a drive are of use, in ns.
+/// Servo pulses and samples are used from this time before the drive on, in ns.
 const LEAD_NS: u64 = 1_000_000_000;
 
 /// Reads the drive with this number, from 1, or the longest.
@@ -52,7 +52,7 @@ pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, Identif
     let end_ns = drive.start_ns + (drive.duration() * 1e9) as u64;
     let mut collector = Collector::new(&config, drive.start_ns).map_err(unusable)?;
     let mut reader = Reader::open(&record.path)?.only(&[Topic::Tick, Topic::Telemetry]);
-    // The notes of the record have the damage already.
+    // The notes already report the damage.
     reader.take_undamaged(|entry| collector.take(entry))?;
     let mut notes = record.notes.clone();
     let count = record.recording.drives.len();
@@ -71,7 +71,7 @@ pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, Identif
     })
 }
 
-/// Collects what the identification needs of the entries of a record, in their order.
+/// Collects the data of the identification from the entries of a record, in order.
 #[derive(Clone, Debug)]
 pub struct Collector {
     /// Zero of the times, in ns of the host's monotonic clock.
@@ -95,7 +95,7 @@ impl Collector {
     ///
     /// # Errors
     ///
-    /// When the configuration makes no sense.
+    /// When the configuration is invalid.
     pub fn new(config: &Config, start_ns: u64) -> Result<Self, ConfigError> {
         let estimator = config.pilot()?.estimator;
         Ok(Self {
@@ -126,7 +126,7 @@ impl Collector {
                             y_m: pose.position.y - (along.y * forward + along.x * left),
                             yaw_rad: yaw,
                         };
-                        // A late one is of no use.
+                        // A late one is not used.
                         let last = self.data.poses.last();
                         if last.is_none_or(|last| pose.time_s > last.time_s) {
                             self.data.poses.push(pose);
@@ -183,7 +183,7 @@ impl Collector {
         seconds_since(self.start_ns, time_ns)
     }
 
-    /// What was collected until `end_ns` of the host's monotonic clock.
+    /// The data collected until `end_ns` of the host's monotonic clock.
     #[must_use]
     pub fn until(mut self, end_ns: u64) -> DriveData {
         let end_s = self.seconds(end_ns);

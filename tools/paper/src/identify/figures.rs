@@ -1,17 +1,17 @@
-//! What the drive did and what the identified model does, as in the paper's figures of
-//! its validation; and the prediction errors.
+//! Drive and identified model, as in the paper's figures of the validation, and the
+//! prediction errors.
 
 use std::sync::Arc;
 
 use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
-
-use super::{Identified, Report};
 use singletrack_figures::figure::{
     Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width,
 };
 
-/// Of a long drive the figures over time show this much from its middle, in s: on paper
-/// more can't be told apart.
+use super::{Identified, Report};
+
+/// The longest span of the figures over time, in s, from the middle of a long drive: a
+/// longer one is not legible on paper.
 const SHOWN: f64 = 10.0;
 const MEASURED: &str = "measured";
 const MODEL: &str = "model";

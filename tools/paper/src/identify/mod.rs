@@ -20,17 +20,17 @@ use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
 use singletrack_core::ConfigError;
+use singletrack_figures::plot::PlotError;
 use singletrack_record::RecordError;
 
 use crate::vehicle_file::{self, VehicleFileError};
-use singletrack_figures::plot::PlotError;
 
 pub use collect::{Collector, RecordedDrive, read};
 pub use figures::figures;
 pub use report::{Identified, Report};
 
 /// Options of `singletrack identify`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
     /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
     pub record: PathBuf,
@@ -139,7 +139,7 @@ pub enum IdentifyError {
     /// The vehicle file.
     #[error(transparent)]
     Vehicle(#[from] VehicleFileError),
-    /// A speed that is none.
+    /// An invalid speed.
     #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
     LeastSpeed(f64),
     /// The drive does not determine the parameters.
@@ -157,7 +157,7 @@ pub enum IdentifyError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// The folder has a vehicle file that this command did not write.
@@ -257,8 +257,8 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
     })
 }
 
-/// Sees, before anything is computed, that `folder` can be written to and that no
-/// vehicle file that somebody keeps there is lost.
+/// Checks, before anything is computed, that `folder` can be written to and has no
+/// vehicle file of the user's that would be lost.
 fn prepare(folder: &Path) -> Result<(), IdentifyError> {
     fs::create_dir_all(folder)
         .and_then(|()| tempfile::tempfile_in(folder).map(drop))

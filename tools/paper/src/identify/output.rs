@@ -130,10 +130,10 @@ fn score(score: &Score) -> Value {
     json!({ "nmpe": score.nmpe, "outputs": outputs.collect::<Vec<_>>() })
 }
 
-/// How a vehicle file of ours begins.
+/// The beginning of a vehicle file of this command.
 pub(super) const VEHICLE_FILE_BEGINS: &str = "# Identified by singletrack ";
 
-/// A vehicle file, which a daemon's configuration can take over.
+/// A vehicle file, which a daemon's configuration can use.
 pub(super) fn vehicle_file(report: &Report) -> String {
     let identification = &report.identified.identification;
     let vehicle = identification.vehicle();
@@ -175,13 +175,13 @@ pub(super) fn vehicle_file(report: &Report) -> String {
             vehicle.rear_cornering_stiffness_n_rad,
         ),
     ] {
-        // With a point or an exponent, as TOML wants it of a float.
+        // With a point or an exponent, as TOML requires for a float.
         text += &format!("{key} = {value:?}\n");
     }
     text
 }
 
-/// Slowest and fastest of what was used, in m/s.
+/// Lowest and highest speed of the data, in m/s.
 pub(super) fn speeds(identification: &Identification) -> [f64; 2] {
     let speeds = identification.track.iter().map(|point| point.speed_m_s);
     speeds.fold([f64::INFINITY, 0.0], |[least, most], speed| {

@@ -1,4 +1,4 @@
-//! What was identified.
+//! The result of an identification.
 
 use std::path::PathBuf;
 

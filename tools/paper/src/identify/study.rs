@@ -1,5 +1,5 @@
-//! How good the identification is: the same drive under many seeds of the simulator's
-//! noise, beside the truth and beside what no estimate can be better than.
+//! The accuracy of the identification: the same drive under many seeds of the simulator's
+//! noise, compared with the truth and with the Cramér-Rao bound.
 
 use std::{
     path::Path,
@@ -15,12 +15,12 @@ use singletrack_analysis::identification::{
 };
 use singletrack_control::VehicleParameters;
 use singletrack_core::{Config, ConfigError};
+use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
 use singletrack_sim::{CameraParameters, ImuParameters, ServoParameters};
 
 use super::Collector;
-use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
 
-/// The drive that is identified from.
+/// The drive for the identification.
 pub const SCENARIO: &str = include_str!("../../../scenarios/identify-car.toml");
 /// Another one, for validation.
 pub const VALIDATION: &str = include_str!("../../../scenarios/identify-car-validation.toml");
@@ -36,12 +36,12 @@ pub struct Study {
     pub seeds: Vec<SeedResult>,
 }
 
-/// What one seed gave.
+/// The result of one seed.
 #[derive(Clone, Debug)]
 pub struct SeedResult {
     /// The seed.
     pub seed: u64,
-    /// What was identified.
+    /// The identified parameters.
     pub identification: Identification,
     /// The smallest standard deviations of `C_f`, `C_r` and `I_z` (Cramér and Rao), with
     /// the simulator's noise.
@@ -74,7 +74,7 @@ pub struct Summary {
 /// Why there is no study.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    /// A scenario is none.
+    /// A scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// A drive can't be simulated.
@@ -93,7 +93,7 @@ pub enum StudyError {
         /// Why.
         source: Box<ConfigError>,
     },
-    /// A drive says nothing.
+    /// A drive does not determine the parameters.
     #[error("seed {seed}: {source}")]
     Identification {
         /// Under which seed.
@@ -104,14 +104,14 @@ pub enum StudyError {
 }
 
 /// Simulates the drive for identification under each seed, identifies the car from it
-/// and validates that on the other drive under another seed. `progress` is told how many
-/// are done, from any thread.
+/// and validates that on the other drive under another seed. `progress` gets the
+/// number of completed seeds, on any thread.
 ///
 /// Every fit starts from a car that is wrong by 30 to 40 %.
 ///
 /// # Errors
 ///
-/// The first drive that says nothing.
+/// The first drive that does not determine the parameters.
 pub fn run_study(seeds: &[u64], progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
     let truth = scenario(SCENARIO, 0)?.vehicle;
     let start = VehicleParameters {
@@ -239,7 +239,7 @@ fn simulated_noise() -> NoiseLevels {
 }
 
 impl Study {
-    /// What all seeds together say of `C_f`, `C_r` and `I_z`.
+    /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
     #[must_use]
     pub fn summaries(&self) -> [Summary; 3] {
         let values = Values::of(&self.truth);

@@ -1,5 +1,4 @@
-//! The claims, each with the criterion by which a number agrees with it: the one place
-//! where numbers and tolerances stand.
+//! The claims, each with its criterion: the only place with numbers and tolerances.
 
 mod analyses;
 mod claim;

@@ -1,8 +1,10 @@
-//! Trajectory tracking: P round a circle, from several starts.
+//! Trajectory tracking: P along a circle, from several starts.
 
 use std::f64::consts::TAU;
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
+use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
 use super::{
     Setup,
@@ -14,8 +16,6 @@ use super::{
     setup::{GAIN, TURN_RATE},
     text::{number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
-use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
 /// Where P starts.
 struct Start {
@@ -26,8 +26,8 @@ struct Start {
     yaw_deg: f64,
 }
 
-/// P on the path, this far behind its reference, in rad: a reference without any
-/// distance asks for standstill, where the paper's model is singular.
+/// Start of P on the path behind its reference, in rad. At distance zero the position loop
+/// commands standstill, where the paper's model is singular.
 const BEHIND: f64 = 0.1;
 
 /// The paper's car starts outside.
@@ -82,7 +82,7 @@ pub(super) fn experiment(
         },
         start_m: point.map(|coordinate| coordinate * setup.radius_m()),
         yaw_deg,
-        // The last turn of it must be free of the start.
+        // The start must have no effect on the last turn.
         duration_s: if setup.quick { 30.0 } else { 40.0 },
         losses: Vec::new(),
     }
@@ -102,7 +102,7 @@ fn tracking(run: &Run) -> Option<Tracking> {
     last_turn(&samples, [0.0; 2], TURN_RATE)
 }
 
-/// What was driven.
+/// The drives.
 struct Drives {
     /// From each start, on the ideal plant and on the car.
     tracked: Vec<(Start, [Option<Run>; 2])>,
@@ -321,7 +321,7 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
     });
 }
 
-/// How far P is behind over time, from outside and from on the path.
+/// The lag of P over time, for the starts outside and on the path.
 fn lag_plate(drives: &Drives, lag: f64, section: &mut Section) {
     let measured = section.measurements.clone();
     let wanted = [

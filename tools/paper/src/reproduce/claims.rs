@@ -1,7 +1,7 @@
-//! Claims, measurements, and whether they agree.
+//! Claims, measurements and verdicts.
 //!
-//! A claim is data: the quantity that it is about, and the criterion by which a
-//! number agrees with what the paper says. Nothing but [`judge`] gives verdicts.
+//! A claim is data: a quantity, and the criterion by which a number agrees with the
+//! paper. Only [`judge`] gives verdicts.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -21,7 +21,7 @@ impl Measurements {
         }
     }
 
-    /// Takes in all of another's.
+    /// Adds all numbers of another.
     pub fn extend(&mut self, other: Self) {
         self.0.extend(other.0);
     }
@@ -36,21 +36,21 @@ impl Measurements {
 /// The condition under which a number agrees. A number that is not finite never does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Criterion {
-    /// As far as the tolerance from a value, at most.
+    /// Within a tolerance of a value.
     Near {
         /// The value.
         value: f64,
         /// The largest difference.
         tolerance: f64,
     },
-    /// Less.
+    /// Below a bound.
     Below(f64),
-    /// More.
+    /// Above a bound.
     Above(f64),
 }
 
 impl Criterion {
-    /// Whether the number meets it.
+    /// Whether the number meets the condition.
     #[must_use]
     pub fn holds(self, measured: f64) -> bool {
         if !measured.is_finite() {
@@ -85,53 +85,53 @@ impl fmt::Display for Criterion {
 /// A number that a claim is about.
 #[derive(Clone, Debug)]
 pub struct Quantity {
-    /// What or where it is, such as the plant; empty if there is but one.
+    /// What distinguishes it, such as the plant; empty if the claim has one number only.
     pub label: &'static str,
     /// Its name among the [`Measurements`].
     pub name: String,
-    /// When it agrees with what the paper says.
+    /// The condition for agreement with the paper.
     pub agrees: Criterion,
-    /// What it is instead, where the paper slips.
+    /// The correct value, where the paper has an error.
     pub instead: Option<Criterion>,
-    /// Whether it is of the simulated car, with tolerances for the paper's: left out for
-    /// others.
+    /// Whether it comes from the simulated car, with tolerances for the paper's car; it is
+    /// left out for other cars.
     pub of_paper_car: bool,
 }
 
 /// The cars that a claim is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// It follows from the equations, whatever the car.
+    /// It follows from the equations and holds for every car.
     AnyCar,
-    /// The number is that of the paper's car.
+    /// The number holds for the paper's car.
     PaperCar,
-    /// The paper does not say enough to compare numbers.
+    /// The paper is too vague for a comparison of numbers.
     Nobody,
 }
 
 /// A statement of the paper.
 #[derive(Clone, Debug)]
 pub struct Claim {
-    /// A short name that stays.
+    /// A short, permanent name.
     pub id: &'static str,
     /// The number of the section that measures it.
     pub section: usize,
-    /// What is claimed.
+    /// The claim.
     pub claim: String,
-    /// How the paper says it.
+    /// The paper's words.
     pub paper: String,
-    /// The numbers that decide it, all of which must agree.
+    /// The numbers that decide it. All must agree.
     pub quantities: Vec<Quantity>,
     /// Their unit.
     pub unit: &'static str,
-    /// For which cars there is a verdict.
+    /// The cars that have a verdict.
     pub scope: Scope,
     /// Why it agrees, or does not.
     pub why: String,
 }
 
 impl Claim {
-    /// Whether it is known to be a slip.
+    /// Whether it is a known error of the paper.
     #[must_use]
     pub fn is_slip(&self) -> bool {
         self.quantities
@@ -140,15 +140,15 @@ impl Claim {
     }
 }
 
-/// Whether what was measured is what the paper says.
+/// Whether the measurements agree with the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// It is.
+    /// They agree.
     Agrees,
-    /// It is not.
+    /// They do not agree.
     Differs,
-    /// The paper's number is of another car, or not defined.
+    /// The paper's number belongs to another car, or is not defined.
     NotComparable,
     /// There is nothing to compare.
     NotMeasured,
@@ -176,7 +176,7 @@ pub struct Judged {
     pub measured: Vec<Option<f64>>,
     /// The verdict.
     pub verdict: Verdict,
-    /// Why the verdict is not the one that should be; none if it is.
+    /// Why the verdict is not the expected one; `None` if it is.
     pub surprise: Option<String>,
 }
 
@@ -214,7 +214,7 @@ fn judge_one(mut claim: Claim, measurements: &Measurements, paper_car: bool) -> 
         (true, None) => Verdict::Differs,
     };
     let surprise = if let Some((quantity, _)) = lacking {
-        // Another car need not be able to do all that the paper's can.
+        // Another car may not be able to run every experiment of the paper's car.
         (paper_car || claim.scope == Scope::AnyCar).then(|| {
             format!(
                 "{} was not measured: see the notes of section {}",
@@ -238,7 +238,7 @@ fn holds(criterion: Criterion, measured: Option<f64>) -> bool {
     measured.is_some_and(|measured| criterion.holds(measured))
 }
 
-/// What is wrong with a number that should agree, or should be what it is instead.
+/// Why a number does not have the expected value: that of the paper, or the correct one.
 fn unexpected(quantity: &Quantity, measured: Option<f64>, unit: &str) -> Option<String> {
     let wanted = quantity.instead.unwrap_or(quantity.agrees);
     if !holds(wanted, measured) {
@@ -255,7 +255,7 @@ fn unexpected(quantity: &Quantity, measured: Option<f64>, unit: &str) -> Option<
     None
 }
 
-/// How many verdicts are not those that should be.
+/// The number of unexpected verdicts.
 #[must_use]
 pub fn surprises(judged: &[Judged]) -> usize {
     judged
@@ -341,7 +341,7 @@ mod tests {
     fn a_number_that_the_paper_does_not_define_is_never_compared() {
         let of = |measured| verdict(claim(ONE, None, Scope::Nobody), measured, true);
         assert_eq!(of(Some(0.1)), (Verdict::NotComparable, false));
-        // But it has to be there.
+        // The number must still be measured.
         assert_eq!(of(None), (Verdict::NotComparable, true));
     }
 

@@ -1,5 +1,5 @@
-//! Both laws on the same experiment: what each needs to know, and what happens when it
-//! is wrong.
+//! Both laws on the same experiment: the parameters that each needs, and the effect of
+//! wrong ones.
 
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::{
@@ -7,6 +7,7 @@ use singletrack_control::{
     VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
 
 use super::{
     Setup,
@@ -17,14 +18,13 @@ use super::{
     steps,
     text::{metres, mm, number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
 
-/// How far behind its place the centre of mass is believed, for the paper's car, in m.
+/// The deviation dl of the laws' centre of mass to the rear, for the paper's car, in m.
 pub(super) const DEVIATION_M: f64 = 0.01;
-/// How wrong mass and stiffnesses are believed.
+/// Relative error of the wrong masses and stiffnesses.
 pub(super) const WRONG: f64 = 0.2;
 
-/// Mass and stiffnesses, as a figure sets them and by name.
+/// Mass and stiffnesses: the symbol in a figure, and the name.
 const PARAMETERS: [(&str, &str); 3] = [("$m$", "mass"), ("$C_f$", "front"), ("$C_r$", "rear")];
 
 fn scaled(vehicle: VehicleParameters, parameter: &str, factor: f64) -> VehicleParameters {
@@ -102,7 +102,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             }
         }
     }
-    // One that was not driven may have been the worst.
+    // A case without a result may have been the worst.
     if believing.len() == 2 * PARAMETERS.len() {
         let deviations = believing.iter().map(|one| one.run.largest_deviation());
         section.measurements.add(
@@ -110,7 +110,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             largest(deviations),
         );
     }
-    // The proposed law is not told any of them: only the car can differ.
+    // The proposed law uses none of them: only the car can differ.
     let own = PARAMETERS.iter().flat_map(|(_, parameter)| {
         [1.0 - WRONG, 1.0 + WRONG].map(|factor| scaled(setup.vehicle, parameter, factor))
     });
@@ -134,7 +134,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     section
 }
 
-/// A drive under the appendix's law that believes in another car.
+/// A drive under the appendix's law with the parameters of another car.
 struct Believing {
     parameter: &'static str,
     is_low: bool,
@@ -146,7 +146,7 @@ fn lasts(run: &Run) -> f64 {
     run.rows.last().map_or(0.0, |row| row.t)
 }
 
-/// Whether each law has an answer for a car that stands and is to stand: 1 or 0.
+/// Whether each law has a solution for a car at standstill that is to stay there: 1 or 0.
 fn standstill(setup: &Setup, section: &mut Section) {
     let p = setup.point_distance_m();
     let velocity = Velocity::zeros();
@@ -168,7 +168,7 @@ fn standstill(setup: &Setup, section: &mut Section) {
     }
 }
 
-/// Speeds at which the stability under wrong stiffnesses is looked at, for the paper's
+/// Speeds at which the stability under wrong stiffnesses is checked, for the paper's
 /// car, in m/s.
 const SPEEDS: [f64; 9] = [0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0];
 
@@ -202,8 +202,8 @@ fn stiffnesses(setup: &Setup, section: &mut Section) {
     section.tables.push(table);
 }
 
-/// Whether the steady motion at a speed is stable under the appendix's law that believes
-/// in another car, by Hurwitz' criterion on a Jacobian by central differences.
+/// Whether the steady motion at a speed is stable under the appendix's law with the
+/// parameters of another car, by Hurwitz' criterion on a Jacobian by central differences.
 fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
     let model = SingleTrack::new(setup.vehicle);
     let Ok(law) = VelocityPointLaw::new(believed, setup.point_distance_m()) else {
@@ -326,7 +326,7 @@ fn draw(
     parameter_plate(believing, section);
 }
 
-/// How a drive ended that did not last, in words.
+/// Why a drive ended early, in words.
 fn ended(run: Option<&Run>) -> String {
     match run {
         Some(Run {
@@ -336,7 +336,7 @@ fn ended(run: Option<&Run>) -> String {
     }
 }
 
-/// How far P is off with wrong parameters, over time.
+/// The deviation of P with wrong parameters, over time.
 fn parameter_plate(believing: &[Believing], section: &mut Section) {
     let measured = section.measurements.clone();
     let panels = PARAMETERS

@@ -1,40 +1,40 @@
-//! Driving an experiment in virtual time, on either plant.
+//! Drives of experiments in virtual time, on either plant.
 
 use singletrack_control::{Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
-use singletrack_statistics::RootMeanSquare;
-
-use super::{Setup, extreme::largest};
 use singletrack_scenario::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection, SteeringHold,
 };
+use singletrack_statistics::RootMeanSquare;
 
-/// An experiment, whatever it is driven on.
+use super::{Setup, extreme::largest};
+
+/// An experiment, independent of the plant.
 #[derive(Clone, Debug)]
 pub(super) struct Experiment {
-    /// Which law.
+    /// The law.
     pub(super) law: LawKind,
-    /// How far behind its place the law believes the centre of mass, in m.
+    /// The deviation dl of the law's centre of mass to the rear, in m.
     pub(super) deviation_m: f64,
-    /// The car that the appendix's law believes in; the car itself if none.
+    /// The car parameters that the appendix's law uses; `None` for the true ones.
     pub(super) believed: Option<VehicleParameters>,
     /// The position loop.
     pub(super) outer_loop: OuterLoopSection,
-    /// Where P should be.
+    /// The reference of P.
     pub(super) reference: ReferenceSection,
-    /// Where P starts, in m.
+    /// The start of P, in m.
     pub(super) start_m: [f64; 2],
-    /// Where the car points at first, in degrees.
+    /// The yaw at the start, in degrees.
     pub(super) yaw_deg: f64,
-    /// How long, in s.
+    /// The duration, in s.
     pub(super) duration_s: f64,
     /// When the cameras lose the markers; on the car only.
     pub(super) losses: Vec<MarkerLoss>,
 }
 
-/// A moment as the controller saw it.
+/// The state that the controller estimated at one time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub(super) time: f64,
@@ -43,32 +43,32 @@ pub(super) struct Seen {
     pub(super) speed: f64,
     pub(super) sideslip: f64,
     pub(super) yaw_rate: f64,
-    /// The steering angle that was asked for, in rad.
+    /// The commanded steering angle, in rad.
     pub(super) steering: f64,
 }
 
-/// A drive that was driven.
+/// The result of a drive.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     /// Ground truth and the reference.
     pub(super) rows: Vec<Row>,
-    /// What the controller saw; nothing on the ideal plant, where it is the truth.
+    /// The controller's estimates; empty on the ideal plant, where they equal the truth.
     pub(super) seen: Vec<Seen>,
-    /// Spans in which the markers were lost, in s.
+    /// Intervals without markers, in s.
     pub(super) lost: Vec<[f64; 2]>,
-    /// Why it ended before its time, if it did.
+    /// Why it ended early, if it did.
     pub(super) ended: Option<String>,
 }
 
 /// Period of the controller on the car, in ms.
 const PERIOD_MS: u32 = 10;
-/// From one row to the next, in s.
+/// Interval of the rows, in s.
 const ROW_S: f64 = 0.05;
 
-/// Why there is nothing of a drive.
+/// Why a drive has no result.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum DriveError {
-    /// It can't be simulated.
+    /// The drive can't be simulated.
     #[error(transparent)]
     Simulate(#[from] SimulateError),
     /// Its record can't be read.
@@ -118,14 +118,15 @@ impl Experiment {
         }
     }
 
-    /// Drives it on the paper's equations, controlled continuously; as far as they go.
+    /// Drives it on the paper's equations with continuous control, as far as they have a
+    /// solution.
     pub(super) fn ideal(&self, setup: &Setup) -> Result<Run, DriveError> {
         let mut scenario = self.scenario(setup, PlantKind::Ideal);
         let mut ended = None;
         let rows = loop {
             match simulate::simulate(&scenario) {
                 Ok(simulation) => break simulation.rows,
-                // What came before is what there is to see.
+                // The result is the drive up to there.
                 Err(SimulateError::Ideal(error)) => {
                     let Some(time) = singular_at(&error) else {
                         return Err(SimulateError::Ideal(error).into());
@@ -192,7 +193,7 @@ impl Experiment {
     }
 }
 
-/// When the equations or the law came to an end, in s.
+/// The time at which the equations or the law had no solution, in s.
 const fn singular_at(error: &IdealError) -> Option<f64> {
     match error {
         IdealError::Law { time, .. } => Some(*time),
@@ -210,7 +211,7 @@ fn span(loss: &MarkerLoss) -> [f64; 2] {
 }
 
 impl Run {
-    /// How far the true P is from where it should be, at each row, in m.
+    /// The distance from the true P to its reference at each row, in m.
     pub(super) fn deviations(&self) -> impl Iterator<Item = f64> + '_ {
         self.rows
             .iter()
@@ -227,7 +228,8 @@ impl Run {
         RootMeanSquare::of(self.deviations()).value().unwrap_or(0.0)
     }
 
-    /// How far its P is from that of another drive of the same experiment at most, in m.
+    /// The largest distance between its P and that of another drive of the same experiment,
+    /// in m.
     pub(super) fn largest_difference(&self, other: &Self) -> f64 {
         let both = self.rows.iter().zip(&other.rows);
         largest(both.map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p)))

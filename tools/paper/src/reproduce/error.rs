@@ -1,4 +1,4 @@
-//! Why the paper was not reproduced.
+//! Errors of a reproduction.
 
 use std::{
     io,
@@ -7,18 +7,18 @@ use std::{
 
 use crate::vehicle_file::VehicleFileError;
 
-/// Why the paper was not reproduced.
+/// Why a reproduction failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReproduceError {
-    /// There is no such car.
+    /// The car can't be used.
     #[error(transparent)]
     Vehicle(#[from] VehicleFileError),
-    /// Something can't be written.
+    /// A file or folder can't be written.
     #[error("can't write {}: {source}; choose another folder with --out", path.display())]
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// The folder holds files that this command did not write.
@@ -30,7 +30,7 @@ pub enum ReproduceError {
     Foreign {
         /// The folder.
         path: PathBuf,
-        /// The first thing in it.
+        /// The first of these files.
         found: String,
     },
     /// A claim's verdict is not the expected one.
@@ -39,7 +39,7 @@ pub enum ReproduceError {
         report.display()
     )]
     Surprise {
-        /// How many.
+        /// The number of such claims.
         count: usize,
         /// The report.
         report: PathBuf,

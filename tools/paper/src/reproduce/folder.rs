@@ -8,6 +8,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
+use singletrack_scenario::csv_text::csv_text;
 
 use super::{
     claims::{Judged, Verdict},
@@ -16,7 +17,6 @@ use super::{
     section::Reproduction,
     table,
 };
-use singletrack_scenario::csv_text::csv_text;
 
 /// The names of the files.
 const REPORT: &str = "report.html";
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_somebody_elses_is_left_alone() {
+    fn a_folder_with_foreign_files_is_not_changed() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("thesis.tex"), "mine").unwrap();
         let error = prepare(folder.path()).unwrap_err().to_string();

@@ -35,7 +35,7 @@ use claims::{Judged, Measurements, judge, surprises};
 use progress::Progress;
 
 /// Options of `singletrack reproduce`.
-#[derive(Args, Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
     #[arg(
@@ -59,8 +59,8 @@ pub struct ReproduceArgs {
 ///
 /// # Errors
 ///
-/// When it can't be written, or when a claim's verdict is not the expected one; the
-/// files are written all the same.
+/// When a file can't be written, or when a claim's verdict is not the expected one; the
+/// files are then written nevertheless.
 pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     let vehicle = vehicle_file::read_or_paper(args.vehicle.as_deref())?;
     let mut setup = Setup {
@@ -119,7 +119,7 @@ pub fn reproduce(setup: Setup) -> Reproduction {
     }
 }
 
-/// What needs no experiment: the car's own numbers, and where the law has no answer.
+/// Results without an experiment: the car's parameters, and the singularity of the law.
 fn basics(setup: &Setup) -> Measurements {
     let mut measurements = Measurements::default();
     measurements.add("vehicle.l_r", setup.vehicle.rear_axle_distance_m);
@@ -130,7 +130,7 @@ fn basics(setup: &Setup) -> Measurements {
     measurements
 }
 
-/// cos(β - δ) at which the law refuses to answer, if it does at these angles, in
+/// cos(β - δ) at which the law has no solution, if that is so at these angles, in
 /// degrees.
 fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
     let motion = Motion {

@@ -5,6 +5,8 @@ use std::path::Path;
 use serde::Serialize;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::VehicleParameters;
+use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
+use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateError};
 
 use super::{
     Setup,
@@ -16,13 +18,11 @@ use crate::identify::{
     self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, TyreKind,
     study::{SCENARIO, Study, VALIDATION, run_study},
 };
-use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
-use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateError};
 
-/// How wrong the fit starts: `C_f`, `C_r`, `I_z`.
+/// Factors of the start values of the fit: `C_f`, `C_r`, `I_z`.
 const START: [f64; 3] = [1.4, 0.7, 1.4];
 
-/// Why nothing was identified.
+/// Why the identification failed.
 #[derive(Debug, thiserror::Error)]
 enum ModelError {
     #[error(transparent)]
@@ -37,13 +37,13 @@ enum ModelError {
     Temporary(#[from] std::io::Error),
 }
 
-/// The file that says where the fit starts.
+/// The file with the start values of the fit.
 #[derive(Serialize)]
 struct VehicleFile {
     vehicle: VehicleParameters,
 }
 
-/// Drives a scenario of the identification with the car, and leaves its record.
+/// Drives a scenario of the identification with the car, and writes its record.
 fn drive(setup: &Setup, text: &str, seed: u64, record: &Path) -> Result<(), ModelError> {
     let mut scenario = Scenario::from_toml(text, Path::new("identification"))?;
     scenario.vehicle = setup.vehicle;
@@ -127,7 +127,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     section
 }
 
-/// How many drives the intervals are looked at over.
+/// The number of drives over which the intervals are checked.
 const SEEDS: u64 = 8;
 
 /// The names of the parameters that the paper identifies, among the measurements and as
@@ -138,7 +138,7 @@ const NAMES: [(&str, &str, &str); 3] = [
     ("i_z", "$I_z$", "I<sub>z</sub>"),
 ];
 
-/// What the other drive showed.
+/// The validation on the other drive.
 fn validation(report: &Report) -> Option<&Identification> {
     let validated = report.validated.as_ref();
     validated.map(|validated| &validated.identification)
@@ -253,7 +253,7 @@ fn draw(setup: &Setup, report: &Report, section: &mut Section) {
         )
     };
     if let Some(mut figure) = take("validation-states") {
-        // As in the paper: the simulation is grey, and the data are black upon it.
+        // As in the paper: the simulation is grey, with the data in black above it.
         for panel in &mut figure.panels {
             for curve in panel
                 .curves

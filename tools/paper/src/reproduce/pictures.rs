@@ -1,10 +1,11 @@
 //! The paper's experimental figures of a drive, on either plant.
 
-use super::drive::{Run, Seen};
 use singletrack_figures::figure::{
     Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width,
 };
 use singletrack_scenario::simulate::Row;
+
+use super::drive::{Run, Seen};
 
 impl Run {
     /// A number for each row.
@@ -12,7 +13,7 @@ impl Run {
         self.rows.iter().map(value).collect()
     }
 
-    /// A number for each moment that the controller saw.
+    /// A number for each estimate of the controller.
     fn seen_column(&self, value: impl Fn(&Seen) -> f64) -> Column {
         self.seen.iter().map(value).collect()
     }
@@ -261,7 +262,7 @@ pub(super) fn trajectories(runs: &[&Run]) -> Figure {
     }
 }
 
-/// Numbers over time: what theory says, if it does, below what was.
+/// A figure of curves over time; later curves cover earlier ones.
 pub(super) fn over_time(
     title: &str,
     caption: &str,

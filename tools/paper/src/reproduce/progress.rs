@@ -1,4 +1,4 @@
-//! Progress on a terminal; silence elsewhere.
+//! Progress, shown on a terminal only.
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -7,7 +7,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// Of that many sections.
+    /// The progress of `sections` sections.
     pub(super) fn new(sections: usize) -> Self {
         // Hidden when standard error is no terminal.
         let bar = ProgressBar::new(sections as u64);
@@ -18,12 +18,12 @@ impl Progress {
         Self { bar }
     }
 
-    /// What is being done.
+    /// Shows the current work.
     pub(super) fn doing(&self, what: &str) {
         self.bar.set_message(what.to_owned());
     }
 
-    /// A section is done.
+    /// Counts a completed section.
     pub(super) fn done(&self) {
         self.bar.inc(1);
     }

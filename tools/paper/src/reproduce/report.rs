@@ -1,14 +1,15 @@
-//! `report.html`: everything in one file that needs nothing else.
+//! `report.html`: one self-contained file.
+
+use singletrack_figures::{
+    figure::{Width, escaped},
+    template,
+};
 
 use super::{
     Plate, Reproduction, Section,
     claims::{Judged, Verdict},
     table,
     text::number,
-};
-use singletrack_figures::{
-    figure::{Width, escaped},
-    template,
 };
 
 /// The report of a reproduction.

@@ -1,5 +1,4 @@
-//! What the paper leaves out: the loop as it runs, in ticks, late, and with markers
-//! that are not always seen.
+//! The real loop, which the paper leaves out: in ticks, with delay and marker losses.
 
 use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
@@ -13,7 +12,7 @@ use super::{
 };
 use crate::stability::{Grid, TimingArgs, figures, sampled_map};
 
-/// A time in ms, in words; none is beyond what was looked at.
+/// A time in ms, in words; `None` is beyond the searched range.
 fn ms(time: Option<f64>, limit: f64) -> String {
     time.map_or_else(
         || format!("more than {} ms", number(limit * 1000.0)),
@@ -24,7 +23,7 @@ fn ms(time: Option<f64>, limit: f64) -> String {
 /// The speeds that the text names, for the paper's car, in m/s.
 const TOLD: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
 
-/// The greatest speed that is looked at, for the paper's car, in m/s.
+/// The largest speed of the maps, for the paper's car, in m/s.
 const FASTEST: f64 = 5.0;
 
 pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {

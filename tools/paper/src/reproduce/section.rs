@@ -1,15 +1,16 @@
 //! The contents of a section of the report, independent of its format.
 
+use singletrack_figures::figure::Figure;
+use singletrack_scenario::{
+    csv_text::csv_text,
+    simulate::{HEADER, Row},
+};
+
 use super::{
     Setup,
     claims::{Judged, Measurements},
     drive::{DriveError, Experiment, Run},
     text,
-};
-use singletrack_figures::figure::Figure;
-use singletrack_scenario::{
-    csv_text::csv_text,
-    simulate::{HEADER, Row},
 };
 
 /// A section of the report, with everything that was computed for it.
@@ -19,7 +20,7 @@ pub struct Section {
     pub number: usize,
     /// Its title.
     pub title: &'static str,
-    /// What it is about, a paragraph each.
+    /// Its text, by paragraphs.
     pub intro: Vec<String>,
     /// Its figures.
     pub plates: Vec<Plate>,
@@ -27,7 +28,7 @@ pub struct Section {
     pub tables: Vec<Table>,
     /// Numbers for the claims.
     pub measurements: Measurements,
-    /// Notes for the reader: what could not be done, and why.
+    /// Notes for the reader: what failed, and why.
     pub notes: Vec<String>,
 }
 
@@ -47,7 +48,7 @@ impl Section {
         }
     }
 
-    /// The drive on the simulated car, unless that would be another kind of car.
+    /// The drive on the simulated car, unless that can't represent the car.
     pub(super) fn drive_car(
         &mut self,
         setup: &Setup,
@@ -60,7 +61,7 @@ impl Section {
             .flatten()
     }
 
-    /// The drive, if there is one; else a note. One that ended early has a note too.
+    /// The drive, or a note on its failure. A drive that ended early has a note too.
     pub(super) fn keep(&mut self, what: &str, drive: Result<Run, DriveError>) -> Option<Run> {
         match drive {
             Ok(run) => {
@@ -77,7 +78,7 @@ impl Section {
     }
 }
 
-/// Everything that was computed.
+/// All results of a reproduction.
 #[derive(Clone, Debug)]
 pub struct Reproduction {
     /// The car.
@@ -91,7 +92,7 @@ pub struct Reproduction {
 /// Pictures that belong together, beside the paper's.
 #[derive(Clone, Debug)]
 pub struct Plate {
-    /// What they show, in a few words.
+    /// Their subject, in a few words.
     pub title: String,
     /// What the paper's figure shows, in a sentence.
     pub paper: String,
@@ -160,7 +161,7 @@ impl Table {
     }
 }
 
-/// A number in a sentence; where a plant could not be driven there is none.
+/// A number in a sentence; a plant that could not be driven has none.
 pub(super) fn or_note(value: Option<f64>, unit: &str) -> String {
     value.map_or_else(
         || "(not driven)".to_owned(),

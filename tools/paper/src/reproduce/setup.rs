@@ -1,23 +1,23 @@
-//! What is reproduced: the car, and lengths that fit it.
+//! The car of the reproduction, and lengths in proportion to it.
 
 use singletrack_control::VehicleParameters;
 
-/// Wheelbase of the paper's car, in m: what its experiments fit.
+/// Wheelbase of the paper's car, in m, for which its experiments are sized.
 const PAPER_WHEELBASE_M: f64 = 0.26;
 
-/// The car that everything is done with, and how thoroughly.
+/// The car of the reproduction, and its thoroughness.
 #[derive(Clone, Debug)]
 pub struct Setup {
     /// The car.
     pub vehicle: VehicleParameters,
-    /// What it is called.
+    /// Its name.
     pub name: String,
     /// Coarser maps, shorter drives and fewer seeds.
     pub quick: bool,
 }
 
 impl Setup {
-    /// Whether the paper's numbers are about this car.
+    /// Whether the paper's numbers hold for this car.
     #[must_use]
     pub fn is_paper(&self) -> bool {
         self.vehicle == VehicleParameters::paper()
@@ -30,7 +30,7 @@ impl Setup {
         self.vehicle.wheelbase_m() / PAPER_WHEELBASE_M
     }
 
-    /// Whether the simulated car can stand for it: actuators, limits and hall are those
+    /// Whether the simulated car can represent it: actuators, limits and hall are those
     /// of a car of the paper's kind.
     #[must_use]
     pub fn fits_simulated_car(&self) -> bool {
@@ -49,8 +49,8 @@ impl Setup {
         self.scale()
     }
 
-    /// The deviation dl of the paper's second open-loop test: the centre of mass is
-    /// believed at the rear axle.
+    /// The deviation dl of the paper's second open-loop test: the law's centre of mass is
+    /// at the rear axle.
     #[must_use]
     pub const fn rear_deviation_m(&self) -> f64 {
         self.vehicle.rear_axle_distance_m

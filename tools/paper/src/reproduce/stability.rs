@@ -4,6 +4,7 @@ use singletrack_analysis::stability::{
     Belief, ClosedLoop, HopfPoint, Law, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
+use singletrack_figures::figure::Figure;
 
 use super::{
     Setup,
@@ -17,13 +18,12 @@ use crate::stability::{
     figures::{self, Scene},
     hopf_curve, region,
 };
-use singletrack_figures::figure::Figure;
 
-/// The speeds that are looked at, for the paper's car, in m/s. The paper does not say
-/// which it considers.
+/// The speeds of the study, for the paper's car, in m/s. The paper does not state its
+/// own.
 const SPEEDS: [f64; 2] = [0.1, 8.0];
 
-/// A car, its P and a law, as the paper's analyses have them.
+/// A car, its P and a law, as in the paper's analyses.
 pub(super) fn subject(setup: &Setup, law: Law) -> Subject {
     Subject {
         vehicle: setup.vehicle,
@@ -55,13 +55,13 @@ fn curve(setup: &Setup, law: Law, section: &mut Section) -> Vec<HopfPoint> {
         .unwrap_or_default()
 }
 
-/// What is drawn into every map of a car under a law.
+/// The curves in every map of a car under a law.
 pub(super) fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
     let hopf = curve(setup, subject.law, section);
     section.or_note("Hopf points", Scene::new(subject, &hopf))
 }
 
-/// The picture of a figure that was drawn.
+/// The picture of a figure.
 pub(super) fn picture<E: std::fmt::Display>(
     section: &mut Section,
     name: &str,

@@ -1,6 +1,8 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
+use singletrack_figures::figure::{Axis, Curve, Look, Symbol, Width};
+use singletrack_scenario::simulate::MarkerLoss;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{
@@ -12,11 +14,9 @@ use super::{
     section::{Picture, Plate, Section, Table, or_note},
     text::{metres, mm, number, with_digits},
 };
-use singletrack_figures::figure::{Axis, Curve, Look, Symbol, Width};
-use singletrack_scenario::simulate::MarkerLoss;
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
-/// degrees. The paper's are known from its picture only.
+/// degrees. The paper shows its own in a picture only.
 const VELOCITIES: [[f64; 2]; 6] = [
     [0.6, 0.0],
     [0.6, 0.5],
@@ -25,13 +25,13 @@ const VELOCITIES: [[f64; 2]; 6] = [
     [-0.7, 0.0],
     [-0.5, -0.5],
 ];
-/// How long each lasts, in s.
+/// The duration of each, in s.
 const STEP_S: f64 = 3.0;
 /// Ticks at which the markers are lost, for 200 ms each.
 const LOSSES: [u64; 4] = [200, 650, 1100, 1550];
 const LOSS_TICKS: u64 = 20;
 
-/// The open-loop test with the law's centre of mass behind its place.
+/// The open-loop test with the law's centre of mass too far to the rear.
 pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Experiment {
     let mut steps: Vec<StepSection> = VELOCITIES
         .iter()
@@ -42,7 +42,7 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
         })
         .collect();
     if let Some(last) = steps.last_mut() {
-        // The car stops when its reference ends: after what is looked at.
+        // The car stops when its reference ends, after the part that is evaluated.
         last.duration_s += 1.0;
     }
     Experiment {
@@ -58,11 +58,11 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
     }
 }
 
-/// What is driven, right and wrong, on both plants.
+/// The drives with right and with wrong parameters, on both plants.
 struct Drives {
     ideal: [Option<Run>; 2],
     car: [Option<Run>; 2],
-    /// The first of the car's, with the markers always seen.
+    /// The first drive of the car, without marker losses.
     seen: Option<Run>,
 }
 
@@ -117,7 +117,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     section
 }
 
-/// How far the true P is from nominal by theory (equation 9 integrated): a wrong `l_f`
+/// The distance from the true P to nominal by theory (equation 9 integrated): a wrong `l_f`
 /// turns with the car.
 fn predicted(deviation_m: f64, run: &Run) -> impl Iterator<Item = f64> + '_ {
     let yaw = run.rows.first().map_or(0.0, |row| row.yaw);
@@ -147,7 +147,7 @@ fn measure(setup: &Setup, drives: &Drives, section: &mut Section) {
         measurements.add("steps.residual.rear.ideal", residual);
     }
     if let [Some(right), Some(rear)] = &drives.car {
-        // Both start from standstill: what that costs is not dl's.
+        // Both start from standstill; their difference does not contain that error.
         measurements.add("steps.due_to_dl.car", rear.largest_difference(right));
     }
     if let ([Some(right), _], Some(seen)) = (&drives.car, &drives.seen) {
@@ -166,7 +166,7 @@ fn tabulate(drives: &Drives, section: &mut Section) {
     }
 }
 
-/// A picture of each drive, right and wrong on either plant.
+/// A picture of each drive, with right and wrong parameters, on either plant.
 fn pictures_of(
     what: &str,
     names: &[String; 2],
@@ -296,7 +296,7 @@ fn speed_lag(run: Option<&Run>) -> String {
     )
 }
 
-/// The deviation of the true P over time, beside what a wrong `l_f` gives by theory.
+/// The deviation of the true P over time, and that of a wrong `l_f` by theory.
 fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
     let [_, Some(rear)] = &drives.ideal else {
         return;

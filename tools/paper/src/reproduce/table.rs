@@ -20,7 +20,7 @@ const COLUMNS: [(&str, usize); 5] = [
     ("why", 34),
 ];
 
-/// Prints the table and where the report is. A closed pipe is no error.
+/// Prints the table and the path of the report. A closed pipe is not an error.
 pub(super) fn print(reproduction: &Reproduction, report: &Path) {
     let mut out = io::stdout().lock();
     let _ = write(&mut out, reproduction, report);
@@ -80,7 +80,7 @@ pub(super) fn measured(judged: &Judged) -> Vec<String> {
                 || "none".to_owned(),
                 |value| match judged.claim.unit {
                     "°" => format!("{}°", number(value)),
-                    // Not to be broken between number and unit.
+                    // No line break between number and unit.
                     unit => format!("{}\u{a0}{unit}", number(value)),
                 },
             );

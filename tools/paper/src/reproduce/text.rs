@@ -1,9 +1,9 @@
-//! Numbers for people.
+//! Numbers in text.
 
 use singletrack_figures::figure::superscript;
 
-/// A number with about five significant digits, without needless zeros; tiny and
-/// huge ones as a power of ten.
+/// A number with about five significant digits, without trailing zeros; very
+/// small and very large ones as a power of ten.
 pub(super) fn number(value: f64) -> String {
     with_digits(value, 5)
 }

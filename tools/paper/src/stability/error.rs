@@ -3,9 +3,9 @@
 use std::io;
 
 use singletrack_analysis::stability::{SamplingError, StabilityError};
+use singletrack_figures::figure::GridError;
 
 use crate::vehicle_file::VehicleFileError;
-use singletrack_figures::figure::GridError;
 
 /// Why a stability study failed.
 #[derive(Debug, thiserror::Error)]

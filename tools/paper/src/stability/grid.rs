@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_span_has_so_many_values_and_both_ends() {
+    fn a_span_has_its_count_of_values_and_both_ends() {
         assert_eq!(
             Grid::spanning([-1.0, 1.0], 5).values(),
             [-1.0, -0.5, 0.0, 0.5, 1.0]

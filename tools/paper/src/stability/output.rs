@@ -5,9 +5,9 @@ use std::io::{self, BufWriter, Write};
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law};
+use singletrack_scenario::csv_text::csv_text;
 
 use super::subject::Subject;
-use singletrack_scenario::csv_text::csv_text;
 
 /// A table: the names of its columns and its rows. A missing number is an empty field.
 pub(super) struct Table {

@@ -12,15 +12,15 @@ pub struct Subject {
     pub vehicle: VehicleParameters,
     /// The law.
     pub law: Law,
-    /// What it has wrong.
+    /// The parameter of the law that is wrong by the deviation.
     pub belief: Belief,
     /// The distance p, in m.
     pub point_distance: f64,
 }
 
 impl Subject {
-    /// Its steady motion at a speed (m/s), with the centre of mass believed `deviation`
-    /// (m) behind where it is.
+    /// Its steady motion at a speed (m/s), with the law's centre of mass `deviation`
+    /// (m) behind the true one.
     ///
     /// # Errors
     ///

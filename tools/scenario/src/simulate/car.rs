@@ -19,7 +19,7 @@ use crate::{
     virtual_record::{VirtualRecord, VirtualRecordError},
 };
 
-/// Why a car could not be simulated.
+/// Why a scenario failed on the simulated car.
 #[derive(Debug, thiserror::Error)]
 pub enum CarError {
     /// The scenario can't be driven.
@@ -28,16 +28,16 @@ pub enum CarError {
     /// The drive did not start.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
-    /// There is no record of it.
+    /// The record could not be written.
     #[error(transparent)]
     Record(#[from] VirtualRecordError),
 }
 
-/// The daemon's configuration for a scenario, and the world that it drives in.
+/// The configurations of the daemon and of the simulation for a scenario.
 ///
 /// # Errors
 ///
-/// What a scenario may ask of the ideal plant but not of the car.
+/// A scenario that only the ideal plant can run.
 pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationConfig), CarError> {
     if scenario.law.kind != LawKind::FrontPoint {
         return Err(ScenarioError::value(
@@ -97,12 +97,12 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
     Ok((config, simulation))
 }
 
-/// Drives a scenario on the simulated car, without marker losses, and tells each entry
-/// that a record of it would hold. Returns the configuration that it was driven with.
+/// Drives a scenario on the simulated car, without marker losses, and passes on each entry
+/// of its record. Returns the configuration of the drive.
 ///
 /// # Errors
 ///
-/// A scenario that the car can't drive, or a car that does not start.
+/// The car can't drive the scenario, or does not start.
 pub fn drive_entries(
     scenario: &Scenario,
     take: &mut impl FnMut(&Entry),
@@ -125,7 +125,7 @@ pub fn drive_entries(
 ///
 /// # Errors
 ///
-/// A scenario that the car can't drive, or a car that does not start.
+/// The car can't drive the scenario, or does not start.
 pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Simulation, CarError> {
     let (daemon, simulation) = virtual_drive_config(scenario)?;
     let period_us = daemon.control.period_ns() / 1_000;

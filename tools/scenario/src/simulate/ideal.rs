@@ -21,7 +21,7 @@ pub enum IdealError {
     /// The scenario can't be simulated.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The law has no answer.
+    /// The law has no solution.
     #[error("at t = {time} s: {source}")]
     Law {
         /// When, in s.
@@ -49,7 +49,7 @@ type Vector = SVector<f64, 6>;
 ///
 /// # Errors
 ///
-/// A scenario that can't be run, or a singularity on the way, with its time.
+/// The scenario can't be run, or meets a singularity; the error has its time.
 pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
     let simulation = Simulation::new(scenario)?;
     if scenario.control.period_ms == 0 {
@@ -59,13 +59,13 @@ pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
     }
 }
 
-/// Either law, with its answers in one form.
+/// Either law, with commands of one type.
 enum Law {
     FrontPoint(FrontPointLaw),
     VelocityPoint(VelocityPointLaw),
 }
 
-/// What a law asks of the steering.
+/// The command of a law to the steering.
 #[derive(Clone, Copy)]
 enum SteeringCommand {
     Rate(f64),
@@ -79,7 +79,7 @@ struct Command {
 }
 
 impl Law {
-    /// P as the controller knows it.
+    /// P as the controller computes it.
     fn point(&self, state: &SingleTrackState, steering: f64) -> Position {
         let centre = Position::new(state.x, state.y);
         match self {
@@ -171,8 +171,8 @@ impl<'a> Simulation<'a> {
                     .map_or(end, |switch| switch.min(end));
                 let begin = time;
                 integrator.advance(&mut vector, begin, stop, |t, vector| {
-                    // The step ends where the reference switches: its own
-                    // stages must still see what was before.
+                    // The step ends where the reference switches: its stages must use
+                    // the reference before that.
                     let reference = self.placed(
                         t,
                         if t > begin {
@@ -296,7 +296,7 @@ impl<'a> Simulation<'a> {
         Ok(rows)
     }
 
-    /// What the controller does at the true state.
+    /// The controller's command at the true state.
     fn decide(
         &self,
         time: f64,

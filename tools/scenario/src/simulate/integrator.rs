@@ -1,8 +1,7 @@
 //! Dormand and Prince's embedded Runge-Kutta pair of order 5(4).
 //!
-//! Written here rather than taken from a crate because the result must not
-//! depend on the platform: it uses `libm` alone, so the same scenario gives the
-//! same bits on the car's computer as on a desk.
+//! It uses `libm` alone, so that a scenario gives the same bits on every platform. No
+//! crate offers that.
 
 use nalgebra::SVector;
 
@@ -16,7 +15,7 @@ const SMALLEST_STEP: f64 = 1e-12;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("the integration can't go on beyond t = {time} s: the equations are singular there")]
 pub struct IntegrationError {
-    /// Where it stopped, in s.
+    /// The time at which it stopped, in s.
     pub time: f64,
 }
 
@@ -121,7 +120,7 @@ impl<const N: usize> Integrator<N> {
                 let scale =
                     TOLERANCE * (1.0 + state[component].abs().max(candidate[component].abs()));
                 let ratio = (step * estimate / scale).abs();
-                // Not a number must not pass for a small error.
+                // NaN must not pass as a small error.
                 error = if ratio.is_finite() {
                     error.max(ratio)
                 } else {
@@ -137,7 +136,7 @@ impl<const N: usize> Integrator<N> {
             if error <= 1.0 {
                 time = if last { end } else { time + step };
                 *state = candidate;
-                // A step cut short by the end says nothing of the next one's size.
+                // A step shortened by the end of the interval says nothing about the next.
                 if !last || factor < 1.0 {
                     self.step = step * factor;
                 }
@@ -154,8 +153,9 @@ impl<const N: usize> Integrator<N> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::Vector2;
+
+    use super::*;
 
     #[test]
     fn an_oscillator_keeps_its_circle_for_a_hundred_turns() {

@@ -26,17 +26,17 @@ pub enum SimulateError {
     /// On the car.
     #[error(transparent)]
     Car(#[from] CarError),
-    /// What is to be recorded is not there.
+    /// The ideal plant has no pilot to record.
     #[error("there is nothing to record: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
     NoPilot,
 }
 
-/// What came of a scenario.
+/// The result of a scenario.
 #[derive(Clone, Debug)]
 pub struct Simulation {
     /// The trajectory.
     pub rows: Vec<Row>,
-    /// What a person should know of it.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ pub struct Simulation {
 ///
 /// # Errors
 ///
-/// A scenario that can't be run, with the reason.
+/// The reason why the scenario can't be run.
 pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
     Ok(match scenario.plant.kind {
         PlantKind::Ideal => Simulation {
@@ -55,12 +55,12 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
     })
 }
 
-/// The same, and a record of what the pilot saw and did at `path`.
+/// Like [`simulate`], and writes a record of the drive to `path`.
 ///
 /// # Errors
 ///
-/// What [`simulate`] refuses, the ideal plant, which has no pilot, and a file that
-/// exists or can't be written.
+/// The errors of [`simulate`]; the plant is ideal and has no pilot; the file exists or
+/// can't be written.
 pub fn simulate_recorded(scenario: &Scenario, path: &Path) -> Result<Simulation, SimulateError> {
     match scenario.plant.kind {
         PlantKind::Ideal => Err(SimulateError::NoPilot),

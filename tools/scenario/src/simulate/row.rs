@@ -7,7 +7,7 @@ use crate::csv_text::csv_text;
 /// Rows per second.
 pub(crate) const ROWS_PER_SECOND: u64 = 20;
 
-/// The state before a tick's action, and the command that acts from there on.
+/// The state before a tick's command, and the command that acts from then on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Row {
     /// Time, in s.
@@ -37,9 +37,9 @@ pub struct Row {
     pub x_ref: f64,
     /// The reference, in m; an ideal integrator where it is a velocity.
     pub y_ref: f64,
-    /// Velocity wanted of P, in m/s.
+    /// Commanded velocity of P, in m/s.
     pub v_px: f64,
-    /// Velocity wanted of P, in m/s.
+    /// Commanded velocity of P, in m/s.
     pub v_py: f64,
 }
 
@@ -75,7 +75,7 @@ impl Row {
 ///
 /// # Errors
 ///
-/// Those of the writer.
+/// The errors of the writer.
 pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
     let header = HEADER.split(',').map(ToOwned::to_owned).collect();
     let rows = rows

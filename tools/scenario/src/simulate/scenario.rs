@@ -1,4 +1,4 @@
-//! A scenario file: what is simulated.
+//! Scenario files.
 
 use std::path::{Path, PathBuf};
 
@@ -18,15 +18,15 @@ pub struct Scenario {
     pub law: LawSection,
     /// The position loop around it.
     pub outer_loop: OuterLoopSection,
-    /// Where P should be.
+    /// The reference of P.
     pub reference: ReferenceSection,
     /// Where the car starts.
     pub start: StartSection,
     /// How the controller runs.
     pub control: ControlSection,
-    /// What is controlled.
+    /// The plant.
     pub plant: PlantSection,
-    /// How long, and from which seed.
+    /// Duration and seed.
     pub run: RunSection,
     /// When the cameras lose the markers.
     #[serde(default)]
@@ -34,15 +34,15 @@ pub struct Scenario {
     /// The car; the paper's if left out.
     #[serde(default)]
     pub vehicle: VehicleParameters,
-    /// The car that the appendix's law believes in, whose mass and stiffnesses it needs;
-    /// the car itself if left out.
+    /// The car parameters that the appendix's law uses; it needs mass and stiffnesses. The
+    /// true ones if left out.
     #[serde(default)]
     pub believed_vehicle: Option<VehicleParameters>,
-    /// What the pilot of plant kind "car" may do; the daemon's defaults if left out.
+    /// The limits of the pilot of plant kind "car"; the daemon's defaults if left out.
     #[serde(default)]
     pub limits: Option<LimitsSection>,
-    /// The calibration and the limits of the board of plant kind "car"; what fits
-    /// the simulated one if left out.
+    /// The calibration and the limits of the board of plant kind "car"; those of the
+    /// simulated board if left out.
     #[serde(default)]
     pub board: Option<BoardSection>,
 }
@@ -63,8 +63,8 @@ pub struct StartSection {
 pub struct ControlSection {
     /// Period of the controller, in ms; 0 for continuous control.
     pub period_ms: u32,
-    /// Whether the pilot's ticks of plant kind "car" slide to where frames have just
-    /// arrived, as the daemon's do.
+    /// Whether the ticks of plant kind "car" are aligned with the camera frames, as the
+    /// daemon's are.
     #[serde(default = "aligns_to_cameras")]
     pub align_to_cameras: bool,
     /// Ticks from measurement to actuation.
@@ -90,15 +90,15 @@ pub enum SteeringHold {
     Step,
 }
 
-/// What is controlled.
+/// The plant.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantSection {
-    /// Which plant.
+    /// The kind of plant.
     pub kind: PlantKind,
 }
 
-/// The paper's model, or everything that the simulator knows.
+/// The paper's model, or the whole simulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlantKind {
@@ -108,13 +108,13 @@ pub enum PlantKind {
     Car,
 }
 
-/// How long, and from which seed.
+/// Duration and seed.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunSection {
     /// Simulated time, in s.
     pub duration_s: f64,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[serde(default = "default_seed")]
     pub seed: u64,
 }
@@ -123,18 +123,18 @@ fn default_seed() -> u64 {
     1
 }
 
-/// Ticks in which the cameras give no pose.
+/// Ticks without a pose of the cameras.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MarkerLoss {
-    /// The first tick without a pose. At the very first there is nothing to
-    /// hold but the pose of the start.
+    /// The first tick without a pose. At the first tick of the drive, the only pose to
+    /// hold is that of the start.
     pub first_tick: u64,
-    /// How many ticks.
+    /// The number of ticks.
     pub ticks: u64,
 }
 
-/// More ticks than any simulation has.
+/// An upper bound of the ticks of any simulation.
 const MOST_TICKS: u64 = 1_000_000_000;
 
 /// A scenario that can't be simulated.
@@ -165,14 +165,14 @@ pub enum ScenarioError {
     /// The vehicle is invalid.
     #[error("[vehicle] {0}")]
     Vehicle(#[from] singletrack_control::VehicleParameterError),
-    /// A value outside its range.
+    /// A value is outside its range.
     #[error("{key} is {value}: {fix}")]
     Value {
         /// The key.
         key: &'static str,
         /// Its value.
         value: String,
-        /// What it may be.
+        /// The rule that it breaks.
         fix: &'static str,
     },
 }
@@ -196,7 +196,7 @@ impl Scenario {
     ///
     /// # Errors
     ///
-    /// What is wrong with it, by key.
+    /// The scenario is invalid; the error names the key.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
         let text = std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
             path: path.to_owned(),
@@ -205,12 +205,12 @@ impl Scenario {
         Self::from_toml(&text, path)
     }
 
-    /// The scenario with this text; `path` is where its waypoint files are looked for,
-    /// and what errors name.
+    /// The scenario with this text. Waypoint files are relative to `path`, which errors
+    /// name.
     ///
     /// # Errors
     ///
-    /// What is wrong with it, by key.
+    /// The scenario is invalid; the error names the key.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ScenarioError> {
         let mut scenario: Self = toml::from_str(text).map_err(|error| ScenarioError::Parse {
             path: path.to_owned(),
@@ -223,7 +223,7 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Refuses values that no simulation can have.
+    /// Refuses values that can't be simulated.
     fn validate(&self) -> Result<(), ScenarioError> {
         self.vehicle.validate()?;
         if let Some(believed) = &self.believed_vehicle {
@@ -325,7 +325,7 @@ impl Scenario {
     ///
     /// # Errors
     ///
-    /// An invalid reference, or waypoints that can't be read.
+    /// The reference is invalid, or its waypoints can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
         self.reference.reference()
     }

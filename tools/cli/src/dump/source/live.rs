@@ -107,7 +107,7 @@ impl Live {
             self.wait()?;
         }
         let answer = serde_json::from_str::<serde_json::Value>(&self.line).map_err(|error| {
-            self.makes_no_sense(ParseEntryError::NotJson {
+            self.invalid_entry(ParseEntryError::NotJson {
                 line: self.line.clone(),
                 reason: error.to_string(),
             })
@@ -120,7 +120,7 @@ impl Live {
                 path: self.path.clone(),
                 error: error.to_owned(),
             },
-            None => self.makes_no_sense(ParseEntryError::NoTopic {
+            None => self.invalid_entry(ParseEntryError::NoTopic {
                 line: self.line.clone(),
             }),
         })
@@ -159,7 +159,7 @@ impl Live {
         }
     }
 
-    fn makes_no_sense(&self, source: ParseEntryError) -> DumpError {
+    fn invalid_entry(&self, source: ParseEntryError) -> DumpError {
         DumpError::Answer {
             path: self.path.clone(),
             source,
@@ -199,7 +199,7 @@ impl Source for Live {
                             self.path.display()
                         );
                     }
-                    None => return Err(self.makes_no_sense(source)),
+                    None => return Err(self.invalid_entry(source)),
                 },
             }
         }

@@ -1,5 +1,5 @@
-//! What the paper says of stability and of the two laws, and what it does not say of the
-//! sampled loop.
+//! Claims on stability and on the two laws, and on the sampled loop, which the paper
+//! leaves out.
 
 use singletrack_control::VehicleParameters;
 
@@ -238,7 +238,7 @@ fn appendix(setup: &Setup) -> Vec<Claim> {
             "l_f + dl, l_r as it is",
             "hopf.velocity.threshold_front_only_mm",
             near(THRESHOLD_MM, 0.0005),
-            // The law has the distances in C_r l_r − C_f l_f alone.
+            // The law uses the distances only in C_r l_r − C_f l_f.
             near(0.135_977_266 * (c_f + c_r) / c_f, 1e-6),
         )
         .because(format!(
@@ -363,7 +363,7 @@ fn comparison(setup: &Setup) -> Vec<Claim> {
             "compare.largest.parameters.front-point",
             near(0.0, 1e-6),
         )
-        .because("it is told none of them"),
+        .because("it uses none of them"),
         claim(
             "compare-parameters-appendix",
             7,

@@ -1,4 +1,4 @@
-//! Putting claims together.
+//! Constructors of claims.
 
 use crate::reproduce::claims::{Claim, Criterion, Quantity, Scope};
 
@@ -45,7 +45,7 @@ impl Claim {
         self
     }
 
-    /// A number that should not, and what it is instead.
+    /// A number that should not agree, and its correct value.
     pub(super) fn differs(
         mut self,
         label: &'static str,
@@ -63,7 +63,7 @@ impl Claim {
         self
     }
 
-    /// The last number is of the simulated car, with tolerances for the paper's.
+    /// Marks the last number as one of the simulated car, with tolerances for the paper's.
     pub(super) fn on_the_car(mut self) -> Self {
         if let Some(last) = self.quantities.last_mut() {
             last.of_paper_car = true;

@@ -1,4 +1,4 @@
-//! What the paper says of its experiments.
+//! Claims on the experiments.
 
 use super::{
     super::{
@@ -15,7 +15,7 @@ const EXACT: f64 = 1e-6;
 pub(super) fn steps(setup: &Setup) -> Vec<Claim> {
     let wheelbase = setup.vehicle.wheelbase_m();
     let rear = setup.rear_deviation_m();
-    // What "very close" is taken to mean.
+    // The limit of "very close".
     let close = Criterion::Below(wheelbase);
     vec![
         claim(

@@ -1,13 +1,14 @@
 //! `singletrack stability figures`: the figures of a car under a law, as files.
 
 use std::{
-    fs, io,
-    io::Write as _,
+    fs,
+    io::{self, Write as _},
     path::{Path, PathBuf},
 };
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_figures::figure::Figure;
 
 use super::{
     Scene, around_meaningful, delay_margin, drawn_deviations, eigenvalue, eigenvalues,
@@ -18,7 +19,6 @@ use crate::stability::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
     eigenvalue_map, hopf_curve, region as stable_region, sampled_map,
 };
-use singletrack_figures::figure::Figure;
 
 #[derive(Clone, Debug, Args)]
 #[command(mut_arg("dl", |dl| {

@@ -1,8 +1,8 @@
-//! Which lines of equal value a map has, and how its numbers are written.
+//! The isolines of a map, and the format of its numbers.
 
 use singletrack_figures::figure::{Grid, Isoline, superscript};
 
-/// No more lines of equal value than this.
+/// The largest number of isolines.
 const MOST_ISOLINES: usize = 9;
 
 /// Two significant digits, as a power of ten where zeros are many.
@@ -77,8 +77,8 @@ pub(super) fn around_one(grid: &Grid) -> Vec<Isoline> {
     isolines
 }
 
-/// Of the candidates, which ascend, those that part what is in the grid best: no two
-/// with next to nothing between them or between one and the boundary, and not too many.
+/// Of the ascending candidates, those that divide the grid best: without almost empty
+/// bands between two of them or at the boundary, and not too many.
 fn chosen(grid: &Grid, candidates: &[f64], boundary: f64) -> Vec<f64> {
     let mut sorted: Vec<f64> = grid
         .values()
@@ -103,7 +103,7 @@ fn chosen(grid: &Grid, candidates: &[f64], boundary: f64) -> Vec<f64> {
             last = part;
         }
     }
-    // With too many, every other goes.
+    // Of too many, every other one is dropped.
     while chosen.len() > MOST_ISOLINES {
         let mut index = 0;
         chosen.retain(|_| {

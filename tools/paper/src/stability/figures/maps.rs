@@ -1,17 +1,17 @@
 //! The paper's figures: where the motion is stable, and each eigenvalue.
 
 use singletrack_analysis::stability::HopfPoint;
+use singletrack_figures::figure::{
+    Callout, Callouts, Figure, Grid, GridError, Level, Look, Map, Panel, Shade, Width,
+};
 
 use super::{
     super::{EigenvalueRow, RegionRow},
     levels::{one_two_five, significant, subscript},
     scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
 };
-use singletrack_figures::figure::{
-    Callout, Callouts, Figure, Grid, GridError, Level, Look, Map, Panel, Shade, Width,
-};
 
-/// So many values of the first Lyapunov coefficient stand along a Hopf curve that
+/// The number of values of the first Lyapunov coefficient along a Hopf curve that
 /// crosses the whole figure.
 const LYAPUNOV_LABELS: f64 = 7.0;
 

@@ -1,5 +1,5 @@
 //! The figures of the stability analysis: the paper's, over speed and dl, and those of
-//! the loop as it is sampled. They are drawn from what the other modules computed.
+//! the loop as it is sampled. They show the results of the other modules.
 
 mod command;
 mod levels;

@@ -1,13 +1,13 @@
-//! What the paper leaves out: the loop in ticks, with delay and with missing poses.
+//! The sampled loop, which the paper leaves out: ticks, delay and missing poses.
 
 use singletrack_analysis::stability::MarginLimits;
+use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
 
 use super::{
     super::{SampledRow, TimingArgs},
     levels::{around_one, margins},
     scene::{DEVIATION, Frame, SPEED, Scene, band, grid_of},
 };
-use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
 
 /// How fast disturbances decay from tick to tick: the spectral radius.
 ///
@@ -116,7 +116,7 @@ const fn at(row: &SampledRow) -> [f64; 2] {
     [row.speed_m_s, row.dl_m]
 }
 
-/// No margin within what was looked at is one beyond it.
+/// A margin that was not found lies beyond the searched range.
 fn in_ms(margin: Option<f64>) -> f64 {
     margin.map_or(f64::INFINITY, |margin| 1000.0 * margin)
 }
@@ -155,13 +155,13 @@ fn figure(scene: &Scene, timing: TimingArgs, title: String, caption: &str, map: 
 
 /// Which margins there are, in ms.
 struct Steps {
-    /// From one to the next; zero if there are others in between.
+    /// The step between margins; zero for a continuous scale.
     step: f64,
-    /// No farther was looked.
+    /// The end of the searched range.
     limit: f64,
 }
 
-/// Delays below this are not told apart, in ms.
+/// The resolution of delays, in ms.
 const LEAST_MARGIN: f64 = 2.0;
 
 /// A map of a margin in ms: zero is none at all.

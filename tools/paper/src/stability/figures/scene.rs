@@ -1,13 +1,13 @@
-//! What all figures of a car under a law have in common.
+//! Common parts of all figures of a car under a law.
 
 use singletrack_analysis::stability::{
     ClosedLoop, HopfPoint, Law, StabilityError, infinite_speed_limit,
 };
-
-use super::super::{Grid as Deviations, Subject};
 use singletrack_figures::figure::{
     Axis, Band, Column, Curve, Grid, GridError, Level, Look, Shade, Symbol,
 };
+
+use super::super::{Grid as Deviations, Subject};
 
 /// A car under a law, with what is drawn into every map of it: the Hopf curve and the
 /// ends of the physically meaningful range.
@@ -19,7 +19,7 @@ pub struct Scene {
     meaningful: [f64; 2],
     /// The Hopf points at which stability ends, in branches of ascending speed.
     pub(super) branches: Vec<Vec<HopfPoint>>,
-    /// What the Hopf curve approaches as the speed grows, as dl in m.
+    /// The limit of the Hopf curve for large speeds, as dl in m.
     pub(super) limits: Vec<f64>,
 }
 
