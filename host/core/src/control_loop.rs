@@ -13,7 +13,7 @@ use singletrack_record::{DriveWrite, TickInput, TickRecord};
 use crate::{
     alignment::Alignment,
     controller::Controller,
-    grid::Slot,
+    grid::{Grid, Slot},
     line::{Line, Sent, drive_number},
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
@@ -153,6 +153,14 @@ impl<L: Line> ControlLoop<L> {
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.ending == Ending::Done
+    }
+
+    /// One pass of the control thread after it woke up: the tick of the point that it belongs
+    /// to, the slide of the grid, and the points that the tick ran over.
+    pub fn wake_up(&mut self, grid: &mut Grid, clock: &impl Fn() -> u64) {
+        self.tick(grid.enter(clock()), clock);
+        grid.slide(self.slide_ns());
+        grid.leave(clock());
     }
 
     /// One tick: handles the inputs since the last one, sends the command and reports.

@@ -94,6 +94,12 @@ impl Configurations {
         Ok(config)
     }
 
+    /// Whether a change is under way: another can't begin before [`settle`](Self::settle).
+    #[must_use]
+    pub const fn is_changing(&self) -> bool {
+        self.under_way.is_some()
+    }
+
     /// Hands `config` to the control loop, which refuses it after `until_ns`.
     /// [`settle`](Self::settle) returns the outcome.
     ///
@@ -106,7 +112,7 @@ impl Configurations {
         until_ns: u64,
         requests: &Requests,
     ) -> Result<(), ChangeError> {
-        if self.under_way.is_some() {
+        if self.is_changing() {
             return Err(Stalled.into());
         }
         config.reference = config.reference.written_out()?;

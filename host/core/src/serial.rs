@@ -163,7 +163,7 @@ impl<L: Line> SerialReader<L> {
                     self.phase = Phase::Closed { retry_at_ns };
                     return wait(retry_at_ns);
                 }
-                Phase::Closed { .. } => match port.open() {
+                Phase::Closed { .. } => match self.reopen(port) {
                     Some(line) => {
                         self.counters.opened += 1;
                         self.retry_ns = FIRST_RETRY_NS;
@@ -231,6 +231,13 @@ impl<L: Line> SerialReader<L> {
             readable: true,
             until_ns: clock().saturating_add(IDLE_NS),
         })
+    }
+
+    /// Opens the port. A write half that came back after the patience with it had ended is
+    /// of an earlier connection.
+    fn reopen(&mut self, port: &mut impl Port<Line = L>) -> Option<L> {
+        while self.returned.pop().is_ok() {}
+        port.open()
     }
 
     fn retry_later(&mut self, now_ns: u64) {

@@ -94,9 +94,7 @@ impl<L: Line> VirtualHost<L> {
 
     /// Runs a tick of the control loop that wakes up at `now_ns`.
     pub fn tick(&mut self, now_ns: u64) {
-        let slot = self.grid.enter(now_ns);
-        self.host.control.tick(slot, &|| now_ns);
-        self.grid.slide(self.host.control.slide_ns());
+        self.host.control.wake_up(&mut self.grid, &|| now_ns);
     }
 
     /// Takes the record of the next tick, and drops all other reports. See

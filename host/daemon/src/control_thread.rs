@@ -34,12 +34,10 @@ pub(crate) fn run<L: Line>(
 ) -> LineCounters {
     let mut grid = Grid::new(monotonic_ns(), period_ns);
     while !control.is_done() && !state.abort.load(Ordering::Relaxed) {
-        grid.leave(monotonic_ns());
         sleep_until(grid.next_ns());
-        control.tick(grid.enter(monotonic_ns()), &monotonic_ns);
+        control.wake_up(&mut grid, &monotonic_ns);
         state.ticks.fetch_add(1, Ordering::Relaxed);
         collector.unpark();
-        grid.slide(control.slide_ns());
     }
     control.counters()
 }

@@ -19,7 +19,9 @@ use crate::{
 };
 
 /// The time without an answer after which the server is reported, in ns.
-const ANSWER_TIMEOUT_NS: u64 = 2_000_000_000;
+///
+/// Longer than the 2.5 s for which a session negotiates the bitstream.
+const ANSWER_TIMEOUT_NS: u64 = 3_000_000_000;
 
 /// The sockets, with a log of the server's reachability.
 struct LoggedSockets {

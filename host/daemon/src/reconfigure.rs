@@ -141,6 +141,9 @@ impl Reconfigurer {
     ) -> Result<u32, ChangeError> {
         // The outcome of an earlier change whose requester had timed out.
         self.settle(state);
+        if state.configurations.is_changing() {
+            return Err(Stalled.into());
+        }
         let config = make(&state.configurations)?;
         let timeout_ns = u64::try_from(CHANGE_TIMEOUT.as_nanos()).unwrap_or(u64::MAX);
         let until_ns = monotonic_ns().saturating_add(timeout_ns);

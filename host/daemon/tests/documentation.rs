@@ -265,7 +265,11 @@ fn the_crates_depend_on_each_other_as_the_architecture_page_allows() {
     let page = include_str!("../../../docs/architecture.md");
     let table = page.split("| crate | may depend on |\n|---|---|\n").nth(1);
     let mut allowed = BTreeMap::new();
-    for row in table.unwrap().lines().map_while(|line| line.strip_prefix("| ")) {
+    for row in table
+        .unwrap()
+        .lines()
+        .map_while(|line| line.strip_prefix("| "))
+    {
         let (names, dependencies) = row.trim_end_matches(" |").split_once(" | ").unwrap();
         for name in names.split(", ") {
             allowed.insert(name.to_owned(), dependencies);

@@ -309,7 +309,6 @@ impl<'a> Drive<'a> {
     /// Ends a pause: the control thread's deadline has passed, so it wakes at once, before
     /// the other threads or after them.
     fn wake(&mut self) {
-        self.tick_us = self.tick_us.min(self.now_us);
         self.ticks_first = self.random.happens(500);
     }
 

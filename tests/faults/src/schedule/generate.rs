@@ -52,6 +52,14 @@ impl Schedule {
         let end_ms = FIRST_ARM_MS + random.between(shortest, longest);
         let count = random.between(1, 6);
         let mut faults: Vec<Fault> = (0..count).map(|_| fault(random, end_ms)).collect();
+        if situation.reference == ReferenceKind::External && random.happens(500) {
+            faults.push(Fault {
+                kind: random.choose(FaultKind::SetpointsGone, &[FaultKind::SetpointsNotANumber]),
+                at_ms: random.between(FIRST_ARM_MS, end_ms),
+                for_ms: random.spread(150, 2_000),
+                severity: Fault::WORST,
+            });
+        }
         faults.sort_by_key(|fault| fault.at_ms);
         let requests = requests(random, end_ms, &faults);
         Self {
