@@ -12,13 +12,15 @@ use crate::{
 const PACKAGES: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
 
 pub(crate) fn check_all() -> Result<(), Failure> {
-    let packages = PACKAGES.iter().flat_map(|package| ["--package", package]);
+    let packages = || PACKAGES.iter().flat_map(|package| ["--package", package]);
+    // This downloads the dependencies if no earlier step has.
+    check(cargo().args(["check", "--quiet"]).args(packages()))?;
     check(
         cargo()
-            // Offline: earlier steps have downloaded what is needed, and nothing is
-            // uploaded. The working tree may hold changes.
+            // The working tree may hold changes. Offline, the versions are those of the
+            // workspace, and nothing waits for the registry.
             .args(["package", "--quiet", "--offline", "--allow-dirty"])
-            .args(packages)
+            .args(packages())
             // A packed package is a workspace of its own. Its dependencies are built once
             // for all of them, and kept.
             .env("CARGO_TARGET_DIR", target::folder()?),
