@@ -222,6 +222,7 @@ impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
 /// A group of fields that stand among those of the message, without a name of their
 /// own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
 pub(crate) struct Group<G>(pub(crate) G);
 
 impl<G: Fields> Field for Group<G> {
@@ -233,6 +234,7 @@ impl<G: Fields> Field for Group<G> {
         Self(G::absent())
     }
 
+    #[inline]
     fn visit(&self, _: &'static str, visitor: &mut dyn Visitor) {
         self.0.visit(visitor);
     }
