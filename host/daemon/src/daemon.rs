@@ -138,6 +138,7 @@ impl Daemon {
             HostOptions {
                 nonce_seed: seed,
                 arm_when_ready: options.arm,
+                ..HostOptions::default()
             },
         )?;
         let config = host.configurations.in_force().clone();

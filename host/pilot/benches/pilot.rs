@@ -85,12 +85,17 @@ fn control_tick(criterion: &mut Criterion) {
     let mut step = |state, request: Option<PilotRequest>| {
         tick += 1;
         let [board, pose] = events(tick, state);
+        // The board reports its status every 0.2 s; without it the supervisor stops the car.
+        let health = Event::Health(BoardHealth {
+            battery_mv: 7_400,
+            stop_input_open: false,
+        });
         match request {
             Some(request) => pilot.step(
                 Time(tick * TICK_NS),
-                &[board, pose, Event::Request(request)],
+                &[board, pose, health, Event::Request(request)],
             ),
-            None => pilot.step(Time(tick * TICK_NS), &[board, pose]),
+            None => pilot.step(Time(tick * TICK_NS), &[board, pose, health]),
         }
     };
     for _ in 0..200 {

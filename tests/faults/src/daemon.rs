@@ -43,6 +43,7 @@ impl Daemon {
         let options = HostOptions {
             nonce_seed,
             arm_when_ready: false,
+            ..HostOptions::default()
         };
         Ok(Self {
             host: VirtualHost::new(config.clone(), options, host_ns(now_us))

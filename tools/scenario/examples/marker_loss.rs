@@ -9,7 +9,10 @@
 use std::error::Error;
 
 use singletrack_control::VehicleParameters;
-use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_core::{
+    HostOptions,
+    config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection},
+};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -135,7 +138,13 @@ fn lose(
         y_m: -reach * yaw_rad.sin(),
         yaw_rad,
     };
-    let mut drive = VirtualDrive::new(config, number, simulation)?;
+    // The second budget is one that the daemon refuses.
+    let options = HostOptions {
+        nonce_seed: number,
+        skip_validation: true,
+        ..HostOptions::default()
+    };
+    let mut drive = VirtualDrive::with_options(config, simulation, options)?;
     drive.start()?;
     // Over the whole of the circle and of a tick.
     let start_us = drive.next_tick_us() + (SETTLED * 1e6) as u64 + number * 413_700;

@@ -158,10 +158,26 @@ impl VirtualDrive {
         seed: u64,
         simulation: SimulationConfig,
     ) -> Result<Self, VirtualDriveError> {
-        let options = HostOptions {
-            nonce_seed: seed,
-            arm_when_ready: false,
-        };
+        Self::with_options(
+            config,
+            simulation,
+            HostOptions {
+                nonce_seed: seed,
+                ..HostOptions::default()
+            },
+        )
+    }
+
+    /// As [`new`](Self::new), with the options of the host.
+    ///
+    /// # Errors
+    ///
+    /// One of the parts refuses its configuration.
+    pub fn with_options(
+        config: Config,
+        simulation: SimulationConfig,
+        options: HostOptions,
+    ) -> Result<Self, VirtualDriveError> {
         let mut drive = Self {
             world: World::new(simulation)?,
             host: VirtualHost::new(config, options, 0)?,

@@ -117,6 +117,7 @@ impl SimulatedDrive {
         let options = HostOptions {
             nonce_seed: 7,
             arm_when_ready: true,
+            ..HostOptions::default()
         };
         let mut host = Host::new(config, options).unwrap();
         host.control.real_time(RealTimeState {
