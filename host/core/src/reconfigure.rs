@@ -14,6 +14,9 @@ use crate::{
     restart_keys::restart_keys,
 };
 
+/// The longest time until the control loop takes a change, in ns: many ticks.
+pub const CHANGE_TIMEOUT_NS: u64 = 200_000_000;
+
 /// Why the configuration in force stays.
 #[derive(Debug, thiserror::Error)]
 pub enum ChangeError {

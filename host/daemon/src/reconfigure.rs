@@ -14,15 +14,15 @@ use serde::Serialize;
 use singletrack_core::{
     Requests, Stalled,
     config::{Config, ReferenceSection},
-    reconfigure::{ChangeError, Configurations},
+    reconfigure::{CHANGE_TIMEOUT_NS, ChangeError, Configurations},
 };
 use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
 use tracing::{info, warn};
 
 use crate::clock::monotonic_ns;
 
-/// The longest time until the control thread takes a change: many ticks.
-const CHANGE_TIMEOUT: Duration = Duration::from_millis(200);
+/// The longest time until the control thread takes a change.
+const CHANGE_TIMEOUT: Duration = Duration::from_nanos(CHANGE_TIMEOUT_NS);
 
 /// Interval at which the requester polls for the outcome.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -145,8 +145,7 @@ impl Reconfigurer {
             return Err(Stalled.into());
         }
         let config = make(&state.configurations)?;
-        let timeout_ns = u64::try_from(CHANGE_TIMEOUT.as_nanos()).unwrap_or(u64::MAX);
-        let until_ns = monotonic_ns().saturating_add(timeout_ns);
+        let until_ns = monotonic_ns().saturating_add(CHANGE_TIMEOUT_NS);
         state
             .configurations
             .begin(config, until_ns, &self.0.requests)?;

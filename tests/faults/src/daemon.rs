@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use singletrack_control::Setpoint;
-use singletrack_core::{HostOptions, VirtualHost, config::Config};
+use singletrack_core::{HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS};
 use singletrack_pilot::PilotRequest;
 use singletrack_record::TickRecord;
 
@@ -15,9 +15,6 @@ use crate::{
 
 /// The host's clock at the start of the simulation, in ns.
 const EPOCH_NS: u64 = 1_000_000_000_000;
-
-/// The time-out of a change of the configuration, in ns, as in the daemon.
-const PATIENCE_NS: u64 = 200_000_000;
 
 /// The host's clock at a simulation time.
 pub(crate) const fn host_ns(now_us: u64) -> u64 {
@@ -81,7 +78,7 @@ impl Daemon {
 
     /// Reloads the configuration. A refusal has no effect; the daemon would log it.
     pub(crate) fn reload(&mut self, now_us: u64, config: &Config) {
-        let until_ns = host_ns(now_us) + PATIENCE_NS;
+        let until_ns = host_ns(now_us) + CHANGE_TIMEOUT_NS;
         let _ = self.host.reconfigure(config.clone(), until_ns);
     }
 

@@ -1,7 +1,5 @@
 //! `[control]`: how the controller runs.
 
-use core::time::Duration;
-
 use super::section::section;
 
 section! {
@@ -24,12 +22,6 @@ section! {
 }
 
 impl ControlSection {
-    /// The period.
-    #[must_use]
-    pub fn period(&self) -> Duration {
-        Duration::from_millis(self.period_ms.into())
-    }
-
     /// The period, in ns.
     #[must_use]
     pub fn period_ns(&self) -> u64 {
