@@ -120,6 +120,9 @@ words! {
         Failsafe = "failsafe",
         /// Stopped until the board is reset.
         EmergencyStopped = "emergency-stopped",
+        /// Armed; the ESC's supply has just been switched on, and no drive command is
+        /// obeyed yet.
+        PoweringUp = "powering-up",
     }
 }
 

@@ -132,7 +132,9 @@ impl LatestState {
         match self.board {
             None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
             Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
+            Some(BoardState::Armed | BoardState::Driving | BoardState::PoweringUp) => {
+                return Some(Reason::BoardArmed);
+            }
             Some(BoardState::Neutral | BoardState::Failsafe) => {}
         }
         let standing = conditions.motor_speed.abs() < config.standing_speed

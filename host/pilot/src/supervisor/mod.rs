@@ -49,6 +49,10 @@ use checks::LatestState;
 /// pose behind them only grows older.
 const REST: f64 = 0.1;
 
+/// Time, in s, that a board with a kill output takes from its answer to armed: the ESC
+/// starts at neutral, for 2 s.
+const POWER_UP: f64 = 2.5;
+
 /// The number of poses after which a slowing car drives on: a single one may be of
 /// another body.
 const POSES_TO_GO_ON: u32 = 3;
@@ -242,7 +246,10 @@ impl Supervisor {
     ) -> Option<BoardRequest> {
         let now = conditions.now;
         let board = self.latest.board();
-        let armed = matches!(board, Some(BoardState::Armed | BoardState::Driving));
+        let armed = matches!(
+            board,
+            Some(BoardState::Armed | BoardState::Driving | BoardState::PoweringUp)
+        );
         match self.latest.arming_check(conditions, &self.config) {
             Some(failed) => {
                 // While the car only settles, the reason why the last drive ended stays
@@ -292,7 +299,14 @@ impl Supervisor {
         }
         if self.latest.board() == Some(BoardState::Armed) {
             self.enter(Mode::Driving, None, now);
-        } else if now.seconds_since(self.since) > self.config.arm_timeout {
+            return None;
+        }
+        // The board has answered: with a kill output, the ESC starts first.
+        let powering_up = match self.latest.board() {
+            Some(BoardState::PoweringUp) => POWER_UP,
+            _ => 0.0,
+        };
+        if now.seconds_since(self.since) > self.config.arm_timeout + powering_up {
             return self.abort_arming(Reason::BoardTimeout, now);
         }
         None
@@ -380,9 +394,13 @@ impl Supervisor {
         let (mode, reason) = match self.latest.board() {
             Some(BoardState::Armed | BoardState::Driving) => return false,
             Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
-            None | Some(BoardState::Booting | BoardState::Neutral | BoardState::Failsafe) => {
-                (Mode::Idle, Reason::BoardFailsafe)
-            }
+            None
+            | Some(
+                BoardState::Booting
+                | BoardState::Neutral
+                | BoardState::Failsafe
+                | BoardState::PoweringUp,
+            ) => (Mode::Idle, Reason::BoardFailsafe),
         };
         self.enter(mode, Some(reason), now);
         true
