@@ -225,6 +225,7 @@ impl Controller {
                 DriveCommand {
                     speed_m_s: command.rear_speed,
                     steering_rad: command.steering,
+                    brake: false,
                     pose_time_ns: Some(command.pose_time.0),
                 },
             )?;
@@ -380,6 +381,7 @@ impl Queue<'_> {
                 ..
             } => self.push(Event::ArmRefused),
             LinkEvent::Connected { .. }
+            | LinkEvent::Identified { .. }
             | LinkEvent::Acknowledged { .. }
             | LinkEvent::Refused { .. }
             | LinkEvent::Unanswered { .. }
@@ -426,6 +428,7 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             BoardMode::Driving => BoardState::Driving,
             BoardMode::Failsafe => BoardState::Failsafe,
             BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
+            BoardMode::PoweringUp => BoardState::PoweringUp,
         },
     }
 }

@@ -49,16 +49,16 @@ use checks::LatestState;
 /// pose behind them only grows older.
 const REST: f64 = 0.1;
 
+/// Time, in s, that a board with a kill output takes from its answer to armed: the ESC
+/// starts at neutral, for 2 s.
+const POWER_UP: f64 = 2.5;
+
 /// The number of poses after which a slowing car drives on: a single one may be of
 /// another body.
 const POSES_TO_GO_ON: u32 = 3;
 
 /// The longest time between two renewals of a held drive, s.
 const HOLD_TIMEOUT: f64 = 0.5;
-
-/// The longest time that the board may take to switch the ESC's supply on, s, in addition
-/// to `arm_timeout`.
-const POWER_UP: f64 = 4.0;
 
 /// The state machine of the modes.
 #[derive(Clone, Debug, PartialEq)]
@@ -440,12 +440,16 @@ impl Supervisor {
     /// ask of the board then.
     fn follow_stopped_board(&mut self, now: Time) -> bool {
         let (mode, reason) = match self.latest.board() {
-            Some(BoardState::Armed | BoardState::Driving | BoardState::PoweringUp) => return false,
+            Some(BoardState::Armed | BoardState::Driving) => return false,
             Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
             Some(BoardState::RunsAtNeutral) => (Mode::Fault, Reason::RunsAtNeutral),
-            None | Some(BoardState::Booting | BoardState::Neutral | BoardState::Failsafe) => {
-                (Mode::Idle, Reason::BoardFailsafe)
-            }
+            None
+            | Some(
+                BoardState::Booting
+                | BoardState::Neutral
+                | BoardState::Failsafe
+                | BoardState::PoweringUp,
+            ) => (Mode::Idle, Reason::BoardFailsafe),
         };
         self.enter(mode, Some(reason), now);
         true
