@@ -23,6 +23,19 @@ pub struct ImuSample {
     pub attitude_q14: [i16; 4],
 }
 
+/// Registers of the IMU that say how well it works; see [`singletrack_protocol::Status`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ImuHealth {
+    /// CALIB_STAT.
+    pub calibration: u8,
+    /// ST_RESULT.
+    pub self_test: u8,
+    /// SYS_STATUS.
+    pub status: u8,
+    /// SYS_ERR.
+    pub error: u8,
+}
+
 /// Inputs of the board, read shortly before the poll.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Inputs {
@@ -33,12 +46,21 @@ pub struct Inputs {
     pub imu: Option<ImuSample>,
     /// Battery voltage, in mV.
     pub battery_mv: u16,
+    /// The processor's supply, in mV.
+    pub supply_mv: u16,
+    /// The battery's input floats.
+    pub battery_open: bool,
     /// Level of the normally-closed stop input; ignored unless configured.
     pub stop_input_open: bool,
     /// Bytes lost by the receiver so far, wrapping.
     pub bytes_overrun: u16,
     /// Errors on the bus to the IMU so far, wrapping.
     pub imu_errors: u16,
+    /// The IMU's own opinion of itself.
+    pub imu_health: ImuHealth,
+    /// Milliseconds with more edges of the motor's sensor than were counted so far,
+    /// wrapping.
+    pub edges_refused: u16,
 }
 
 /// Outputs until the next poll.
@@ -46,13 +68,16 @@ pub struct Inputs {
 pub struct Outputs {
     /// Servo pulse, in µs; `None` for no pulses.
     pub servo_us: Option<u16>,
-    /// ESC pulse, in µs.
-    pub esc_us: u16,
+    /// ESC pulse, in µs; `None` for no pulses.
+    pub esc_us: Option<u16>,
     /// The ESC's neutral pulse, in µs, for the supervisor, which must be able to
-    /// stop the car without another poll.
+    /// stop the car without another poll. Not for a silent ESC.
     pub esc_neutral_us: u16,
     /// While driving: board time, in µs, until which the command is in force. If it
     /// passes without another poll, an independent supervisor (a timer interrupt)
     /// must output the neutral pulse to the ESC.
     pub drive_deadline_us: Option<u32>,
+    /// Whether the kill output holds the ESC's supply. The supervisor must drop it
+    /// when the main loop is silent.
+    pub power_on: bool,
 }

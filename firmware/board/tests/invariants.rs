@@ -6,7 +6,8 @@ use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_board::{ImuSample, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop, EscCalibration,
-    FailsafeAction, Hello, Sequence, ServoCalibration, SpeedLoop, VERSION,
+    EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS, Sequence, ServoCalibration,
+    SpeedLoop, UNNAMED, VERSION,
 };
 
 use rig::{MS, NEUTRAL, Rig, TTL, configuration};
@@ -36,6 +37,7 @@ enum Step {
         speed_mm_s: i16,
         steering_100urad: i16,
         pose_age_ms: u16,
+        brake: bool,
     },
     /// A correct host for a while.
     DriveWell {
@@ -89,7 +91,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         1_300..1_382_u16,
     );
     let speed = (
-        1..20_000_u16,
+        100..20_000_u16,
         0..5_000_u16,
         0..5_000_u16,
         0..5_000_u16,
@@ -102,7 +104,8 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         any::<bool>(),
         any::<bool>(),
     );
-    (servo, esc, speed, limits).prop_map(|(servo, esc, speed, limits)| Configuration {
+    let rest = (prop::sample::select(EscKind::ALL.to_vec()), any::<bool>());
+    (servo, esc, speed, limits, rest).prop_map(|(servo, esc, speed, limits, rest)| Configuration {
         servo: ServoCalibration {
             min_us: servo.0,
             max_us: servo.1,
@@ -111,6 +114,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             slew_us_per_20ms: servo.3,
         },
         esc: EscCalibration {
+            kind: rest.0,
             // The start pulse must lie in the deadband, or the board refuses it.
             neutral_us: (1_500 + i32::from(esc.1) * esc.0 / 1_000) as u16,
             deadband_us: esc.1,
@@ -126,15 +130,22 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             integral_us_per_m: speed.3,
             integral_limit_us: speed.4,
             max_forward_mm_s: limits.0,
-            max_reverse_mm_s: limits.1,
+            max_reverse_mm_s: match rest.0 {
+                EscKind::Vesc => 0,
+                EscKind::Car | EscKind::ForwardReverse => limits.1,
+            },
         },
-        failsafe: if limits.3 {
+        failsafe: if limits.3 && rest.0.has_brake() {
             FailsafeAction::Brake
         } else {
             FailsafeAction::Coast
         },
         max_pose_age_ms: limits.2,
         stop_input: limits.4,
+        kill_output: rest.1,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: UNNAMED,
+        imu_axes: ImuAxes::AS_PRINTED,
     })
 }
 
@@ -152,9 +163,9 @@ fn step() -> impl Strategy<Value = Step> {
             .prop_map(|(age_us, right, again)| Step::Arm { age_us, right_hash: right || again, again }),
         1 => Just(Step::Disarm),
         1 => prop_oneof![9 => Just(Step::Disarm), 1 => Just(Step::EmergencyStop)],
-        6 => (0..130_u8, age(), any::<i16>(), any::<i16>(), 0..1_100_u16).prop_map(
-            |(ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms)| Step::Drive {
-                ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms,
+        6 => (0..130_u8, age(), any::<i16>(), any::<i16>(), 0..1_100_u16, any::<bool>()).prop_map(
+            |(ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms, brake)| Step::Drive {
+                ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms, brake,
             }
         ),
         8 => (1..100_u32, -3_000..6_000_i16, any::<i16>()).prop_map(
@@ -177,10 +188,12 @@ struct Watch {
     outputs: Outputs,
     configuration: Option<Configuration>,
     time_us: u32,
-    /// Time at the brake pulse of a stop.
+    /// Time at the brake pulse.
     braked_us: u32,
     drove: bool,
     braked: bool,
+    latched_us: u32,
+    silent: bool,
 }
 
 impl Watch {
@@ -193,6 +206,8 @@ impl Watch {
             braked_us: 0,
             drove: false,
             braked: false,
+            latched_us: 0,
+            silent: false,
         }
     }
 
@@ -212,12 +227,18 @@ impl Watch {
         }
         let configuration = rig.board.configuration().copied();
         let Some(now) = configuration else {
-            assert_eq!((outputs.servo_us, outputs.esc_us), (None, NEUTRAL));
+            assert_eq!(outputs.servo_us, None);
+            assert!(!outputs.power_on);
+            self.check_silence(mode, &outputs, elapsed_us);
+            if mode != BoardMode::EmergencyStopped {
+                assert_eq!(outputs.esc_us, Some(NEUTRAL));
+            }
             assert!(matches!(
                 mode,
                 BoardMode::Boot | BoardMode::Neutral | BoardMode::EmergencyStopped
             ));
             self.mode = mode;
+            self.outputs = outputs;
             self.time_us = rig.now;
             return;
         };
@@ -232,32 +253,14 @@ impl Watch {
             assert!(change <= slew / 20_000 + 1, "{change} in {elapsed_us} us");
         }
 
-        let (esc, esc_us) = (&now.esc, outputs.esc_us);
-        assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
-        assert!((esc.min_us..=esc.max_us).contains(&esc_us));
-        if mode == BoardMode::Driving {
-            self.drove = true;
-            self.braked_us = 0;
-            if now.speed.max_reverse_mm_s == 0 {
-                assert!(esc_us >= esc.neutral_us, "reverse");
-            }
-        } else if esc_us != esc.neutral_us {
-            // A stop brakes once, after driving, for at most half a second.
-            self.braked = true;
-            assert_eq!(esc_us, esc.brake_us);
-            assert!(matches!(
-                mode,
-                BoardMode::Failsafe | BoardMode::EmergencyStopped
-            ));
-            assert_eq!(now.failsafe, FailsafeAction::Brake);
-            if before != BoardMode::Driving {
-                self.braked_us = self.braked_us.saturating_add(elapsed_us);
-            }
-            assert!(
-                self.braked_us < 500 * MS,
-                "braked for {} us",
-                self.braked_us
-            );
+        let armed = matches!(
+            mode,
+            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
+        );
+        assert_eq!(outputs.power_on, armed && now.kill_output);
+        self.check_silence(mode, &outputs, elapsed_us);
+        if mode != BoardMode::EmergencyStopped {
+            self.check_esc(before, mode, &now, &outputs, elapsed_us);
         }
         self.mode = mode;
         self.outputs = outputs;
@@ -266,21 +269,93 @@ impl Watch {
     }
 }
 
+impl Watch {
+    /// A latched stop gives a neutral pulse for half a second at most, and then none
+    /// for ever. No other state is silent.
+    fn check_silence(&mut self, mode: BoardMode, outputs: &Outputs, elapsed_us: u32) {
+        if mode != BoardMode::EmergencyStopped {
+            assert_ne!(outputs.esc_us, None);
+            return;
+        }
+        assert_eq!(outputs.esc_neutral_us, NEUTRAL);
+        if self.mode == BoardMode::EmergencyStopped {
+            self.latched_us = self.latched_us.saturating_add(elapsed_us);
+            assert!(self.outputs.esc_us.is_some() || outputs.esc_us.is_none());
+        }
+        match outputs.esc_us {
+            Some(pulse) => assert_eq!(pulse, NEUTRAL),
+            None => self.silent = true,
+        }
+        assert!(self.silent || self.latched_us < 500 * MS, "not silent");
+    }
+
+    fn check_esc(
+        &mut self,
+        before: BoardMode,
+        mode: BoardMode,
+        now: &Configuration,
+        outputs: &Outputs,
+        elapsed_us: u32,
+    ) {
+        let esc = &now.esc;
+        let esc_us = outputs.esc_us.unwrap_or(0);
+        assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
+        let brake_us = Some(esc.brake_us).filter(|_| esc.kind.has_brake());
+        assert!((esc.min_us..=esc.max_us).contains(&esc_us) || Some(esc_us) == brake_us);
+        let braked = self.outputs.esc_us == Some(esc_us) && Some(esc_us) == brake_us;
+        self.braked_us = if braked {
+            self.braked_us.saturating_add(elapsed_us)
+        } else {
+            0
+        };
+        if mode == BoardMode::Driving {
+            self.drove = true;
+            if now.speed.max_reverse_mm_s != 0 {
+                return;
+            }
+            assert!(
+                esc_us >= esc.neutral_us || Some(esc_us) == brake_us,
+                "reverse"
+            );
+        } else if esc_us != esc.neutral_us {
+            // A stop brakes once, after driving.
+            self.braked = true;
+            assert_eq!(Some(esc_us), brake_us);
+            match mode {
+                BoardMode::Failsafe => assert_eq!(now.failsafe, FailsafeAction::Brake),
+                // Disarmed while it rolled.
+                BoardMode::Neutral => {}
+                _ => panic!("{mode:?} brakes"),
+            }
+            assert!(matches!(
+                before,
+                BoardMode::Driving | BoardMode::Failsafe | BoardMode::Neutral
+            ));
+        }
+        assert!(
+            self.braked_us < 500 * MS,
+            "braked for {} us",
+            self.braked_us
+        );
+    }
+}
+
 /// Whether one poll may change the mode in this way.
 fn may_follow(before: BoardMode, after: BoardMode) -> bool {
-    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral};
+    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral, PoweringUp};
     before == after
         || after == EmergencyStopped
         || matches!(
             (before, after),
             (Boot, Neutral)
-                | (Neutral, Boot | Armed)
+                | (Neutral, Boot | Armed | PoweringUp)
+                | (PoweringUp, Armed | Neutral | Failsafe)
                 | (Armed, Neutral | Driving | Failsafe)
                 | (Driving, Neutral | Failsafe)
-                | (Failsafe, Armed)
+                | (Failsafe, Armed | PoweringUp)
                 // The board stops the car; the arm request in the same poll claims
                 // to know that.
-                | (Driving, Armed)
+                | (Driving, Armed | PoweringUp)
         )
 }
 
@@ -342,6 +417,7 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
             speed_mm_s,
             steering_100urad,
             pose_age_ms,
+            brake,
         } => {
             rig.send(Drive {
                 sequence: Sequence(rig.board.last_sequence().0.wrapping_add(ahead)),
@@ -349,6 +425,7 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
                 steering_100urad,
                 telemetry_time_us: rig.now.wrapping_sub(age_us),
                 pose_age_ms,
+                brake,
             });
         }
         Step::DriveWell {
@@ -455,7 +532,7 @@ proptest! {
         for piece in pieces {
             rig.run(MS);
             rig.poll(&piece);
-            prop_assert_eq!((rig.outputs.servo_us, rig.outputs.esc_us), (None, NEUTRAL));
+            prop_assert_eq!((rig.outputs.servo_us, rig.esc_us()), (None, NEUTRAL));
         }
     }
 }

@@ -8,6 +8,7 @@
 //! | D0, D1 | line to the host |
 //! | D2 | pulses of the motor |
 //! | D4 | stop switch to ground, normally closed |
+//! | D7 | kill output: the ESC's supply |
 //! | D9 | servo |
 //! | D10 | ESC |
 //! | A0 | battery, halved |
@@ -23,6 +24,7 @@ mod bno055;
 mod clock;
 mod in_place;
 mod interrupts;
+mod kill_output;
 mod motor;
 mod panic;
 mod pulses;
@@ -36,8 +38,8 @@ mod twi;
 mod uart;
 mod watchdog;
 
-use singletrack_board::{Board, Inputs, MotorPulses};
-use singletrack_protocol::ResetCause;
+use singletrack_board::{Board, ImuHealth, Inputs, MotorPulses};
+use singletrack_protocol::{ResetCause, UNNAMED};
 
 use crate::{
     battery::Battery,
@@ -62,10 +64,16 @@ const RECEIVED_PER_POLL: usize = 64;
 const POLL: u8 = 1;
 
 const VERSION: [u8; 3] = [
-    number(env!("CARGO_PKG_VERSION_MAJOR")),
-    number(env!("CARGO_PKG_VERSION_MINOR")),
-    number(env!("CARGO_PKG_VERSION_PATCH")),
+    number(env!("CARGO_PKG_VERSION_MAJOR")) as u8,
+    number(env!("CARGO_PKG_VERSION_MINOR")) as u8,
+    number(env!("CARGO_PKG_VERSION_PATCH")) as u8,
 ];
+
+/// The car that this image is for: given to the build, see `cargo uno --car-id`.
+const CAR_ID: u16 = match option_env!("SINGLETRACK_CAR_ID") {
+    Some(digits) => number(digits),
+    None => UNNAMED,
+};
 
 /// State of the main loop, besides the board. (Separate, because it is initialised
 /// to zeros, which take no flash.)
@@ -80,7 +88,7 @@ struct MainLoop {
     polls_next: bool,
 }
 
-static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION));
+static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION, CAR_ID));
 
 static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
     inputs: Inputs {
@@ -93,6 +101,15 @@ static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
         stop_input_open: false,
         bytes_overrun: 0,
         imu_errors: 0,
+        supply_mv: 0,
+        battery_open: false,
+        imu_health: ImuHealth {
+            calibration: 0,
+            self_test: 0,
+            status: 0,
+            error: 0,
+        },
+        edges_refused: 0,
     },
     motor: Motor::new(),
     battery: Battery::new(),
@@ -133,7 +150,11 @@ impl MainLoop {
     fn round(&mut self) -> bool {
         self.imu.poll(clock::tick_us(), &mut self.inputs.imu);
         self.inputs.imu_errors = self.imu.errors();
-        self.inputs.battery_mv = self.battery.poll();
+        self.inputs.imu_health = self.imu.health();
+        self.battery.poll();
+        self.inputs.battery_mv = self.battery.millivolts;
+        self.inputs.supply_mv = self.battery.supply_mv;
+        self.inputs.battery_open = self.battery.open;
         self.polls_next = !self.polls_next;
         self.polls_next
     }
@@ -144,10 +165,14 @@ impl MainLoop {
         self.inputs.motor = self.motor.poll(clock::now_us());
         self.inputs.stop_input_open = stop_input::is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
+        self.inputs.edges_refused = motor::refused();
         let outputs = sections::measured(POLL, || {
             board.poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
         supervisor::publish(now_us, &outputs);
+        if let Some(configuration) = board.configuration() {
+            self.imu.mount(configuration.imu_axes);
+        }
     }
 }
 
@@ -166,12 +191,12 @@ fn start_peripherals() {
     SMCR.write(SLEEP_IN_IDLE);
 }
 
-/// Parses a decimal number below 256, at compile time.
-const fn number(digits: &str) -> u8 {
+/// Parses a decimal number below 2^16, at compile time.
+const fn number(digits: &str) -> u16 {
     let mut value = 0;
     let mut rest = digits.as_bytes();
     while let [digit, tail @ ..] = rest {
-        value = value * 10 + (*digit - b'0');
+        value = value * 10 + (*digit - b'0') as u16;
         rest = tail;
     }
     value

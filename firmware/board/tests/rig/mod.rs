@@ -6,8 +6,9 @@
 use singletrack_board::{Board, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, EscCalibration, FailsafeAction, Hello, RefusalReason, ResetCause, Sequence,
-    ServoCalibration, SpeedLoop, Status, Telemetry, ToBoard, ToHost, VERSION,
+    EmergencyStop, EscCalibration, EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS,
+    RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, Telemetry, ToBoard,
+    ToHost, UNNAMED, VERSION,
 };
 
 pub(crate) const MS: u32 = 1_000;
@@ -25,6 +26,7 @@ pub(crate) fn configuration() -> Configuration {
             slew_us_per_20ms: 100,
         },
         esc: EscCalibration {
+            kind: EscKind::Car,
             neutral_us: NEUTRAL,
             deadband_us: 20,
             min_us: 1_200,
@@ -44,6 +46,10 @@ pub(crate) fn configuration() -> Configuration {
         failsafe: FailsafeAction::Coast,
         max_pose_age_ms: 900,
         stop_input: false,
+        kill_output: false,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: 0,
+        imu_axes: ImuAxes::AS_PRINTED,
     }
 }
 
@@ -68,7 +74,7 @@ pub(crate) struct Rig {
 impl Rig {
     /// A board that has just started at a given time, not yet polled.
     pub(crate) fn starting_at(now: u32) -> Self {
-        let board = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
+        let board = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, UNNAMED);
         Self {
             outputs: board.outputs(),
             board,
@@ -111,8 +117,13 @@ impl Rig {
         rig.pulse_period_us = Some(5_000);
         rig.drive_for(500 * MS, 1_000, 0);
         assert_eq!(rig.board.mode(), BoardMode::Driving);
-        assert!(rig.outputs.esc_us > NEUTRAL + 20);
+        assert!(rig.esc_us() > NEUTRAL + 20);
         rig
+    }
+
+    /// The ESC's pulse; zero for none.
+    pub(crate) fn esc_us(&self) -> u16 {
+        self.outputs.esc_us.unwrap_or(0)
     }
 
     pub(crate) fn poll(&mut self, received: &[u8]) -> Outputs {
@@ -255,6 +266,7 @@ impl Rig {
             steering_100urad,
             telemetry_time_us: self.now,
             pose_age_ms: 10,
+            brake: false,
         }
     }
 
