@@ -276,7 +276,8 @@ impl<'a> Run<'a> {
         let next_us = self.drive.next_tick_us();
         if self.connected_us > 0 && next_us >= self.connected_us {
             self.connected_us = 0;
-            self.drive.world_mut().set_wire_connected(true);
+            let connected = !self.operator.has_unplugged();
+            self.drive.world_mut().set_wire_connected(connected);
         }
         let time = self.time(next_us);
         self.operator
