@@ -4,9 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::{Position, VehicleParameters};
-use singletrack_core::config::{
-    Config, LawKind, LawSection, OuterLoopSection, ReferenceSection,
-};
+use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_pilot::Mode;
 use singletrack_protocol::StopCause;
 use singletrack_scenario::{
