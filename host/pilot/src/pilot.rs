@@ -204,6 +204,13 @@ impl Pilot {
         Ok(())
     }
 
+    /// TEMPORARY
+    #[must_use]
+    pub fn debug_margins(&self) -> [f64; 3] {
+        let [a, b] = self.estimator.acceleration_bias();
+        [self.innovations.mean(), fabs(a).max(fabs(b)), self.sideslip.last()]
+    }
+
     /// The mode after the last tick.
     #[must_use]
     pub const fn mode(&self) -> Mode {

@@ -46,6 +46,7 @@ pub(crate) struct SideslipWatch {
     allowed: f64,
     way: f64,
     exceeded: u32,
+    ratio: f64,
 }
 
 /// The way of one mean, m.
@@ -76,11 +77,17 @@ impl SideslipWatch {
             } else {
                 self.exceeded.saturating_add(1)
             };
+            self.ratio = angle / (self.allowed / self.way);
             *self = Self {
                 exceeded: self.exceeded,
+                ratio: self.ratio,
                 ..Self::default()
             };
         }
+    }
+
+    pub(crate) const fn last(&self) -> f64 {
+        self.ratio
     }
 
     /// Whether the sideslip is implausible.
@@ -117,7 +124,6 @@ impl InnovationWatch {
     }
 
     /// The running mean.
-    #[cfg(test)]
     pub(crate) const fn mean(&self) -> f64 {
         self.mean
     }

@@ -3,7 +3,7 @@
 use libm::{atan2, copysign, fabs, tan};
 use singletrack_control::Time;
 
-use super::steps::Step;
+use super::{steps::Step, stop::deceleration};
 use crate::supervisor::Reason;
 
 /// The highest speed of the first metre, m/s.
@@ -27,6 +27,8 @@ const STEERING_RATIO: (f64, f64) = (0.6, 1.6);
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
 const YAW_AFTER: f64 = 0.15;
+/// The way after which a yaw that is wrong by a right angle or more shows, m.
+const CROSSWISE_AFTER: f64 = 0.04;
 /// The largest angle between the motion of the rear axle and the yaw, rad.
 const YAW_ERROR: f64 = 0.115;
 /// The change of speed by which the accelerometer is judged, m/s; if it does not come in
@@ -41,15 +43,15 @@ const ACCELERATES_WITHIN: f64 = 1.2;
 const MOTOR_AFTER: f64 = 0.2;
 /// ...and how much they may differ: in m, beyond the two pulses that a speed takes, and as
 /// a share.
-const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.2);
+const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest
 /// speed at which that says anything, m/s.
 const COAST_AT: f64 = 0.7;
-const COAST_FOR: f64 = 0.25;
+const COAST_FOR: f64 = 0.4;
 const COAST_FROM: f64 = 0.22;
-/// When the deceleration of the roll begins to be measured, s.
-const COAST_MEASURED_AFTER: f64 = 0.08;
+/// The roll ends below this speed, m/s.
+const COAST_UNTIL: f64 = 0.08;
 /// A roll that loses less than this share of the configured deceleration is too weak.
 const COAST_SHARE: f64 = 0.7;
 
@@ -101,8 +103,10 @@ enum Coast {
     Ahead,
     Begun {
         since: Time,
-        /// Time and speed when the measurement began.
-        from: Option<(Time, f64)>,
+        /// The speed then, m/s.
+        speed: f64,
+        /// The driven way then, m.
+        way: f64,
     },
     Over,
 }
@@ -160,7 +164,8 @@ impl Proving {
             return Some(Reason::SteeringReversed);
         }
         let way = fabs(self.along) + fabs(self.across);
-        if way > YAW_AFTER && fabs(atan2(self.across, self.along)) > YAW_ERROR {
+        let angle = fabs(atan2(self.across, self.along));
+        if (way > YAW_AFTER && angle > YAW_ERROR) || (way > CROSSWISE_AFTER && angle > 1.0) {
             return Some(Reason::BodyYawWrong);
         }
         if self.wanted > SIZE_AFTER && outside(self.made, self.wanted, STEERING_RATIO) {
@@ -210,25 +215,22 @@ impl Proving {
             Coast::Ahead if self.way >= COAST_AT && speed > COAST_FROM => {
                 self.coast = Coast::Begun {
                     since: now,
-                    from: None,
+                    speed,
+                    way: self.way,
                 };
                 tick.coast = true;
             }
-            Coast::Begun { since, from } => {
-                let rolled = now.seconds_since(*since);
-                if rolled >= COAST_MEASURED_AFTER && from.is_none() {
-                    *from = Some((now, speed));
-                }
-                tick.coast = rolled < COAST_FOR && speed > 0.1;
+            Coast::Begun {
+                since,
+                speed: first,
+                way,
+            } => {
+                tick.coast = now.seconds_since(*since) < COAST_FOR && speed > COAST_UNTIL;
                 if !tick.coast {
-                    if let Some((begin, first)) = *from
-                        && now.seconds_since(begin) >= 0.03
-                    {
-                        let measured = (first - speed) / now.seconds_since(begin);
-                        tick.coasted = Some(measured.max(0.0));
-                        if measured < COAST_SHARE * braking && self.found.is_none() {
-                            self.found = Some(Reason::BrakesLessThanConfigured);
-                        }
+                    let measured = deceleration(*first, fabs(speed), self.way - *way);
+                    tick.coasted = Some(measured);
+                    if measured < COAST_SHARE * braking && self.found.is_none() {
+                        self.found = Some(Reason::BrakesLessThanConfigured);
                     }
                     self.coast = Coast::Over;
                 }

@@ -184,7 +184,8 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            verdict.measured = deceleration(&ended, left);
+            verdict.measured = (ended.speed >= MEASURED_FROM)
+                .then(|| deceleration(ended.speed, left, ended.way));
             if let Some(measured) = verdict.measured {
                 self.judge(measured, limits.braking);
             }
@@ -208,15 +209,16 @@ impl StopWatch {
     }
 }
 
-/// The deceleration of a stop from its way, in m/s²: the speed falls after [`UNBRAKED`].
-fn deceleration(run: &Run, left: f64) -> Option<f64> {
-    if run.speed < MEASURED_FROM {
-        return None;
+/// The deceleration of a car that has slowed down from `speed` to `left` (m/s) on this way
+/// (m), in m/s²: the speed falls after [`UNBRAKED`], as the geofence has it.
+pub(super) fn deceleration(speed: f64, left: f64, way: f64) -> f64 {
+    let fallen = (speed * speed - left * left).max(0.0);
+    let braked = way - UNBRAKED * speed;
+    if braked <= fallen / (2.0 * MOST) {
+        MOST
+    } else {
+        fallen / (2.0 * braked)
     }
-    let fallen = (run.speed * run.speed - left * left).max(0.0);
-    let way = run.way - UNBRAKED * run.speed;
-    let most = way <= fallen / (2.0 * MOST);
-    Some(if most { MOST } else { fallen / (2.0 * way) })
 }
 
 #[cfg(test)]
