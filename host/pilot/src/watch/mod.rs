@@ -17,7 +17,7 @@ mod ticks;
 pub(crate) use attitude::{AttitudeWatch, PushWatch};
 pub(crate) use blind::BlindWatch;
 pub use config::WatchConfig;
-pub(crate) use consistency::{FrozenWatch, InnovationWatch, SideslipWatch};
+pub(crate) use consistency::{FrozenWatch, InnovationWatch, SideslipWatch, SteeringWatch};
 pub use imu::ImuVerdict;
 pub(crate) use imu::ImuWatch;
 pub(crate) use proving::{PROVING_SPEED, Proving};

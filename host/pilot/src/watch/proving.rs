@@ -1,6 +1,8 @@
 //! The first metre of an unproved configuration: every sensor against every other.
 
-use libm::{atan2, copysign, fabs, tan};
+use core::f64::consts::TAU;
+
+use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
 use super::{steps::Step, stop::deceleration};
@@ -13,16 +15,18 @@ const METRE: f64 = 1.0;
 
 /// Steering angles below this prove nothing, rad: trim and backlash.
 const LEAST_STEERING: f64 = 0.04;
-/// A step must turn by this much to count for the gyro, rad: the noise of the cameras' yaw.
-const LEAST_TURN: f64 = 0.006;
+/// The span of the comparison of the gyro, s, and the least turn in it, rad: the cameras' yaw
+/// has noise.
+const GYRO_SPAN: f64 = 0.2;
+const LEAST_TURN: f64 = 0.015;
 /// The turn that the steering should have made by which a reversed servo shows, rad.
-const SIGN_AFTER: f64 = 0.12;
+const SIGN_AFTER: f64 = 0.09;
 /// The turn by which a servo with a wrong gain shows, rad.
-const SIZE_AFTER: f64 = 0.35;
+const SIZE_AFTER: f64 = 0.25;
 /// The turn by which the steering is proved, rad.
-const PROVED_AFTER: f64 = 0.5;
+const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
-const STEERING_RATIO: (f64, f64) = (0.6, 1.6);
+const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
 /// Turn of the gyro per turn of the cameras.
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
@@ -45,6 +49,10 @@ const MOTOR_AFTER: f64 = 0.2;
 /// a share.
 const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
+/// The steering follows a wave during the first metre: its amplitude, rad, and its length, m.
+const WAVE: f64 = 0.12;
+const WAVE_LENGTH: f64 = 0.5;
+
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest
 /// speed at which that says anything, m/s.
 const COAST_AT: f64 = 0.7;
@@ -60,6 +68,8 @@ const COAST_SHARE: f64 = 0.7;
 pub(crate) struct ProvingTick {
     /// The car is to roll at neutral.
     pub(crate) coast: bool,
+    /// What to add to the steering, rad: a straight reference shows no sign of the servo.
+    pub(crate) steering: f64,
     /// Everything has been compared, and nothing contradicts.
     pub(crate) passed: bool,
     /// The deceleration of the roll that ended in this tick, m/s².
@@ -79,6 +89,7 @@ pub(crate) struct Proving {
     /// Turn of the cameras, without its signs, and of the gyro with it.
     seen: f64,
     felt: f64,
+    span: GyroSpan,
     /// Way along and to the left of the yaw.
     along: f64,
     across: f64,
@@ -94,6 +105,14 @@ struct Start {
     forward: f64,
     left: f64,
     judged: bool,
+}
+
+/// The turn of some steps, by the cameras and by the gyro.
+#[derive(Clone, Copy, Debug, Default)]
+struct GyroSpan {
+    time: f64,
+    turn: f64,
+    gyro_turn: f64,
 }
 
 /// The roll at neutral.
@@ -141,9 +160,15 @@ impl Proving {
             self.wanted += fabs(wanted);
             self.made += copysign(1.0, wanted) * step.turn;
         }
-        if fabs(step.turn) > LEAST_TURN {
-            self.seen += fabs(step.turn);
-            self.felt += copysign(1.0, step.turn) * step.gyro_turn;
+        self.span.time += step.time;
+        self.span.turn += step.turn;
+        self.span.gyro_turn += step.gyro_turn;
+        if self.span.time >= GYRO_SPAN {
+            let span = core::mem::take(&mut self.span);
+            if fabs(span.turn) > LEAST_TURN {
+                self.seen += fabs(span.turn);
+                self.felt += copysign(1.0, span.turn) * span.gyro_turn;
+            }
         }
         self.found = self.found.or(self.contradiction(pulse_distance));
     }
@@ -236,6 +261,9 @@ impl Proving {
                 }
             }
             Coast::Ahead | Coast::Over => {}
+        }
+        if self.is_slow() {
+            tick.steering = WAVE * sin(TAU * self.way / WAVE_LENGTH);
         }
         tick.passed = self.found.is_none()
             && !self.is_slow()
