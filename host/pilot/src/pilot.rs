@@ -15,7 +15,7 @@ use crate::{
     supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
     watch::{
         AttitudeWatch, BlindWatch, FrozenWatch, ImuWatch, InnovationWatch, PROVING_SPEED, Proving,
-        PushWatch, SideslipWatch, SpeedWatch, SteeringWatch, Speeds, Steps, StopLimits, StopWatch, TickWatch,
+        PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch, Speeds, Steps, StopLimits, StopWatch, TickWatch,
         WatchConfig,
     },
 };
@@ -134,6 +134,7 @@ pub struct Pilot {
     steps: Steps,
     sideslip: SideslipWatch,
     steering: SteeringWatch,
+    start: StartWatch,
     /// The steering of the last command, rad: with the wave of the proving run.
     commanded_steering: f64,
     innovations: InnovationWatch,
@@ -168,6 +169,7 @@ impl Pilot {
             steps: Steps::default(),
             sideslip: SideslipWatch::default(),
             steering: SteeringWatch::default(),
+            start: StartWatch::default(),
             commanded_steering: 0.0,
             innovations: InnovationWatch::default(),
             frozen: FrozenWatch::default(),
@@ -207,13 +209,6 @@ impl Pilot {
         self.push = PushWatch::default();
         self.pose_time = None;
         Ok(())
-    }
-
-    /// TEMPORARY
-    #[must_use]
-    pub fn debug_margins(&self) -> [f64; 3] {
-        let [a, b] = self.estimator.acceleration_bias();
-        [self.innovations.mean(), fabs(a).max(fabs(b)), self.sideslip.last()]
     }
 
     /// The mode after the last tick.
@@ -295,6 +290,7 @@ impl Pilot {
             self.speeds.reset();
             self.sideslip.reset();
             self.steering.reset();
+            self.start.reset();
             self.innovations.reset();
             let unproved = self.config.supervisor.prove && !self.proved;
             self.proving = unproved.then(Proving::default);
@@ -477,7 +473,9 @@ impl Pilot {
             Some(Reason::SideslipImplausible)
         } else if self.steering.is_exceeded() {
             Some(Reason::SteeringDiffers)
-        } else if fabs(forward).max(fabs(left)) > watch.max_acceleration_bias {
+        } else if self.start.differs()
+            || fabs(forward).max(fabs(left)) > watch.max_acceleration_bias
+        {
             Some(Reason::AccelerometerDiffers)
         } else if self.innovations.is_inconsistent() {
             Some(Reason::EstimateInconsistent)
@@ -564,6 +562,7 @@ impl Pilot {
             if let Some(step) = step {
                 if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
                     let wheelbase = config.estimator.wheelbase;
+                    self.start.step(&step);
                     self.sideslip.step(&step, &config.watch);
                     self.steering.step(&step, wheelbase, &config.watch);
                     if let Some(proving) = &mut self.proving {

@@ -30,7 +30,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         let car = CalibratedCar::random(seed);
         let drive = car.drive()?;
         proved += u64::from(drive.proved);
-        println!("M {seed} {:.1} {:.2} {:.2}", drive.margins[0], drive.margins[1], drive.margins[2]);
         if let Ended::Alarm(reason) = drive.ended {
             alarms += 1;
             println!("seed {seed}: {reason} after {:.2} s\n{}", drive.seconds, car.describe());

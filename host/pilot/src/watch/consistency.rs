@@ -46,7 +46,6 @@ pub(crate) struct SideslipWatch {
     allowed: f64,
     way: f64,
     exceeded: u32,
-    ratio: f64,
 }
 
 /// The way of one mean, m.
@@ -77,17 +76,11 @@ impl SideslipWatch {
             } else {
                 self.exceeded.saturating_add(1)
             };
-            self.ratio = angle / (self.allowed / self.way);
             *self = Self {
                 exceeded: self.exceeded,
-                ratio: self.ratio,
                 ..Self::default()
             };
         }
-    }
-
-    pub(crate) const fn last(&self) -> f64 {
-        self.ratio
     }
 
     /// Whether the sideslip is implausible.
@@ -175,11 +168,6 @@ impl InnovationWatch {
     /// Whether the innovations exceed their limit.
     pub(crate) const fn is_inconsistent(&self) -> bool {
         self.exceeded >= POSES
-    }
-
-    /// The running mean.
-    pub(crate) const fn mean(&self) -> f64 {
-        self.mean
     }
 
     /// Forgets the last drive.

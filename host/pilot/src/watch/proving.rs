@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::{steps::Step, stop::deceleration};
+use super::{start::StartWatch, steps::Step, stop::deceleration};
 use crate::supervisor::Reason;
 
 /// The highest speed of the first metre, m/s.
@@ -35,14 +35,6 @@ const YAW_AFTER: f64 = 0.15;
 const CROSSWISE_AFTER: f64 = 0.04;
 /// The largest angle between the motion of the rear axle and the yaw, rad.
 const YAW_ERROR: f64 = 0.115;
-/// The change of speed by which the accelerometer is judged, m/s; if it does not come in
-/// time, a lower one will do...
-const ACCELERATED: f64 = 0.18;
-const JUDGED_FROM: f64 = 0.08;
-/// ...its tolerance, in m/s and as a share...
-const ACCELERATION_TOLERANCE: (f64, f64) = (0.05, 0.5);
-/// ...and that time, s: later the bias counts for more.
-const ACCELERATES_WITHIN: f64 = 1.2;
 /// The way by which the motor and the cameras are compared, m...
 const MOTOR_AFTER: f64 = 0.2;
 /// ...and how much they may differ: in m, beyond the two pulses that a speed takes, and as
@@ -94,17 +86,8 @@ pub(crate) struct Proving {
     along: f64,
     across: f64,
     motor_way: f64,
-    start: Start,
+    start: StartWatch,
     coast: Coast,
-}
-
-/// The comparison of the accelerometer with the speed, while the car starts off.
-#[derive(Clone, Copy, Debug, Default)]
-struct Start {
-    time: f64,
-    forward: f64,
-    left: f64,
-    judged: bool,
 }
 
 /// The turn of some steps, by the cameras and by the gyro.
@@ -146,7 +129,10 @@ impl Proving {
         if self.found.is_some() {
             return;
         }
-        self.compare_acceleration(step);
+        self.start.step(step);
+        if self.start.differs() {
+            self.found = Some(Reason::AccelerometerDiffers);
+        }
         let along = step.along();
         // A body whose yaw is wrong by more than a right angle moves backward.
         let way = step.rear.norm();
@@ -205,31 +191,6 @@ impl Proving {
         None
     }
 
-    fn compare_acceleration(&mut self, step: &Step) {
-        let start = &mut self.start;
-        if start.judged {
-            return;
-        }
-        let speed = step.rear.norm() / step.time;
-        start.time += step.time;
-        start.forward += step.forward;
-        start.left += step.left;
-        let late = start.time > ACCELERATES_WITHIN;
-        if late || speed >= ACCELERATED {
-            start.judged = true;
-            if speed < JUDGED_FROM {
-                return;
-            }
-            let (margin, share) = ACCELERATION_TOLERANCE;
-            // Over a step the speed is that of its middle; the integral is that of its end.
-            let middle = start.forward - 0.5 * step.forward;
-            let off = libm::hypot(middle - speed, start.left - 0.5 * step.left);
-            if off > margin + share * speed {
-                self.found = Some(Reason::AccelerometerDiffers);
-            }
-        }
-    }
-
     /// A tick of the drive with the estimated speed (m/s) and the configured deceleration
     /// (m/s²).
     pub(crate) fn tick(&mut self, now: Time, speed: f64, braking: f64) -> ProvingTick {
@@ -268,7 +229,7 @@ impl Proving {
         tick.passed = self.found.is_none()
             && !self.is_slow()
             && self.wanted > PROVED_AFTER
-            && self.start.judged
+            && self.start.is_judged()
             && !matches!(self.coast, Coast::Begun { .. });
         tick
     }

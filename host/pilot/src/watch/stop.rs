@@ -25,12 +25,34 @@ struct Run {
     speed: f64,
     /// Way since, m.
     way: f64,
-    /// The speed when the reaction time had passed, m/s, and that time.
-    after_reaction: Option<(f64, Time)>,
-    /// Ticks in a row with too high a speed.
-    too_fast: u32,
+    /// The fall of the speed by motor and by cameras.
+    falls: [Fall; 2],
     /// Since when the car has stood.
     standing: Option<Time>,
+}
+
+/// The fall of a measured speed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fall {
+    /// The first speed after the reaction time, m/s, and its time.
+    from: Option<(f64, Time)>,
+    /// Ticks in a row with too high a speed.
+    too_fast: u32,
+}
+
+impl Fall {
+    /// A tick after the reaction time, with the least deceleration (m/s²). A sensor that
+    /// returns is judged from then on.
+    fn tick(&mut self, now: Time, speed: Option<f64>, least: f64) {
+        let Some(speed) = speed.map(fabs) else {
+            *self = Self::default();
+            return;
+        };
+        let (from, since) = *self.from.get_or_insert((speed, now));
+        let allowed = from - least * now.seconds_since(since) + TOLERANCE;
+        let too_fast = speed > allowed.max(SLOW);
+        self.too_fast = if too_fast { self.too_fast + 1 } else { 0 };
+    }
 }
 
 /// The speeds of a tick, in m/s; `None` where there is no recent measurement.
@@ -114,8 +136,7 @@ impl StopWatch {
             last: now,
             speed: speed.unwrap_or(0.0),
             way: 0.0,
-            after_reaction: None,
-            too_fast: 0,
+            falls: [Fall::default(); 2],
             standing: None,
         });
     }
@@ -155,20 +176,13 @@ impl StopWatch {
         run.way += pace * now.seconds_since(run.last);
         run.last = now;
         let least = LEAST_SHARE * limits.braking;
-        if elapsed >= REACTION
-            && let Some(speed) = worst
-        {
-            let (from, since) = *run.after_reaction.get_or_insert((speed, now));
-            let allowed = from - least * now.seconds_since(since) + TOLERANCE;
-            let too_fast = speed > allowed.max(SLOW);
-            run.too_fast = if too_fast { run.too_fast + 1 } else { 0 };
+        if elapsed >= REACTION {
+            let [motor, cameras] = &mut run.falls;
+            motor.tick(now, speeds.motor, least);
+            cameras.tick(now, speeds.cameras, least);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
-            let most = if in_place {
-                TOO_FAST_IN_PLACE
-            } else {
-                TOO_FAST
-            };
-            verdict.disobeyed = run.too_fast >= most;
+            let most = if in_place { TOO_FAST_IN_PLACE } else { TOO_FAST };
+            verdict.disobeyed = motor.too_fast >= most || cameras.too_fast >= TOO_FAST;
         }
         // Without any measurement the car may still move.
         let stands = worst.is_some_and(|speed| speed < limits.standing);

@@ -33,7 +33,6 @@ pub struct Outcome {
     pub proved: bool,
     /// When it ended, s after its start.
     pub seconds: f64,
-    pub margins: [f64; 3],
 }
 
 /// Seconds from the start to the disarm request, and from there until the car must be ready.
@@ -63,7 +62,6 @@ impl CalibratedCar {
             ended: Ended::AsRequested,
             proved: false,
             seconds: 0.0,
-            margins: [0.0; 3],
         };
         let mut disarmed = false;
         loop {
@@ -71,11 +69,6 @@ impl CalibratedCar {
             let output = &tick.tick.output;
             outcome.seconds = tick.now.seconds_since(start);
             outcome.proved |= output.proved;
-            if output.mode == Mode::Driving && outcome.seconds < DRIVEN_S {
-                for (m, v) in outcome.margins.iter_mut().zip(drive.controller().pilot().debug_margins()) {
-                    *m = m.max(v);
-                }
-            }
             let over = outcome.seconds >= DRIVEN_S + SETTLED_S;
             let reason = output.reason.map_or("none", Reason::name);
             let alarm = match output.mode {
