@@ -15,8 +15,8 @@ use crate::{
     supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
     watch::{
         AttitudeWatch, BlindWatch, FrozenWatch, ImuWatch, InnovationWatch, PROVING_SPEED, Proving,
-        PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch, Speeds, Steps, StopLimits, StopWatch, TickWatch,
-        WatchConfig,
+        PushWatch, SideslipWatch, SpeedWatch, Speeds, StartWatch, SteeringWatch, Steps, StopLimits,
+        StopWatch, TickWatch, WatchConfig,
     },
 };
 

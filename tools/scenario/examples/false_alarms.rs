@@ -32,7 +32,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         proved += u64::from(drive.proved);
         if let Ended::Alarm(reason) = drive.ended {
             alarms += 1;
-            println!("seed {seed}: {reason} after {:.2} s\n{}", drive.seconds, car.describe());
+            println!(
+                "seed {seed}: {reason} after {:.2} s\n{}",
+                drive.seconds,
+                car.describe()
+            );
         }
         let done = seed + 1 - first;
         if done.is_multiple_of(100) {

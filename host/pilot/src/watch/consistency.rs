@@ -122,7 +122,11 @@ impl SteeringWatch {
             // A NaN exceeds it.
             let fits = fabs(self.made - self.wanted) <= allowed;
             *self = Self {
-                exceeded: if fits { 0 } else { self.exceeded.saturating_add(1) },
+                exceeded: if fits {
+                    0
+                } else {
+                    self.exceeded.saturating_add(1)
+                },
                 ..Self::default()
             };
         }

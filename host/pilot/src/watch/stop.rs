@@ -181,7 +181,11 @@ impl StopWatch {
             motor.tick(now, speeds.motor, least);
             cameras.tick(now, speeds.cameras, least);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
-            let most = if in_place { TOO_FAST_IN_PLACE } else { TOO_FAST };
+            let most = if in_place {
+                TOO_FAST_IN_PLACE
+            } else {
+                TOO_FAST
+            };
             verdict.disobeyed = motor.too_fast >= most || cameras.too_fast >= TOO_FAST;
         }
         // Without any measurement the car may still move.
@@ -198,8 +202,8 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            verdict.measured = (ended.speed >= MEASURED_FROM)
-                .then(|| deceleration(ended.speed, left, ended.way));
+            verdict.measured =
+                (ended.speed >= MEASURED_FROM).then(|| deceleration(ended.speed, left, ended.way));
             if let Some(measured) = verdict.measured {
                 self.judge(measured, limits.braking);
             }

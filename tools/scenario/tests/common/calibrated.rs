@@ -170,7 +170,8 @@ fn course(random: &mut Random) -> String {
 fn car(random: &mut Random) -> String {
     let pulse_um = [1_000, 3_000, 3_000, 6_000, 12_000, 25_000][random.below(6)];
     let rolling = random.between(0.4, 2.0);
-    let (kind, brakes) = [("car", true), ("forward-reverse", false), ("vesc", true)][random.below(3)];
+    let (kind, brakes) =
+        [("car", true), ("forward-reverse", false), ("vesc", true)][random.below(3)];
     let leak = match random.below(3) {
         0 => format!("leak_s = {}\n", random.between(2.0, 6.0)),
         _ => String::new(),
