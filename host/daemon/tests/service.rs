@@ -196,6 +196,10 @@ fn configuration(folder: &Path) -> String {
     set("control", "realtime_priority", 0.into());
     set("record", "directory", path("records").into());
     set("socket", "path", path("control.sock").into());
+    let state: toml::Table = [("directory".to_owned(), path("state").into())]
+        .into_iter()
+        .collect();
+    table.insert("state".to_owned(), state.into());
     toml::to_string(&table).unwrap()
 }
 
@@ -307,7 +311,7 @@ fn a_reloaded_configuration_comes_into_force() {
     let manager = Manager::by_path();
     manager.wait_for("READY=1");
     let before_us = monotonic_ns() / 1_000;
-    let changed = configuration(manager.folder.path()).replace("radius_m = 0.6", "radius_m = 0.9");
+    let changed = configuration(manager.folder.path()).replace("radius_m = 0.85", "radius_m = 0.9");
     let (reloading, ready) = manager.reload(&changed);
     let time_us: u64 = reloading
         .strip_prefix("RELOADING=1\nMONOTONIC_USEC=")
@@ -325,7 +329,7 @@ fn a_refused_configuration_changes_nothing_and_the_reason_is_in_the_status() {
     manager.wait_for("READY=1");
     let good = configuration(manager.folder.path());
     for (changed, why) in [
-        (good.replace("radius_m = 0.6", "radius_m = -1.0"), "radius"),
+        (good.replace("radius_m = 0.85", "radius_m = -1.0"), "radius"),
         (
             good.replace("[reference]", "[reference"),
             "singletrackd.toml",

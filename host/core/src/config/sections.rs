@@ -3,7 +3,8 @@
 use super::{
     BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, LawSection,
     LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection, SerialSection,
-    ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection, WatchSection,
+    ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection, TimingSection,
+    WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -31,6 +32,7 @@ pub const SECTIONS: &[Section] = &[
     SpeedSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
+    StateSection::SECTION,
     SocketSection::SECTION,
     LiveSection::SECTION,
 ];
