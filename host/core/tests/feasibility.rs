@@ -19,6 +19,9 @@ use singletrack_sim::{SimulationConfig, StartPose};
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
+/// What the simulated car brakes with at least, at neutral.
+const BRAKING_M_S2: f64 = 1.4;
+
 /// Half of a square fence, m.
 const HALF_M: f64 = 1.0;
 
@@ -31,7 +34,8 @@ fn own() -> Config {
     config.board.esc.deadband_us += 1;
     config.board.speed.pulse_distance_um += 1;
     config.fence.corners_m = square(HALF_M);
-    config.fence.margin_m = 0.2;
+    config.fence.margin_m = Some(0.2);
+    config.fence.braking_m_s2 = BRAKING_M_S2;
     config
 }
 
@@ -99,7 +103,7 @@ fn driven(config: &Config, stand: Stand, seconds: u64) -> (Vec<Mode>, f64) {
 #[test]
 fn the_simulated_car_drives_the_example_from_the_place_that_is_named() {
     let mut config = Config::from_toml(EXAMPLE).unwrap();
-    config.fence.margin_m = 0.2;
+    config.fence.braking_m_s2 = BRAKING_M_S2;
     let judgement = found(&config);
     assert!(judgement.is_possible(), "{judgement:?}");
     let (modes, limited) = driven(&config, judgement.start.unwrap(), 30);
@@ -278,6 +282,7 @@ fn what_was_left_as_in_the_example_is_a_warning() {
         [
             "motion_capture.server",
             "vehicle",
+            "fence.braking_m_s2",
             "board.servo",
             "board.esc",
             "board.speed"

@@ -71,6 +71,7 @@ fn what_was_left_as_in_the_example_is_warned_of_and_the_status_is_success() {
         [
             "motion_capture.server",
             "vehicle",
+            "fence.braking_m_s2",
             "board.servo",
             "board.esc",
             "board.speed"
@@ -95,7 +96,7 @@ fn folders_that_cannot_be_written_to_are_warned_of_by_key() {
         assert_eq!(status, 0, "{error}");
         let line = error.lines().find(|line| line.contains(key)).unwrap();
         assert!(line.contains("file is no folder"), "{line}");
-        assert_eq!(error.lines().count(), 6, "{error}");
+        assert_eq!(error.lines().count(), 7, "{error}");
     }
 }
 

@@ -96,6 +96,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [outer_loop]\n{outer_loop}\n\
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
+         margin_m = 0.0\nbraking_m_s2 = {BRAKING_M_S2}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
          {BOARD}"
     );
@@ -117,6 +118,9 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     config.validate().map_err(SetupError::Config)?;
     Ok(config)
 }
+
+/// A lower bound of the simulated car's deceleration at neutral, in m/s².
+const BRAKING_M_S2: f64 = 1.4;
 
 /// Mandatory keys of the board; the simulated car's calibration replaces their values.
 const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\

@@ -89,7 +89,6 @@ pub struct Config {
     #[serde(default)]
     pub watch: WatchSection,
     /// Where the car may be.
-    #[serde(default)]
     pub fence: FenceSection,
     /// What the board is given.
     pub board: BoardSection,
@@ -126,6 +125,7 @@ impl Config {
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
         }
+        config.fence.resolve(&config.vehicle);
         config.validate().map_err(|error| ConfigError::File {
             path: path.to_owned(),
             source: Box::new(error),
@@ -139,8 +139,9 @@ impl Config {
     ///
     /// The file cannot be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
-        let config: Self =
+        let mut config: Self =
             toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
+        config.fence.resolve(&config.vehicle);
         config.validate()?;
         Ok(config)
     }
@@ -179,7 +180,7 @@ impl Config {
         self.supervisor.check()?;
         self.watch.check()?;
         self.fence.check()?;
-        self.fence.fence()?;
+        self.fence.fence(&self.vehicle)?;
         self.control.check()?;
         self.board.configuration().validate()?;
         self.record.validate()?;
@@ -206,7 +207,7 @@ impl Config {
             ),
             supervisor: self.supervisor.config(),
             watch: self.watch.onto(WatchConfig::paper()),
-            fence: self.fence.fence()?,
+            fence: self.fence.fence(&self.vehicle)?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             period: value::seconds(self.control.period_ms),

@@ -160,6 +160,14 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
             "the section is left out; give your car's mass, axles and tyres, at least its wheelbase",
         );
     }
+    if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
+        warn(
+            "fence.braking_m_s2",
+            config.fence.braking_m_s2.to_string(),
+            "this is the example's; let your car roll out and measure it: the fence and the watch \
+             of every stop rest on it",
+        );
+    }
     let board = toml::Value::try_from(config.board).ok();
     for (key, fix) in [
         (
@@ -181,25 +189,28 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
         let written = key
             .split('.')
             .skip(1)
-            .try_fold(board.as_ref(), |at, name| Some(at?.get(name)));
-        if written.flatten().is_some_and(|at| is_example(key, at)) {
+            .try_fold(board.as_ref(), |at, name| Some(at?.get(name)))
+            .flatten();
+        if is_example(key, &written.cloned()) {
             warn(key, "the example's".to_owned(), fix);
         }
     }
 }
 
 /// Whether every value of the section that has an example is that example.
-fn is_example(section: &str, written: &toml::Value) -> bool {
+fn is_example(section: &str, written: &Option<toml::Value>) -> bool {
     let declared = SECTIONS.iter().find(|declared| declared.name == section);
-    declared.is_some_and(|declared| {
-        let mut examples = declared
-            .keys
-            .iter()
-            .filter_map(|key| Some((key.name, (key.example)()?)))
-            .peekable();
-        examples.peek().is_some()
-            && examples.all(|(name, example)| written.get(name) == Some(&example))
-    })
+    declared
+        .zip(written.as_ref())
+        .is_some_and(|(declared, written)| {
+            let mut examples = declared
+                .keys
+                .iter()
+                .filter_map(|key| Some((key.name, (key.example)()?)))
+                .peekable();
+            examples.peek().is_some()
+                && examples.all(|(name, example)| written.get(name) == Some(&example))
+        })
 }
 
 /// The circle that P and car settle on, without slip.
@@ -397,7 +408,10 @@ fn judge_fence(
 ) {
     let vehicle = &config.vehicle;
     let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence);
-    let with_reserve = Fence::new(pilot.fence.corners(), config.fence.margin_m + RESERVE_M);
+    let with_reserve = Fence::new(
+        pilot.fence.corners(),
+        config.fence.margin_m(vehicle) + RESERVE_M,
+    );
     if let Some(stand) = stand {
         match ends(&pilot.fence, stand) {
             Ended::Inside => judgement.start = Some(stand),
@@ -463,7 +477,7 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
         fix: format!(
             "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move \
              or shrink the reference{circle}, or drive more slowly",
-            config.fence.margin_m
+            config.fence.margin_m(&config.vehicle)
         ),
     }
 }

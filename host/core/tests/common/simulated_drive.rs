@@ -19,6 +19,8 @@ use singletrack_protocol::BoardMode;
 use singletrack_sim::{Destination, SimulationConfig, World};
 
 pub(crate) const PERIOD_US: u64 = 10_000;
+/// A lower bound of the simulated car's deceleration at neutral.
+const BRAKING_M_S2: f64 = 1.4;
 const STEP_US: u64 = 500;
 
 /// The capacity of the simulated line, in bytes.
@@ -106,6 +108,7 @@ impl SimulatedDrive {
     pub(crate) fn new() -> Self {
         let mut config =
             Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
+        config.fence.braking_m_s2 = BRAKING_M_S2;
         // From the default start the car turns round first.
         config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
         Self::with(config, SimulationConfig::default())

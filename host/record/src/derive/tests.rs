@@ -240,6 +240,8 @@ fn a_valid_pose_is_shown_at_its_mid_exposure() {
         z_m: 0.1,
         yaw_rad: 1.0,
         tilt_rad: 0.2,
+        roll_rad: 0.0,
+        pitch_rad: 0.0,
         capture_time_ns: 40_250_000_000,
         capture_uncertainty_ns: 1,
         capture_source: CaptureTimeSource::MidExposureEcho,

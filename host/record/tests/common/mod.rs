@@ -148,8 +148,12 @@ fn output() -> impl Strategy<Value = Output> {
                     rear_speed,
                     steering,
                     pose_time: Time(pose_time),
+                    brake: false,
                 }),
                 request: None,
+                proved: false,
+                braking_measured: None,
+                preflight: None,
             },
         )
 }
@@ -281,6 +285,8 @@ fn pose_state() -> impl Strategy<Value = PoseState> {
                     z_m,
                     yaw_rad,
                     tilt_rad,
+                    roll_rad: 0.0,
+                    pitch_rad: 0.0,
                     capture_time_ns,
                     capture_uncertainty_ns,
                     capture_source: CaptureTimeSource::FrameTimestamp,

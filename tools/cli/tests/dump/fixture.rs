@@ -96,6 +96,7 @@ pub(crate) fn driving_tick() -> TickRecord {
         rear_speed: 0.39,
         steering: 0.3286,
         pose_time,
+        brake: false,
     });
     tick.drive = Some(DriveWrite {
         sequence: 7,
@@ -129,6 +130,9 @@ pub(crate) fn standing_tick() -> TickRecord {
             turning_round: false,
             command: None,
             request: None,
+            proved: false,
+            braking_measured: None,
+            preflight: None,
         },
         drive: None,
         link: LinkPhase::Greeting,
@@ -176,6 +180,8 @@ pub(crate) fn entries() -> Vec<Entry> {
                 z_m: 0.1,
                 yaw_rad: 1.5,
                 tilt_rad: 0.001,
+                roll_rad: 0.0,
+                pitch_rad: 0.0,
                 capture_time_ns: START_NS + 2_000_000,
                 capture_uncertainty_ns: 80_000,
                 capture_source: CaptureTimeSource::MidExposureEcho,
