@@ -12,7 +12,7 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{Report, cameras::CameraReport};
+use singletrack_core::{Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
@@ -81,6 +81,7 @@ impl Collector {
             match report {
                 CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
                 CameraReport::Counters(counters) => self.status.latest().tally.mocap(&counters),
+                CameraReport::Diagnosis(diagnosis) => self.diagnosed(diagnosis),
             }
         }
         while let Some(tick) = self.ticks.pop() {
@@ -111,6 +112,17 @@ impl Collector {
             }
             Report::Counters(counters) => self.status.latest().tally.line(&counters),
         }
+    }
+
+    /// Logs and publishes what is wrong with the cameras, or that nothing is any more.
+    fn diagnosed(&mut self, diagnosis: Diagnosis) {
+        let level = if diagnosis.is_trouble() {
+            Level::Warning
+        } else {
+            Level::Info
+        };
+        self.log(monotonic_ns(), level, diagnosis.to_string());
+        self.status.latest().cameras = diagnosis;
     }
 
     /// Logs a change of mode or reason.

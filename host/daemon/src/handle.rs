@@ -28,6 +28,7 @@ impl DaemonHandle {
             tick: latest.tick,
             board: latest.board,
             board_status: latest.board_status,
+            cameras: latest.cameras.clone(),
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_core::diagnosis::Diagnosis;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
@@ -20,6 +21,8 @@ pub struct Snapshot {
     pub board: Option<(BoardMode, StopCause)>,
     /// The last status message of the board.
     pub board_status: Option<Status>,
+    /// What is wrong with the cameras, or that nothing is.
+    pub cameras: Diagnosis,
     /// The figures so far.
     pub figures: Figures,
     /// What the system granted the control thread.
@@ -126,6 +129,7 @@ impl Snapshot {
                 "battery_mv": self.board_status.map(|status| status.battery_mv),
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),
+            "cameras": self.cameras,
             "figures": self.figures,
             "realtime": self.realtime,
             "configuration": self.configuration,
