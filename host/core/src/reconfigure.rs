@@ -10,6 +10,7 @@ use rtrb::Consumer;
 
 use crate::{
     config::{Config, ConfigError, ReferenceSection},
+    proof::configuration_hash,
     requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled},
     restart_keys::restart_keys,
 };
@@ -126,7 +127,8 @@ impl Configurations {
         let change = Box::new(Reconfiguration {
             number: self.number.wrapping_add(1),
             pilot: config.pilot()?,
-            board: config.board.configuration(),
+            board: config.board_configuration(),
+            hash: configuration_hash(&config)?,
             until_ns,
             outcome: None,
         });

@@ -203,6 +203,12 @@ impl Bench {
                 imu_still: true,
                 speed: 0.029,
                 motor_speed: 0.029,
+                camera_speed: Some(0.029),
+                stands: true,
+                preflight: None,
+                doubt: None,
+                implausible_motion: None,
+                contradiction: None,
                 speed_mismatch: false,
                 overspeed: false,
                 commanded_speed: 0.0,
@@ -912,7 +918,7 @@ fn a_board_that_switches_the_supply_on_has_more_time_and_is_not_driving_yet() {
 
     let mut bench = Bench::arming();
     bench.supervisor.handle_board(BoardState::PoweringUp);
-    assert_eq!(steps(&mut bench, 4_500).0, Mode::Arming);
+    assert_eq!(steps(&mut bench, 3_000).0, Mode::Arming);
     assert_eq!(
         bench.step(),
         (

@@ -34,11 +34,15 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
 use singletrack_link::SessionConfig;
-use singletrack_pilot::{PilotConfig, WatchConfig};
+use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
+use singletrack_protocol::Configuration;
 
 use section::{Declared as _, Maps as _};
 
-pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
+pub use board::{
+    BoardSection, EscKindName, EscSection, FailsafeKind, ImuAxisName, ImuSection, ServoSection,
+    SpeedSection,
+};
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
@@ -182,7 +186,7 @@ impl Config {
         self.fence.check()?;
         self.fence.fence(&self.vehicle)?;
         self.control.check()?;
-        self.board.configuration().validate()?;
+        self.board.validate()?;
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;
@@ -205,8 +209,15 @@ impl Config {
                 self.motion_capture.marker_offset_m,
                 self.motion_capture.marker_yaw_rad,
             ),
-            supervisor: self.supervisor.config(),
-            watch: self.watch.onto(WatchConfig::paper()),
+            supervisor: SupervisorConfig {
+                disarm_age: together::disarm_age(self),
+                ..self.supervisor.config()
+            },
+            watch: self.watch.onto(WatchConfig {
+                pulse_distance: f64::from(self.board.speed.pulse_distance_um) * 1e-6,
+                height: self.motion_capture.pose.height_m.unwrap_or(ANY_HEIGHT),
+                ..WatchConfig::paper()
+            }),
             fence: self.fence.fence(&self.vehicle)?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
@@ -214,18 +225,35 @@ impl Config {
         })
     }
 
+    /// What the board is given.
+    #[must_use]
+    pub fn board_configuration(&self) -> Configuration {
+        // A deceleration that was measured with the brake is less at neutral.
+        const UNBRAKED: f64 = 2.0;
+        const STANDSTILL_S: f64 = 1.0;
+        let roll_out_s = UNBRAKED * self.limits.max_speed_m_s / self.fence.braking_m_s2;
+        let longest_ms = 1_000.0 * (roll_out_s + STANDSTILL_S);
+        Configuration {
+            max_roll_out_ms: longest_ms.min(30_000.0) as u16,
+            ..self.board.configuration()
+        }
+    }
+
     /// The configuration of the session with the board. The seed should differ from one start
     /// to the next.
     #[must_use]
     pub fn link(&self, nonce_seed: u64) -> SessionConfig {
         SessionConfig {
-            configuration: self.board.configuration(),
+            configuration: self.board_configuration(),
             software_version: software_version(),
             nonce_seed,
             baud: self.serial.baud(),
         }
     }
 }
+
+/// The height band of a body whose height is not checked, in m.
+const ANY_HEIGHT: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 /// The version of this software: major, minor, patch.
 fn software_version() -> [u8; 3] {

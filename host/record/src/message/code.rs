@@ -349,6 +349,7 @@ codes! {
         Driving = 4,
         Failsafe = 5,
         EmergencyStopped = 6,
+        PoweringUp = 7,
     }
     StopCause as "STOP_CAUSE" {
         None = 1,
@@ -359,6 +360,7 @@ codes! {
         StopInput = 6,
         EmergencyStop = 7,
         HostRestarted = 8,
+        RunsAtNeutral = 9,
     }
     ImuState as "IMU" {
         Silent = 1,
@@ -388,6 +390,7 @@ codes! {
         NotArmed = 13,
         ReverseDisabled = 14,
         VersionDiffers = 15,
+        OtherCar = 16,
     }
     RejectReason as "REJECTED" {
         NotFinite = 1,

@@ -284,6 +284,7 @@ mod tests {
             BoardState::Driving,
             BoardState::Failsafe,
             BoardState::EmergencyStopped,
+            BoardState::PoweringUp,
         ]);
         (
             any_time(),

@@ -225,7 +225,7 @@ fn telemetry() -> impl Strategy<Value = TelemetryRecord> {
 }
 
 fn status() -> impl Strategy<Value = StatusRecord> {
-    any::<(u64, u32, u32, bool, [u16; 7])>().prop_map(
+    any::<(u64, u32, u32, bool, [u16; 9])>().prop_map(
         |(receive_time_ns, board_time_us, configuration_hash, stop_input_open, counts)| {
             let [
                 battery_mv,
@@ -235,6 +235,8 @@ fn status() -> impl Strategy<Value = StatusRecord> {
                 frames_dropped,
                 bytes_overrun,
                 imu_errors,
+                supply_mv,
+                edges_refused,
             ] = counts;
             StatusRecord {
                 receive_time_ns,
@@ -251,6 +253,14 @@ fn status() -> impl Strategy<Value = StatusRecord> {
                     frames_dropped,
                     bytes_overrun,
                     imu_errors,
+                    supply_mv,
+                    battery_open: !stop_input_open,
+                    power_on: stop_input_open,
+                    edges_refused,
+                    imu_calibration: battery_mv as u8,
+                    imu_status: frames_received as u8,
+                    imu_error: frames_damaged as u8,
+                    imu_self_test: drives_refused as u8,
                 },
             }
         },
