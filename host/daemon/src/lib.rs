@@ -42,5 +42,5 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::{Snapshot, TickView};
-pub use socket::{Command, Question, SOCKET_VERSION, SocketError};
+pub use socket::{Attendance, Command, Question, SOCKET_VERSION, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

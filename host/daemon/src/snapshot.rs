@@ -46,6 +46,8 @@ pub struct TickView {
     pub mode: Mode,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Reason>,
+    /// Why an arm request would be refused now; `None` if it would not.
+    pub preflight: Option<Reason>,
     /// The phase of the session with the board.
     pub link: LinkPhase,
     /// Whether no pose was accepted since the last tick.
@@ -72,6 +74,7 @@ impl From<&TickRecord> for TickView {
             start_ns: tick.start_ns,
             mode: output.mode,
             reason: output.reason,
+            preflight: output.preflight,
             link: tick.link,
             held: output.held,
             drive_time_s: output.drive_time,
@@ -103,6 +106,7 @@ impl Snapshot {
         json!({
             "mode": self.mode().name(),
             "reason": self.reason().map(Reason::name),
+            "preflight": tick.and_then(|tick| tick.preflight).map(Reason::name),
             "link": tick.map(|tick| tick.link.name()),
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
