@@ -21,6 +21,7 @@ use crate::{
     clock::{monotonic_ns, wall_ns},
     shared_status::SharedStatus,
     snapshot::TickView,
+    state_file::StateFile,
     wall_watch::WallWatch,
 };
 
@@ -44,6 +45,8 @@ pub(crate) struct Collector {
     pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
+    /// Where newly proved configurations are kept.
+    pub(crate) state: StateFile,
     /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
@@ -118,6 +121,13 @@ impl Collector {
             Report::Proved { time_ns, proof } => {
                 let text = format!("the configuration is proved on car {}", proof.car_id);
                 self.log(time_ns, Level::Info, text);
+                if let Err(error) = self.state.add(proof) {
+                    let text = format!(
+                        "the proof can't be kept in state.directory: {error}; after a restart the \
+                         first drive begins slowly again"
+                    );
+                    self.log(time_ns, Level::Warning, text);
+                }
             }
         }
     }

@@ -29,6 +29,7 @@ mod recording;
 mod serial_reader;
 mod shared_status;
 mod snapshot;
+mod state_file;
 mod summary;
 mod system;
 mod wake;
