@@ -3,6 +3,7 @@
 use std::{collections::VecDeque, net::SocketAddr};
 
 use singletrack_protocol::ResetCause;
+use singletrack_simavr::BusFault;
 
 use crate::{
     board::SimulatedBoard,
@@ -32,6 +33,8 @@ pub struct World {
     imu_fault: ImuFault,
     /// The last sample taken without a fault.
     imu_last: Option<ImuReading>,
+    /// The supply of servo and IMU.
+    imu_supply: ImuSupply,
     /// Samples in transit to the board with their arrival times.
     imu_pending: VecDeque<(u64, ImuReading)>,
     board: SimulatedBoard,
@@ -41,6 +44,17 @@ pub struct World {
     datagrams: VecDeque<Datagram>,
     frames: VecDeque<CameraFrame>,
     config: SimulationConfig,
+}
+
+/// The supply of the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ImuSupply {
+    Good,
+    Failed,
+    /// Good again; the sensor starts until then.
+    Starting {
+        until_us: u64,
+    },
 }
 
 /// Number of camera frames and datagrams kept until the host fetches them.
@@ -58,14 +72,17 @@ impl World {
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         let seed = config.seed;
+        let mut car = Car::new(config.car);
+        car.seed(seed);
         Ok(Self {
             now_us: 0,
-            car: Car::new(config.car),
+            car,
             next_step_us: STEP_US,
             imu: Imu::new(config.car.imu, seed),
             imu_samples: 0,
             imu_fault: ImuFault::None,
             imu_last: None,
+            imu_supply: ImuSupply::Good,
             imu_pending: VecDeque::new(),
             board: SimulatedBoard::new(config.board, seed)?,
             wire: SerialWire::new(&config.wire, seed),
@@ -129,6 +146,7 @@ impl World {
         if self.next_step_us <= now_us {
             self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
         }
+        self.supply_imu(now_us);
         if self.next_imu_us() <= now_us {
             self.imu_samples += 1;
             let reading = self.imu.sample(&self.car.truth());
@@ -139,8 +157,10 @@ impl World {
             let sample = self
                 .imu_fault
                 .falsify(reading, self.imu_last, self.imu_samples);
-            self.imu_pending
-                .extend(sample.map(|reading| (arrival, reading)));
+            if self.imu_supply == ImuSupply::Good {
+                self.imu_pending
+                    .extend(sample.map(|reading| (arrival, reading)));
+            }
         }
         while let Some(&(arrival, reading)) = self.imu_pending.front() {
             if arrival > now_us {
@@ -158,9 +178,42 @@ impl World {
         self.board.events_at(now_us, &mut self.car, &mut self.wire);
     }
 
+    /// A dip of its supply restarts the IMU; the board finds it absent, then without its
+    /// settings.
+    fn supply_imu(&mut self, now_us: u64) {
+        let supply = match (self.imu_supply, self.car.supply_dips()) {
+            (ImuSupply::Failed, true) => return,
+            (_, true) => {
+                self.imu_pending.clear();
+                self.board.set_imu_bus(BusFault::Absent);
+                ImuSupply::Failed
+            }
+            (ImuSupply::Failed, false) => {
+                let restart_us = self.config.car.imu.restart_ms * 1e3;
+                ImuSupply::Starting {
+                    until_us: now_us + restart_us as u64,
+                }
+            }
+            (ImuSupply::Starting { until_us }, false) if now_us >= until_us => {
+                self.imu.restart();
+                // Its settings are lost, which this fault does once.
+                self.board.set_imu_bus(BusFault::Restarted);
+                self.board.set_imu_bus(BusFault::None);
+                ImuSupply::Good
+            }
+            (unchanged, false) => unchanged,
+        };
+        self.imu_supply = supply;
+    }
+
     fn send_frame(&mut self, frame: CameraFrame) {
         for datagram in self.natnet.frame(self.now_us, &frame) {
             push_bounded(&mut self.datagrams, datagram);
+        }
+        if let Some(forged) = self.cameras.forge(&frame) {
+            for datagram in self.natnet.frame(self.now_us, &forged) {
+                push_bounded(&mut self.datagrams, datagram);
+            }
         }
         if !frame.silent {
             push_bounded(&mut self.frames, frame);
@@ -226,6 +279,14 @@ impl World {
         self.imu_fault = fault;
     }
 
+    /// Sets the zero of all times `..._at_s` and `..._from_s` of the configuration, in µs
+    /// of the simulation; the default is its start. With `None` nothing of the kind
+    /// happens until there is one.
+    pub const fn set_epoch(&mut self, epoch_us: Option<u64>) {
+        self.car.set_epoch(epoch_us);
+        self.cameras.set_epoch(epoch_us);
+    }
+
     /// The car.
     #[must_use]
     pub const fn car(&self) -> &Car {
@@ -246,6 +307,11 @@ impl World {
     /// Resets the board; it restarts after its start-up time.
     pub fn reset_board(&mut self, cause: ResetCause) {
         self.board.reset(self.now_us, cause, &mut self.car);
+    }
+
+    /// Presses the board's reset button; its bootloader runs first.
+    pub fn press_reset(&mut self) {
+        self.reset_board(ResetCause::External);
     }
 
     /// Switches the board's power; the ESC has its own supply.
@@ -318,6 +384,8 @@ mod tests {
         encode,
     };
 
+    use singletrack_protocol::ImuState;
+
     use super::*;
 
     #[test]
@@ -339,5 +407,56 @@ mod tests {
         // 12 ms in ticks of 100 ns; the clock is 40 ppm fast, which is 0.5 us here.
         let (then, now) = (ticks_at(1_000_000), ticks_at(1_012_000));
         assert_eq!(now - then, 120_000);
+    }
+
+    #[test]
+    fn a_dip_of_its_supply_silences_the_imu_until_it_has_restarted() {
+        let mut config = SimulationConfig::default();
+        config.car.battery.dip_at_s = Some(1.0);
+        config.car.battery.dip_ms = 200.0;
+        config.car.imu.restart_ms = 500.0;
+        let mut world = World::new(config).unwrap();
+        let mut samples = Vec::new();
+        for ms in (0..3_000).step_by(10) {
+            world.advance_to(ms * 1_000);
+            if let Some(telemetry) = world.board().telemetry() {
+                samples.push((ms, telemetry.imu != ImuState::Silent));
+            }
+        }
+        // The board waits for 50 ms before it calls the IMU silent.
+        let silent = |ms| (1_070..1_700).contains(&ms);
+        let good = |ms| !(1_000..=1_750).contains(&ms);
+        assert!(samples.iter().all(|&(ms, some)| !silent(ms) || !some));
+        assert!(samples.iter().skip(5).all(|&(ms, some)| !good(ms) || some));
+        assert!(samples.len() > 250);
+    }
+
+    #[test]
+    fn a_second_network_card_and_a_server_that_is_off() {
+        let connect = |natnet| {
+            let mut world = World::new(SimulationConfig {
+                natnet,
+                ..SimulationConfig::default()
+            })
+            .unwrap();
+            let mut request = [0; 512];
+            let message = ClientMessage::EchoRequest { client_stamp: 1 };
+            let length = encode::client_message(&message, &mut request).unwrap();
+            world.handle_datagram(([127, 0, 0, 1], 4_000).into(), &request[..length]);
+            world.poll_datagram()
+        };
+        let natnet = crate::NatNetParameters::default();
+        assert_eq!(connect(natnet).unwrap().from, None);
+        let second = Some([127, 0, 0, 2].into());
+        let natnet = crate::NatNetParameters {
+            sends_from: second,
+            ..natnet
+        };
+        assert_eq!(connect(natnet).unwrap().from, second);
+        let natnet = crate::NatNetParameters {
+            is_off: true,
+            ..natnet
+        };
+        assert_eq!(connect(natnet), None);
     }
 }

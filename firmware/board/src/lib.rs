@@ -34,10 +34,12 @@ mod imu;
 mod io;
 mod link;
 mod odometer;
+mod roll_out;
 mod safety;
 mod slew;
 mod speed;
 mod steering;
 
 pub use board::Board;
+pub use imu::axis_map;
 pub use io::{ImuHealth, ImuSample, Inputs, MotorPulses, Outputs};
