@@ -140,7 +140,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
             }
             if let Some(SummaryFormat::Json) = summary {
                 println!("{}", serde_json::to_string(&simulation.summary)?);
-                return Ok(());
+                return Ok(ExitCode::SUCCESS);
             }
             match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
                 // The reader of a pipe may close it at any time.
