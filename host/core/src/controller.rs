@@ -225,7 +225,7 @@ impl Controller {
                 DriveCommand {
                     speed_m_s: command.rear_speed,
                     steering_rad: command.steering,
-                    brake: false,
+                    brake: command.brake,
                     pose_time_ns: Some(command.pose_time.0),
                 },
             )?;
