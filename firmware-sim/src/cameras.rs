@@ -50,8 +50,8 @@ pub struct CameraParameters {
     pub loss_windows: Vec<LossWindow>,
     /// Representation of a loss on the wire.
     pub loss_kind: LossKind,
-    /// Error of the mid-exposure stamps, in ms; positive is late: the pose is older than
-    /// its stamp.
+    /// Error of the mid-exposure stamps, in ms. Positive is late: the pose is older than
+    /// its stamp, and the frame leaves later by as much.
     pub stamp_bias_ms: f64,
     /// Growth of that error since the start of the simulation, in ppm.
     pub stamp_drift_ppm: f64,
@@ -377,7 +377,7 @@ impl Cameras {
         let p = &self.parameters;
         let is_frozen = self.epoch.is_within(p.frozen_from_s, p.frozen_ms, now_us);
         let mut car = match loss {
-            None if is_frozen => self.last_pose,
+            None if is_frozen && self.last_pose.tracking_valid() => self.last_pose,
             None => measured,
             Some(_) => self.last_pose.with_tracking_valid(false),
         };
@@ -401,14 +401,16 @@ impl Cameras {
         if loss != Some(LossKind::Absent) {
             bodies.push(car);
         }
-        let sent_us = self.sending_time(now_us);
+        let error_us = self.stamp_error_us(now_us);
+        let sent_us = self.sending_time(now_us + error_us.max(0.0) as u64);
+        let error_ticks = (error_us * TICKS_PER_SECOND as f64 * 1e-6) as i64;
         self.under_way.push_back(CameraFrame {
             // As in Motive, wraps after eight months.
             number: self.exposures as i32,
             exposed_us: now_us,
             sent_us,
             ticks: CameraTicks {
-                mid_exposure: self.stamp(now_us),
+                mid_exposure: self.ticks(now_us).saturating_add_signed(error_ticks),
                 received: self.ticks(now_us + (sent_us - now_us) / 2),
                 transmit: self.ticks(sent_us),
             },
@@ -418,12 +420,10 @@ impl Cameras {
         });
     }
 
-    /// The mid-exposure stamp of an exposure at this time.
-    fn stamp(&self, now_us: u64) -> u64 {
+    /// Error of the mid-exposure stamp of an exposure at this time, in µs.
+    fn stamp_error_us(&self, now_us: u64) -> f64 {
         let p = &self.parameters;
-        let error_us = p.stamp_bias_ms * 1e3 + p.stamp_drift_ppm * 1e-6 * now_us as f64;
-        let error_ticks = error_us * TICKS_PER_SECOND as f64 * 1e-6;
-        self.ticks(now_us).saturating_add_signed(error_ticks as i64)
+        p.stamp_bias_ms * 1e3 + p.stamp_drift_ppm * 1e-6 * now_us as f64
     }
 
     /// The frame that somebody else sends after this one; `None` while nobody does.
@@ -687,5 +687,128 @@ mod tests {
             ..CameraFaults::default()
         };
         assert!(next(&mut cameras).bodies[2].position_m[0].is_nan());
+    }
+
+    /// The frames of a car that drives along x with 1 m/s for two seconds.
+    fn driven(change: impl FnOnce(&mut CameraParameters)) -> (Cameras, Vec<CameraFrame>) {
+        let mut parameters = exact();
+        change(&mut parameters);
+        let mut cameras = Cameras::new(parameters, 1);
+        while cameras.next_exposure_us() < 2_000_000 {
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                x: time_us as f64 * 1e-6,
+                ..Truth::default()
+            });
+        }
+        let frames = core::iter::from_fn(|| cameras.take_frame(u64::MAX)).collect();
+        (cameras, frames)
+    }
+
+    fn x(frame: &CameraFrame) -> f64 {
+        frame.bodies.last().unwrap().position_m[0].into()
+    }
+
+    #[test]
+    fn a_late_stamp_is_on_an_older_pose() {
+        for (bias_ms, drift_ppm) in [(20.0, 0.0), (-20.0, 0.0), (0.0, 1_000.0)] {
+            let (cameras, frames) = driven(|p| {
+                (p.stamp_bias_ms, p.stamp_drift_ppm) = (bias_ms, drift_ppm);
+            });
+            for frame in frames {
+                let error_us = bias_ms * 1e3 + drift_ppm * 1e-6 * frame.exposed_us as f64;
+                let error =
+                    frame.ticks.mid_exposure as f64 - cameras.ticks(frame.exposed_us) as f64;
+                assert!((error - error_us * 10.0).abs() <= 1.0, "{error}");
+                // No stamp is in the future of its packet.
+                assert!(frame.ticks.mid_exposure < frame.ticks.transmit);
+            }
+        }
+    }
+
+    #[test]
+    fn frozen_poses_repeat_in_new_frames() {
+        let (_, frames) = driven(|p| (p.frozen_from_s, p.frozen_ms) = (Some(1.0), 500.0));
+        for frame in &frames {
+            let seen_us = match frame.exposed_us {
+                at @ 1_000_000..1_500_000 => at.min(990_000),
+                at => at,
+            };
+            assert!((x(frame) - seen_us as f64 * 1e-6).abs() < 1e-6);
+            assert!(frame.car_tracked && frame.bodies.last().unwrap().tracking_valid());
+        }
+        assert!(
+            frames
+                .windows(2)
+                .all(|pair| pair[0].number < pair[1].number)
+        );
+    }
+
+    #[test]
+    fn a_flip_lasts_and_another_body_stands_still() {
+        let (_, frames) = driven(|p| p.flip_from_s = Some(1.0));
+        for frame in &frames {
+            // Up is y: half the yaw's sine.
+            let half = f64::from(frame.bodies.last().unwrap().orientation_xyzw[1]);
+            let expected = if frame.exposed_us < 1_000_000 {
+                0.0
+            } else {
+                1.0
+            };
+            assert!((half - expected).abs() < 1e-6);
+            assert!((x(frame) - frame.exposed_us as f64 * 1e-6).abs() < 1e-6);
+        }
+        let (_, frames) = driven(|p| p.other_body_from_s = Some(1.0));
+        let decoy = CameraParameters::default().decoys[0].position_m;
+        for frame in &frames {
+            let expected = match frame.exposed_us {
+                at @ ..1_000_000 => at as f64 * 1e-6,
+                _ => decoy[0],
+            };
+            assert!((x(frame) - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn forged_frames_follow_the_true_ones_and_drift_away() {
+        let (cameras, frames) = driven(|p| {
+            p.forged_from_s = Some(0.5);
+            p.forged_offset_m = [0.1, -0.2];
+            p.forged_drift_m_s = [0.0, 1.0];
+        });
+        assert_eq!(cameras.forge(&frames[10]), None);
+        let last = frames.last().unwrap();
+        let forged = cameras.forge(last).unwrap();
+        assert_eq!(forged.number, last.number + 1);
+        assert!(forged.ticks.mid_exposure > last.ticks.mid_exposure);
+        let [x, _, minus_y] = forged.bodies.last().unwrap().position_m;
+        let elapsed_s = last.sent_us as f64 * 1e-6 - 0.5;
+        assert!((f64::from(x) - (last.exposed_us as f64 * 1e-6 + 0.1)).abs() < 1e-6);
+        assert!((f64::from(-minus_y) - (elapsed_s - 0.2)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn nothing_timed_happens_before_its_epoch() {
+        let mut cameras = Cameras::new(
+            CameraParameters {
+                flip_from_s: Some(0.0),
+                ..exact()
+            },
+            1,
+        );
+        let mut half = |epoch| {
+            cameras.set_epoch(epoch);
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                ..Truth::default()
+            });
+            let frame = cameras.take_frame(u64::MAX).unwrap();
+            frame.bodies.last().unwrap().orientation_xyzw[1]
+        };
+        assert!(half(None).abs() < 1e-6);
+        assert!(half(Some(1_000_000)).abs() < 1e-6);
+        assert!((half(Some(0)) - 1.0).abs() < 1e-6);
     }
 }

@@ -1,13 +1,18 @@
 //! The configuration of a simulation.
 
+use std::path::{Path, PathBuf};
+
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameterError;
+use singletrack_protocol::{Configuration, ImuAxes, ImuAxis};
 
 use crate::{
+    attitude::Rotation,
     board::{BoardParameters, UnoError},
     cameras::CameraParameters,
-    car::CarParameters,
+    car::{CarParameters, EscKind},
     natnet_server::NatNetParameters,
+    truth::CarTruth,
     wire::WireParameters,
 };
 
@@ -66,7 +71,133 @@ pub enum ConfigError {
     },
 }
 
+/// Errors in the file of a simulation.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulationFileError {
+    /// The file can't be read.
+    #[error("can't read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a configuration.
+    #[error("{}: {source}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        source: toml::de::Error,
+    },
+    /// A value is invalid.
+    #[error("{}: {source}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The value.
+        source: ConfigError,
+    },
+}
+
+/// The file of a simulation: its configuration, and what is true of the car beside it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct SimulationFile {
+    seed: u64,
+    car: CarParameters,
+    board: BoardParameters,
+    wire: WireParameters,
+    cameras: CameraParameters,
+    natnet: NatNetParameters,
+    truth: CarTruth,
+}
+
+impl Default for SimulationFile {
+    fn default() -> Self {
+        let SimulationConfig {
+            seed,
+            car,
+            board,
+            wire,
+            cameras,
+            natnet,
+        } = SimulationConfig::default();
+        Self {
+            seed,
+            car,
+            board,
+            wire,
+            cameras,
+            natnet,
+            truth: CarTruth::default(),
+        }
+    }
+}
+
 impl SimulationConfig {
+    /// Reads and checks a file: the sections of a simulation, and a table `[truth]`, which
+    /// replaces what they say.
+    ///
+    /// # Errors
+    ///
+    /// The file can't be read, has an unknown key, or a value out of range.
+    pub fn read(path: &Path) -> Result<Self, SimulationFileError> {
+        let text = std::fs::read_to_string(path).map_err(|source| SimulationFileError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let SimulationFile {
+            seed,
+            car,
+            board,
+            wire,
+            cameras,
+            natnet,
+            truth,
+        } = toml::from_str(&text).map_err(|source| SimulationFileError::Parse {
+            path: path.to_owned(),
+            source,
+        })?;
+        let mut simulation = Self {
+            seed,
+            car,
+            board,
+            wire,
+            cameras,
+            natnet,
+        };
+        truth
+            .apply(&mut simulation)
+            .map_err(|source| SimulationFileError::Value {
+                path: path.to_owned(),
+                source,
+            })?;
+        Ok(simulation)
+    }
+
+    /// Makes the car as its board's configuration says: a calibration without an error.
+    /// Bands and limits, which a configuration chooses with room to spare, stay as they are.
+    pub fn follow(&mut self, board: &Configuration) {
+        let car = &mut self.car;
+        car.servo.centre_us = board.servo.centre_us.into();
+        car.servo.gain_us_per_rad = board.servo.gain_us_per_rad.into();
+        car.motor.neutral_us = board.esc.neutral_us;
+        let kind = match board.esc.kind {
+            singletrack_protocol::EscKind::ForwardReverse => EscKind::ForwardReverse,
+            singletrack_protocol::EscKind::Vesc => EscKind::Vesc,
+            _ => EscKind::Car,
+        };
+        if kind != car.motor.kind {
+            car.motor.kind = kind;
+            car.motor.signal_loss_us = kind.signal_loss_us();
+        }
+        car.motor.kill_relay = board.kill_output;
+        car.motor_sensor.pulse_distance_um = board.speed.pulse_distance_um.into();
+        car.imu.mounting_deg = mounting_deg(board.imu_axes);
+        self.board.car_id = board.car_id;
+    }
+
     /// Checks all settings against their ranges.
     ///
     /// # Errors
@@ -376,6 +507,42 @@ impl SimulationConfig {
     }
 }
 
+/// The angles of a sensor whose axes are mounted so.
+fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
+    let direction = |axis: ImuAxis| -> [f64; 3] {
+        core::array::from_fn(
+            |i| match (usize::from(axis.index()) == i, axis.is_negative()) {
+                (false, _) => 0.0,
+                (true, true) => -1.0,
+                (true, false) => 1.0,
+            },
+        )
+    };
+    let right_angles = || [0.0, 90.0, 180.0, 270.0].into_iter();
+    let mut mountings = right_angles().flat_map(|roll| {
+        right_angles().flat_map(move |pitch| right_angles().map(move |yaw| [roll, pitch, yaw]))
+    });
+    mountings
+        .find(|&angles| {
+            // Without a rotation the axes are those of the car.
+            let turned = |axis: [f64; 3]| {
+                Rotation::from_degrees(angles).map_or(axis, |mounting| mounting.into_turned(axis))
+            };
+            [
+                ([1.0, 0.0, 0.0], axes.forward),
+                ([0.0, 1.0, 0.0], axes.left),
+                ([0.0, 0.0, 1.0], axes.up),
+            ]
+            .into_iter()
+            .all(|(axis, chip)| {
+                let error = turned(axis).into_iter().zip(direction(chip));
+                error.into_iter().all(|(a, b)| (a - b).abs() < 1e-6)
+            })
+        })
+        // A left-handed set of axes, which the board refuses.
+        .unwrap_or_default()
+}
+
 fn check(
     name: &'static str,
     value: f64,
@@ -414,6 +581,56 @@ mod tests {
     }
 
     #[test]
+    fn a_car_that_follows_its_default_configuration_is_the_default_car() {
+        let mut followed = SimulationConfig::default();
+        followed.follow(&crate::default_board_configuration());
+        assert_eq!(followed, SimulationConfig::default());
+    }
+
+    #[test]
+    fn a_car_that_follows_its_configuration_is_calibrated() {
+        let mut board = crate::default_board_configuration();
+        board.servo.gain_us_per_rad = 700;
+        board.esc.neutral_us = 1_520;
+        board.esc.kind = singletrack_protocol::EscKind::Vesc;
+        board.speed.pulse_distance_um = 12_000;
+        board.kill_output = true;
+        board.car_id = 7;
+        let mut simulation = SimulationConfig::default();
+        simulation.follow(&board);
+        let car = &simulation.car;
+        assert_eq!(car.servo.gain_us_per_rad, 700.0);
+        assert_eq!(car.motor.neutral_us, 1_520);
+        assert_eq!(car.motor.signal_loss_us, 1_000_000);
+        assert_eq!(car.motor_sensor.pulse_distance_um, 12_000.0);
+        assert!(car.motor.kill_relay);
+        assert_eq!(simulation.board.car_id, 7);
+    }
+
+    #[test]
+    fn all_mountings_at_right_angles_have_angles() {
+        use singletrack_protocol::ImuAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        let axes = [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ];
+        let mut found = 0;
+        for forward in axes {
+            for left in axes {
+                for up in axes {
+                    let mounting = ImuAxes { forward, left, up };
+                    found += u32::from(mounting_deg(mounting) != [0.0; 3]);
+                }
+            }
+        }
+        // And the one without a turn.
+        assert_eq!(found, 23);
+        let turned = ImuAxes {
+            forward: MinusY,
+            left: PlusX,
+            up: PlusZ,
+        };
+        assert_eq!(mounting_deg(turned), [0.0, 0.0, 90.0]);
+    }
+
+    #[test]
     fn unknown_keys_and_invalid_values_are_reported_by_name() {
         let error = toml::from_str::<SimulationConfig>("[car.servo]\nlagg_s = 1").unwrap_err();
         assert!(error.to_string().contains("lagg_s"), "{error}");
@@ -427,5 +644,32 @@ mod tests {
         let error =
             toml::from_str::<SimulationConfig>("[natnet]\nbitstream = \"2.5\"").unwrap_err();
         assert!(error.to_string().contains("2.5"), "{error}");
+    }
+
+    #[test]
+    fn a_file_takes_the_sections_of_the_simulation_and_the_truth() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            SimulationConfig::read(&path).map_err(|error| error.to_string())
+        };
+        let text = "seed = 7\n[car.servo]\nlag_s = 0.1\n[truth.servo]\ncentre_us = 1540\n";
+        let simulation = read(text).unwrap();
+        assert_eq!(simulation.seed, 7);
+        assert_eq!(simulation.car.servo.lag_s, 0.1);
+        assert_eq!(simulation.car.servo.centre_us, 1540.0);
+        for (text, name) in [
+            ("[truth.servo]\ncentre = 1", "centre"),
+            ("[truht]", "truht"),
+            ("[truth.servo]\ncentre_us = 1", "truth.servo.centre_us"),
+            ("[car.motor]\nslip = 2.0", "car.motor.slip"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(
+                error.contains(name) && error.contains("car.toml"),
+                "{error}"
+            );
+        }
     }
 }

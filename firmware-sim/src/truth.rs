@@ -251,6 +251,14 @@ truth! {
         dip_v: f64, in 0.0 to 60.0 => |c, v| c.car.battery.dip_v = Some(v);
     }
 
+    /// The board.
+    board: BoardTruth {
+        /// Number of the car that it is built into; the image's is built in.
+        car_id: u16, in 0.0 to 65535.0 => |c, v| c.board.car_id = v;
+        /// Rate error of its clock; positive is fast.
+        clock_skew_ppm: f64, in -50000.0 to 50000.0 => |c, v| c.board.clock_skew_ppm = v as i32;
+    }
+
     /// The motor's pulse sensor.
     motor_sensor: MotorSensorTruth {
         /// Distance that the car rolls in one motor pulse.
@@ -314,7 +322,8 @@ truth! {
         body_name: String => |c, v| c.cameras.car.name = v;
         /// The axis that points up in the stream: "y" or "z".
         up_axis: UpAxis => |c, v| c.cameras.up_axis = v;
-        /// Error of the mid-exposure stamps; positive is late: the pose is older than its stamp.
+        /// Error of the mid-exposure stamps. Positive is late: the pose is older than its stamp,
+        /// and the frame leaves later by as much.
         stamp_bias_ms: f64, in -1000.0 to 1000.0 => |c, v| c.cameras.stamp_bias_ms = v;
         /// Growth of that error since the start of the simulation.
         stamp_drift_ppm: f64, in -10000.0 to 10000.0 => |c, v| c.cameras.stamp_drift_ppm = v;

@@ -97,6 +97,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
          margin_m = 0.0\nbraking_m_s2 = {BRAKING_M_S2}\n\
+         [supervisor]\nprove_first_metre = false\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
          {BOARD}"
     );

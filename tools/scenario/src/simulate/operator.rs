@@ -13,6 +13,9 @@ use crate::virtual_drive::VirtualDrive;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OperatorSection {
+    /// The daemon reaches the board so long after the car was switched on, in s: an ESC
+    /// is ready by then, and the board is not yet configured.
+    pub daemon_after_s: f64,
     /// Arms the car as soon as it is ready.
     pub arm: bool,
     /// Requests an emergency stop.
@@ -32,6 +35,7 @@ pub struct OperatorSection {
 impl Default for OperatorSection {
     fn default() -> Self {
         Self {
+            daemon_after_s: 2.0,
             arm: true,
             emergency_stop_at_s: None,
             disarm_at_s: None,
@@ -85,6 +89,13 @@ impl OperatorSection {
 
     /// Refuses times that do not exist.
     pub(super) fn validate(&self) -> Result<(), ScenarioError> {
+        if !(0.0..=10.0).contains(&self.daemon_after_s) {
+            return Err(ScenarioError::value(
+                "operator.daemon_after_s",
+                self.daemon_after_s,
+                "it must lie between 0 and 10",
+            ));
+        }
         for (key, at_s, _) in self.actions() {
             if let Some(at_s) = at_s
                 && !(0.0..=86_400.0).contains(&at_s)
@@ -105,6 +116,8 @@ impl OperatorSection {
 pub(super) struct Operator {
     /// What is still to be done, the next last.
     to_do: Vec<(f64, Action)>,
+    /// The cable has been pulled.
+    has_unplugged: bool,
 }
 
 impl Operator {
@@ -115,7 +128,15 @@ impl Operator {
             .filter_map(|(_, at_s, action)| Some((at_s?, action)))
             .collect();
         to_do.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        Self { to_do }
+        Self {
+            to_do,
+            has_unplugged: false,
+        }
+    }
+
+    /// Whether the cable has been pulled and not been plugged in again.
+    pub(super) const fn has_unplugged(&self) -> bool {
+        self.has_unplugged
     }
 
     /// Does what is due at a time of the run, in s.
@@ -124,7 +145,10 @@ impl Operator {
             self.to_do.pop();
             match action {
                 Action::Ask(request) => drive.request(request)?,
-                Action::Connect(connected) => drive.world_mut().set_wire_connected(connected),
+                Action::Connect(connected) => {
+                    self.has_unplugged = !connected;
+                    drive.world_mut().set_wire_connected(connected);
+                }
                 Action::ResetBoard => drive.world_mut().press_reset(),
             }
         }
