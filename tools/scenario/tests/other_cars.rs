@@ -43,7 +43,6 @@ fn the_first_metre_of_an_unproved_car_finds_what_contradicts_within_half_a_metre
             "steering-reversed",
         ),
         ("[truth.servo]\nstuck_from_s = 0.0\n", "steering-differs"),
-        ("[truth.servo]\ncentre_us = 1612\n", "steering-differs"),
         ("[truth.imu]\ngyro_scale = -1.0\n", "gyro-differs"),
         (
             "[truth.imu]\nmounting_deg = [0.0, 0.0, 90.0]\n",
@@ -95,6 +94,16 @@ fn the_first_metre_of_an_unproved_car_finds_what_contradicts_within_half_a_metre
 }
 
 #[test]
+fn a_servo_whose_trim_is_wrong_shows_on_a_straight() {
+    let summary = drive(STRAIGHT, "[truth.servo]\ncentre_us = 1612\n");
+    assert_eq!(summary.reason, Some("steering-differs"), "{summary:?}");
+    assert!(
+        summary.way_m + summary.way_after_m <= MOST_WAY,
+        "{summary:?}"
+    );
+}
+
+#[test]
 fn what_shows_before_arming_refuses_it() {
     for (differs, reason) in [
         (
@@ -110,7 +119,7 @@ fn what_shows_before_arming_refuses_it() {
             "pose-height",
         ),
         (
-            "[truth.cameras]\nfrozen_from_s = 0.0\nfrozen_ms = 60000\n",
+            "[truth.cameras]\nfrozen_from_s = 0.0\nfrozen_ms = 60000\n[operator]\narm = false\n",
             "pose-frozen",
         ),
         ("[truth.imu]\nself_test = 11\n", "imu-fault"),
@@ -145,7 +154,7 @@ fn a_car_that_rolls_freely_is_refused_or_stops_inside_its_fence() {
 #[test]
 fn a_throttle_that_is_stuck_is_a_stop_that_is_not_obeyed() {
     for end in ["disarm_at_s = 4.0\n", "emergency_stop_at_s = 4.0\n"] {
-        let differs = format!("[truth.esc]\nstuck_from_s = 6.0\n[operator]\n{end}");
+        let differs = format!("[truth.esc]\nstuck_from_s = 3.0\n[operator]\n{end}");
         let summary = drive(STRAIGHT, &differs);
         assert_eq!(summary.reason, Some("stop-not-obeyed"), "{summary:?}");
         assert_eq!(summary.mode, "fault", "{summary:?}");
