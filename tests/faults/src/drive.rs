@@ -22,7 +22,7 @@ use crate::{
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
     stage,
-    tamper::Tamper,
+    tamper::{Tamper, TamperedPins},
 };
 
 /// Interval at which the host reads bytes and packets, in µs: that of USB.
@@ -196,7 +196,8 @@ impl<'a> Drive<'a> {
             next_us = next_us.min(self.tick_us.max(self.now_us + 1));
         }
         self.now_us = next_us.min(end_us);
-        self.world.advance_to(self.now_us);
+        self.world
+            .advance_filtered(self.now_us, &mut TamperedPins(tamper));
         self.change_faults()?;
         self.send_requests()?;
         let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
@@ -476,9 +477,6 @@ impl<'a> Drive<'a> {
         pulses.clear();
         pulses.extend(log.iter().rev().take(new as usize));
         pulses.reverse();
-        for pulse in &mut *pulses {
-            tamper.pulse(pulse);
-        }
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
         }

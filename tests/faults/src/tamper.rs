@@ -2,7 +2,7 @@
 
 use singletrack_core::config::Config;
 use singletrack_record::TickRecord;
-use singletrack_sim::PulseRecord;
+use singletrack_sim::{PulseFilter, PulseRecord};
 
 /// Hooks that change inputs and outputs of a drive. The default does nothing.
 pub trait Tamper {
@@ -17,7 +17,8 @@ pub trait Tamper {
         let _ = (number, config);
     }
 
-    /// Changes a pulse before the invariants see it.
+    /// Changes the pulses on the pins of a native board, before car and invariants get
+    /// them.
     fn pulse(&mut self, pulse: &mut PulseRecord) {
         let _ = pulse;
     }
@@ -31,6 +32,15 @@ pub trait Tamper {
     /// [`Tamper::tick`] stands in for a faulty pilot.
     fn is_replayed(&self) -> bool {
         true
+    }
+}
+
+/// The pins of a native board, tampered with.
+pub(crate) struct TamperedPins<'a>(pub(crate) &'a mut dyn Tamper);
+
+impl PulseFilter for TamperedPins<'_> {
+    fn frame(&mut self, frame: &mut PulseRecord) {
+        self.0.pulse(frame);
     }
 }
 
