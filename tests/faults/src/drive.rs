@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
 use singletrack_pilot::{PilotRequest, Reason};
-use singletrack_protocol::{Decoder, ResetCause, ToBoard};
+use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
+use singletrack_sim::{BoardKind, ReceivedMessage, World};
 
 use crate::{
     SetupError,
@@ -16,12 +16,14 @@ use crate::{
     invariant::{self, Invariant},
     network::{HostSockets, Network},
     observation::{Observation, ReceivedPose, Spec},
+    pins::{Pins, Pulse},
     port::Port,
     program::Program,
     random::{Random, Stream},
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
     stage,
+    stop::{Step, Stops},
     tamper::{Tamper, TamperedPins},
 };
 
@@ -39,6 +41,8 @@ pub struct DriveOutcome {
     pub digest: u64,
     /// The first violation, if there was one.
     pub violation: Option<Violation>,
+    /// The violated invariants: more than one only if the drive went on.
+    pub violated: BTreeSet<&'static str>,
     /// How long the motor was driven, in ms.
     pub driven_ms: u32,
     /// The names of the reasons for which the host did not drive.
@@ -56,21 +60,35 @@ pub struct Violation {
     pub details: String,
 }
 
+/// Where a drive ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Until {
+    /// At the first violation.
+    #[default]
+    Violation,
+    /// At the end of its schedule; an invariant is no longer checked once it is violated.
+    End,
+}
+
 /// Drives a schedule to its end, or to the first violation.
 ///
 /// # Errors
 ///
 /// The part that can't be set up.
-pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
+pub fn drive(
+    schedule: &Schedule,
+    tamper: &mut dyn Tamper,
+    until: Until,
+) -> Result<DriveOutcome, SetupError> {
     let mut drive = Drive::new(schedule)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
     while drive.now_us < end_us {
         drive.step(end_us, tamper)?;
-        if let Some(violation) = drive.violation.take() {
-            return Ok(drive.outcome(Some(violation)));
+        if drive.violation.is_some() && until == Until::Violation {
+            break;
         }
     }
-    Ok(drive.outcome(None))
+    Ok(drive.outcome())
 }
 
 struct Drive<'a> {
@@ -110,6 +128,7 @@ struct Drive<'a> {
     newest_pose: Option<ReceivedPose>,
     invariants: Vec<Box<dyn Invariant>>,
     violation: Option<Violation>,
+    violated: BTreeSet<&'static str>,
     digest: Digest,
     driven_ms: u32,
     reasons: BTreeSet<&'static str>,
@@ -117,6 +136,8 @@ struct Drive<'a> {
     was_running: bool,
     resets: u64,
     pulses: u64,
+    pins: Pins,
+    stops: Stops,
     written: Decoder,
     buffers: Buffers,
 }
@@ -125,7 +146,7 @@ struct Drive<'a> {
 struct Buffers {
     bytes: Vec<u8>,
     heard: Vec<ReceivedMessage>,
-    pulses: Vec<PulseRecord>,
+    pulses: Vec<Pulse>,
     written: Vec<ToBoard>,
 }
 
@@ -138,7 +159,7 @@ impl<'a> Drive<'a> {
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            spec: Spec::new(&schedule.situation, &config).map_err(SetupError::Config)?,
+            spec: Spec::new(&schedule.situation, &world.config().car, &config).map_err(SetupError::Config)?,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -165,6 +186,7 @@ impl<'a> Drive<'a> {
             drive_time_s: None,
             newest_setpoint_ns: None,
             violation: None,
+            violated: BTreeSet::new(),
             digest: Digest::default(),
             driven_ms: 0,
             reasons: BTreeSet::new(),
@@ -172,6 +194,8 @@ impl<'a> Drive<'a> {
             was_running: false,
             resets: 0,
             pulses: 0,
+            pins: Pins::default(),
+            stops: Stops::default(),
             written: Decoder::new(),
             buffers: Buffers::default(),
             schedule,
@@ -180,12 +204,13 @@ impl<'a> Drive<'a> {
         Ok(drive)
     }
 
-    fn outcome(&self, violation: Option<Violation>) -> DriveOutcome {
+    fn outcome(self) -> DriveOutcome {
         DriveOutcome {
             digest: self.digest.value(),
-            violation,
+            violation: self.violation,
+            violated: self.violated,
             driven_ms: self.driven_ms,
-            reasons: self.reasons.clone(),
+            reasons: self.reasons,
         }
     }
 
@@ -450,7 +475,8 @@ impl<'a> Drive<'a> {
         let mut configuration = None;
         if let Some((number, mut config)) = self.changed.take() {
             tamper.configuration(number, &mut config);
-            self.spec = Spec::new(&self.schedule.situation, &config).map_err(SetupError::Config)?;
+            let car = &self.world.config().car;
+            self.spec = Spec::new(&self.schedule.situation, car, &config).map_err(SetupError::Config)?;
             let pilot = config.pilot().map_err(SetupError::Config)?;
             configuration = Some((number, pilot));
         }
@@ -475,19 +501,36 @@ impl<'a> Drive<'a> {
         let new = log.total() - self.pulses;
         self.pulses = log.total();
         pulses.clear();
-        pulses.extend(log.iter().rev().take(new as usize));
-        pulses.reverse();
+        // Oldest first.
+        let newest = || log.iter().rev().take(new as usize);
+        for index in (0..newest().count()).rev() {
+            let record = newest().nth(index);
+            pulses.extend(record.map(|record| self.pins.observe(&self.spec, *record)));
+        }
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
         }
+        let truth = self.world.truth();
+        self.stops.step(&Step {
+            now_us,
+            spec: &self.spec,
+            speed: truth.speed,
+            position: [truth.x, truth.y],
+            pulses,
+            mode: tick.as_ref().map(|tick| tick.output.mode),
+        });
+        let board_mode = self.world.board().telemetry().map(|record| record.mode);
+        let armed = matches!(board_mode, Some(BoardMode::Armed | BoardMode::Driving));
         let observation = Observation {
             now_us,
             spec: &self.spec,
-            truth: self.world.truth(),
+            truth,
             pulses,
+            stop: self.stops.stop(),
             board_received: heard,
             board_since_us: self.board_since_us,
-            board_mode: self.world.board().telemetry().map(|record| record.mode),
+            board_mode,
+            board_is_armed: is_running && armed,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),
             written,
@@ -505,18 +548,22 @@ impl<'a> Drive<'a> {
         self.reasons.extend(reason.map(Reason::name));
         self.digest.add(&observation);
         for pulse in observation.pulses {
-            self.driven_ms += 20 * u32::from(self.spec.drives(pulse));
+            self.driven_ms += 20 * u32::from(pulse.drives());
         }
-        for invariant in &mut self.invariants {
-            if let Err(details) = invariant.check(&observation) {
-                self.violation = Some(Violation {
-                    invariant: invariant.name(),
-                    time_us: now_us,
-                    details,
-                });
-                return Ok(());
-            }
-        }
+        let (first, violated) = (&mut self.violation, &mut self.violated);
+        self.invariants
+            .retain_mut(|invariant| match invariant.check(&observation) {
+                Ok(()) => true,
+                Err(details) => {
+                    violated.insert(invariant.name());
+                    first.get_or_insert(Violation {
+                        invariant: invariant.name(),
+                        time_us: now_us,
+                        details,
+                    });
+                    false
+                }
+            });
         if has_ticked {
             self.pending_requests.clear();
         }

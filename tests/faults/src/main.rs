@@ -10,7 +10,7 @@ use std::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, attempt,
+    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Until, Untampered, attempt,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -48,6 +48,11 @@ struct Options {
     /// Print the schedules without running them
     #[arg(long)]
     print: bool,
+
+    /// Count in how many schedules each invariant is violated: drives go on after a
+    /// violation
+    #[arg(long)]
+    by_invariant: bool,
 
     /// Do not shrink failing schedules
     #[arg(long)]
@@ -102,7 +107,13 @@ fn run(options: &Options) -> Result<bool, Error> {
         None if options.record.is_some() => (options.count, record_all(options)?),
         None => (options.count, campaign(options)?),
     };
-    for (index, failure) in outcome.failures.iter().enumerate() {
+    if options.by_invariant {
+        for (invariant, count) in &outcome.violated {
+            writeln!(out, "{count:>6}  {invariant}")?;
+        }
+    }
+    let failures = outcome.failures.iter().filter(|_| !options.by_invariant);
+    for (index, failure) in failures.enumerate() {
         print_failure(out, failure)?;
         if index < MAX_SHRUNK && !options.no_shrink && options.replay.is_none() {
             let (schedule, violation) =
@@ -177,6 +188,11 @@ fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
         count: options.count,
         board: options.board,
         threads: threads.unwrap_or(1),
+        until: if options.by_invariant {
+            Until::End
+        } else {
+            Until::Violation
+        },
     }
     .run(&|| bar.inc(1));
     bar.finish_and_clear();

@@ -2,13 +2,13 @@
 
 use singletrack_core::config::{BoardSection, Config, FailsafeKind};
 use singletrack_sim::{
-    BoardParameters, CameraParameters, CarParameters, SimulationConfig, StartPose, WireFaults,
+    BoardParameters, CameraParameters, CarBody, CarParameters, SimulationConfig, StartPose, WireFaults,
     WireParameters, default_board_configuration,
 };
 
 use crate::{
     SetupError,
-    schedule::{ReferenceKind, Schedule, Situation},
+    schedule::{Deviation, ReferenceKind, Schedule, Situation, TrueCar},
 };
 
 /// The content of the daemon's configuration file. Each reload finds the other one.
@@ -96,8 +96,10 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [outer_loop]\n{outer_loop}\n\
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
+         braking_m_s2 = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
-         {BOARD}"
+         {BOARD}",
+        f64::from(situation.braking_mm_s2) * 1e-3
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
     config.board = BoardSection {
@@ -109,6 +111,8 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
         stop_input: situation.stop_input,
         ..BoardSection::from(&default_board_configuration())
     };
+    config.board.speed.pulse_distance_um =
+        u16::try_from(situation.pulse_distance_um).unwrap_or(u16::MAX);
     if file == ConfigurationFile::Slower {
         config.limits.max_speed_m_s *= file.speed_share();
         config.limits.max_acceleration_m_s2 *= file.speed_share();
@@ -150,7 +154,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         seed: schedule.seed,
         car: CarParameters {
             start: start(situation),
-            ..CarParameters::default()
+            ..true_car(situation, &schedule.truth)
         },
         board: BoardParameters {
             kind: situation.board,
@@ -164,9 +168,56 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         },
         cameras: CameraParameters {
             latency_us: u64::from(situation.camera_latency_ms) * 1_000,
+            car: true_body(&schedule.truth),
             ..CameraParameters::default()
         },
         ..SimulationConfig::default()
+    }
+}
+
+fn true_car(situation: &Situation, truth: &TrueCar) -> CarParameters {
+    let mut car = CarParameters::default();
+    let value = |deviation| f64::from(truth.get(deviation).unwrap_or(0));
+    let stated = |deviation| truth.get(deviation).map(f64::from);
+    let factor = |deviation| 1.0 + 1e-3 * value(deviation);
+    car.servo.centre_us += value(Deviation::ServoTrim);
+    car.servo.gain_us_per_rad *= factor(Deviation::ServoGain);
+    if let Some(rate) = stated(Deviation::ServoRate) {
+        car.servo.max_rate_rad_s = 1e-3 * rate;
+    }
+    car.motor_sensor.pulse_distance_um =
+        f64::from(situation.pulse_distance_um) * factor(Deviation::PulseDistance);
+    let motor = &mut car.motor;
+    motor.gain_m_s_per_us *= factor(Deviation::MotorGain);
+    if let Some(rolling) = stated(Deviation::Rolling) {
+        motor.coasting_m_s2 = 1e-3 * rolling;
+    }
+    if let Some(viscous) = stated(Deviation::Viscous) {
+        motor.viscous_per_s = 1e-3 * viscous;
+    }
+    let longer = |us: u16, deviation| {
+        us.saturating_add_signed(truth.get(deviation).unwrap_or(0) as i16)
+    };
+    motor.neutral_us = longer(motor.neutral_us, Deviation::EscNeutral);
+    motor.deadband_us = longer(motor.deadband_us, Deviation::EscDeadband);
+    if let Some(ms) = stated(Deviation::SignalLoss) {
+        motor.signal_loss_us = (1e3 * ms) as u64;
+    }
+    car.battery.start_v -= 1e-3 * value(Deviation::Drained) * car.battery.fall_v_per_ah;
+    car
+}
+
+fn true_body(truth: &TrueCar) -> CarBody {
+    let value = |deviation| f64::from(truth.get(deviation).unwrap_or(0));
+    let body = CarBody::default();
+    let [forward, left] = body.to_centre_of_mass_m;
+    CarBody {
+        to_centre_of_mass_m: [
+            forward - 1e-3 * value(Deviation::PivotForward),
+            left - 1e-3 * value(Deviation::PivotLeft),
+        ],
+        yaw_rad: body.yaw_rad + 1e-3 * value(Deviation::BodyYaw),
+        ..body
     }
 }
 

@@ -4,7 +4,7 @@
 
 use proptest::prelude::*;
 use singletrack_faults::{
-    Campaign, Untampered, drive,
+    Campaign, Until, Untampered, drive,
     schedule::{FaultKind, OperatorRequest, Schedule},
 };
 use singletrack_sim::BoardKind;
@@ -66,7 +66,7 @@ fn the_same_schedule_gives_the_same_bits_and_another_seed_differs() {
     let digest = |seed| {
         let mut schedule = Schedule::generate(seed, BoardKind::Native);
         schedule.end_ms = schedule.end_ms.min(6_000);
-        drive(&schedule, &mut Untampered).unwrap()
+        drive(&schedule, &mut Untampered, Until::Violation).unwrap()
     };
     for seed in [3, 4] {
         assert_eq!(digest(seed), digest(seed));
@@ -80,9 +80,9 @@ fn the_wall_clock_has_no_effect() {
     let plain: Schedule = text.parse().unwrap();
     let stepped = format!("{text}; fault wall-clock-step at 4000 for 2000 severity 1000");
     let stepped: Schedule = stepped.parse().unwrap();
-    let outcome = drive(&plain, &mut Untampered).unwrap();
+    let outcome = drive(&plain, &mut Untampered, Until::Violation).unwrap();
     assert!(outcome.driven_ms > 4_000, "{outcome:?}");
-    assert_eq!(outcome, drive(&stepped, &mut Untampered).unwrap());
+    assert_eq!(outcome, drive(&stepped, &mut Untampered, Until::Violation).unwrap());
 }
 
 #[test]
@@ -92,6 +92,7 @@ fn the_number_of_threads_has_no_effect_and_nothing_is_violated() {
         count: 6,
         board: BoardKind::Native,
         threads,
+        until: Until::Violation,
     };
     let one = campaign(1).run(&|| ()).unwrap();
     assert_eq!(one, campaign(3).run(&|| ()).unwrap());

@@ -46,7 +46,7 @@ impl Invariant for CommandAge {
         }
         let limit_us = u64::from(COMMAND_TIME_TO_LIVE_US) + SERVO_US + SUPERVISOR_US;
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) || observation.board_since_us.is_none() {
+            if !pulse.drives() || observation.board_since_us.is_none() {
                 continue;
             }
             let Some(newest_us) = self.newest_us else {
@@ -89,7 +89,7 @@ impl Invariant for HostSilence {
             self.written_us = Some(observation.now_us);
         }
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) {
+            if !pulse.drives() {
                 continue;
             }
             let after_us = pulse.time_us.saturating_sub(self.written_us.unwrap_or(0));
@@ -133,7 +133,7 @@ impl Invariant for PoseAge {
             + CLOCKS_US
             + 10 * SKEW_US;
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) {
+            if !pulse.drives() {
                 continue;
             }
             let since_us = self.newest.map_or(0, |pose| pose.since_us());

@@ -59,7 +59,7 @@ impl Invariant for EmergencyStop {
         };
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(requested_us);
-            if observation.spec.drives(pulse) && after_us > limit_us {
+            if pulse.drives() && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after an emergency stop request, {} allowed",
                     pulse.esc_us,
@@ -100,7 +100,7 @@ impl Invariant for Disarm {
         let limit_us = observation.spec.stop_timeout_us + 10_000 + HOST_SILENCE_US;
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(requested_us);
-            if observation.spec.drives(pulse) && after_us > limit_us {
+            if pulse.drives() && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after a disarm request, {} allowed",
                     pulse.esc_us,
@@ -146,7 +146,7 @@ impl Invariant for MainLoop {
         };
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(hung_us);
-            if observation.spec.drives(pulse) && after_us > MAIN_LOOP_US {
+            if pulse.drives() && after_us > MAIN_LOOP_US {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after the main loop hung",
                     pulse.esc_us,

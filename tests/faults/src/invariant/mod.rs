@@ -2,6 +2,7 @@
 
 mod age;
 mod authority;
+mod brake;
 mod cause;
 mod configuration;
 mod fence;
@@ -9,6 +10,8 @@ mod grid;
 mod host;
 mod pulse;
 mod replayed;
+mod sign;
+mod stand;
 
 use singletrack_pilot::PilotConfig;
 
@@ -56,6 +59,16 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<grid::TickGrid>::default(),
         Box::<grid::CameraAlignment>::default(),
         Box::<fence::Fence>::default(),
+        Box::<fence::EstimateError>::default(),
+        Box::<stand::Stands>::default(),
+        Box::<stand::WeakBrakes>::default(),
+        Box::<stand::StopNotObeyed>::default(),
+        Box::<stand::UnarmedMotion>::default(),
+        Box::<stand::Backward>::default(),
+        Box::<brake::BrakePulse>::default(),
+        Box::<brake::SilentStop>::default(),
+        Box::<sign::SteeringSign>::default(),
+        Box::<sign::GyroSign>::default(),
         Box::<host::CommandLimits>::default(),
         Box::<host::CommandRate>::default(),
         Box::<host::ModeAndReason>::default(),

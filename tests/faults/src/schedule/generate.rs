@@ -3,7 +3,8 @@
 use singletrack_sim::BoardKind;
 
 use super::{
-    Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+    Deviation, Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+    TrueCar,
 };
 use crate::random::{Random, Stream};
 
@@ -31,6 +32,8 @@ impl Default for Situation {
             reset_on_open: false,
             queue_shows: false,
             fence_mm: 2_000,
+            braking_mm_s2: 1_400,
+            pulse_distance_um: 3_000,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -44,7 +47,9 @@ impl Schedule {
     #[must_use]
     pub fn generate(seed: u64, board: BoardKind) -> Self {
         let random = &mut Random::new(seed, Stream::Schedule);
-        let situation = situation(random, board);
+        let mut situation = situation(random, board);
+        let truth = true_car(random);
+        believe(random, &mut situation, &truth);
         let [shortest, longest] = match board {
             BoardKind::Native => NATIVE_MS,
             BoardKind::Uno => UNO_MS,
@@ -65,6 +70,7 @@ impl Schedule {
         Self {
             seed,
             situation,
+            truth,
             end_ms,
             requests,
             faults,
@@ -90,6 +96,8 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         reset_on_open: random.happens(250),
         queue_shows: random.happens(500),
         fence_mm: random.spread(300, 3_000),
+        braking_mm_s2: 1_400,
+        pulse_distance_um: 3_000,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
@@ -100,6 +108,59 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
             // The image's clock starts at zero.
             BoardKind::Uno => 0,
         },
+    }
+}
+
+/// A car of which nothing is quite as configured, and sometimes one thing not at all.
+fn true_car(random: &mut Random) -> TrueCar {
+    let mut car = TrueCar::default();
+    for &deviation in Deviation::ALL {
+        let tolerable = deviation.tolerable();
+        car.0
+            .insert(deviation, random.signed(*tolerable.start(), *tolerable.end()));
+    }
+    if random.happens(300) {
+        let (deviation, value) = gross(random);
+        car.0.insert(deviation, value);
+    }
+    car
+}
+
+/// A property as no calibrated car has it.
+fn gross(random: &mut Random) -> (Deviation, i32) {
+    use Deviation as D;
+    let sign = if random.happens(500) { 1 } else { -1 };
+    match random.between(0, 8) {
+        0 | 1 => (D::ServoGain, -2_000 + random.signed(-80, 80)),
+        2 => (D::ServoTrim, sign * random.signed(60, 120)),
+        3 => (D::ServoRate, random.signed(300, 1_500)),
+        4 => (D::BodyYaw, sign * random.signed(175, 3_142)),
+        5 => (D::EscNeutral, -random.signed(40, 80)),
+        6 => (D::PulseDistance, random.choose(-500, &[1_000, -300, 300])),
+        7 => (D::SignalLoss, random.signed(1_000, 2_000)),
+        _ => (D::PivotForward, sign * random.signed(60, 150)),
+    }
+}
+
+/// What the operator has configured for this car.
+fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
+    let rolling = truth.get(Deviation::Rolling).unwrap_or(800);
+    let rolling = u32::try_from(rolling).unwrap_or(0).max(100);
+    situation.braking_mm_s2 = if random.happens(850) {
+        // As measured, less a fifth.
+        rolling * 4 / 5
+    } else {
+        rolling * random.between(12, 40) / 10
+    };
+    situation.pulse_distance_um = match random.between(0, 2) {
+        0 => 3_000,
+        1 => random.between(3_000, 12_000),
+        _ => random.between(3_000, 30_000),
+    };
+    if random.happens(850) {
+        // Room for a drive that can stop.
+        let speed = situation.speed_mm_s;
+        situation.fence_mm += speed * speed / (2 * situation.braking_mm_s2) + speed / 5;
     }
 }
 

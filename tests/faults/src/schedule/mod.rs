@@ -3,11 +3,13 @@
 mod generate;
 mod kind;
 mod text;
+mod truth;
 
 use singletrack_sim::BoardKind;
 
 pub use kind::{FaultKind, FaultTarget};
 pub use text::ScheduleError;
+pub use truth::{Deviation, TrueCar};
 
 /// Complete input of a drive: the same schedule gives the same bits. Times are
 /// milliseconds since power-on.
@@ -17,6 +19,8 @@ pub struct Schedule {
     pub seed: u64,
     /// Initial conditions and wiring.
     pub situation: Situation,
+    /// The true car, where it differs from the configured one.
+    pub truth: TrueCar,
     /// Duration.
     pub end_ms: u32,
     /// Operator requests, in order of time.
@@ -48,6 +52,11 @@ pub struct Situation {
     pub queue_shows: bool,
     /// Distance of the geofence from the reference, in mm.
     pub fence_mm: u32,
+    /// `fence.braking_m_s2` of the configuration, in mm/s².
+    pub braking_mm_s2: u32,
+    /// `board.speed.pulse_distance_um` of the configuration; the true distance deviates
+    /// from it by [`Deviation::PulseDistance`].
+    pub pulse_distance_um: u32,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.
