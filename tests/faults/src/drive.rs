@@ -511,16 +511,18 @@ impl<'a> Drive<'a> {
             tamper.tick(tick);
         }
         let truth = self.world.truth();
+        let board_mode = self.world.board().telemetry().map(|record| record.mode);
+        let board_is_armed = is_running
+            && matches!(board_mode, Some(BoardMode::Armed | BoardMode::Driving));
         self.stops.step(&Step {
             now_us,
             spec: &self.spec,
             speed: truth.speed,
             position: [truth.x, truth.y],
             pulses,
+            board_is_armed,
             mode: tick.as_ref().map(|tick| tick.output.mode),
         });
-        let board_mode = self.world.board().telemetry().map(|record| record.mode);
-        let armed = matches!(board_mode, Some(BoardMode::Armed | BoardMode::Driving));
         let observation = Observation {
             now_us,
             spec: &self.spec,
@@ -530,7 +532,7 @@ impl<'a> Drive<'a> {
             board_received: heard,
             board_since_us: self.board_since_us,
             board_mode,
-            board_is_armed: is_running && armed,
+            board_is_armed,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),
             written,

@@ -106,6 +106,8 @@ pub(crate) struct Step<'a> {
     pub(crate) speed: f64,
     pub(crate) position: [f64; 2],
     pub(crate) pulses: &'a [Pulse],
+    /// Whether the running board is armed, by its telemetry.
+    pub(crate) board_is_armed: bool,
     /// Mode after a tick in this step.
     pub(crate) mode: Option<Mode>,
 }
@@ -158,7 +160,8 @@ impl Stops {
                 }
             };
             self.driven |= pulse.drives();
-            if pulse.effect != Effect::Drive && self.driven {
+            // A slowing car that stands may drive on.
+            if pulse.effect != Effect::Drive && self.driven && !step.board_is_armed {
                 self.begin(step);
             }
             if let Some(stop) = &mut self.stop {
