@@ -1,4 +1,4 @@
-//! Attitude of a car on a floor: yaw and a small tilt.
+//! Attitude of a car on a floor: yaw and a small tilt; and of what is mounted on it.
 
 use libm::{cos, sin, sqrt};
 
@@ -12,6 +12,54 @@ pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
         (a * c - b * s) / norm,
         (a * s + b * c) / norm,
         s / norm,
+    ]
+}
+
+/// How a sensor is turned on the car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Rotation {
+    quaternion_wxyz: [f64; 4],
+}
+
+impl Rotation {
+    /// Roll, pitch and yaw, in degrees; `None` if all are zero.
+    pub(crate) fn from_degrees(angles: [f64; 3]) -> Option<Self> {
+        if angles == [0.0; 3] {
+            return None;
+        }
+        let [(cr, sr), (cp, sp), (cy, sy)] = angles.map(|angle| {
+            let half = angle.to_radians() / 2.0;
+            (cos(half), sin(half))
+        });
+        let about_z = [cy, 0.0, 0.0, sy];
+        let about_y = [cp, 0.0, sp, 0.0];
+        let about_x = [cr, sr, 0.0, 0.0];
+        Some(Self {
+            quaternion_wxyz: product(product(about_z, about_y), about_x),
+        })
+    }
+
+    /// A vector of the car along the turned axes.
+    pub(crate) fn into_turned(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let [w, a, b, c] = self.quaternion_wxyz;
+        let inverse = [w, -a, -b, -c];
+        let [_, x, y, z] = product(product(inverse, [0.0, x, y, z]), self.quaternion_wxyz);
+        [x, y, z]
+    }
+
+    /// The attitude of the turned axes on a car with this attitude.
+    pub(crate) fn after(self, car_wxyz: [f64; 4]) -> [f64; 4] {
+        product(car_wxyz, self.quaternion_wxyz)
+    }
+}
+
+/// The product of two quaternions w, x, y, z.
+fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
+    [
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
     ]
 }
 

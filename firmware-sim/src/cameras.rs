@@ -10,6 +10,7 @@ use crate::{
     attitude,
     car::Truth,
     clock::SkewedClock,
+    epoch::Epoch,
     loss::{LossPattern, LossWindow},
     random::{Random, Stream},
 };
@@ -49,6 +50,31 @@ pub struct CameraParameters {
     pub loss_windows: Vec<LossWindow>,
     /// Representation of a loss on the wire.
     pub loss_kind: LossKind,
+    /// Error of the mid-exposure stamps, in ms; positive is late: the pose is older than
+    /// its stamp.
+    pub stamp_bias_ms: f64,
+    /// Growth of that error since the start of the simulation, in ppm.
+    pub stamp_drift_ppm: f64,
+    /// The stream's poses of the car are those of another body: the first of `decoys`, or
+    /// one at the origin.
+    pub other_body: bool,
+    /// The same from this time on, in s.
+    pub other_body_from_s: Option<f64>,
+    /// From this time on, for `frozen_ms`, the pose of the car repeats bit by bit in new
+    /// frames, in s.
+    pub frozen_from_s: Option<f64>,
+    /// Duration of that, in ms.
+    pub frozen_ms: f64,
+    /// From this time on, for good, the car's body is found turned by `flip_deg`, in s.
+    pub flip_from_s: Option<f64>,
+    /// Angle about the up axis by which it is turned, in degrees.
+    pub flip_deg: f64,
+    /// From this time on somebody else sends frames from the server's own address, in s.
+    pub forged_from_s: Option<f64>,
+    /// Position of the car in those frames less its true one, in m.
+    pub forged_offset_m: [f64; 2],
+    /// Growth of that difference, in m/s.
+    pub forged_drift_m_s: [f64; 2],
 }
 
 impl Default for CameraParameters {
@@ -80,6 +106,17 @@ impl Default for CameraParameters {
             loss: None,
             loss_windows: Vec::new(),
             loss_kind: LossKind::Occluded,
+            stamp_bias_ms: 0.0,
+            stamp_drift_ppm: 0.0,
+            other_body: false,
+            other_body_from_s: None,
+            frozen_from_s: None,
+            frozen_ms: 1_000.0,
+            flip_from_s: None,
+            flip_deg: 180.0,
+            forged_from_s: None,
+            forged_offset_m: [0.5, 0.0],
+            forged_drift_m_s: [0.0; 2],
         }
     }
 }
@@ -132,6 +169,29 @@ impl Default for CarBody {
             yaw_rad: 0.0,
             height_m: 0.12,
         }
+    }
+}
+
+impl CarBody {
+    /// Position of the pivot from the centre of mass: forward, left, in m.
+    #[must_use]
+    pub fn pivot(&self) -> [f64; 2] {
+        let [forward, left] = self.to_centre_of_mass_m;
+        let (c, s) = (cos(self.yaw_rad), sin(self.yaw_rad));
+        [-(c * forward - s * left), -(s * forward + c * left)]
+    }
+
+    /// Sets the position of the pivot from the centre of mass: forward, left, in m.
+    pub fn set_pivot(&mut self, [forward, left]: [f64; 2]) {
+        let (c, s) = (cos(self.yaw_rad), sin(self.yaw_rad));
+        self.to_centre_of_mass_m = [-(c * forward + s * left), -(c * left - s * forward)];
+    }
+
+    /// Turns the body about its pivot to this yaw on the car, in rad.
+    pub fn set_yaw(&mut self, yaw_rad: f64) {
+        let pivot = self.pivot();
+        self.yaw_rad = yaw_rad;
+        self.set_pivot(pivot);
     }
 }
 
@@ -212,6 +272,7 @@ pub struct Cameras {
     latency: Random,
     faults: CameraFaults,
     loss_epoch_us: Option<u64>,
+    epoch: Epoch,
     exposures: u64,
     last_pose: RigidBody,
     under_way: VecDeque<CameraFrame>,
@@ -226,6 +287,7 @@ impl Cameras {
             latency: Random::new(seed, Stream::CameraLatency),
             faults: CameraFaults::default(),
             loss_epoch_us: Some(0),
+            epoch: Epoch::default(),
             exposures: 0,
             // A body that has never been tracked.
             last_pose: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
@@ -271,6 +333,12 @@ impl Cameras {
         self.loss_epoch_us = epoch_us;
     }
 
+    /// Sets the zero of the times in the parameters, except the losses', in µs of the
+    /// simulation.
+    pub(crate) const fn set_epoch(&mut self, epoch_us: Option<u64>) {
+        self.epoch = Epoch::new(epoch_us);
+    }
+
     /// Replaces the periodic losses.
     pub const fn set_loss(&mut self, loss: Option<LossPattern>) {
         self.parameters.loss = loss;
@@ -306,12 +374,15 @@ impl Cameras {
         self.counters.exposed += 1;
         let measured = self.measure(truth);
         let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
+        let p = &self.parameters;
+        let is_frozen = self.epoch.is_within(p.frozen_from_s, p.frozen_ms, now_us);
         let mut car = match loss {
+            None if is_frozen => self.last_pose,
             None => measured,
             Some(_) => self.last_pose.with_tracking_valid(false),
         };
         if loss.is_none() {
-            self.last_pose = measured;
+            self.last_pose = car;
         } else {
             self.counters.lost += 1;
         }
@@ -337,7 +408,7 @@ impl Cameras {
             exposed_us: now_us,
             sent_us,
             ticks: CameraTicks {
-                mid_exposure: self.ticks(now_us),
+                mid_exposure: self.stamp(now_us),
                 received: self.ticks(now_us + (sent_us - now_us) / 2),
                 transmit: self.ticks(sent_us),
             },
@@ -345,6 +416,41 @@ impl Cameras {
             car_tracked: loss.is_none(),
             silent: loss == Some(LossKind::Silent),
         });
+    }
+
+    /// The mid-exposure stamp of an exposure at this time.
+    fn stamp(&self, now_us: u64) -> u64 {
+        let p = &self.parameters;
+        let error_us = p.stamp_bias_ms * 1e3 + p.stamp_drift_ppm * 1e-6 * now_us as f64;
+        let error_ticks = error_us * TICKS_PER_SECOND as f64 * 1e-6;
+        self.ticks(now_us).saturating_add_signed(error_ticks as i64)
+    }
+
+    /// The frame that somebody else sends after this one; `None` while nobody does.
+    pub(crate) fn forge(&self, frame: &CameraFrame) -> Option<CameraFrame> {
+        let p = &self.parameters;
+        let from_s = p.forged_from_s?;
+        let elapsed_s = self.epoch.elapsed_s(frame.sent_us)? - from_s;
+        if elapsed_s < 0.0 {
+            return None;
+        }
+        let mut forged = frame.clone();
+        // The next frame's number, so that the true one seems a repetition.
+        forged.number = frame.number.wrapping_add(1);
+        forged.silent = false;
+        let half = p.period_us / 2 * (TICKS_PER_SECOND / 1_000_000);
+        forged.ticks.mid_exposure += half;
+        let [x, y]: [f64; 2] =
+            core::array::from_fn(|i| p.forged_offset_m[i] + p.forged_drift_m_s[i] * elapsed_s);
+        let offset = p.up_axis.stream([x, y, 0.0]).map(|x| x as f32);
+        let mut car = self.last_pose.with_tracking_valid(true);
+        for (coordinate, offset) in car.position_m.iter_mut().zip(offset) {
+            *coordinate += offset;
+        }
+        forged.bodies.retain(|body| body.id != car.id);
+        forged.bodies.push(car);
+        forged.car_tracked = true;
+        Some(forged)
     }
 
     /// The next frame that is due.
@@ -387,17 +493,31 @@ impl Cameras {
         if self.faults.not_a_number {
             return RigidBody::tracked(p.car.id, [f32::NAN; 3], [f32::NAN; 4]);
         }
-        let yaw = truth.yaw + p.car.yaw_rad;
+        let mut yaw = truth.yaw + p.car.yaw_rad;
         let (c, s) = (cos(yaw), sin(yaw));
         let [forward, left] = p.car.to_centre_of_mass_m;
-        let pivot = [
+        let mut pivot = [
             truth.x - (c * forward - s * left),
             truth.y - (s * forward + c * left),
             p.car.height_m,
         ];
+        // Along the body's axes.
+        let (c, s) = (cos(p.car.yaw_rad), sin(p.car.yaw_rad));
+        let mut tilt = [
+            c * truth.roll + s * truth.pitch,
+            c * truth.pitch - s * truth.roll,
+        ];
+        if self.epoch.has_come(p.flip_from_s, truth.time_us) {
+            yaw += p.flip_deg.to_radians();
+        }
+        if p.other_body || self.epoch.has_come(p.other_body_from_s, truth.time_us) {
+            (yaw, tilt) = (0.0, [0.0; 2]);
+            pivot = p.decoys.first().map_or([0.0; 3], |decoy| decoy.position_m);
+        }
         let jump = self.faults.jump_m;
         let position: [f64; 3] = core::array::from_fn(|i| pivot[i] + noise[i] + jump[i]);
-        let [w, x, y, z] = attitude::quaternion_wxyz(yaw + yaw_noise, roll, pitch);
+        let [w, x, y, z] =
+            attitude::quaternion_wxyz(yaw + yaw_noise, roll + tilt[0], pitch + tilt[1]);
         let [x, y, z] = p.up_axis.stream([x, y, z]);
         let mut body = RigidBody::tracked(
             p.car.id,

@@ -30,6 +30,7 @@ mod cameras;
 mod car;
 mod clock;
 mod defaults;
+mod epoch;
 mod loss;
 mod natnet_server;
 mod parameters;
@@ -38,6 +39,7 @@ mod pulse_log;
 mod random;
 mod real_time;
 mod scripted;
+mod truth;
 mod udp;
 mod wire;
 mod world;
@@ -51,8 +53,9 @@ pub use cameras::{
     LossKind, TICKS_PER_SECOND, UpAxis,
 };
 pub use car::{
-    BatteryParameters, Car, CarParameters, ImuFault, ImuParameters, ImuReading, MotorParameters,
-    MotorPulses, MotorSensorFault, MotorSensorParameters, ServoParameters, StartPose, Truth,
+    BatteryParameters, Car, CarParameters, EscKind, ImuFault, ImuParameters, ImuReading,
+    MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push, ServoParameters,
+    StartPose, Truth,
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;
@@ -69,6 +72,7 @@ pub use real_time::{
 };
 pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
+pub use truth::{CarTruth, TRUTH_KEYS, TruthKey};
 pub use udp::{UdpConfig, UdpError};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

@@ -35,6 +35,11 @@ pub struct NatNetParameters {
     pub group: Ipv4Addr,
     /// Silence after which a unicast client is dropped, in µs.
     pub keep_alive_timeout_us: u64,
+    /// The address from which the server sends, if not the one at which it is asked: a
+    /// computer with a second network card. An address of this machine in real time.
+    pub sends_from: Option<Ipv4Addr>,
+    /// The server is not running: it neither answers nor sends.
+    pub is_off: bool,
 }
 
 impl Default for NatNetParameters {
@@ -44,6 +49,8 @@ impl Default for NatNetParameters {
             multicast: false,
             group: MULTICAST_GROUP,
             keep_alive_timeout_us: 5_000_000,
+            sends_from: None,
+            is_off: false,
         }
     }
 }
@@ -94,6 +101,8 @@ pub struct Datagram {
     /// Whether it is a frame, sent from the data port; answers are sent from the
     /// command port.
     pub is_frame: bool,
+    /// The source address, if not the one at which the server is asked.
+    pub from: Option<Ipv4Addr>,
     /// Contents.
     pub bytes: Vec<u8>,
 }
@@ -185,6 +194,9 @@ impl NatNetServer {
         from: SocketAddr,
         bytes: &[u8],
     ) -> Option<Datagram> {
+        if self.parameters.is_off {
+            return None;
+        }
         let Ok(message) = ClientMessage::decode(bytes) else {
             self.counters.malformed += 1;
             return self.answer(from, encode::unrecognized);
@@ -230,7 +242,7 @@ impl NatNetServer {
         self.clients
             .retain(|client| now_us.saturating_sub(client.last_received_us) <= timeout_us);
         self.counters.expired += (before - self.clients.len()) as u64;
-        if frame.silent {
+        if frame.silent || self.parameters.is_off {
             return Vec::new();
         }
         let receivers: Vec<_> = if self.parameters.multicast {
@@ -250,6 +262,7 @@ impl NatNetServer {
                 Some(Datagram {
                     to,
                     is_frame: true,
+                    from: self.parameters.sends_from,
                     bytes,
                 })
             })
@@ -355,6 +368,7 @@ impl NatNetServer {
         Some(Datagram {
             to: Destination::Client(to),
             is_frame: false,
+            from: self.parameters.sends_from,
             bytes: self.encoded(encode)?,
         })
     }

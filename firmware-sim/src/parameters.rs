@@ -84,6 +84,7 @@ impl SimulationConfig {
         let positive = "finite and above zero";
         let probability = "a probability from 0 to 1";
         let not_negative = "finite and not negative";
+        let edge_rate = "between 0 and 100000";
         let at_least_one = |value: u64| value as f64;
         for (name, value, valid, rule) in [
             check(
@@ -171,6 +172,154 @@ impl SimulationConfig {
                 "100 or more",
             ),
             check(
+                "car.servo.backlash_us",
+                car.servo.backlash_us,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.motor.reboot_ms",
+                car.motor.reboot_ms,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.motor.slope_deg",
+                car.motor.slope_deg,
+                |x| (-45.0..=45.0).contains(&x),
+                "from -45 to 45",
+            ),
+            check(
+                "car.motor.slope_heading_deg",
+                car.motor.slope_heading_deg,
+                |_| true,
+                "finite",
+            ),
+            check(
+                "car.motor.slip",
+                car.motor.slip,
+                |x| (0.0..1.0).contains(&x),
+                "from 0 to below 1",
+            ),
+            check(
+                "car.motor.push.speed_m_s",
+                car.motor.push.map_or(0.0, |push| push.speed_m_s),
+                |_| true,
+                "finite",
+            ),
+            check(
+                "car.motor.push.for_s",
+                car.motor.push.map_or(0.0, |push| push.for_s),
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.motor_sensor.emi_driven_hz",
+                car.motor_sensor.emi_driven_hz,
+                is_edge_rate,
+                edge_rate,
+            ),
+            check(
+                "car.motor_sensor.emi_standstill_hz",
+                car.motor_sensor.emi_standstill_hz,
+                is_edge_rate,
+                edge_rate,
+            ),
+            check(
+                "car.motor_sensor.ringing_edges",
+                f64::from(car.motor_sensor.ringing_edges),
+                |x| x <= 1_000.0,
+                "1000 or less",
+            ),
+            check(
+                "car.battery.supply_v",
+                car.battery.supply_v,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.battery.dip_ms",
+                car.battery.dip_ms,
+                above_zero,
+                positive,
+            ),
+            check(
+                "car.imu.mounting_deg",
+                car.imu.mounting_deg.iter().sum(),
+                |_| true,
+                "finite",
+            ),
+            check("car.imu.gyro_scale", car.imu.gyro_scale, |_| true, "finite"),
+            check(
+                "car.imu.acceleration_scale",
+                car.imu.acceleration_scale,
+                |_| true,
+                "finite",
+            ),
+            check(
+                "car.imu.vibration_m_s2",
+                car.imu.vibration_m_s2,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.imu.vibration_rad_s",
+                car.imu.vibration_rad_s,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.imu.leak_s",
+                car.imu.leak_s.unwrap_or(1.0),
+                above_zero,
+                positive,
+            ),
+            check("car.imu.torn", car.imu.torn, is_probability, probability),
+            check(
+                "car.imu.calibration",
+                car.imu
+                    .calibration
+                    .iter()
+                    .copied()
+                    .max()
+                    .unwrap_or(0)
+                    .into(),
+                |x| x <= 3.0,
+                "0 to 3",
+            ),
+            check(
+                "car.imu.restart_ms",
+                car.imu.restart_ms,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "cameras.stamp_bias_ms",
+                cameras.stamp_bias_ms,
+                |x| x.abs() <= 10_000.0,
+                "from -10000 to 10000",
+            ),
+            check(
+                "cameras.stamp_drift_ppm",
+                cameras.stamp_drift_ppm,
+                |x| x.abs() <= 100_000.0,
+                "from -100000 to 100000",
+            ),
+            check("cameras.frozen_ms", cameras.frozen_ms, above_zero, positive),
+            check("cameras.flip_deg", cameras.flip_deg, |_| true, "finite"),
+            check(
+                "cameras.forged_offset_m",
+                cameras.forged_offset_m.iter().sum(),
+                |_| true,
+                "finite",
+            ),
+            check(
+                "cameras.forged_drift_m_s",
+                cameras.forged_drift_m_s.iter().sum(),
+                |_| true,
+                "finite",
+            ),
+            check(
                 "wire.baud",
                 f64::from(wire.baud),
                 |x| x >= 300.0,
@@ -205,6 +354,24 @@ impl SimulationConfig {
                 return Err(ConfigError::OutOfRange { name, value, rule });
             }
         }
+        for (name, time_s) in [
+            ("car.servo.stuck_from_s", car.servo.stuck_from_s),
+            ("car.motor.stuck_from_s", car.motor.stuck_from_s),
+            ("car.motor.reboot_at_s", car.motor.reboot_at_s),
+            ("car.motor.slip_from_s", car.motor.slip_from_s),
+            ("car.motor.push.at_s", car.motor.push.map(|push| push.at_s)),
+            ("car.battery.dip_at_s", car.battery.dip_at_s),
+            ("cameras.other_body_from_s", cameras.other_body_from_s),
+            ("cameras.frozen_from_s", cameras.frozen_from_s),
+            ("cameras.flip_from_s", cameras.flip_from_s),
+            ("cameras.forged_from_s", cameras.forged_from_s),
+        ] {
+            let (name, value, valid, rule) =
+                check(name, time_s.unwrap_or(0.0), zero_or_more, not_negative);
+            if !valid {
+                return Err(ConfigError::OutOfRange { name, value, rule });
+            }
+        }
         Ok(())
     }
 }
@@ -224,6 +391,10 @@ fn above_zero(x: f64) -> bool {
 
 fn zero_or_more(x: f64) -> bool {
     x >= 0.0
+}
+
+fn is_edge_rate(x: f64) -> bool {
+    (0.0..=100_000.0).contains(&x)
 }
 
 fn is_probability(x: f64) -> bool {

@@ -21,6 +21,9 @@ pub(crate) enum Stream {
     HostToBoard = 7,
     BoardToHost = 8,
     Bootloader = 9,
+    MotorEdges = 10,
+    Vibration = 11,
+    TornSamples = 12,
 }
 
 /// One stream of random numbers.

@@ -130,7 +130,8 @@ impl RealTimeSimulator {
     /// Fails if a resource cannot be opened or the configuration is invalid.
     pub fn start(config: RealTimeConfig) -> Result<Self, RealTimeError> {
         let mut world = World::new(config.simulation)?;
-        let sockets = NatNetSockets::bind(&config.udp, world.natnet().parameters().group)?;
+        let natnet = *world.natnet().parameters();
+        let sockets = NatNetSockets::bind(&config.udp, natnet.group, natnet.sends_from)?;
         world
             .natnet_mut()
             .set_data_port(sockets.data_address().port());

@@ -55,14 +55,25 @@ pub(crate) struct NatNetSockets {
     command_address: SocketAddrV4,
     data_address: SocketAddrV4,
     group: SocketAddrV4,
+    /// The second network card, which only sends.
+    second: Option<UdpSocket>,
 }
 
 impl NatNetSockets {
-    pub(crate) fn bind(config: &UdpConfig, group: Ipv4Addr) -> Result<Self, UdpError> {
+    /// `second` is the address of a second network card.
+    pub(crate) fn bind(
+        config: &UdpConfig,
+        group: Ipv4Addr,
+        second: Option<Ipv4Addr>,
+    ) -> Result<Self, UdpError> {
         let (command, command_address) =
             bind(config.interface, config.command_port, "command port")?;
         let (data, data_address) = bind(config.interface, config.data_port, "data port")?;
+        let second = second
+            .map(|address| bind(address, command_address.port(), "second network card"))
+            .transpose()?;
         Ok(Self {
+            second: second.map(|(socket, _)| socket),
             command,
             data,
             command_address,
@@ -97,7 +108,9 @@ impl NatNetSockets {
             Destination::Client(address) => address,
             Destination::Group => self.group.into(),
         };
-        let socket = if datagram.is_frame {
+        let socket = if let (Some(_), Some(second)) = (datagram.from, &self.second) {
+            second
+        } else if datagram.is_frame {
             &self.data
         } else {
             &self.command

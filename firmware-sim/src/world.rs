@@ -3,6 +3,7 @@
 use std::{collections::VecDeque, net::SocketAddr};
 
 use singletrack_protocol::ResetCause;
+use singletrack_simavr::BusFault;
 
 use crate::{
     board::SimulatedBoard,
@@ -33,6 +34,8 @@ pub struct World {
     imu_fault: ImuFault,
     /// The last sample taken without a fault.
     imu_last: Option<ImuReading>,
+    /// The supply of servo and IMU.
+    imu_supply: ImuSupply,
     /// Samples in transit to the board with their arrival times.
     imu_pending: VecDeque<(u64, ImuReading)>,
     board: SimulatedBoard,
@@ -42,6 +45,17 @@ pub struct World {
     datagrams: VecDeque<Datagram>,
     frames: VecDeque<CameraFrame>,
     config: SimulationConfig,
+}
+
+/// The supply of the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ImuSupply {
+    Good,
+    Failed,
+    /// Good again; the sensor starts until then.
+    Starting {
+        until_us: u64,
+    },
 }
 
 /// Number of camera frames and datagrams kept until the host fetches them.
@@ -59,14 +73,17 @@ impl World {
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         let seed = config.seed;
+        let mut car = Car::new(config.car);
+        car.seed(seed);
         Ok(Self {
             now_us: 0,
-            car: Car::new(config.car),
+            car,
             next_step_us: STEP_US,
             imu: Imu::new(config.car.imu, seed),
             imu_samples: 0,
             imu_fault: ImuFault::None,
             imu_last: None,
+            imu_supply: ImuSupply::Good,
             imu_pending: VecDeque::new(),
             board: SimulatedBoard::new(config.board, seed)?,
             wire: SerialWire::new(&config.wire, seed),
@@ -135,6 +152,7 @@ impl World {
         if self.next_step_us <= now_us {
             self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
         }
+        self.supply_imu(now_us);
         if self.next_imu_us() <= now_us {
             self.imu_samples += 1;
             let reading = self.imu.sample(&self.car.truth());
@@ -145,8 +163,10 @@ impl World {
             let sample = self
                 .imu_fault
                 .falsify(reading, self.imu_last, self.imu_samples);
-            self.imu_pending
-                .extend(sample.map(|reading| (arrival, reading)));
+            if self.imu_supply == ImuSupply::Good {
+                self.imu_pending
+                    .extend(sample.map(|reading| (arrival, reading)));
+            }
         }
         while let Some(&(arrival, reading)) = self.imu_pending.front() {
             if arrival > now_us {
@@ -165,9 +185,42 @@ impl World {
             .events_at(now_us, &mut self.car, &mut self.wire, filter);
     }
 
+    /// A dip of its supply restarts the IMU; the board finds it absent, then without its
+    /// settings.
+    fn supply_imu(&mut self, now_us: u64) {
+        let supply = match (self.imu_supply, self.car.supply_dips()) {
+            (ImuSupply::Failed, true) => return,
+            (_, true) => {
+                self.imu_pending.clear();
+                self.board.set_imu_bus(BusFault::Absent);
+                ImuSupply::Failed
+            }
+            (ImuSupply::Failed, false) => {
+                let restart_us = self.config.car.imu.restart_ms * 1e3;
+                ImuSupply::Starting {
+                    until_us: now_us + restart_us as u64,
+                }
+            }
+            (ImuSupply::Starting { until_us }, false) if now_us >= until_us => {
+                self.imu.restart();
+                // Its settings are lost, which this fault does once.
+                self.board.set_imu_bus(BusFault::Restarted);
+                self.board.set_imu_bus(BusFault::None);
+                ImuSupply::Good
+            }
+            (unchanged, false) => unchanged,
+        };
+        self.imu_supply = supply;
+    }
+
     fn send_frame(&mut self, frame: CameraFrame) {
         for datagram in self.natnet.frame(self.now_us, &frame) {
             push_bounded(&mut self.datagrams, datagram);
+        }
+        if let Some(forged) = self.cameras.forge(&frame) {
+            for datagram in self.natnet.frame(self.now_us, &forged) {
+                push_bounded(&mut self.datagrams, datagram);
+            }
         }
         if !frame.silent {
             push_bounded(&mut self.frames, frame);
@@ -231,6 +284,14 @@ impl World {
     /// Sets the fault of the IMU.
     pub const fn set_imu_fault(&mut self, fault: ImuFault) {
         self.imu_fault = fault;
+    }
+
+    /// Sets the zero of all times `..._at_s` and `..._from_s` of the configuration, in µs
+    /// of the simulation; the default is its start. With `None` nothing of the kind
+    /// happens until there is one.
+    pub const fn set_epoch(&mut self, epoch_us: Option<u64>) {
+        self.car.set_epoch(epoch_us);
+        self.cameras.set_epoch(epoch_us);
     }
 
     /// The car.

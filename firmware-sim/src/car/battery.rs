@@ -22,6 +22,18 @@ pub struct BatteryParameters {
     pub fall_v_per_ah: f64,
     /// Standard deviation of the measured voltage, in V.
     pub noise_v: f64,
+    /// Voltage that supplies the board's processor and is its converter's reference, in
+    /// V; USB is between 4.4 and 5.25.
+    pub supply_v: f64,
+    /// The divider is not connected: the board's input floats.
+    pub divider_open: bool,
+    /// Begin of a dip of the ESC's own supply (BEC), which feeds servo and IMU, in s.
+    /// Without it the wheels keep their angle and the IMU restarts.
+    pub dip_at_s: Option<f64>,
+    /// Duration of the dip, in ms.
+    pub dip_ms: f64,
+    /// Voltage of the battery during the dip, in V; it stays as it is if left out.
+    pub dip_v: Option<f64>,
 }
 
 impl Default for BatteryParameters {
@@ -35,6 +47,11 @@ impl Default for BatteryParameters {
             motor_a_per_m_s: 2.5,
             fall_v_per_ah: 0.5,
             noise_v: 0.01,
+            supply_v: 5.0,
+            divider_open: false,
+            dip_at_s: None,
+            dip_ms: 150.0,
+            dip_v: None,
         }
     }
 }
@@ -44,6 +61,8 @@ impl Default for BatteryParameters {
 pub(crate) struct Battery {
     drawn_ah: f64,
     current_a: f64,
+    /// A dip is underway.
+    dips: bool,
 }
 
 impl Battery {
@@ -69,8 +88,16 @@ impl Battery {
         self.drawn_ah += charge_ah;
     }
 
+    /// Begins or ends a dip.
+    pub(crate) const fn set_dip(&mut self, dips: bool) {
+        self.dips = dips;
+    }
+
     /// Voltage at the terminals, in V.
     pub(crate) fn voltage(&self, p: &BatteryParameters) -> f64 {
+        if let (true, Some(dip_v)) = (self.dips, p.dip_v) {
+            return dip_v;
+        }
         (p.start_v - p.fall_v_per_ah * self.drawn_ah - p.resistance_ohm * self.current_a).max(0.0)
     }
 }

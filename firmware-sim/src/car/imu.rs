@@ -3,14 +3,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Truth;
+use super::{Truth, motor::GRAVITY};
 use crate::{
-    attitude,
+    attitude::{self, Rotation},
     random::{Random, Stream},
 };
 
-/// The IMU's rate, noise and biases. It sits at the centre of mass with its
-/// axes forward, left, up.
+/// The IMU's rate, noise, biases and mounting. It sits at the centre of mass, with its
+/// axes forward, left, up unless it is turned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ImuParameters {
@@ -34,6 +34,49 @@ pub struct ImuParameters {
     pub attitude_noise_rad: f64,
     /// Random walk of the yaw, in rad per square root of a second.
     pub yaw_walk_rad: f64,
+    /// How the sensor is turned on the car, in degrees: first by the last angle about the
+    /// car's up axis, then by the second about its new left axis, then by the first about
+    /// its new forward axis. Samples are along the sensor's own axes.
+    pub mounting_deg: [f64; 3],
+    /// Measured over true angular velocity.
+    pub gyro_scale: f64,
+    /// Measured over true acceleration.
+    pub acceleration_scale: f64,
+    /// Standard deviation of the acceleration by vibration while the wheels turn, in m/s².
+    pub vibration_m_s2: f64,
+    /// Standard deviation of the angular velocity by vibration while the wheels turn, in
+    /// rad/s.
+    pub vibration_rad_s: f64,
+    /// Time constant with which a lasting acceleration is taken for gravity, in s: it
+    /// leaks out of the linear acceleration, and tilts the attitude. Never if left out.
+    pub leak_s: Option<f64>,
+    /// Probability that a sample is torn: the low bytes are those of the last one.
+    pub torn: f64,
+    /// Calibration of system, gyroscope and accelerometer, 0 (none) to 3 (full).
+    pub calibration: [u8; 3],
+    /// Register `SYS_STATUS`: 5 while the fusion runs.
+    pub system_status: u8,
+    /// Register `SYS_ERR`: 0 without error.
+    pub system_error: u8,
+    /// Register `ST_RESULT`: 15 if all self-tests passed.
+    pub self_test: u8,
+    /// Time from the return of the supply to the first sample, in ms.
+    pub restart_ms: f64,
+}
+
+impl ImuParameters {
+    /// The registers `CALIB_STAT`, `ST_RESULT`, `SYS_STATUS` and `SYS_ERR`.
+    #[must_use]
+    pub const fn registers(&self) -> [u8; 4] {
+        let [system, gyroscope, accelerometer] = self.calibration;
+        let calibration = (system & 3) << 6 | (gyroscope & 3) << 4 | (accelerometer & 3) << 2;
+        [
+            calibration,
+            self.self_test,
+            self.system_status,
+            self.system_error,
+        ]
+    }
 }
 
 impl Default for ImuParameters {
@@ -49,6 +92,18 @@ impl Default for ImuParameters {
             acceleration_bias_m_s2: 0.05,
             attitude_noise_rad: 0.001,
             yaw_walk_rad: 0.001,
+            mounting_deg: [0.0; 3],
+            gyro_scale: 1.0,
+            acceleration_scale: 1.0,
+            vibration_m_s2: 0.0,
+            vibration_rad_s: 0.0,
+            leak_s: None,
+            torn: 0.0,
+            calibration: [3; 3],
+            system_status: 5,
+            system_error: 0,
+            self_test: 15,
+            restart_ms: 650.0,
         }
     }
 }
@@ -58,9 +113,10 @@ impl Default for ImuParameters {
 pub struct ImuReading {
     /// Simulation time of the measurement, in µs.
     pub time_us: u64,
-    /// Acceleration without gravity along forward, left, up, in mm/s².
+    /// Acceleration without gravity along the sensor's axes, in mm/s².
+    /// Forward, left, up unless it is turned.
     pub linear_acceleration_mm_s2: [i16; 3],
-    /// Angular velocity about forward, left, up, in mrad/s.
+    /// Angular velocity about the same axes, in mrad/s.
     pub angular_velocity_mrad_s: [i16; 3],
     /// Attitude as a unit quaternion w, x, y, z, scaled by 2^14.
     pub attitude_q14: [i16; 4],
@@ -145,7 +201,16 @@ pub(crate) struct Imu {
     gyro_bias: [f64; 3],
     acceleration_bias: [f64; 3],
     yaw_drift: f64,
+    mounting: Option<Rotation>,
+    vibration_random: Random,
+    torn_random: Random,
+    /// Acceleration taken for gravity, forward and left, in m/s².
+    leaked: [f64; 2],
+    last: Option<ImuReading>,
 }
+
+/// Wheels slower than this do not make the sensor vibrate, in m/s.
+const VIBRATING: f64 = 0.02;
 
 impl Imu {
     pub(crate) fn new(parameters: ImuParameters, seed: u64) -> Self {
@@ -161,7 +226,18 @@ impl Imu {
             gyro_bias,
             acceleration_bias,
             yaw_drift: 0.0,
+            mounting: Rotation::from_degrees(parameters.mounting_deg),
+            vibration_random: Random::new(seed, Stream::Vibration),
+            torn_random: Random::new(seed, Stream::TornSamples),
+            leaked: [0.0; 2],
+            last: None,
         }
+    }
+
+    /// Restarts the sensor: gravity is found again.
+    pub(crate) const fn restart(&mut self) {
+        self.leaked = [0.0; 2];
+        self.last = None;
     }
 
     /// Constant bias plus random walk of the angular velocity, in rad/s.
@@ -179,12 +255,50 @@ impl Imu {
         self.yaw_drift += self.attitude_random.normal() * p.yaw_walk_rad * root_period;
         let tilt = self.attitude_random.normal3(p.attitude_noise_rad);
 
-        let rate = [0.0, 0.0, truth.yaw_rate];
-        let acceleration = [
+        let mut rate = [0.0, 0.0, truth.yaw_rate];
+        let mut acceleration = [
             truth.longitudinal_acceleration,
             truth.lateral_acceleration,
             0.0,
         ];
+        let [mut roll, mut pitch] = [truth.roll, truth.pitch];
+        if let Some(leak_s) = p.leak_s {
+            let share = 1.0 - libm::exp(-(p.period_us as f64) * 1e-6 / leak_s);
+            for (acceleration, leaked) in acceleration.iter_mut().zip(&mut self.leaked) {
+                *leaked += share * (*acceleration - *leaked);
+                *acceleration -= *leaked;
+            }
+            // Where gravity is believed to be.
+            let [forward, left] = self.leaked;
+            pitch -= libm::atan2(forward, GRAVITY);
+            roll += libm::atan2(left, GRAVITY);
+        }
+        if truth.wheel_speed.abs() > VIBRATING {
+            for (p, values) in [
+                (p.vibration_rad_s, &mut rate),
+                (p.vibration_m_s2, &mut acceleration),
+            ] {
+                if p > 0.0 {
+                    let vibration = self.vibration_random.normal3(p);
+                    values
+                        .iter_mut()
+                        .zip(vibration)
+                        .for_each(|(value, vibration)| *value += vibration);
+                }
+            }
+        }
+        rate = rate.map(|rate| rate * p.gyro_scale);
+        acceleration = acceleration.map(|acceleration| acceleration * p.acceleration_scale);
+        let mut attitude = attitude::quaternion_wxyz(
+            truth.yaw + self.yaw_drift + tilt[2],
+            tilt[0] + roll,
+            tilt[1] + pitch,
+        );
+        if let Some(mounting) = &self.mounting {
+            rate = mounting.into_turned(rate);
+            acceleration = mounting.into_turned(acceleration);
+            attitude = mounting.after(attitude);
+        }
         let mut angular_velocity_mrad_s = [0; 3];
         let mut linear_acceleration_mm_s2 = [0; 3];
         for axis in 0..3 {
@@ -196,17 +310,34 @@ impl Imu {
                     * 1e3,
             );
         }
-        ImuReading {
+        let mut reading = ImuReading {
             time_us: truth.time_us,
             linear_acceleration_mm_s2,
             angular_velocity_mrad_s,
-            attitude_q14: attitude::quaternion_wxyz(
-                truth.yaw + self.yaw_drift + tilt[2],
-                tilt[0],
-                tilt[1],
-            )
-            .map(|component| quantise(component * 16384.0)),
+            attitude_q14: attitude.map(|component| quantise(component * 16384.0)),
+        };
+        let whole = reading;
+        if let (true, Some(last)) = (p.torn > 0.0 && self.torn_random.happens(p.torn), self.last) {
+            tear(
+                &mut reading.angular_velocity_mrad_s,
+                last.angular_velocity_mrad_s,
+            );
+            tear(
+                &mut reading.linear_acceleration_mm_s2,
+                last.linear_acceleration_mm_s2,
+            );
         }
+        self.last = Some(whole);
+        reading
+    }
+}
+
+/// Takes the low bytes from the sample before.
+fn tear(values: &mut [i16; 3], before: [i16; 3]) {
+    for (value, before) in values.iter_mut().zip(before) {
+        let [low, _] = before.to_le_bytes();
+        let [_, high] = value.to_le_bytes();
+        *value = i16::from_le_bytes([low, high]);
     }
 }
 
@@ -245,5 +376,110 @@ mod tests {
         assert_eq!(falsify(ImuFault::Erratic, 2), Some(reading(20, 5)));
         let reversed = falsify(ImuFault::Erratic, 1).unwrap();
         assert_eq!(reversed.linear_acceleration_mm_s2, [-5; 3]);
+    }
+
+    /// A sensor without noise, and its readings of a constant motion.
+    fn readings(
+        change: impl FnOnce(&mut ImuParameters),
+        truth: Truth,
+        n: usize,
+    ) -> Vec<ImuReading> {
+        let mut parameters = ImuParameters {
+            gyro_noise_rad_s: 0.0,
+            gyro_bias_rad_s: 0.0,
+            gyro_walk_rad_s: 0.0,
+            acceleration_noise_m_s2: 0.0,
+            acceleration_bias_m_s2: 0.0,
+            attitude_noise_rad: 0.0,
+            yaw_walk_rad: 0.0,
+            ..ImuParameters::default()
+        };
+        change(&mut parameters);
+        let mut imu = Imu::new(parameters, 1);
+        (0..n).map(|_| imu.sample(&truth)).collect()
+    }
+
+    /// Turning left at 0.5 rad/s while accelerating forward with 1 m/s².
+    const TURNING: Truth = Truth {
+        yaw_rate: 0.5,
+        longitudinal_acceleration: 1.0,
+        lateral_acceleration: 0.2,
+        wheel_speed: 0.4,
+        ..Truth::AT_REST
+    };
+
+    fn mounted(mounting_deg: [f64; 3]) -> ImuReading {
+        readings(|p| p.mounting_deg = mounting_deg, TURNING, 1)[0]
+    }
+
+    #[test]
+    fn a_turned_sensor_measures_along_its_own_axes() {
+        let straight = mounted([0.0; 3]);
+        assert_eq!(straight.linear_acceleration_mm_s2, [1000, 200, 0]);
+        // Its forward axis points left.
+        let left = mounted([0.0, 0.0, 90.0]);
+        assert_eq!(left.linear_acceleration_mm_s2, [200, -1000, 0]);
+        assert_eq!(left.angular_velocity_mrad_s, [0, 0, 500]);
+        let half = 11_585; // sin and cos of 45 degrees
+        assert_eq!(left.attitude_q14, [half, 0, 0, half]);
+        // Upside down, rolled over its forward axis.
+        let upside_down = mounted([180.0, 0.0, 0.0]);
+        assert_eq!(upside_down.linear_acceleration_mm_s2, [1000, -200, 0]);
+        assert_eq!(upside_down.angular_velocity_mrad_s, [0, 0, -500]);
+        // Nose down: its forward axis points down, its up axis forward.
+        let nose_down = mounted([0.0, 90.0, 0.0]);
+        assert_eq!(nose_down.linear_acceleration_mm_s2, [0, 200, 1000]);
+        assert_eq!(nose_down.angular_velocity_mrad_s, [-500, 0, 0]);
+    }
+
+    #[test]
+    fn a_lasting_acceleration_leaks_away_and_tilts_the_attitude() {
+        // Ten time constants.
+        let last = *readings(|p| p.leak_s = Some(2.0), TURNING, 2_000)
+            .last()
+            .unwrap();
+        assert_eq!(last.linear_acceleration_mm_s2, [0, 0, 0]);
+        assert_eq!(last.angular_velocity_mrad_s, [0, 0, 500]);
+        // Half the tilt's angle, over 9.81 m/s²: left side up, nose up.
+        let [_, roll, pitch, _] = last.attitude_q14;
+        assert!((f64::from(roll) / 16_384.0 - 0.2 / 9.81 / 2.0).abs() < 2e-4);
+        assert!((f64::from(pitch) / 16_384.0 + 1.0 / 9.81 / 2.0).abs() < 5e-4);
+        let first = readings(|p| p.leak_s = Some(2.0), TURNING, 1)[0];
+        assert!(first.linear_acceleration_mm_s2[0] > 990);
+    }
+
+    #[test]
+    fn scale_and_vibration_change_the_samples_of_a_moving_car() {
+        let scaled = readings(
+            |p| (p.gyro_scale, p.acceleration_scale) = (1.1, 0.5),
+            TURNING,
+            1,
+        )[0];
+        assert_eq!(scaled.angular_velocity_mrad_s, [0, 0, 550]);
+        assert_eq!(scaled.linear_acceleration_mm_s2, [500, 100, 0]);
+        let deviation = |truth: Truth| {
+            let readings = readings(|p| p.vibration_m_s2 = 2.0, truth, 2_000);
+            let up = readings
+                .iter()
+                .map(|reading| f64::from(reading.linear_acceleration_mm_s2[2]).powi(2));
+            (up.sum::<f64>() / 2_000.0).sqrt()
+        };
+        assert!((deviation(TURNING) - 2_000.0).abs() < 150.0);
+        assert_eq!(deviation(Truth::AT_REST), 0.0);
+    }
+
+    #[test]
+    fn a_torn_sample_has_the_low_bytes_of_the_last_one() {
+        let mut values = [0x0123, -1, 256];
+        tear(&mut values, [0x0456, 0, 255]);
+        assert_eq!(values, [0x0156, -256, 511]);
+    }
+
+    #[test]
+    fn the_registers_are_those_of_the_data_sheet() {
+        let mut p = ImuParameters::default();
+        assert_eq!(p.registers(), [0b1111_1100, 15, 5, 0]);
+        p.calibration = [0, 3, 1];
+        assert_eq!(p.registers()[0], 0b0011_0100);
     }
 }

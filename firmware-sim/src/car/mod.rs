@@ -9,7 +9,7 @@ mod vehicle;
 
 pub use battery::BatteryParameters;
 pub use imu::{ImuFault, ImuParameters, ImuReading};
-pub use motor::MotorParameters;
+pub use motor::{EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
 pub use servo::ServoParameters;
 pub use vehicle::{Car, CarParameters, StartPose, Truth};

@@ -1,6 +1,54 @@
 //! The electronic speed controller, the motor and the gears.
 
+use libm::{cos, sin};
 use serde::{Deserialize, Serialize};
+
+use crate::epoch::Epoch;
+
+/// What an ESC makes of its pulses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EscKind {
+    /// A car's ESC: the first pulse below neutral after driving forward brakes; reverse
+    /// needs standstill and neutral first.
+    #[default]
+    Car,
+    /// A crawler's or a boat's ESC: a pulse below neutral drives in reverse at once.
+    ForwardReverse,
+    /// A VESC on its pulse input, with current control without reverse: a pulse below
+    /// neutral brakes. Its time-out is 1 s if nothing else is written.
+    Vesc,
+    /// As [`EscKind::Car`], but its neutral is the mean of the first
+    /// [`LEARNED_PULSES`] pulses after it has been switched on.
+    LearnsNeutral,
+}
+
+impl EscKind {
+    /// Time without pulses after which an ESC of this kind releases the motor, in µs.
+    #[must_use]
+    pub const fn signal_loss_us(self) -> u64 {
+        match self {
+            Self::Vesc => 1_000_000,
+            _ => 100_000,
+        }
+    }
+}
+
+/// Number of pulses from which an ESC learns its neutral.
+pub(crate) const LEARNED_PULSES: u32 = 10;
+
+/// A push of the car along its axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Push {
+    /// When, in s.
+    pub at_s: f64,
+    /// Change of the speed, in m/s; if `for_s` is above zero, the speed itself.
+    pub speed_m_s: f64,
+    /// For how long the car is moved at `speed_m_s`, in s; zero is a blow.
+    #[serde(default)]
+    pub for_s: f64,
+}
 
 /// Response of the drive train to the ESC's pulses.
 ///
@@ -11,7 +59,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorParameters {
-    /// Pulse without drive or brake, in µs.
+    /// The kind of ESC.
+    pub kind: EscKind,
+    /// Pulse without drive or brake, in µs; [`EscKind::LearnsNeutral`] finds its own.
     pub neutral_us: u16,
     /// Half width of the band around neutral without drive, in µs.
     pub deadband_us: u16,
@@ -36,17 +86,38 @@ pub struct MotorParameters {
     /// Largest braking, in m/s².
     pub max_brake_m_s2: f64,
     /// Whether a pulse below neutral drives in reverse after standstill and
-    /// neutral; otherwise it only brakes.
+    /// neutral; otherwise it only brakes. Only for the kinds that brake first.
     pub reverse: bool,
     /// Time at neutral after power-on before the ESC drives, in µs.
     pub arming_us: u64,
     /// Time without pulses after which the ESC releases the motor, in µs.
     pub signal_loss_us: u64,
+    /// From this time on the throttle stays as it is, in s, whatever the pulses say, and
+    /// without pulses too. Only cutting its supply releases the motor.
+    pub stuck_from_s: Option<f64>,
+    /// When the ESC restarts, in s: it has no power for `reboot_ms`, then needs neutral.
+    pub reboot_at_s: Option<f64>,
+    /// Time without power at a restart, in ms.
+    pub reboot_ms: f64,
+    /// The ESC's supply runs through a relay that the board holds (normally open).
+    pub kill_relay: bool,
+    /// Slope of the floor, in degrees. It acts along the car only.
+    pub slope_deg: f64,
+    /// Direction in which the floor rises, in degrees from the world's x axis.
+    pub slope_heading_deg: f64,
+    /// Slip of the driven wheels: the part of their rotation, and of the motor's pulses,
+    /// that does not move the car.
+    pub slip: f64,
+    /// Begin of the slip, in s; always if left out.
+    pub slip_from_s: Option<f64>,
+    /// A push.
+    pub push: Option<Push>,
 }
 
 impl Default for MotorParameters {
     fn default() -> Self {
         Self {
+            kind: EscKind::Car,
             neutral_us: 1500,
             // With the breakaway, 30 µs in which the wheels stand.
             deadband_us: 26,
@@ -63,6 +134,15 @@ impl Default for MotorParameters {
             reverse: true,
             arming_us: 1_000_000,
             signal_loss_us: 100_000,
+            stuck_from_s: None,
+            reboot_at_s: None,
+            reboot_ms: 300.0,
+            kill_relay: false,
+            slope_deg: 0.0,
+            slope_heading_deg: 0.0,
+            slip: 0.0,
+            slip_from_s: None,
+            push: None,
         }
     }
 }
@@ -85,7 +165,13 @@ pub(crate) struct SpeedController {
     armed: bool,
     reverse_ready: bool,
     drive: Drive,
+    /// Number and sum of the pulses from which neutral is learned, in µs.
+    learned: u32,
+    learned_sum_us: u32,
 }
+
+/// Acceleration of gravity, in m/s².
+pub(super) const GRAVITY: f64 = 9.81;
 
 /// Wheels slower than this count as standing, in m/s.
 const STANDING: f64 = 0.02;
@@ -97,6 +183,8 @@ impl SpeedController {
             armed: false,
             reverse_ready: false,
             drive: Drive::Free,
+            learned: 0,
+            learned_sum_us: 0,
         }
     }
 
@@ -117,7 +205,10 @@ impl SpeedController {
 
     /// Processes a pulse at `now_us` with the wheels at `speed`.
     pub(crate) fn pulse(&mut self, p: &MotorParameters, pulse_us: u16, now_us: u64, speed: f64) {
-        let deflection = f64::from(pulse_us) - f64::from(p.neutral_us);
+        let Some(neutral_us) = self.neutral(p, pulse_us) else {
+            return;
+        };
+        let deflection = f64::from(pulse_us) - neutral_us;
         let beyond = deflection.abs() - f64::from(p.deadband_us);
         if beyond <= 0.0 {
             let since = *self.neutral_since_us.get_or_insert(now_us);
@@ -134,17 +225,64 @@ impl SpeedController {
             Drive::Free
         } else if deflection > 0.0 {
             Drive::Towards(settled)
-        } else if p.reverse && self.reverse_ready {
+        } else if match p.kind {
+            EscKind::ForwardReverse => true,
+            EscKind::Vesc => false,
+            EscKind::Car | EscKind::LearnsNeutral => p.reverse && self.reverse_ready,
+        } {
             Drive::Towards(-settled)
         } else {
             Drive::Brake((p.brake_m_s2_per_us * beyond).min(p.max_brake_m_s2))
         };
     }
+
+    /// Neutral, in µs; `None` while it is being learned.
+    fn neutral(&mut self, p: &MotorParameters, pulse_us: u16) -> Option<f64> {
+        if p.kind != EscKind::LearnsNeutral {
+            return Some(p.neutral_us.into());
+        }
+        if self.learned < LEARNED_PULSES {
+            self.learned += 1;
+            self.learned_sum_us += u32::from(pulse_us);
+            return None;
+        }
+        Some(f64::from(self.learned_sum_us) / f64::from(LEARNED_PULSES))
+    }
 }
 
 impl MotorParameters {
-    /// Acceleration of the wheels, in m/s²; `voltage_share` is the battery's
-    /// voltage over the nominal one.
+    /// Acceleration of a car with this yaw by gravity, in m/s²; zero on a level floor.
+    pub(crate) fn downhill(&self, yaw: f64) -> f64 {
+        if self.slope_deg == 0.0 {
+            return 0.0;
+        }
+        let along = cos(yaw - self.slope_heading_deg.to_radians());
+        -GRAVITY * sin(self.slope_deg.to_radians()) * along
+    }
+
+    /// Whether friction and brakes hold a standing car against `downhill` (m/s²).
+    pub(crate) fn holds(&self, drive: Drive, downhill: f64) -> bool {
+        let brake = match drive {
+            Drive::Towards(settled) if settled != 0.0 => return false,
+            Drive::Brake(brake) => brake,
+            Drive::Towards(_) | Drive::Free => 0.0,
+        };
+        downhill.abs() <= self.coasting_m_s2 + brake
+    }
+
+    /// The part of the wheels' rotation that moves the car.
+    pub(crate) fn grip(&self, drive: Drive, epoch: Epoch, now_us: u64) -> f64 {
+        let driven = matches!(drive, Drive::Towards(settled) if settled != 0.0);
+        let slips = self.slip_from_s.is_none() || epoch.has_come(self.slip_from_s, now_us);
+        if driven && slips {
+            1.0 - self.slip
+        } else {
+            1.0
+        }
+    }
+
+    /// Acceleration of the wheels without gravity, in m/s²; `voltage_share` is the
+    /// battery's voltage over the nominal one.
     pub(crate) fn acceleration(&self, drive: Drive, speed: f64, voltage_share: f64) -> f64 {
         // Friction is continuous over 5 mm/s, which the integrator requires.
         let direction = (speed / 0.005).clamp(-1.0, 1.0);

@@ -2,18 +2,32 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::random::{Random, Stream};
+
 /// The motor's pulse sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorSensorParameters {
     /// True distance per pulse, in µm.
     pub pulse_distance_um: f64,
+    /// Mean number of edges by interference while the ESC drives, per second.
+    pub emi_driven_hz: f64,
+    /// Mean number of edges by interference while it does not, per second.
+    pub emi_standstill_hz: f64,
+    /// Further edges after each true one.
+    pub ringing_edges: u16,
+    /// Duration of the ringing, in µs.
+    pub ringing_us: u64,
 }
 
 impl Default for MotorSensorParameters {
     fn default() -> Self {
         Self {
             pulse_distance_um: 3000.0,
+            emi_driven_hz: 0.0,
+            emi_standstill_hz: 0.0,
+            ringing_edges: 0,
+            ringing_us: 40,
         }
     }
 }
@@ -75,9 +89,76 @@ pub(crate) struct MotorSensor {
     /// Number of possible pulses so far.
     possible: u64,
     pulses: MotorPulses,
+    interference: Interference,
+}
+
+/// Edges at random times.
+#[derive(Clone, Debug)]
+struct Interference {
+    random: Random,
+    /// Expected number of edges until the next one: exponentially distributed, so that
+    /// the size of the steps has no effect. `None` before the first draw.
+    remaining: Option<f64>,
+}
+
+impl Default for Interference {
+    fn default() -> Self {
+        Self::new(0)
+    }
+}
+
+impl Interference {
+    fn new(seed: u64) -> Self {
+        Self {
+            random: Random::new(seed, Stream::MotorEdges),
+            remaining: None,
+        }
+    }
+
+    /// The shares of a step, in order, at which an edge falls; `expected` is their mean
+    /// number.
+    fn edges(&mut self, expected: f64, mut edge: impl FnMut(f64)) {
+        if expected <= 0.0 {
+            return;
+        }
+        let mut draw = || -libm::log(1.0 - self.random.uniform());
+        let mut next = self.remaining.unwrap_or_else(&mut draw);
+        while next < expected {
+            edge(next / expected);
+            next += draw();
+        }
+        self.remaining = Some(next - expected);
+    }
 }
 
 impl MotorSensor {
+    /// Sets the seed of the interference.
+    pub(crate) fn seed(&mut self, seed: u64) {
+        self.interference = Interference::new(seed);
+    }
+
+    /// Adds the edges by interference from `start_us` to `end_us`.
+    pub(crate) fn interfere(
+        &mut self,
+        p: &MotorSensorParameters,
+        driven: bool,
+        start_us: u64,
+        end_us: u64,
+    ) {
+        let rate = if driven {
+            p.emi_driven_hz
+        } else {
+            p.emi_standstill_hz
+        };
+        let span_us = (end_us - start_us) as f64;
+        let pulses = &mut self.pulses;
+        self.interference.edges(rate * span_us * 1e-6, |share| {
+            let time_us = start_us + (share * span_us) as u64;
+            pulses.count = pulses.count.wrapping_add(1);
+            pulses.last_us = pulses.last_us.max(Some(time_us));
+        });
+    }
+
     pub(crate) const fn pulses(&self) -> MotorPulses {
         self.pulses
     }
@@ -107,9 +188,11 @@ impl MotorSensor {
             let time_us = start_us + (share * (end_us - start_us) as f64) as u64;
             self.possible += 1;
             if fault.is_output(self.possible) {
+                let ringing_us = if p.ringing_edges > 0 { p.ringing_us } else { 0 };
                 self.pulses = MotorPulses {
-                    count: self.pulses.count.wrapping_add(1),
-                    last_us: Some(time_us),
+                    count: self.pulses.count.wrapping_add(1 + p.ringing_edges),
+                    // The board must not see an edge of the future.
+                    last_us: Some((time_us + ringing_us).min(end_us)),
                 };
             }
             edge += 1.0;
@@ -124,6 +207,10 @@ mod tests {
 
     const SENSOR: MotorSensorParameters = MotorSensorParameters {
         pulse_distance_um: 3000.0,
+        emi_driven_hz: 0.0,
+        emi_standstill_hz: 0.0,
+        ringing_edges: 0,
+        ringing_us: 40,
     };
 
     fn roll(fault: MotorSensorFault, metres_per_ms: f64, ms: u64) -> MotorPulses {
@@ -171,5 +258,43 @@ mod tests {
         sensor.roll(&SENSOR, MotorSensorFault::None, 0.010, 0, 1000);
         let pulses = sensor.pulses();
         assert_eq!((pulses.count, pulses.last_us), (3, Some(900)));
+    }
+
+    #[test]
+    fn interference_has_its_rate_with_any_step_and_also_at_standstill() {
+        let p = MotorSensorParameters {
+            emi_driven_hz: 200.0,
+            emi_standstill_hz: 20.0,
+            ..SENSOR
+        };
+        for step_us in [130, 1_000] {
+            for (driven, expected) in [(true, 4_000_u16), (false, 400)] {
+                let mut sensor = MotorSensor::default();
+                for step in 0..20_000_000 / step_us {
+                    sensor.interfere(&p, driven, step * step_us, (step + 1) * step_us);
+                }
+                let count = sensor.pulses().count;
+                // Four standard deviations.
+                let room = (4.0 * f64::from(expected).sqrt()) as u16;
+                assert!(count.abs_diff(expected) < room, "{count} of {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn ringing_multiplies_the_edges_within_the_step() {
+        let p = MotorSensorParameters {
+            ringing_edges: 3,
+            ..SENSOR
+        };
+        let mut sensor = MotorSensor::default();
+        sensor.roll(&p, MotorSensorFault::None, 0.003, 0, 1000);
+        assert_eq!(
+            sensor.pulses(),
+            MotorPulses {
+                count: 4,
+                last_us: Some(1000)
+            }
+        );
     }
 }

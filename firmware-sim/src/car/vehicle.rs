@@ -13,6 +13,7 @@ use super::{
     motor::{Drive, SpeedController},
     motor_sensor::MotorSensor,
 };
+use crate::epoch::Epoch;
 
 /// Parameters of the car.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -73,9 +74,34 @@ pub struct Truth {
     pub lateral_acceleration: f64,
     /// Voltage at the battery's terminals, in V.
     pub battery_v: f64,
+    /// Way of G so far, in m; it grows in both directions.
+    pub way: f64,
+    /// Roll on a slope, in rad; left side up is positive.
+    pub roll: f64,
+    /// Pitch on a slope, in rad; nose down is positive.
+    pub pitch: f64,
 }
 
 impl Truth {
+    /// A car at rest at the origin, without a battery.
+    pub const AT_REST: Self = Self {
+        time_us: 0,
+        x: 0.0,
+        y: 0.0,
+        yaw: 0.0,
+        yaw_rate: 0.0,
+        sideslip: 0.0,
+        steering: 0.0,
+        speed: 0.0,
+        wheel_speed: 0.0,
+        longitudinal_acceleration: 0.0,
+        lateral_acceleration: 0.0,
+        battery_v: 0.0,
+        way: 0.0,
+        roll: 0.0,
+        pitch: 0.0,
+    };
+
     /// The point P, `point_distance_m` beyond the front axle in the direction
     /// of the front wheels, when the front axle is `front_axle_distance_m`
     /// ahead of G: x and y in m.
@@ -135,14 +161,35 @@ pub struct Car {
     now_us: u64,
     state: State,
     servo_target: f64,
+    /// The pulse that the wheels stand for, in µs: differs from the last one by the play.
+    servo_held_us: f64,
     servo_pending: VecDeque<Pending>,
     esc: SpeedController,
-    esc_is_powered: bool,
+    /// The ESC's switch, and the relay in its supply.
+    esc_is_switched_on: bool,
+    kill_output: bool,
+    epoch: Epoch,
+    /// What has happened by the present time.
+    happened: Happened,
+    way: f64,
     esc_pending: VecDeque<Pending>,
     esc_last_pulse_us: u64,
     battery: Battery,
     sensor: MotorSensor,
     sensor_fault: MotorSensorFault,
+}
+
+/// The timed events of the parameters, at the present time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Happened {
+    servo_is_stuck: bool,
+    supply_dips: bool,
+    esc_reboots: bool,
+    /// The action at which the throttle is stuck.
+    throttle: Option<Drive>,
+    blown: bool,
+    /// The speed at which the car is being moved, in m/s.
+    moved_at: Option<f64>,
 }
 
 impl Car {
@@ -155,9 +202,14 @@ impl Car {
             now_us: 0,
             state: State::default(),
             servo_target: 0.0,
+            servo_held_us: parameters.servo.centre_us,
             servo_pending: VecDeque::new(),
             esc: SpeedController::new(),
-            esc_is_powered: true,
+            esc_is_switched_on: true,
+            kill_output: false,
+            epoch: Epoch::default(),
+            happened: Happened::default(),
+            way: 0.0,
             esc_pending: VecDeque::new(),
             esc_last_pulse_us: 0,
             battery: Battery::default(),
@@ -189,6 +241,18 @@ impl Car {
             ..State::default()
         };
         self.servo_target = 0.0;
+        self.servo_held_us = self.parameters.servo.centre_us;
+    }
+
+    /// Sets the seed of the sensors' random numbers.
+    pub(crate) fn seed(&mut self, seed: u64) {
+        self.sensor.seed(seed);
+    }
+
+    /// Sets the zero of the times in the parameters, in µs of the simulation; the default
+    /// is its start. Nothing timed happens without one.
+    pub(crate) const fn set_epoch(&mut self, epoch_us: Option<u64>) {
+        self.epoch = Epoch::new(epoch_us);
     }
 
     /// Sets the fault of the motor's pulse sensor.
@@ -199,10 +263,91 @@ impl Car {
     /// Switches the ESC's supply. Without it the motor is free; afterwards the ESC
     /// needs neutral for its arming time.
     pub fn set_esc_power(&mut self, on: bool) {
-        self.esc_is_powered = on;
-        if !on {
+        self.esc_is_switched_on = on;
+        self.cut_esc_without_power();
+    }
+
+    /// Sets the board's kill output: whether it holds the relay in the ESC's supply. Of no
+    /// effect without a relay.
+    pub fn set_kill_output(&mut self, held: bool) {
+        self.kill_output = held;
+        self.cut_esc_without_power();
+    }
+
+    /// Whether the ESC has power: switched on, not restarting, and its relay held, if it
+    /// has one.
+    #[must_use]
+    pub const fn esc_has_power(&self) -> bool {
+        self.esc_is_switched_on
+            && !self.happened.esc_reboots
+            && (self.kill_output || !self.parameters.motor.kill_relay)
+    }
+
+    /// Whether the supply of servo and IMU has failed.
+    #[must_use]
+    pub const fn supply_dips(&self) -> bool {
+        self.happened.supply_dips
+    }
+
+    fn cut_esc_without_power(&mut self) {
+        if !self.esc_has_power() {
             self.esc = SpeedController::new();
             self.esc_pending.clear();
+        }
+    }
+
+    /// What the ESC does to the motor.
+    fn drive(&self) -> Drive {
+        if self.esc_has_power() {
+            self.happened.throttle.unwrap_or_else(|| self.esc.drive())
+        } else {
+            Drive::Free
+        }
+    }
+
+    fn is_driven(&self) -> bool {
+        matches!(self.drive(), Drive::Towards(settled) if settled != 0.0)
+    }
+
+    /// Applies the events of the parameters that have come.
+    fn take_events(&mut self) {
+        let p = &self.parameters;
+        let (epoch, now_us) = (self.epoch, self.now_us);
+        let was = self.happened;
+        let happened = Happened {
+            servo_is_stuck: epoch.has_come(p.servo.stuck_from_s, now_us),
+            supply_dips: epoch.is_within(p.battery.dip_at_s, p.battery.dip_ms, now_us),
+            esc_reboots: epoch.is_within(p.motor.reboot_at_s, p.motor.reboot_ms, now_us),
+            throttle: if epoch.has_come(p.motor.stuck_from_s, now_us) {
+                was.throttle.or(Some(self.esc.drive()))
+            } else {
+                None
+            },
+            blown: was.blown,
+            moved_at: p.motor.push.and_then(|push| {
+                epoch
+                    .is_within(Some(push.at_s), push.for_s * 1e3, now_us)
+                    .then_some(push.speed_m_s)
+            }),
+        };
+        self.happened = happened;
+        if happened.supply_dips != was.supply_dips {
+            self.battery.set_dip(happened.supply_dips);
+            self.servo_pending.clear();
+        }
+        if happened.esc_reboots && !was.esc_reboots {
+            self.cut_esc_without_power();
+        }
+        if let Some(push) = self.parameters.motor.push
+            && push.for_s <= 0.0
+            && !was.blown
+            && epoch.has_come(Some(push.at_s), now_us)
+        {
+            self.happened.blown = true;
+            self.state.wheel_speed += push.speed_m_s;
+        }
+        if let Some(speed) = happened.moved_at {
+            self.state.wheel_speed = speed;
         }
     }
 
@@ -214,13 +359,13 @@ impl Car {
     /// Applies one servo frame: both pulses start at the car's present time. Zero
     /// means no pulse.
     pub fn apply_pulses(&mut self, servo_us: u16, esc_us: u16) {
-        if servo_us != 0 {
+        if servo_us != 0 && !self.happened.supply_dips {
             self.servo_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.servo.dead_time_us,
                 pulse_us: servo_us,
             });
         }
-        if esc_us != 0 && self.esc_is_powered {
+        if esc_us != 0 && self.esc_has_power() {
             self.esc_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.motor.dead_time_us,
                 pulse_us: esc_us,
@@ -243,6 +388,7 @@ impl Car {
     /// Advances to `until_us`; an earlier time has no effect.
     pub fn advance_to(&mut self, until_us: u64) {
         while self.now_us < until_us {
+            self.take_events();
             self.take_pulses();
             let mut end = until_us.min(self.now_us + MAX_STEP_US);
             for pending in [self.servo_pending.front(), self.esc_pending.front()]
@@ -254,6 +400,7 @@ impl Car {
             }
             self.step(end);
         }
+        self.take_events();
         self.take_pulses();
     }
 
@@ -272,6 +419,7 @@ impl Car {
             d.wheel_speed / cos_sideslip + speed * tan(track.sideslip) * d.track.sideslip;
         let turning = speed * (d.track.sideslip + track.yaw_rate);
         let sin_sideslip = sin(track.sideslip);
+        let (roll, pitch) = self.tilt(track.yaw);
         Truth {
             time_us: self.now_us,
             x: track.x,
@@ -285,12 +433,24 @@ impl Car {
             longitudinal_acceleration: speed_rate * cos_sideslip - turning * sin_sideslip,
             lateral_acceleration: speed_rate * sin_sideslip + turning * cos_sideslip,
             battery_v: self.battery.voltage(&self.parameters.battery),
+            way: self.way,
+            roll,
+            pitch,
         }
+    }
+
+    /// Roll and pitch on the slope, in rad.
+    fn tilt(&self, yaw: f64) -> (f64, f64) {
+        let slope = self.parameters.motor.slope_deg.to_radians();
+        let across = yaw - self.parameters.motor.slope_heading_deg.to_radians();
+        (-slope * sin(across), -slope * cos(across))
     }
 
     fn take_pulses(&mut self) {
         while let Some(pending) = due(&mut self.servo_pending, self.now_us) {
-            self.servo_target = self.parameters.servo.target(pending.pulse_us);
+            let servo = &self.parameters.servo;
+            self.servo_target =
+                servo.target_with_backlash(&mut self.servo_held_us, pending.pulse_us);
         }
         while let Some(pending) = due(&mut self.esc_pending, self.now_us) {
             self.esc_last_pulse_us = self.now_us;
@@ -322,8 +482,17 @@ impl Car {
         let stop = self.parameters.servo.stop_rad;
         next.steering = next.steering.clamp(-stop, stop);
         // Rolling friction stops the car; it cannot accelerate it.
-        let driven = matches!(self.esc.drive(), Drive::Towards(settled) if settled != 0.0);
-        if !driven && (next.wheel_speed.abs() < 1e-4 || next.wheel_speed * s.wheel_speed < 0.0) {
+        let driven = self.is_driven();
+        let motor = &self.parameters.motor;
+        let downhill = motor.downhill(next.track.yaw);
+        let stops = next.wheel_speed.abs() < 1e-4 || next.wheel_speed * s.wheel_speed < 0.0;
+        // On a slope friction would only creep to a halt: it acts fully from 5 mm/s on.
+        let is_held = downhill != 0.0 && next.wheel_speed.abs() < 0.005;
+        if !driven
+            && self.happened.moved_at.is_none()
+            && (stops || is_held)
+            && motor.holds(self.drive(), downhill)
+        {
             next.wheel_speed = 0.0;
         }
         self.battery.draw(
@@ -333,13 +502,13 @@ impl Car {
             k1.wheel_speed,
             h,
         );
-        self.sensor.roll(
-            &self.parameters.motor_sensor,
-            self.sensor_fault,
-            (s.wheel_speed + next.wheel_speed) / 2.0 * h,
-            start_us,
-            end_us,
-        );
+        let rolled = (s.wheel_speed + next.wheel_speed) / 2.0 * h;
+        self.way += (rolled / cos(next.track.sideslip).max(0.5)).abs();
+        let grip = motor.grip(self.drive(), self.epoch, start_us);
+        let sensor = &self.parameters.motor_sensor;
+        self.sensor
+            .roll(sensor, self.sensor_fault, rolled / grip, start_us, end_us);
+        self.sensor.interfere(sensor, driven, start_us, end_us);
         self.state = next;
         self.now_us = end_us;
     }
@@ -357,10 +526,30 @@ impl Car {
                 yaw_rate: d.yaw_rate,
                 sideslip: d.sideslip,
             },
-            steering: p.servo.rate(s.steering, self.servo_target),
-            wheel_speed: p
-                .motor
-                .acceleration(self.esc.drive(), s.wheel_speed, voltage_share),
+            steering: if self.happened.servo_is_stuck || self.happened.supply_dips {
+                0.0
+            } else {
+                p.servo.rate(s.steering, self.servo_target)
+            },
+            wheel_speed: self.wheel_acceleration(s, voltage_share),
+        }
+    }
+
+    /// Acceleration of the wheels, in m/s².
+    fn wheel_acceleration(&self, s: &State, voltage_share: f64) -> f64 {
+        if self.happened.moved_at.is_some() {
+            return 0.0;
+        }
+        let motor = &self.parameters.motor;
+        let drive = self.drive();
+        let acceleration = motor.acceleration(drive, s.wheel_speed, voltage_share);
+        let downhill = motor.downhill(s.track.yaw);
+        if downhill == 0.0 {
+            acceleration
+        } else if s.wheel_speed == 0.0 && motor.holds(drive, downhill) {
+            0.0
+        } else {
+            acceleration + downhill
         }
     }
 }

@@ -1,0 +1,406 @@
+//! A car that differs from what is believed of it: the table `[truth]`.
+//!
+//! Every key is optional. What is left out is as in the simulation's configuration, which
+//! agrees with the default configuration of the daemon.
+
+use std::net::Ipv4Addr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    cameras::UpAxis,
+    car::{EscKind, Push},
+    parameters::{ConfigError, SimulationConfig},
+};
+
+/// A key of the table `[truth]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TruthKey {
+    /// Name of the section, such as `servo`.
+    pub section: &'static str,
+    /// Name of the key.
+    pub name: &'static str,
+    /// Range of its numbers; empty if every value is valid.
+    pub range: &'static str,
+    /// Meaning.
+    pub help: &'static str,
+}
+
+/// The numbers of a value.
+trait Numbers {
+    fn numbers(&self) -> Vec<f64> {
+        Vec::new()
+    }
+}
+
+impl Numbers for bool {}
+impl Numbers for String {}
+impl Numbers for EscKind {}
+impl Numbers for UpAxis {}
+
+macro_rules! numbers {
+    ($($type:ty => |$value:ident| $numbers:expr;)+) => {
+        $(impl Numbers for $type {
+            fn numbers(&self) -> Vec<f64> {
+                let $value = self;
+                $numbers
+            }
+        })+
+    };
+}
+
+numbers! {
+    f64 => |value| vec![*value];
+    u8 => |value| vec![f64::from(*value)];
+    u16 => |value| vec![f64::from(*value)];
+    [f64; 2] => |values| values.to_vec();
+    [f64; 3] => |values| values.to_vec();
+    [u8; 3] => |values| values.map(f64::from).to_vec();
+    Push => |push| vec![push.at_s, push.speed_m_s, push.for_s];
+}
+
+macro_rules! truth {
+    ($(
+        $(#[doc = $section_help:literal])+
+        $section:ident: $Section:ident {
+            $(
+                $(#[doc = $help:literal])+
+                $key:ident: $type:ty $(, in $low:literal to $high:literal)?
+                    => |$config:ident, $value:ident| $apply:expr;
+            )+
+        }
+    )+) => {
+        /// What is true of a car, of its electronics and of the cameras.
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct CarTruth {
+            $($(#[doc = $section_help])+ pub $section: $Section,)+
+        }
+
+        $(
+            $(#[doc = $section_help])+
+            #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+            #[serde(deny_unknown_fields, default)]
+            pub struct $Section {
+                $($(#[doc = $help])+ pub $key: Option<$type>,)+
+            }
+        )+
+
+        /// All keys of the table `[truth]`, in the order of its sections.
+        pub const TRUTH_KEYS: &[TruthKey] = &[
+            $($(TruthKey {
+                section: stringify!($section),
+                name: stringify!($key),
+                range: concat!($(stringify!($low), " to ", stringify!($high))?),
+                help: concat!($($help),+),
+            },)+)+
+        ];
+
+        impl CarTruth {
+            /// Makes a simulation that of this car.
+            ///
+            /// # Errors
+            ///
+            /// The first key that is out of range.
+            pub fn apply(&self, simulation: &mut SimulationConfig) -> Result<(), ConfigError> {
+                $($(
+                    if let Some(value) = &self.$section.$key {
+                        $(for number in value.numbers() {
+                            if !($low..=$high).contains(&number) {
+                                return Err(ConfigError::OutOfRange {
+                                    name: concat!(
+                                        "truth.", stringify!($section), ".", stringify!($key)
+                                    ),
+                                    value: number,
+                                    rule: concat!(
+                                        "between ", stringify!($low), " and ", stringify!($high)
+                                    ),
+                                });
+                            }
+                        })?
+                        let $config = &mut *simulation;
+                        let $value = value.clone();
+                        $apply;
+                    }
+                )+)+
+                simulation.validate()
+            }
+        }
+    };
+}
+
+truth! {
+    /// Masses, lengths, tyres.
+    vehicle: VehicleTruth {
+        /// Mass.
+        mass_kg: f64, in 0.1 to 100.0 => |c, v| c.car.vehicle.mass_kg = v;
+        /// Yaw moment of inertia about the centre of mass.
+        yaw_inertia_kg_m2: f64, in 0.001 to 10.0 => |c, v| c.car.vehicle.yaw_inertia_kg_m2 = v;
+        /// Distance of the front axle from the centre of mass.
+        front_axle_distance_m: f64, in 0.01 to 2.0
+            => |c, v| c.car.vehicle.front_axle_distance_m = v;
+        /// Distance of the rear axle from the centre of mass.
+        rear_axle_distance_m: f64, in 0.01 to 2.0
+            => |c, v| c.car.vehicle.rear_axle_distance_m = v;
+        /// Friction coefficient between tyre and ground.
+        friction: f64, in 0.01 to 2.0 => |c, v| c.car.vehicle.friction = v;
+        /// Cornering stiffness of the front axle.
+        front_cornering_stiffness_n_rad: f64, in 0.1 to 10000.0
+            => |c, v| c.car.vehicle.front_cornering_stiffness_n_rad = v;
+        /// Cornering stiffness of the rear axle.
+        rear_cornering_stiffness_n_rad: f64, in 0.1 to 10000.0
+            => |c, v| c.car.vehicle.rear_cornering_stiffness_n_rad = v;
+    }
+
+    /// The steering servo.
+    servo: ServoTruth {
+        /// Pulse change for one radian to the left; the sign of the simulated car is negative,
+        /// so a positive value is an inverted servo.
+        gain_us_per_rad: f64, in -5000.0 to 5000.0 => |c, v| c.car.servo.gain_us_per_rad = v;
+        /// Pulse that steers straight on (trim).
+        centre_us: f64, in 800.0 to 2200.0 => |c, v| c.car.servo.centre_us = v;
+        /// Mechanical stop on both sides.
+        stop_deg: f64, in 0.1 to 80.0 => |c, v| c.car.servo.stop_rad = v.to_radians();
+        /// Time constant of its lag.
+        lag_ms: f64, in 2.0 to 2000.0 => |c, v| c.car.servo.lag_s = v * 1e-3;
+        /// Largest steering rate; a slow servo has a low one.
+        max_rate_rad_s: f64, in 0.001 to 100.0 => |c, v| c.car.servo.max_rate_rad_s = v;
+        /// Play: pulse change that is lost at every change of direction.
+        backlash_us: f64, in 0.0 to 500.0 => |c, v| c.car.servo.backlash_us = v;
+        /// From this time on the wheels keep their angle.
+        stuck_from_s: f64, in 0.0 to 86400.0 => |c, v| c.car.servo.stuck_from_s = Some(v);
+    }
+
+    /// The electronic speed controller.
+    esc: EscTruth {
+        /// "car": below neutral brakes after driving forward, and drives in reverse after
+        /// standstill and neutral. "forward-reverse": below neutral drives in reverse at once,
+        /// there is no brake. "vesc": below neutral brakes, never reverse, time-out 1000 ms.
+        /// "learns-neutral": as "car", with the mean of the first ten pulses after it is
+        /// switched on as neutral.
+        kind: EscKind => |c, v| {
+            c.car.motor.kind = v;
+            c.car.motor.signal_loss_us = v.signal_loss_us();
+        };
+        /// Pulse without drive or brake.
+        neutral_us: u16, in 800.0 to 2200.0 => |c, v| c.car.motor.neutral_us = v;
+        /// Half width of the band around neutral without drive.
+        deadband_us: u16, in 0.0 to 500.0 => |c, v| c.car.motor.deadband_us = v;
+        /// Speed for each microsecond of pulse beyond the deadband, near zero.
+        gain_m_s_per_us: f64, in 0.0001 to 1.0 => |c, v| c.car.motor.gain_m_s_per_us = v;
+        /// Largest acceleration.
+        max_acceleration_m_s2: f64, in 0.1 to 50.0
+            => |c, v| c.car.motor.max_acceleration_m_s2 = v;
+        /// Largest braking; 0 is an ESC that does not brake.
+        max_brake_m_s2: f64, in 0.0 to 50.0 => |c, v| c.car.motor.max_brake_m_s2 = v;
+        /// Time from a pulse to the motor's response.
+        dead_time_ms: f64, in 0.0 to 1000.0
+            => |c, v| c.car.motor.dead_time_us = (v * 1e3) as u64;
+        /// Time at neutral that it needs after it is switched on.
+        arming_ms: f64, in 0.0 to 60000.0 => |c, v| c.car.motor.arming_us = (v * 1e3) as u64;
+        /// Time for which it goes on with the last pulse when the pulses stop; then the motor is
+        /// free. 100, or 1000 for "vesc", if left out.
+        signal_loss_ms: f64, in 0.0 to 600000.0
+            => |c, v| c.car.motor.signal_loss_us = (v * 1e3) as u64;
+        /// From this time on its throttle stays as it is, with any pulse and without pulses.
+        /// Only cutting its supply helps.
+        stuck_from_s: f64, in 0.0 to 86400.0 => |c, v| c.car.motor.stuck_from_s = Some(v);
+        /// When it restarts: it has no power for `reboot_ms`, then needs neutral, or learns it.
+        reboot_at_s: f64, in 0.0 to 86400.0 => |c, v| c.car.motor.reboot_at_s = Some(v);
+        /// Time without power when it restarts (300).
+        reboot_ms: f64, in 1.0 to 600000.0 => |c, v| c.car.motor.reboot_ms = v;
+        /// Its supply runs through a relay, normally open, that the board's kill output holds.
+        kill_relay: bool => |c, v| c.car.motor.kill_relay = v;
+    }
+
+    /// Motor, gears, wheels and floor.
+    drive_train: DriveTrainTruth {
+        /// Deceleration of the rolling car, constant part (0.8).
+        rolling_m_s2: f64, in 0.0 to 20.0 => |c, v| c.car.motor.coasting_m_s2 = v;
+        /// Deceleration of the rolling car for each m/s (1.0).
+        viscous_per_s: f64, in 0.0 to 20.0 => |c, v| c.car.motor.viscous_per_s = v;
+        /// Slope of the floor. It acts along the car only.
+        slope_deg: f64, in -30.0 to 30.0 => |c, v| c.car.motor.slope_deg = v;
+        /// Direction in which the floor rises, from the world's x axis to its y axis.
+        slope_heading_deg: f64, in -360.0 to 360.0
+            => |c, v| c.car.motor.slope_heading_deg = v;
+        /// The part of the driven wheels' rotation that does not move the car.
+        slip: f64, in 0.0 to 0.9 => |c, v| c.car.motor.slip = v;
+        /// The slip begins at this time; always there if left out.
+        slip_from_s: f64, in 0.0 to 86400.0 => |c, v| c.car.motor.slip_from_s = Some(v);
+        /// A push along the car: `at_s`, `speed_m_s`, and `for_s`. With `for_s = 0`, the
+        /// default, a blow that changes the speed by `speed_m_s`; otherwise the car is moved at
+        /// that speed for so long.
+        push: Push, in -86400.0 to 86400.0 => |c, v| c.car.motor.push = Some(v);
+    }
+
+    /// The battery, and the supply of servo and IMU.
+    battery: BatteryTruth {
+        /// Voltage without load at the start.
+        start_v: f64, in 0.0 to 60.0 => |c, v| c.car.battery.start_v = v;
+        /// Voltage of the USB that supplies the board's processor; its converter's reference.
+        supply_v: f64, in 4.0 to 5.5 => |c, v| c.car.battery.supply_v = v;
+        /// The battery is not connected to the board: the input floats.
+        divider_open: bool => |c, v| c.car.battery.divider_open = v;
+        /// Begin of a dip of the ESC's supply for servo and IMU: the wheels keep their angle,
+        /// no inertial sample arrives, and the IMU restarts without its settings.
+        dip_at_s: f64, in 0.0 to 86400.0 => |c, v| c.car.battery.dip_at_s = Some(v);
+        /// Duration of the dip (150).
+        dip_ms: f64, in 1.0 to 600000.0 => |c, v| c.car.battery.dip_ms = v;
+        /// Voltage of the battery during the dip; it stays as it is if left out.
+        dip_v: f64, in 0.0 to 60.0 => |c, v| c.car.battery.dip_v = Some(v);
+    }
+
+    /// The motor's pulse sensor.
+    motor_sensor: MotorSensorTruth {
+        /// Distance that the car rolls in one motor pulse.
+        pulse_distance_um: f64, in 500.0 to 65000.0
+            => |c, v| c.car.motor_sensor.pulse_distance_um = v;
+        /// Mean number of edges by interference while the ESC drives, per second.
+        emi_driven_hz: f64, in 0.0 to 100000.0 => |c, v| c.car.motor_sensor.emi_driven_hz = v;
+        /// Mean number of edges by interference while it does not drive, per second.
+        emi_standstill_hz: f64, in 0.0 to 100000.0
+            => |c, v| c.car.motor_sensor.emi_standstill_hz = v;
+        /// Further edges after each true one.
+        ringing_edges: u16, in 0.0 to 1000.0 => |c, v| c.car.motor_sensor.ringing_edges = v;
+        /// Duration of the ringing (40).
+        ringing_us: f64, in 0.0 to 1000.0 => |c, v| c.car.motor_sensor.ringing_us = v as u64;
+    }
+
+    /// The inertial measurement unit.
+    imu: ImuTruth {
+        /// How the sensor is turned on the car: roll, pitch, yaw, in this order about its own
+        /// forward, left and up axis, the yaw first.
+        mounting_deg: [f64; 3], in -360.0 to 360.0 => |c, v| c.car.imu.mounting_deg = v;
+        /// Measured over true angular velocity.
+        gyro_scale: f64, in -10.0 to 10.0 => |c, v| c.car.imu.gyro_scale = v;
+        /// Measured over true acceleration.
+        acceleration_scale: f64, in -10.0 to 10.0 => |c, v| c.car.imu.acceleration_scale = v;
+        /// Standard deviation of the constant bias of the angular velocity.
+        gyro_bias_rad_s: f64, in 0.0 to 10.0 => |c, v| c.car.imu.gyro_bias_rad_s = v;
+        /// Standard deviation of the constant bias of the acceleration.
+        acceleration_bias_m_s2: f64, in 0.0 to 50.0
+            => |c, v| c.car.imu.acceleration_bias_m_s2 = v;
+        /// Standard deviation of the acceleration by vibration while the wheels turn.
+        vibration_m_s2: f64, in 0.0 to 100.0 => |c, v| c.car.imu.vibration_m_s2 = v;
+        /// Standard deviation of the angular velocity by vibration while the wheels turn.
+        vibration_rad_s: f64, in 0.0 to 30.0 => |c, v| c.car.imu.vibration_rad_s = v;
+        /// Time constant with which a lasting acceleration leaks out of the linear acceleration
+        /// and tilts the attitude; never if left out.
+        leak_s: f64, in 0.05 to 3600.0 => |c, v| c.car.imu.leak_s = Some(v);
+        /// Probability that a sample is torn: the low bytes are those of the one before.
+        torn: f64, in 0.0 to 1.0 => |c, v| c.car.imu.torn = v;
+        /// Calibration of system, gyroscope and accelerometer, 0 (none) to 3 (full, the default).
+        calibration: [u8; 3], in 0.0 to 3.0 => |c, v| c.car.imu.calibration = v;
+        /// Register SYS_STATUS (5: the fusion runs).
+        system_status: u8, in 0.0 to 255.0 => |c, v| c.car.imu.system_status = v;
+        /// Register SYS_ERR (0: no error).
+        system_error: u8, in 0.0 to 255.0 => |c, v| c.car.imu.system_error = v;
+        /// Register ST_RESULT (15: all self-tests passed).
+        self_test: u8, in 0.0 to 255.0 => |c, v| c.car.imu.self_test = v;
+        /// Time from the return of its supply to the first sample (650).
+        restart_ms: f64, in 0.0 to 600000.0 => |c, v| c.car.imu.restart_ms = v;
+    }
+
+    /// The cameras, their server and the rigid body on the car.
+    cameras: CamerasTruth {
+        /// Yaw of the rigid body on the car.
+        body_yaw_deg: f64, in -360.0 to 360.0 => |c, v| c.cameras.car.set_yaw(v.to_radians());
+        /// Position of the body's pivot from the centre of mass: forward, left.
+        pivot_m: [f64; 2], in -5.0 to 5.0 => |c, v| c.cameras.car.set_pivot(v);
+        /// Height of the pivot above the floor (0.12).
+        height_m: f64, in -10.0 to 10.0 => |c, v| c.cameras.car.height_m = v;
+        /// Name of the rigid body in the server's list ("car").
+        body_name: String => |c, v| c.cameras.car.name = v;
+        /// The axis that points up in the stream: "y" or "z".
+        up_axis: UpAxis => |c, v| c.cameras.up_axis = v;
+        /// Error of the mid-exposure stamps; positive is late: the pose is older than its stamp.
+        stamp_bias_ms: f64, in -1000.0 to 1000.0 => |c, v| c.cameras.stamp_bias_ms = v;
+        /// Growth of that error since the start of the simulation.
+        stamp_drift_ppm: f64, in -10000.0 to 10000.0 => |c, v| c.cameras.stamp_drift_ppm = v;
+        /// Mean time from mid-exposure to the packet on the network.
+        latency_ms: f64, in 0.0 to 1000.0
+            => |c, v| c.cameras.latency_us = (v * 1e3) as u64;
+        /// Standard deviation of each coordinate.
+        position_noise_m: f64, in 0.0 to 1.0 => |c, v| c.cameras.position_noise_m = v;
+        /// The wrong body is streamed under the car's name, one that stands still.
+        other_body: bool => |c, v| c.cameras.other_body = v;
+        /// The same, from this time on.
+        other_body_from_s: f64, in 0.0 to 86400.0
+            => |c, v| c.cameras.other_body_from_s = Some(v);
+        /// From this time on the car's pose repeats bit by bit, in new frames.
+        frozen_from_s: f64, in 0.0 to 86400.0 => |c, v| c.cameras.frozen_from_s = Some(v);
+        /// Duration of that (1000).
+        frozen_ms: f64, in 1.0 to 86400000.0 => |c, v| c.cameras.frozen_ms = v;
+        /// From this time on, for good, the body is found turned by `flip_deg`.
+        flip_from_s: f64, in 0.0 to 86400.0 => |c, v| c.cameras.flip_from_s = Some(v);
+        /// Angle about the up axis by which it is turned (180).
+        flip_deg: f64, in -360.0 to 360.0 => |c, v| c.cameras.flip_deg = v;
+        /// From this time on frames are forged with the server's own address.
+        forged_from_s: f64, in 0.0 to 86400.0 => |c, v| c.cameras.forged_from_s = Some(v);
+        /// Position of the car in the forged frames less its true one ([0.5, 0.0]).
+        forged_offset_m: [f64; 2], in -1000.0 to 1000.0
+            => |c, v| c.cameras.forged_offset_m = v;
+        /// Growth of that difference.
+        forged_drift_m_s: [f64; 2], in -100.0 to 100.0
+            => |c, v| c.cameras.forged_drift_m_s = v;
+        /// The server has a second network card and sends from its address, 127.0.0.2.
+        second_network_card: bool
+            => |c, v| c.natnet.sends_from = v.then_some(Ipv4Addr::new(127, 0, 0, 2));
+        /// The server is not running: no packet arrives.
+        server_off: bool => |c, v| c.natnet.is_off = v;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_table_changes_nothing() {
+        let mut simulation = SimulationConfig::default();
+        CarTruth::default().apply(&mut simulation).unwrap();
+        assert_eq!(simulation, SimulationConfig::default());
+    }
+
+    #[test]
+    fn a_value_out_of_range_and_an_unknown_key_are_named() {
+        let truth: CarTruth = toml::from_str("[esc]\nneutral_us = 300").unwrap();
+        let error = truth.apply(&mut SimulationConfig::default()).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "truth.esc.neutral_us is 300: it must be between 800.0 and 2200.0"
+        );
+        let error = toml::from_str::<CarTruth>("[servo]\nlagg_ms = 1").unwrap_err();
+        assert!(error.to_string().contains("lagg_ms"), "{error}");
+    }
+
+    #[test]
+    fn the_pivot_is_where_it_is_said_to_be_whatever_the_bodys_yaw() {
+        for text in [
+            "[cameras]\nbody_yaw_deg = 90.0\npivot_m = [0.02, 0.01]",
+            "[cameras]\npivot_m = [0.02, 0.01]\nbody_yaw_deg = 90.0",
+        ] {
+            let mut simulation = SimulationConfig::default();
+            let truth: CarTruth = toml::from_str(text).unwrap();
+            truth.apply(&mut simulation).unwrap();
+            let [forward, left] = simulation.cameras.car.to_centre_of_mass_m;
+            // The body's forward axis is the car's left.
+            assert!((forward + 0.01).abs() < 1e-12 && (left - 0.02).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_vesc_has_its_own_time_out_unless_one_is_written() {
+        for (text, signal_loss_us) in [
+            ("kind = \"vesc\"", 1_000_000),
+            ("kind = \"car\"", 100_000),
+            ("kind = \"vesc\"\nsignal_loss_ms = 50.0", 50_000),
+        ] {
+            let mut simulation = SimulationConfig::default();
+            let truth: CarTruth = toml::from_str(&format!("[esc]\n{text}")).unwrap();
+            truth.apply(&mut simulation).unwrap();
+            assert_eq!(simulation.car.motor.signal_loss_us, signal_loss_us);
+        }
+    }
+}
