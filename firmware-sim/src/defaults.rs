@@ -1,7 +1,8 @@
 //! The board's configuration for the default car.
 
 use singletrack_protocol::{
-    Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
+    Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS,
+    ServoCalibration, SpeedLoop,
 };
 
 /// The board's configuration for the default [`crate::CarParameters`], as from a
@@ -18,6 +19,7 @@ pub const fn default_board_configuration() -> Configuration {
             slew_us_per_20ms: 96,
         },
         esc: EscCalibration {
+            kind: EscKind::Car,
             neutral_us: 1_500,
             deadband_us: 30,
             min_us: 1_200,
@@ -39,5 +41,9 @@ pub const fn default_board_configuration() -> Configuration {
         failsafe: FailsafeAction::Coast,
         max_pose_age_ms: 950,
         stop_input: false,
+        kill_output: false,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: 0,
+        imu_axes: ImuAxes::AS_PRINTED,
     }
 }

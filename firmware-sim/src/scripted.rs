@@ -25,6 +25,8 @@ pub struct ScriptedHost {
     pub answers: u64,
     /// Number of greetings, answered and unsolicited.
     pub hellos: Vec<Hello>,
+    /// The car that the board named last.
+    pub car_id: Option<u16>,
     sequence: Sequence,
 }
 
@@ -51,6 +53,7 @@ impl ScriptedHost {
                     self.answers += 1;
                 }
                 Ok(ToHost::Hello(hello)) => self.hellos.push(hello),
+                Ok(ToHost::Identity(identity)) => self.car_id = Some(identity.car_id),
                 Ok(ToHost::Acknowledgement(_)) => self.answers += 1,
                 Err(_) => self.damaged += 1,
             }
@@ -84,6 +87,7 @@ impl ScriptedHost {
             steering_100urad,
             telemetry_time_us: self.telemetry_time_us(),
             pose_age_ms: 10,
+            brake: false,
         })
     }
 }

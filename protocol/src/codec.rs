@@ -259,8 +259,8 @@ mod tests {
 
     use super::{Reader, Writer};
     use crate::{
-        Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Message, Refusal,
-        Status, Telemetry,
+        Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Identity, Message,
+        Refusal, Status, Telemetry,
     };
 
     /// Reading and writing give the same results as postcard, for any bytes.
@@ -306,6 +306,7 @@ mod tests {
             agrees_with_postcard::<Status>(&bytes)?;
             agrees_with_postcard::<Acknowledgement>(&bytes)?;
             agrees_with_postcard::<Refusal>(&bytes)?;
+            agrees_with_postcard::<Identity>(&bytes)?;
         }
 
         #[test]

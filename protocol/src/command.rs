@@ -88,5 +88,8 @@ structure! {
         /// nor coasting renews. In milliseconds, rounded up; `u16::MAX` for none.
         #[serde(with = "postcard::fixint::le")]
         pub pose_age_ms: u16,
+        /// Brake down to `speed_mm_s` where the ESC can: the host is stopping the
+        /// car. Without it, a car that is too fast gets neutral.
+        pub brake: bool,
     }
 }

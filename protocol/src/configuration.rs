@@ -27,6 +27,19 @@ structure! {
         /// Whether a normally-closed stop switch is wired: when it opens, the car
         /// stops as for [`crate::EmergencyStop`].
         pub stop_input: bool,
+        /// Whether the ESC's supply is switched by the kill output: on only while
+        /// the board is armed and healthy.
+        pub kill_output: bool,
+        /// The longest time that the car rolls at neutral, in milliseconds: motor
+        /// pulses beyond it mean that the ESC drives at neutral.
+        #[serde(with = "postcard::fixint::le")]
+        pub max_roll_out_ms: u16,
+        /// The car that this configuration is for; it must be the board's
+        /// ([`crate::Identity`]).
+        #[serde(with = "postcard::fixint::le")]
+        pub car_id: u16,
+        /// How the IMU is mounted.
+        pub imu_axes: ImuAxes,
     }
 }
 
@@ -71,6 +84,8 @@ structure! {
 structure! {
     /// The pulses that the electronic speed controller understands.
     pub struct EscCalibration {
+        /// What a pulse below neutral does.
+        pub kind: EscKind,
         /// Pulse at which the motor is free, in µs.
         #[serde(with = "postcard::fixint::le")]
         pub neutral_us: u16,
@@ -87,7 +102,8 @@ structure! {
         /// neutral the pulse changes at once.
         #[serde(with = "postcard::fixint::le")]
         pub slew_us_per_20ms: u16,
-        /// Pulse that brakes, in µs; used by [`FailsafeAction::Brake`].
+        /// Pulse that brakes, in µs, at most half a second at a time; not used with
+        /// an ESC that has no brake ([`EscKind::ForwardReverse`]).
         #[serde(with = "postcard::fixint::le")]
         pub brake_us: u16,
     }
@@ -125,13 +141,95 @@ structure! {
 }
 
 enumeration! {
+    /// What the ESC does with a pulse below neutral.
+    pub enum EscKind {
+        /// After driving forward, the first pulse brakes, and only a second one,
+        /// after neutral, is reverse: most ESCs of model cars.
+        Car = "car",
+        /// It is reverse at once, also as the first one: crawlers and boats. No
+        /// pulse brakes.
+        ForwardReverse = "forward-reverse",
+        /// It brakes, always: a VESC with pulse input, current control without
+        /// reverse.
+        Vesc = "vesc",
+    }
+}
+
+structure! {
+    /// The mounting of the IMU: the chip's axis along each axis of the car.
+    pub struct ImuAxes {
+        /// Points forward.
+        pub forward: ImuAxis,
+        /// Points to the left.
+        pub left: ImuAxis,
+        /// Points up.
+        pub up: ImuAxis,
+    }
+}
+
+enumeration! {
+    /// A direction as printed on the IMU's chip.
+    pub enum ImuAxis {
+        /// Along x.
+        PlusX = "+x",
+        /// Against x.
+        MinusX = "-x",
+        /// Along y.
+        PlusY = "+y",
+        /// Against y.
+        MinusY = "-y",
+        /// Along z.
+        PlusZ = "+z",
+        /// Against z.
+        MinusZ = "-z",
+    }
+}
+
+impl ImuAxis {
+    /// The number of the axis: 0 for x, 1 for y, 2 for z.
+    #[must_use]
+    pub const fn index(self) -> u8 {
+        self as u8 >> 1
+    }
+
+    /// Whether the direction is against the axis.
+    #[must_use]
+    pub const fn is_negative(self) -> bool {
+        self as u8 & 1 != 0
+    }
+}
+
+impl ImuAxes {
+    /// The axes as printed: x forward, y left, z up.
+    pub const AS_PRINTED: Self = Self {
+        forward: ImuAxis::PlusX,
+        left: ImuAxis::PlusY,
+        up: ImuAxis::PlusZ,
+    };
+
+    /// Whether this is a mounting: three different axes that form a right-handed
+    /// system, as the chip's own do. There are 24.
+    #[must_use]
+    pub const fn is_mounting(self) -> bool {
+        let (forward, left, up) = (self.forward.index(), self.left.index(), self.up.index());
+        if forward == left || left == up || up == forward {
+            return false;
+        }
+        // xyz, yzx and zxy are right-handed; every change of a sign mirrors.
+        let rotated = left == (forward + 1) % 3;
+        let mirrored = self.forward.is_negative() ^ self.left.is_negative() ^ self.up.is_negative();
+        rotated != mirrored
+    }
+}
+
+enumeration! {
     /// What the ESC is given when the board stops the car by itself.
     pub enum FailsafeAction {
         /// Neutral: the car rolls out.
         Coast = "coast",
-        /// The braking pulse until the wheels stand still, at most half a second,
-        /// then neutral. Neutral at once after driving in reverse, where the pulse
-        /// would not brake.
+        /// The braking pulse until the wheels stand still or speed up again, at most
+        /// half a second, then neutral. Neutral at once where the pulse would not
+        /// brake: after driving in reverse, and with an ESC that has no brake.
         Brake = "brake",
     }
 }

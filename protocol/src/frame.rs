@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Length of the longest payload, in bytes: [`crate::Configure`].
-pub const MAX_PAYLOAD_LENGTH: usize = 41;
+pub const MAX_PAYLOAD_LENGTH: usize = 50;
 
 /// Length of type byte and checksum, in bytes.
 const ENVELOPE_LENGTH: usize = 3;

@@ -23,3 +23,16 @@ structure! {
         pub nonce: u32,
     }
 }
+
+/// The number of a board that has been given none.
+pub const UNNAMED: u16 = 0;
+
+structure! {
+    /// Which car the board is built into: sent right after every [`Hello`] of the
+    /// board, whose own layout never changes.
+    pub struct Identity {
+        /// The number that the image was built with; [`UNNAMED`] for none.
+        #[serde(with = "postcard::fixint::le")]
+        pub car_id: u16,
+    }
+}

@@ -41,12 +41,13 @@ pub use budget::RECEIVE_BUFFER_LENGTH;
 
 pub use command::{Arm, Disarm, Drive, EmergencyStop, Sequence};
 pub use configuration::{
-    Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
+    Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, ServoCalibration,
+    SpeedLoop,
 };
 pub use frame::{
     Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length,
 };
-pub use hello::{Hello, UNSOLICITED};
+pub use hello::{Hello, Identity, UNNAMED, UNSOLICITED};
 pub use message::{Configure, DecodeError, Message, MessageType, ToBoard, ToHost};
 pub use report::{
     Acknowledgement, BoardMode, ImuState, Refusal, RefusalReason, Request, ResetCause, Status,
@@ -56,7 +57,7 @@ pub use report::{
 pub use validation::{ConfigurationError, ConfigurationField};
 
 /// The protocol version; see the crate's version policy.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// Time to live of a command, in microseconds of board time. The board refuses a
 /// [`Drive`] or [`Arm`] whose underlying telemetry is older; an accepted [`Drive`]
@@ -71,6 +72,10 @@ pub const COMMAND_TIME_TO_LIVE_US: u32 = 95_000;
 /// This limit is compiled in, so that no configuration lets the board follow a host
 /// without a newer pose.
 pub const MAX_POSE_AGE_CEILING_MS: u16 = 1_000;
+
+/// [`Configuration::max_roll_out_ms`] of a board that has no configuration, in
+/// milliseconds.
+pub const LONGEST_ROLL_OUT_MS: u16 = 5_000;
 
 /// Period of [`Telemetry`] in microseconds (100 Hz).
 pub const TELEMETRY_PERIOD_US: u32 = 10_000;

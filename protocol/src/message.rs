@@ -3,8 +3,8 @@
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Refusal, Sequence,
-    Status, Telemetry,
+    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Identity, Refusal,
+    Sequence, Status, Telemetry,
     codec::{Field, Reader, structure},
     frame::{Frame, MAX_PAYLOAD_LENGTH, Packet},
 };
@@ -47,6 +47,8 @@ pub enum MessageType {
     Acknowledgement = 0x22,
     /// [`Refusal`], to the host.
     Refusal = 0x23,
+    /// [`Identity`], to the host.
+    Identity = 0x24,
 }
 
 /// A message with its type byte and the one length its payload can have.
@@ -83,15 +85,16 @@ macro_rules! messages {
 
 messages! {
     Hello: 9,
-    Configure: 41,
+    Configure: 50,
     Arm: 9,
     Disarm: 1,
-    Drive: 11,
+    Drive: 12,
     EmergencyStop: 1,
     Telemetry: 35,
-    Status: 25,
+    Status: 35,
     Acknowledgement: 6,
     Refusal: 3,
+    Identity: 2,
 }
 
 /// Why a good packet is not a message that this version understands.
@@ -244,5 +247,7 @@ direction! {
         Acknowledgement,
         /// No, to a request.
         Refusal,
+        /// Which car the board is built into; follows its every greeting.
+        Identity,
     }
 }

@@ -22,6 +22,9 @@ enumeration! {
         Failsafe = "failsafe",
         /// Stopped by an emergency stop; only a reset leaves it.
         EmergencyStopped = "emergency-stopped",
+        /// Armed with a kill output: the ESC's supply has just been switched on, and
+        /// its neutral is held for two seconds. No [`crate::Drive`] is obeyed yet.
+        PoweringUp = "powering-up",
     }
 }
 
@@ -44,6 +47,9 @@ enumeration! {
         EmergencyStop = "emergency-stop",
         /// The host restarted (a [`crate::Hello`] while armed).
         HostRestarted = "host-restarted",
+        /// The wheels went on turning although the ESC was not driven: latched, as
+        /// an emergency stop is.
+        RunsAtNeutral = "runs-at-neutral",
     }
 }
 
@@ -80,6 +86,8 @@ enumeration! {
         ReverseDisabled = "reverse-disabled",
         /// The last [`crate::Hello`] named another [`crate::VERSION`].
         VersionDiffers = "version-differs",
+        /// The configuration is another car's.
+        OtherCar = "other-car",
     }
 }
 
@@ -200,7 +208,7 @@ structure! {
         pub reset_cause: ResetCause,
         /// Whether the stop switch is open, if one is configured.
         pub stop_input_open: bool,
-        /// Battery voltage, in mV.
+        /// Battery voltage, in mV, measured against the processor's own reference.
         #[serde(with = "postcard::fixint::le")]
         pub battery_mv: u16,
         /// Good frames received.
@@ -223,5 +231,27 @@ structure! {
         /// Errors on the bus to the IMU.
         #[serde(with = "postcard::fixint::le")]
         pub imu_errors: u16,
+        /// The processor's supply, in mV, measured against its own reference.
+        #[serde(with = "postcard::fixint::le")]
+        pub supply_mv: u16,
+        /// The battery's input floats: no divider is connected, and `battery_mv`
+        /// means nothing.
+        pub battery_open: bool,
+        /// The kill output is held: the ESC has its supply. False without one.
+        pub power_on: bool,
+        /// Edges of the motor's sensor beyond those that the board takes in a
+        /// millisecond: interference.
+        #[serde(with = "postcard::fixint::le")]
+        pub edges_refused: u16,
+        /// The IMU's register CALIB_STAT (BNO055, 0x35): two bits each, from the
+        /// highest, for system, gyro, accelerometer and magnetometer.
+        pub imu_calibration: u8,
+        /// The IMU's register SYS_STATUS (0x39).
+        pub imu_status: u8,
+        /// The IMU's register SYS_ERR (0x3A).
+        pub imu_error: u8,
+        /// The IMU's register ST_RESULT (0x36): bits 0 to 3 for accelerometer,
+        /// magnetometer, gyro and controller.
+        pub imu_self_test: u8,
     }
 }

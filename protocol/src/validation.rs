@@ -5,7 +5,7 @@
 
 use core::{fmt, ops::RangeInclusive};
 
-use crate::{Configuration, MAX_POSE_AGE_CEILING_MS};
+use crate::{Configuration, EscKind, FailsafeAction, MAX_POSE_AGE_CEILING_MS};
 
 /// Pulse range of servos and speed controllers for model cars, in µs.
 const PULSE_US: RangeInclusive<u16> = 800..=2_200;
@@ -21,7 +21,10 @@ const SERVO_GAIN_US_PER_RAD: RangeInclusive<u16> = 50..=5_000;
 /// Keeps the products of the speed loop within 32 bits.
 const LOOP_GAIN: RangeInclusive<u16> = 0..=5_000;
 const INTEGRAL_LIMIT_US: RangeInclusive<u16> = 0..=700;
-const PULSE_DISTANCE_UM: RangeInclusive<u16> = 1..=u16::MAX;
+/// With a longer distance, the standstill of a slow car takes longer to recognise
+/// than the board waits for a pulse; a shorter one is more pulses than it can count.
+const PULSE_DISTANCE_UM: RangeInclusive<u16> = 100..=30_000;
+const MAX_ROLL_OUT_MS: RangeInclusive<u16> = 200..=30_000;
 const MAX_SPEED_MM_S: u16 = 20_000;
 
 /// A value of a [`Configuration`] outside its limits.
@@ -79,6 +82,9 @@ fields! {
     MaxForward = "speed.max_forward_mm_s",
     MaxReverse = "speed.max_reverse_mm_s",
     MaxPoseAge = "max_pose_age_ms",
+    Failsafe = "failsafe",
+    MaxRollOut = "max_roll_out_ms",
+    ImuAxes = "imu_axes",
 }
 
 // Inlined into a caller that needs only `is_err`, this reduces to two comparisons.
@@ -97,6 +103,22 @@ fn check(
         lowest: (*allowed.start()).into(),
         highest: (*allowed.end()).into(),
     })
+}
+
+impl EscKind {
+    /// An ESC that has no reverse must not be asked for it.
+    const fn max_reverse_mm_s(self) -> u16 {
+        match self {
+            Self::Vesc => 0,
+            Self::Car | Self::ForwardReverse => MAX_SPEED_MM_S,
+        }
+    }
+
+    /// Whether a pulse below neutral brakes, at least after driving forward.
+    #[must_use]
+    pub const fn has_brake(self) -> bool {
+        !matches!(self, Self::ForwardReverse)
+    }
 }
 
 impl Configuration {
@@ -136,7 +158,9 @@ impl Configuration {
             neutral + deadband..=highest_pulse,
         )?;
         check(Field::EscSlew, esc.slew_us_per_20ms, SLEW_US)?;
-        check(Field::EscBrake, esc.brake_us, min..=weakest_brake)?;
+        if esc.kind.has_brake() {
+            check(Field::EscBrake, esc.brake_us, min..=weakest_brake)?;
+        }
 
         let speed = &self.speed;
         check(
@@ -164,10 +188,19 @@ impl Configuration {
         check(
             Field::MaxReverse,
             speed.max_reverse_mm_s,
-            0..=MAX_SPEED_MM_S,
+            0..=self.esc.kind.max_reverse_mm_s(),
         )?;
 
         let ceiling = MAX_POSE_AGE_CEILING_MS;
-        check(Field::MaxPoseAge, self.max_pose_age_ms, 1..=ceiling)
+        check(Field::MaxPoseAge, self.max_pose_age_ms, 1..=ceiling)?;
+        let brakes = self.failsafe == FailsafeAction::Brake;
+        let may_brake = u16::from(self.esc.kind.has_brake());
+        check(Field::Failsafe, brakes.into(), 0..=may_brake)?;
+        check(Field::MaxRollOut, self.max_roll_out_ms, MAX_ROLL_OUT_MS)?;
+        check(
+            Field::ImuAxes,
+            u16::from(self.imu_axes.is_mounting()),
+            1..=1,
+        )
     }
 }

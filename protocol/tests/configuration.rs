@@ -3,7 +3,9 @@
 mod samples;
 
 use proptest::prelude::*;
-use singletrack_protocol::{Configuration, ConfigurationField as Field, FailsafeAction};
+use singletrack_protocol::{
+    Configuration, ConfigurationField as Field, EscKind, FailsafeAction, ImuAxes, ImuAxis,
+};
 
 use samples::configuration;
 
@@ -18,7 +20,7 @@ fn the_sample_is_valid() {
 /// values.
 #[test]
 fn values_are_accepted_at_their_limits_and_refused_beyond() {
-    let cases: [(Field, i32, i32, Change); 19] = [
+    let cases: [(Field, i32, i32, Change); 20] = [
         (Field::ServoMin, 800, 1_490, |c, v| {
             c.servo.min_us = v as u16;
         }),
@@ -58,7 +60,7 @@ fn values_are_accepted_at_their_limits_and_refused_beyond() {
         (Field::EscBrake, 1_150, 1_474, |c, v| {
             c.esc.brake_us = v as u16;
         }),
-        (Field::PulseDistance, 1, 65_535, |c, v| {
+        (Field::PulseDistance, 100, 30_000, |c, v| {
             c.speed.pulse_distance_um = v as u16;
         }),
         (Field::FeedForward, 0, 5_000, |c, v| {
@@ -78,6 +80,9 @@ fn values_are_accepted_at_their_limits_and_refused_beyond() {
         }),
         (Field::MaxPoseAge, 1, 1_000, |c, v| {
             c.max_pose_age_ms = v as u16;
+        }),
+        (Field::MaxRollOut, 200, 30_000, |c, v| {
+            c.max_roll_out_ms = v as u16;
         }),
     ];
     for (field, lowest, highest, change) in cases {
@@ -122,14 +127,68 @@ fn the_steepest_servo_gain_does_not_overflow_its_magnitude() {
 }
 
 #[test]
+fn an_esc_without_brake_is_asked_for_none_and_one_without_reverse_for_none() {
+    let mut without_brake = configuration();
+    without_brake.esc.kind = EscKind::ForwardReverse;
+    assert_eq!(without_brake.validate().unwrap_err().field, Field::Failsafe);
+    without_brake.failsafe = FailsafeAction::Coast;
+    // The pulse that would brake is never sent.
+    without_brake.esc.brake_us = 0;
+    assert_eq!(without_brake.validate(), Ok(()));
+
+    let mut without_reverse = configuration();
+    without_reverse.esc.kind = EscKind::Vesc;
+    assert_eq!(
+        without_reverse.validate().unwrap_err().field,
+        Field::MaxReverse
+    );
+    without_reverse.speed.max_reverse_mm_s = 0;
+    assert_eq!(without_reverse.validate(), Ok(()));
+}
+
+/// The directions as vectors in the chip's axes.
+fn vector(axis: ImuAxis) -> [i32; 3] {
+    let mut vector = [0; 3];
+    vector[usize::from(axis.index())] = if axis.is_negative() { -1 } else { 1 };
+    vector
+}
+
+#[test]
+fn the_mountings_are_the_24_right_handed_ones() {
+    let mut mountings = 0;
+    for forward in ImuAxis::ALL {
+        for left in ImuAxis::ALL {
+            for up in ImuAxis::ALL {
+                let ([a, b, c], [d, e, f]) = (vector(forward), vector(left));
+                let product = [b * f - c * e, c * d - a * f, a * e - b * d];
+                let axes = ImuAxes { forward, left, up };
+                assert_eq!(axes.is_mounting(), product == vector(up), "{axes:?}");
+                mountings += u32::from(axes.is_mounting());
+                let mut changed = configuration();
+                changed.imu_axes = axes;
+                let accepted = changed.validate().map_err(|error| error.field);
+                let expected = axes.is_mounting().then_some(()).ok_or(Field::ImuAxes);
+                assert_eq!(accepted, expected, "{axes:?}");
+            }
+        }
+    }
+    assert_eq!(mountings, 24);
+}
+
+#[test]
 fn every_change_changes_the_hash() {
-    let changes: [fn(&mut Configuration); 6] = [
+    let changes: [fn(&mut Configuration); 11] = [
         |c| c.servo.centre_us += 1,
         |c| c.esc.brake_us -= 1,
         |c| c.speed.max_reverse_mm_s = 0,
         |c| c.failsafe = FailsafeAction::Coast,
         |c| c.max_pose_age_ms -= 1,
         |c| c.stop_input = false,
+        |c| c.esc.kind = EscKind::ForwardReverse,
+        |c| c.kill_output = false,
+        |c| c.max_roll_out_ms += 1,
+        |c| c.car_id += 1,
+        |c| c.imu_axes = ImuAxes::AS_PRINTED,
     ];
     for change in changes {
         let mut changed = configuration();

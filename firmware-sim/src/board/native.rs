@@ -1,7 +1,7 @@
 //! A simulated Arduino for the real board code: clock, bytes, pins.
 
 use singletrack_board::{Board, ImuSample, Inputs, MotorPulses};
-use singletrack_protocol::ResetCause;
+use singletrack_protocol::{ResetCause, UNNAMED};
 
 use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time};
 use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
@@ -33,7 +33,7 @@ impl Native {
     pub(super) fn new(parameters: BoardParameters) -> Self {
         Self {
             parameters,
-            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION),
+            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, UNNAMED),
             polls: 0,
             frames: 0,
             inputs: Inputs::default(),
@@ -45,7 +45,7 @@ impl Native {
     }
 
     pub(super) fn restart(&mut self, cause: ResetCause) {
-        self.board = Board::new(cause, SOFTWARE_VERSION);
+        self.board = Board::new(cause, SOFTWARE_VERSION, UNNAMED);
         self.polls = 0;
         self.frames = 0;
         self.inputs = Inputs::default();

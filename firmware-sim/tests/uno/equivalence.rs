@@ -13,7 +13,7 @@ use std::{
 use singletrack_board::{Board, ImuSample, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, Configure, Decoder, Disarm, Drive, EmergencyStop, Hello, ResetCause, Sequence,
-    Status, StopCause, Telemetry, ToBoard, ToHost, VERSION,
+    Status, StopCause, Telemetry, ToBoard, ToHost, UNNAMED, VERSION,
 };
 use singletrack_sim::{CYCLES_PER_US, Installation, default_board_configuration};
 use singletrack_simavr::{Motion, Pin, Reply, Report, Request, ResetFlags, Run, receive, send};
@@ -131,6 +131,7 @@ impl Script {
                     0
                 }),
                 pose_age_ms: 12,
+                brake: false,
             };
             // Every ninth is corrupted.
             self.send(ms, &ToBoard::Drive(drive), (ms / 10).is_multiple_of(9));
@@ -330,7 +331,7 @@ fn run() -> (NativeBoard, ImageBoard) {
         travel_um: 0.0,
     };
     let mut native = NativeBoard {
-        board: Board::new(ResetCause::PowerOn, [0, 1, 0]),
+        board: Board::new(ResetCause::PowerOn, [0, 1, 0], UNNAMED),
         inputs: Inputs::default(),
         frames: Frames::default(),
         outputs: Vec::new(),

@@ -47,13 +47,13 @@ struct Active {
 }
 
 impl Board {
-    /// A board that has just started.
+    /// A board that has just started, built into the car `car_id`.
     #[must_use]
-    pub const fn new(reset_cause: ResetCause, software_version: [u8; 3]) -> Self {
+    pub const fn new(reset_cause: ResetCause, software_version: [u8; 3], car_id: u16) -> Self {
         Self {
             last_poll_us: None,
             active: None,
-            link: Link::new(software_version),
+            link: Link::new(software_version, car_id),
             safety: Safety::new(),
             odometer: Odometer::new(),
             imu: Imu::new(),
@@ -266,6 +266,9 @@ impl Board {
         if configuration.validate().is_err() {
             return Err(RefusalReason::InvalidConfiguration);
         }
+        if configuration.car_id != self.link.car_id() {
+            return Err(RefusalReason::OtherCar);
+        }
         let hash = configuration.hash();
         let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
         self.steering.configure(&configuration.servo);
@@ -423,6 +426,14 @@ impl Board {
             frames_dropped: self.link.frames_dropped,
             bytes_overrun: inputs.bytes_overrun,
             imu_errors: inputs.imu_errors,
+            supply_mv: inputs.supply_mv,
+            battery_open: inputs.battery_open,
+            power_on: false,
+            edges_refused: inputs.edges_refused,
+            imu_calibration: inputs.imu_health.calibration,
+            imu_status: inputs.imu_health.status,
+            imu_error: inputs.imu_health.error,
+            imu_self_test: inputs.imu_health.self_test,
         }
     }
 }

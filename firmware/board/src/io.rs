@@ -23,6 +23,19 @@ pub struct ImuSample {
     pub attitude_q14: [i16; 4],
 }
 
+/// Registers of the IMU that say how well it works; see [`singletrack_protocol::Status`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ImuHealth {
+    /// CALIB_STAT.
+    pub calibration: u8,
+    /// ST_RESULT.
+    pub self_test: u8,
+    /// SYS_STATUS.
+    pub status: u8,
+    /// SYS_ERR.
+    pub error: u8,
+}
+
 /// Inputs of the board, read shortly before the poll.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Inputs {
@@ -33,12 +46,21 @@ pub struct Inputs {
     pub imu: Option<ImuSample>,
     /// Battery voltage, in mV.
     pub battery_mv: u16,
+    /// The processor's supply, in mV.
+    pub supply_mv: u16,
+    /// The battery's input floats.
+    pub battery_open: bool,
     /// Level of the normally-closed stop input; ignored unless configured.
     pub stop_input_open: bool,
     /// Bytes lost by the receiver so far, wrapping.
     pub bytes_overrun: u16,
     /// Errors on the bus to the IMU so far, wrapping.
     pub imu_errors: u16,
+    /// The IMU's own opinion of itself.
+    pub imu_health: ImuHealth,
+    /// Edges of the motor's sensor beyond those taken in a tick so far, wrapping;
+    /// [`MotorPulses::count`] does not have them.
+    pub edges_refused: u16,
 }
 
 /// Outputs until the next poll.

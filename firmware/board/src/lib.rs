@@ -40,4 +40,4 @@ mod speed;
 mod steering;
 
 pub use board::Board;
-pub use io::{ImuSample, Inputs, MotorPulses, Outputs};
+pub use io::{ImuHealth, ImuSample, Inputs, MotorPulses, Outputs};

@@ -1,16 +1,21 @@
 //! The board's end of the serial line.
 
-use singletrack_protocol::{Decoder, Frame, Hello, Message, ToBoard, ToHost, UNSOLICITED, VERSION};
+use singletrack_protocol::{
+    Decoder, Frame, Hello, Identity, Message, ToBoard, ToHost, UNSOLICITED, VERSION,
+};
 
 /// Receiver, counters, and pending greetings.
 #[derive(Debug)]
 pub(crate) struct Link {
     decoder: Decoder,
     software_version: [u8; 3],
+    car_id: u16,
     session: Option<Session>,
     /// Nonces of pending greetings: the announcement of the start, and an answer.
     announcement: Option<u32>,
     greeting: Option<u32>,
+    /// A greeting was sent without the identity that follows it.
+    identity_due: bool,
     pub(crate) frames_received: u16,
     pub(crate) frames_damaged: u16,
     pub(crate) frames_dropped: u16,
@@ -24,17 +29,23 @@ struct Session {
 }
 
 impl Link {
-    pub(crate) const fn new(software_version: [u8; 3]) -> Self {
+    pub(crate) const fn new(software_version: [u8; 3], car_id: u16) -> Self {
         Self {
             decoder: Decoder::new(),
             software_version,
+            car_id,
             session: None,
             announcement: Some(UNSOLICITED),
             greeting: None,
+            identity_due: false,
             frames_received: 0,
             frames_damaged: 0,
             frames_dropped: 0,
         }
+    }
+
+    pub(crate) const fn car_id(&self) -> u16 {
+        self.car_id
     }
 
     /// Processes a byte; returns the message that it completes.
@@ -86,7 +97,7 @@ impl Link {
 
     /// Sends pending greetings; one that does not fit stays pending.
     pub(crate) fn greet(&mut self, transmit: &mut impl FnMut(&[u8]) -> bool) {
-        if self.announcement.is_some() || self.greeting.is_some() {
+        if self.announcement.is_some() || self.greeting.is_some() || self.identity_due {
             self.greet_now(transmit);
         }
     }
@@ -104,6 +115,15 @@ impl Link {
                 return;
             }
             *due = None;
+            self.identity_due = true;
+        }
+        if self.identity_due {
+            let identity = Identity {
+                car_id: self.car_id,
+            };
+            let mut frame = Frame::new();
+            identity.encode_into(&mut frame);
+            self.identity_due = !transmit(frame.as_bytes());
         }
     }
 

@@ -113,7 +113,10 @@ impl Safety {
     }
 
     pub(crate) const fn is_armed(&self) -> bool {
-        matches!(self.mode, BoardMode::Armed | BoardMode::Driving)
+        matches!(
+            self.mode,
+            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
+        )
     }
 
     /// Advances time. Runs before received bytes are processed, so that a late
@@ -157,7 +160,9 @@ impl Safety {
     pub(crate) const fn may_configure(&self) -> Result<(), RefusalReason> {
         match self.mode {
             BoardMode::Boot | BoardMode::Neutral | BoardMode::Failsafe => Ok(()),
-            BoardMode::Armed | BoardMode::Driving => Err(RefusalReason::Busy),
+            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp => {
+                Err(RefusalReason::Busy)
+            }
             BoardMode::EmergencyStopped => Err(RefusalReason::EmergencyStopLatched),
         }
     }

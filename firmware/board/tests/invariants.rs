@@ -6,7 +6,8 @@ use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_board::{ImuSample, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop, EscCalibration,
-    FailsafeAction, Hello, Sequence, ServoCalibration, SpeedLoop, VERSION,
+    EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS, Sequence, ServoCalibration,
+    SpeedLoop, UNNAMED, VERSION,
 };
 
 use rig::{MS, NEUTRAL, Rig, TTL, configuration};
@@ -36,6 +37,7 @@ enum Step {
         speed_mm_s: i16,
         steering_100urad: i16,
         pose_age_ms: u16,
+        brake: bool,
     },
     /// A correct host for a while.
     DriveWell {
@@ -89,7 +91,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         1_300..1_382_u16,
     );
     let speed = (
-        1..20_000_u16,
+        100..20_000_u16,
         0..5_000_u16,
         0..5_000_u16,
         0..5_000_u16,
@@ -102,7 +104,8 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
         any::<bool>(),
         any::<bool>(),
     );
-    (servo, esc, speed, limits).prop_map(|(servo, esc, speed, limits)| Configuration {
+    let rest = (prop::sample::select(EscKind::ALL.to_vec()), any::<bool>());
+    (servo, esc, speed, limits, rest).prop_map(|(servo, esc, speed, limits, rest)| Configuration {
         servo: ServoCalibration {
             min_us: servo.0,
             max_us: servo.1,
@@ -111,6 +114,7 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             slew_us_per_20ms: servo.3,
         },
         esc: EscCalibration {
+            kind: rest.0,
             // The start pulse must lie in the deadband, or the board refuses it.
             neutral_us: (1_500 + i32::from(esc.1) * esc.0 / 1_000) as u16,
             deadband_us: esc.1,
@@ -126,15 +130,22 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             integral_us_per_m: speed.3,
             integral_limit_us: speed.4,
             max_forward_mm_s: limits.0,
-            max_reverse_mm_s: limits.1,
+            max_reverse_mm_s: match rest.0 {
+                EscKind::Vesc => 0,
+                EscKind::Car | EscKind::ForwardReverse => limits.1,
+            },
         },
-        failsafe: if limits.3 {
+        failsafe: if limits.3 && rest.0.has_brake() {
             FailsafeAction::Brake
         } else {
             FailsafeAction::Coast
         },
         max_pose_age_ms: limits.2,
         stop_input: limits.4,
+        kill_output: rest.1,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: UNNAMED,
+        imu_axes: ImuAxes::AS_PRINTED,
     })
 }
 
@@ -152,9 +163,9 @@ fn step() -> impl Strategy<Value = Step> {
             .prop_map(|(age_us, right, again)| Step::Arm { age_us, right_hash: right || again, again }),
         1 => Just(Step::Disarm),
         1 => prop_oneof![9 => Just(Step::Disarm), 1 => Just(Step::EmergencyStop)],
-        6 => (0..130_u8, age(), any::<i16>(), any::<i16>(), 0..1_100_u16).prop_map(
-            |(ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms)| Step::Drive {
-                ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms,
+        6 => (0..130_u8, age(), any::<i16>(), any::<i16>(), 0..1_100_u16, any::<bool>()).prop_map(
+            |(ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms, brake)| Step::Drive {
+                ahead, age_us, speed_mm_s, steering_100urad, pose_age_ms, brake,
             }
         ),
         8 => (1..100_u32, -3_000..6_000_i16, any::<i16>()).prop_map(
@@ -342,6 +353,7 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
             speed_mm_s,
             steering_100urad,
             pose_age_ms,
+            brake,
         } => {
             rig.send(Drive {
                 sequence: Sequence(rig.board.last_sequence().0.wrapping_add(ahead)),
@@ -349,6 +361,7 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
                 steering_100urad,
                 telemetry_time_us: rig.now.wrapping_sub(age_us),
                 pose_age_ms,
+                brake,
             });
         }
         Step::DriveWell {

@@ -4,8 +4,8 @@ mod rig;
 
 use singletrack_board::{Board, ImuSample, Inputs};
 use singletrack_protocol::{
-    Decoder, Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNSOLICITED,
-    VERSION,
+    Decoder, Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNNAMED,
+    UNSOLICITED, VERSION,
 };
 
 use rig::{MS, Rig, SOFTWARE_VERSION, configuration};
@@ -30,7 +30,7 @@ fn times(rig: &Rig, filter: fn(&ToHost) -> bool) -> Vec<u32> {
 
 #[test]
 fn the_announcement_after_a_reset_within_a_frame_is_received() {
-    let mut before = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
+    let mut before = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, UNNAMED);
     let mut cut = Vec::new();
     before.poll(0, &Inputs::default(), &[], &mut |bytes: &[u8]| {
         cut.extend_from_slice(bytes);
@@ -43,7 +43,7 @@ fn the_announcement_after_a_reset_within_a_frame_is_received() {
         .filter_map(|&byte| decoder.push(byte).map(|_| ()));
     assert!(decoded.count() >= 1);
 
-    let mut after = Board::new(ResetCause::Watchdog, SOFTWARE_VERSION);
+    let mut after = Board::new(ResetCause::Watchdog, SOFTWARE_VERSION, UNNAMED);
     let mut hellos = Vec::new();
     after.poll(0, &Inputs::default(), &[], &mut |bytes: &[u8]| {
         for &byte in bytes {

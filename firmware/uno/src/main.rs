@@ -36,8 +36,8 @@ mod twi;
 mod uart;
 mod watchdog;
 
-use singletrack_board::{Board, Inputs, MotorPulses};
-use singletrack_protocol::ResetCause;
+use singletrack_board::{Board, ImuHealth, Inputs, MotorPulses};
+use singletrack_protocol::{ResetCause, UNNAMED};
 
 use crate::{
     battery::Battery,
@@ -62,10 +62,16 @@ const RECEIVED_PER_POLL: usize = 64;
 const POLL: u8 = 1;
 
 const VERSION: [u8; 3] = [
-    number(env!("CARGO_PKG_VERSION_MAJOR")),
-    number(env!("CARGO_PKG_VERSION_MINOR")),
-    number(env!("CARGO_PKG_VERSION_PATCH")),
+    number(env!("CARGO_PKG_VERSION_MAJOR")) as u8,
+    number(env!("CARGO_PKG_VERSION_MINOR")) as u8,
+    number(env!("CARGO_PKG_VERSION_PATCH")) as u8,
 ];
+
+/// The car that this image is for: given to the build, see `cargo uno --car-id`.
+const CAR_ID: u16 = match option_env!("SINGLETRACK_CAR_ID") {
+    Some(digits) => number(digits),
+    None => UNNAMED,
+};
 
 /// State of the main loop, besides the board. (Separate, because it is initialised
 /// to zeros, which take no flash.)
@@ -80,7 +86,7 @@ struct MainLoop {
     polls_next: bool,
 }
 
-static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION));
+static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::Unknown, VERSION, CAR_ID));
 
 static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
     inputs: Inputs {
@@ -93,6 +99,15 @@ static MAIN_LOOP: InPlace<MainLoop> = InPlace::new(MainLoop {
         stop_input_open: false,
         bytes_overrun: 0,
         imu_errors: 0,
+        supply_mv: 0,
+        battery_open: false,
+        imu_health: ImuHealth {
+            calibration: 0,
+            self_test: 0,
+            status: 0,
+            error: 0,
+        },
+        edges_refused: 0,
     },
     motor: Motor::new(),
     battery: Battery::new(),
@@ -166,12 +181,12 @@ fn start_peripherals() {
     SMCR.write(SLEEP_IN_IDLE);
 }
 
-/// Parses a decimal number below 256, at compile time.
-const fn number(digits: &str) -> u8 {
+/// Parses a decimal number below 2^16, at compile time.
+const fn number(digits: &str) -> u16 {
     let mut value = 0;
     let mut rest = digits.as_bytes();
     while let [digit, tail @ ..] = rest {
-        value = value * 10 + (*digit - b'0');
+        value = value * 10 + (*digit - b'0') as u16;
         rest = tail;
     }
     value

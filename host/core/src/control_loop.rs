@@ -315,10 +315,14 @@ impl<L: Line> ControlLoop<L> {
     fn take_requests(&mut self, now_ns: u64) {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
-                ControlRequest::Pilot(PilotRequest::Arm) if self.ending != Ending::Running => {}
+                ControlRequest::Pilot(PilotRequest::Arm | PilotRequest::ArmHeld)
+                    if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
                     // A stop before the first arming cancels that as well.
-                    self.arm_when_ready &= request == PilotRequest::Arm;
+                    self.arm_when_ready &= matches!(
+                        request,
+                        PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::Hold
+                    );
                     self.controller.request(request);
                 }
                 ControlRequest::Finish => {

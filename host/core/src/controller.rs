@@ -171,7 +171,12 @@ impl Controller {
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // The new configuration would apply to an arm request that came before it.
-        let asked = self.events.contains(&Event::Request(PilotRequest::Arm));
+        let asked = self.events.iter().any(|event| {
+            matches!(
+                event,
+                Event::Request(PilotRequest::Arm | PilotRequest::ArmHeld)
+            )
+        });
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }
@@ -220,6 +225,7 @@ impl Controller {
                 DriveCommand {
                     speed_m_s: command.rear_speed,
                     steering_rad: command.steering,
+                    brake: false,
                     pose_time_ns: Some(command.pose_time.0),
                 },
             )?;
@@ -271,13 +277,28 @@ impl Queue<'_> {
         let room = match event {
             Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
             // Only the latest value matters.
-            Event::Health(_) | Event::Line(_) | Event::RealTime(_) | Event::Setpoint(_) => {
+            Event::Health(_)
+            | Event::Line(_)
+            | Event::Attitude(_)
+            | Event::RealTime(_)
+            | Event::Setpoint(_) => {
                 if self.take_place_of_last(event) {
                     return;
                 }
                 MAX_EVENTS - RESERVED
             }
-            Event::Link(_) | Event::Request(_) | Event::ArmRefused | Event::Reconfigured(_) => {
+            // A held drive lives from the newest of these; a flood must not displace a stop.
+            Event::Request(PilotRequest::Hold) => {
+                if self.events.contains(&event) {
+                    return;
+                }
+                MAX_EVENTS - RESERVED
+            }
+            Event::Link(_)
+            | Event::Request(_)
+            | Event::ArmRefused
+            | Event::Proved(_)
+            | Event::Reconfigured(_) => {
                 self.drop_repeated_link(event);
                 if self.events.is_full() {
                     self.drop_oldest_sample();
@@ -352,12 +373,15 @@ impl Queue<'_> {
             LinkEvent::Status(status) => self.push(Event::Health(BoardHealth {
                 battery_mv: status.battery_mv,
                 stop_input_open: status.stop_input_open,
+                battery_open: false,
+                imu_fault: false,
             })),
             LinkEvent::Refused {
                 request: BoardRequestKind::Arm,
                 ..
             } => self.push(Event::ArmRefused),
             LinkEvent::Connected { .. }
+            | LinkEvent::Identified { .. }
             | LinkEvent::Acknowledged { .. }
             | LinkEvent::Refused { .. }
             | LinkEvent::Unanswered { .. }
@@ -404,6 +428,7 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             BoardMode::Driving => BoardState::Driving,
             BoardMode::Failsafe => BoardState::Failsafe,
             BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
+            BoardMode::PoweringUp => BoardState::PoweringUp,
         },
     }
 }

@@ -72,6 +72,7 @@ mod tests {
                 steering_100urad: -3_000,
                 telemetry_time_us: 0,
                 pose_age_ms: 12,
+                brake: false,
             };
             let frame = ToBoard::from(drive).encode();
             assert_eq!(frame.as_bytes().len(), frame_length(Drive::PAYLOAD_LENGTH));

@@ -126,7 +126,7 @@ impl Configurations {
         let change = Box::new(Reconfiguration {
             number: self.number.wrapping_add(1),
             pilot: config.pilot()?,
-            board: config.board.configuration(),
+            board: config.board_configuration(),
             until_ns,
             outcome: None,
         });

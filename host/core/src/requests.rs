@@ -80,9 +80,16 @@ impl Requests {
         // The ring is consistent even if a sender has panicked.
         let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let stops = match request {
-            ControlRequest::Pilot(PilotRequest::Arm | PilotRequest::Disarm)
+            ControlRequest::Pilot(
+                PilotRequest::Arm
+                | PilotRequest::ArmHeld
+                | PilotRequest::Hold
+                | PilotRequest::Disarm,
+            )
             | ControlRequest::Reconfigure(_) => false,
-            ControlRequest::Pilot(PilotRequest::EmergencyStop)
+            ControlRequest::Pilot(
+                PilotRequest::EmergencyStop | PilotRequest::OperatorGone | PilotRequest::TimeUp,
+            )
             | ControlRequest::Finish
             | ControlRequest::Abort => true,
         };

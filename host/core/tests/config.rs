@@ -97,3 +97,15 @@ fn a_loop_that_is_opened_for_a_while_may_keep_its_gains() {
     let config = Config::from_toml(&text).unwrap();
     assert_eq!(config.outer_loop, OuterLoopSection::OpenLoop {});
 }
+
+#[test]
+fn the_margin_of_the_fence_is_half_a_car_unless_it_is_given() {
+    assert_eq!(example().fence.margin_m, Some(0.2));
+    let mut config = example();
+    config.fence.margin_m = None;
+    config.vehicle.front_axle_distance_m *= 2.0;
+    config.vehicle.rear_axle_distance_m *= 2.0;
+    assert_eq!(config.fence.margin_m(&config.vehicle), 0.4);
+    config.fence.margin_m = Some(0.0);
+    assert_eq!(config.fence.margin_m(&config.vehicle), 0.0);
+}

@@ -205,6 +205,7 @@ outer_loop | gain_per_s | outer_loop.gain_per_s | proportional | needs it
 reference | kind | reference.kind |  | is missing
 reference | radius_m | reference.radius_m | circle | needs it
 vehicle | mass_kg | vehicle.mass_kg |  | is missing
+fence | braking_m_s2 | fence.braking_m_s2 |  | is missing
 board.servo | centre_us | board.servo.centre_us |  | is missing
 board.servo | gain_us_per_rad | board.servo.gain_us_per_rad |  | is missing
 board.esc | neutral_us | board.esc.neutral_us |  | is missing

@@ -189,6 +189,7 @@ fn describe(event: &LinkEvent) -> (Level, String) {
                 version(*board_software_version)
             ),
         ),
+        LinkEvent::Identified { car_id } => (Level::Info, format!("board of car {car_id}")),
         LinkEvent::VersionMismatch(mismatch) => (Level::Error, mismatch.to_string()),
         LinkEvent::ConfigurationAccepted { hash } => (
             Level::Info,

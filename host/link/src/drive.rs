@@ -9,6 +9,9 @@ pub struct DriveCommand {
     pub speed_m_s: f64,
     /// Steering angle of the front wheels, left positive, in radians.
     pub steering_rad: f64,
+    /// Brake down to the speed where the ESC can; otherwise a car that is too fast
+    /// gets neutral.
+    pub brake: bool,
     /// Mid-exposure of the last accepted pose that the command rests on, in
     /// host nanoseconds; neither holding nor coasting renews it. `None` before the
     /// first accepted pose.
@@ -138,6 +141,7 @@ pub(crate) fn message(
         steering_100urad: Quantity::SteeringRadians.scale(command.steering_rad)?,
         telemetry_time_us: newest.board_time_us,
         pose_age_ms: pose_age_ms(command.pose_time_ns, newest.host_time_ns),
+        brake: command.brake,
     })
 }
 
@@ -179,6 +183,7 @@ mod tests {
         DriveCommand {
             speed_m_s,
             steering_rad,
+            brake: false,
             pose_time_ns: None,
         }
     }

@@ -14,6 +14,12 @@ pub enum Event {
         /// The board's software: major, minor, patch.
         board_software_version: [u8; 3],
     },
+    /// The board named the car that it is built into: after
+    /// [`Event::Connected`].
+    Identified {
+        /// The number of its image; zero for none.
+        car_id: u16,
+    },
     /// The board answered and speaks another version: one side must be updated.
     /// Reported once; the session greets the board again every second.
     VersionMismatch(VersionMismatch),

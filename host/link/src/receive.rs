@@ -68,6 +68,9 @@ impl Session {
             ToHost::Status(status) => self.status(now_ns, &status, on_event),
             ToHost::Acknowledgement(yes) => self.acknowledgement(now_ns, &yes, on_event),
             ToHost::Refusal(no) => self.refusal(now_ns, &no, on_event),
+            ToHost::Identity(identity) => on_event(Event::Identified {
+                car_id: identity.car_id,
+            }),
         }
     }
 

@@ -210,7 +210,7 @@ impl Session {
             return Err(NotReady::StopPending.into());
         }
         let newest = self.newest.ok_or(NotReady::NoTelemetry)?;
-        if !is_armed(newest.mode) {
+        if !matches!(newest.mode, BoardMode::Armed | BoardMode::Driving) {
             return Err(NotReady::NotArmed { mode: newest.mode }.into());
         }
         let sequence = drive::next_sequence(self.last_drive, newest.last_sequence);
@@ -346,5 +346,8 @@ pub enum ConfigureError {
 }
 
 pub(crate) const fn is_armed(mode: BoardMode) -> bool {
-    matches!(mode, BoardMode::Armed | BoardMode::Driving)
+    matches!(
+        mode,
+        BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
+    )
 }

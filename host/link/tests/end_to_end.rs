@@ -120,6 +120,7 @@ impl World {
             let command = DriveCommand {
                 speed_m_s: 0.4,
                 steering_rad: 0.1,
+                brake: false,
                 pose_time_ns: Some(now_ns - 8 * MS),
             };
             if let Ok(frame) = self.session.drive(now_ns, command) {

@@ -375,6 +375,14 @@ fn a_board_without_its_configuration_is_a_restarted_board() {
         frames_dropped: 0,
         bytes_overrun: 0,
         imu_errors: 0,
+        supply_mv: 5_000,
+        battery_open: false,
+        power_on: false,
+        edges_refused: 0,
+        imu_calibration: 0xFF,
+        imu_status: 5,
+        imu_error: 0,
+        imu_self_test: 0x0F,
     };
     bench.hear(status);
     assert!(bench.has(Event::Status(status)));

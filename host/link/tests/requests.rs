@@ -12,6 +12,7 @@ use common::{Bench, MS, START_NS, configuration, to_board};
 const COMMAND: DriveCommand = DriveCommand {
     speed_m_s: 0.4,
     steering_rad: 0.33,
+    brake: false,
     pose_time_ns: None,
 };
 

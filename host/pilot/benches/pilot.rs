@@ -79,6 +79,8 @@ fn control_tick(criterion: &mut Criterion) {
             Event::Health(BoardHealth {
                 battery_mv: 7_400,
                 stop_input_open: false,
+                battery_open: false,
+                imu_fault: false,
             }),
         ],
     );
@@ -89,6 +91,8 @@ fn control_tick(criterion: &mut Criterion) {
         let health = Event::Health(BoardHealth {
             battery_mv: 7_400,
             stop_input_open: false,
+            battery_open: false,
+            imu_fault: false,
         });
         match request {
             Some(request) => pilot.step(

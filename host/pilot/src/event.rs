@@ -27,6 +27,11 @@ pub enum Event {
     Health(BoardHealth),
     /// The share of damaged frames on the serial line.
     Line(LineHealth),
+    /// Attitude, height and clock of the car's sensors, every 0.1 s.
+    Attitude(AttitudeSample),
+    /// Whether this configuration has been proved on this car. Without the event it has
+    /// not: the first metre of a drive is then driven slowly, while the sensors are compared.
+    Proved(bool),
     /// What the system granted the control thread. It comes once, with the first tick.
     RealTime(RealTimeState),
     /// A set-point for P from outside.
@@ -44,6 +49,33 @@ pub struct BoardHealth {
     pub battery_mv: u16,
     /// Whether the stop switch is open; false if none is configured.
     pub stop_input_open: bool,
+    /// Whether nothing is connected to the input that measures the battery.
+    pub battery_open: bool,
+    /// Whether the IMU reports an error, or failed its self-test.
+    pub imu_fault: bool,
+}
+
+/// Roll and pitch, in rad: the left side up and the nose down are positive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tilt {
+    /// Rotation about the forward axis.
+    pub roll: f64,
+    /// Rotation about the left axis.
+    pub pitch: f64,
+}
+
+/// What the sensors say of the car's attitude; a value is `None` if there was none since
+/// the last such event.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AttitudeSample {
+    /// Of the IMU, in the car's axes.
+    pub imu: Option<Tilt>,
+    /// Of the rigid body that the cameras see, in its own axes.
+    pub body: Option<Tilt>,
+    /// Height of the rigid body's origin, m.
+    pub height: Option<f64>,
+    /// Bound on the error of the poses' mid-exposure, s.
+    pub capture_uncertainty: Option<f64>,
 }
 
 /// Damaged frames as a fraction of all frames over about one second, 0 to 1; `None`
@@ -120,6 +152,11 @@ words! {
         Failsafe = "failsafe",
         /// Stopped until the board is reset.
         EmergencyStopped = "emergency-stopped",
+        /// Armed; the supply of the ESC has just been switched on, and the board does not
+        /// follow drive commands yet.
+        PoweringUp = "powering-up",
+        /// Stopped until the board is reset: the motor ran while the board did not drive it.
+        RunsAtNeutral = "runs-at-neutral",
     }
 }
 
@@ -140,6 +177,14 @@ words! {
     }
 }
 
+impl BoardState {
+    /// Whether the board is armed: it follows drive commands, or will.
+    #[must_use]
+    pub const fn is_armed(self) -> bool {
+        matches!(self, Self::Armed | Self::Driving | Self::PoweringUp)
+    }
+}
+
 words! {
     /// What a person or a program asks of the pilot.
     pub enum PilotRequest {
@@ -149,5 +194,15 @@ words! {
         Disarm = "disarm",
         /// Put the motor to neutral now, until the board is reset.
         EmergencyStop = "emergency-stop",
+        /// As [`Arm`](Self::Arm), with a dead-man switch: the drive ends unless
+        /// [`Hold`](Self::Hold) renews it at least every 0.5 s.
+        ArmHeld = "arm-held",
+        /// Renews a drive that was armed with [`ArmHeld`](Self::ArmHeld); without effect
+        /// on any other.
+        Hold = "hold",
+        /// The operator who holds the drive has let go of it: slow down, stop and disarm.
+        OperatorGone = "operator-gone",
+        /// The time of the drive is over: slow down, stop and disarm.
+        TimeUp = "time-up",
     }
 }

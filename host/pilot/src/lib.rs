@@ -25,8 +25,8 @@ mod watch;
 mod words;
 
 pub use event::{
-    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PilotRequest, PoseMissing,
-    RealTimeState,
+    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState,
+    PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};

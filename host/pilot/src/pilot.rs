@@ -53,6 +53,8 @@ pub struct DriveCommand {
     pub steering: f64,
     /// Mid-exposure of the last accepted pose that the command rests on.
     pub pose_time: Time,
+    /// Whether the ESC should brake down to the speed, where it can.
+    pub brake: bool,
 }
 
 /// The result of a tick.
@@ -82,6 +84,14 @@ pub struct Output {
     pub command: Option<DriveCommand>,
     /// The request to the board.
     pub request: Option<BoardRequest>,
+    /// Whether the car has proved its configuration in this tick: the first metre showed
+    /// no contradiction.
+    pub proved: bool,
+    /// The deceleration of the stop that ended in this tick, m/s².
+    pub braking_measured: Option<f64>,
+    /// Why an arm request would be refused now; `None` if it would not, or while a drive is
+    /// underway. Unlike `reason`, it never says why the last drive ended.
+    pub preflight: Option<Reason>,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.
@@ -240,6 +250,9 @@ impl Pilot {
             turning_round: false,
             command: None,
             request,
+            proved: false,
+            braking_measured: None,
+            preflight: self.supervisor.preflight(),
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();
@@ -251,6 +264,7 @@ impl Pilot {
                         self.stand_by(mode);
                         output.mode = self.supervisor.mode();
                         output.reason = self.supervisor.reason();
+                        output.preflight = self.supervisor.preflight();
                         output.command = None;
                         output.request = request;
                     }
@@ -259,7 +273,7 @@ impl Pilot {
                     let actuation = self.law.slow_down(self.config.stop_deceleration, period);
                     output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
                     output.actuation = actuation;
-                    output.command = Some(command(estimate, &actuation));
+                    output.command = Some(command(estimate, &actuation, true));
                 }
                 Mode::Disconnected | Mode::Idle | Mode::Ready | Mode::Arming | Mode::Fault => {}
             }
@@ -302,7 +316,7 @@ impl Pilot {
         output.point_velocity = Some(velocity);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
-        output.command = Some(command(estimate, &actuation));
+        output.command = Some(command(estimate, &actuation, false));
         Ok(())
     }
 
@@ -323,6 +337,7 @@ impl Pilot {
                     external.handle(setpoint);
                 }
             }
+            Event::Attitude(_) | Event::Proved(_) => {}
             // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }
@@ -406,10 +421,11 @@ impl Pilot {
 
 /// The command for the board. The motor drives the rear axle, whose speed is the forward
 /// component of G's: v cos β.
-fn command(estimate: &Estimate, actuation: &Actuation) -> DriveCommand {
+fn command(estimate: &Estimate, actuation: &Actuation, brake: bool) -> DriveCommand {
     DriveCommand {
         rear_speed: actuation.speed * cos(estimate.sideslip),
         steering: actuation.steering,
         pose_time: estimate.pose_time,
+        brake,
     }
 }

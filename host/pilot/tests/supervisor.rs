@@ -12,6 +12,8 @@ const TICK_NS: u64 = 10_000_000;
 const HEALTHY: BoardHealth = BoardHealth {
     battery_mv: 7_400,
     stop_input_open: false,
+    battery_open: false,
+    imu_fault: false,
 };
 
 /// A supervisor and its inputs.
@@ -29,7 +31,19 @@ struct Bench {
 type Failure = (&'static str, Reason, fn(&mut Bench));
 
 /// Failures at any time.
-const FAILURES: [Failure; 15] = [
+const FAILURES: [Failure; 17] = [
+    ("an open battery input", Reason::BatteryOpen, |bench| {
+        bench.health = Some(BoardHealth {
+            battery_open: true,
+            ..HEALTHY
+        });
+    }),
+    ("an IMU with an error", Reason::ImuFault, |bench| {
+        bench.health = Some(BoardHealth {
+            imu_fault: true,
+            ..HEALTHY
+        });
+    }),
     ("an open stop switch", Reason::StopInputOpen, |bench| {
         bench.health = Some(BoardHealth {
             stop_input_open: true,
@@ -800,4 +814,148 @@ fn modes_and_reasons_are_consistent_with_their_words() {
         let same = |other: &Reason| other.name() == reason.name();
         assert_eq!(Reason::ALL.iter().position(same), Some(index));
     }
+}
+
+/// Steps for this long, in ms; returns the last result.
+fn steps(bench: &mut Bench, ms: u64) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+    let mut last = bench.step();
+    for _ in 1..ms / 10 {
+        last = bench.step();
+    }
+    last
+}
+
+#[test]
+fn a_held_drive_ends_half_a_second_after_its_last_renewal() {
+    let mut bench = Bench::new();
+    bench.step();
+    assert_eq!(bench.ask(PilotRequest::ArmHeld).0, Mode::Arming);
+    bench.supervisor.handle_board(BoardState::Armed);
+    assert_eq!(bench.step().0, Mode::Driving);
+    for _ in 0..4 {
+        assert_eq!(steps(&mut bench, 490).0, Mode::Driving);
+        assert_eq!(bench.ask(PilotRequest::Hold).0, Mode::Driving);
+    }
+    assert_eq!(steps(&mut bench, 500).0, Mode::Driving);
+    assert_eq!(
+        bench.step(),
+        (Mode::Stopping, Some(Reason::OperatorGone), None)
+    );
+    // A late renewal does not continue it.
+    bench.conditions.commanded_speed = 0.1;
+    assert_eq!(bench.ask(PilotRequest::Hold).0, Mode::Stopping);
+}
+
+#[test]
+fn a_held_drive_that_is_not_renewed_while_the_board_arms_is_not_begun() {
+    let mut bench = Bench::unconnected(SupervisorConfig {
+        arm_timeout: 2.0,
+        ..SupervisorConfig::paper()
+    });
+    bench.connect();
+    bench.step();
+    assert_eq!(bench.ask(PilotRequest::ArmHeld).0, Mode::Arming);
+    assert_eq!(steps(&mut bench, 500).0, Mode::Arming);
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::OperatorGone),
+            Some(BoardRequest::Disarm)
+        )
+    );
+}
+
+#[test]
+fn an_unattended_drive_needs_no_renewal_and_a_renewal_makes_none() {
+    let mut bench = Bench::new();
+    bench.step();
+    // Without an arm request it has no effect.
+    assert_eq!(bench.ask(PilotRequest::Hold), (Mode::Ready, None, None));
+    let mut bench = Bench::driving();
+    assert_eq!(bench.ask(PilotRequest::Hold).0, Mode::Driving);
+    assert_eq!(steps(&mut bench, 2_000).0, Mode::Driving);
+}
+
+#[test]
+fn an_operator_who_is_gone_and_a_time_that_is_over_end_a_drive_with_their_reasons() {
+    for (request, reason) in [
+        (PilotRequest::OperatorGone, Reason::OperatorGone),
+        (PilotRequest::TimeUp, Reason::TimeUp),
+    ] {
+        assert_eq!(
+            Bench::driving().ask(request),
+            (Mode::Stopping, Some(reason), None)
+        );
+        assert_eq!(
+            Bench::arming().ask(request),
+            (Mode::Idle, Some(reason), Some(BoardRequest::Disarm))
+        );
+        // It revokes an arm of the same tick, and clears no fault.
+        let mut bench = Bench::new();
+        bench.step();
+        bench.supervisor.handle_request(PilotRequest::ArmHeld);
+        assert_eq!(bench.ask(request).0, Mode::Ready);
+        bench.supervisor.fault(Reason::LawSingular, Time(0));
+        assert_eq!(bench.ask(request).0, Mode::Fault);
+        assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
+    }
+}
+
+#[test]
+fn a_board_that_switches_the_supply_on_has_more_time_and_is_not_driving_yet() {
+    let mut bench = Bench::arming();
+    bench.supervisor.handle_board(BoardState::PoweringUp);
+    assert_eq!(steps(&mut bench, 2_000).0, Mode::Arming);
+    bench.supervisor.handle_board(BoardState::Armed);
+    assert_eq!(bench.step().0, Mode::Driving);
+
+    let mut bench = Bench::arming();
+    bench.supervisor.handle_board(BoardState::PoweringUp);
+    assert_eq!(steps(&mut bench, 3_000).0, Mode::Arming);
+    assert_eq!(
+        bench.step(),
+        (
+            Mode::Idle,
+            Some(Reason::BoardTimeout),
+            Some(BoardRequest::Disarm)
+        )
+    );
+    bench.step();
+    assert_eq!(bench.supervisor.preflight(), Some(Reason::BoardArmed));
+}
+
+#[test]
+fn a_latched_run_at_neutral_is_a_fault_until_the_board_is_reset() {
+    let mut bench = Bench::driving();
+    bench.supervisor.handle_board(BoardState::RunsAtNeutral);
+    assert_eq!(
+        bench.step(),
+        (Mode::Fault, Some(Reason::RunsAtNeutral), None)
+    );
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Fault);
+    bench.supervisor.handle_board(BoardState::Booting);
+    assert_eq!(bench.step().0, Mode::Idle);
+
+    let mut bench = Bench::new();
+    bench.supervisor.handle_board(BoardState::RunsAtNeutral);
+    assert_eq!(
+        bench.ask(PilotRequest::Arm),
+        (Mode::Idle, Some(Reason::RunsAtNeutral), None)
+    );
+}
+
+#[test]
+fn the_arming_check_never_shows_why_the_last_drive_ended() {
+    let mut bench = Bench::driven();
+    assert_eq!(bench.supervisor.preflight(), None);
+    bench.conditions.imu_still = false;
+    assert_eq!(bench.step().1, Some(Reason::Requested));
+    assert_eq!(bench.supervisor.preflight(), Some(Reason::ImuNotStill));
+    bench.conditions.imu_still = true;
+    bench.ask(PilotRequest::Arm);
+    assert_eq!(bench.supervisor.preflight(), None);
+    bench.supervisor.handle_link(LinkState::Down);
+    bench.step();
+    assert_eq!(bench.supervisor.preflight(), Some(Reason::LinkDown));
 }

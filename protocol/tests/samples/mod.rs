@@ -4,9 +4,9 @@
 
 use singletrack_protocol::{
     Acknowledgement, Arm, BoardMode, Configuration, Configure, DecodeError, Disarm, Drive,
-    EmergencyStop, EscCalibration, FailsafeAction, Frame, Hello, ImuState, Packet, Refusal,
-    RefusalReason, Request, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, StopCause,
-    Telemetry, ToBoard, ToHost,
+    EmergencyStop, EscCalibration, EscKind, FailsafeAction, Frame, Hello, Identity, ImuAxes,
+    ImuAxis, ImuState, Packet, Refusal, RefusalReason, Request, ResetCause, Sequence,
+    ServoCalibration, SpeedLoop, Status, StopCause, Telemetry, ToBoard, ToHost,
 };
 
 /// A message in one of the two directions.
@@ -56,6 +56,7 @@ pub(crate) fn configuration() -> Configuration {
             slew_us_per_20ms: 90,
         },
         esc: EscCalibration {
+            kind: EscKind::Car,
             neutral_us: 1_500,
             deadband_us: 25,
             min_us: 1_150,
@@ -75,13 +76,21 @@ pub(crate) fn configuration() -> Configuration {
         failsafe: FailsafeAction::Brake,
         max_pose_age_ms: 900,
         stop_input: true,
+        kill_output: true,
+        max_roll_out_ms: 2_700,
+        car_id: 0x4711,
+        imu_axes: ImuAxes {
+            forward: ImuAxis::MinusY,
+            left: ImuAxis::PlusX,
+            up: ImuAxis::PlusZ,
+        },
     }
 }
 
 /// One message of every type and direction.
 pub(crate) fn samples() -> Vec<Sample> {
     let hello = Hello {
-        protocol_version: 1,
+        protocol_version: 2,
         software_version: [0, 1, 2],
         nonce: 0xA1B2_C3D4,
     };
@@ -119,6 +128,7 @@ pub(crate) fn samples() -> Vec<Sample> {
                 steering_100urad: -3_286,
                 telemetry_time_us: 0xFFFF_FF00,
                 pose_age_ms: 12,
+                brake: true,
             }
             .into(),
         ),
@@ -165,6 +175,14 @@ pub(crate) fn samples() -> Vec<Sample> {
                 frames_dropped: 4,
                 bytes_overrun: 5,
                 imu_errors: 6,
+                supply_mv: 4_987,
+                battery_open: true,
+                power_on: true,
+                edges_refused: 7,
+                imu_calibration: 0x3C,
+                imu_status: 5,
+                imu_error: 2,
+                imu_self_test: 0x0B,
             }
             .into(),
         ),
@@ -182,10 +200,11 @@ pub(crate) fn samples() -> Vec<Sample> {
             Refusal {
                 request: Request::Configure,
                 sequence: Sequence(3),
-                reason: RefusalReason::InvalidConfiguration,
+                reason: RefusalReason::OtherCar,
             }
             .into(),
         ),
+        ("identity", Identity { car_id: 0x4711 }.into()),
     ];
     to_board
         .map(|(name, message)| Sample {

@@ -79,7 +79,7 @@ impl Spec {
                 _ => None,
             },
             period_s: f64::from(config.control.period_ms) * 1e-3,
-            fence: config.fence.fence()?,
+            fence: config.fence.fence(&config.vehicle)?,
         })
     }
 

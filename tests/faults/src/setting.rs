@@ -96,7 +96,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [outer_loop]\n{outer_loop}\n\
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
-         braking_m_s2 = {}\n\
+         margin_m = 0.0\nbraking_m_s2 = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
          {BOARD}",
         f64::from(situation.braking_mm_s2) * 1e-3

@@ -220,6 +220,7 @@ impl Tamper for Eager {
             steering_100urad: 0,
             telemetry_time_us,
             pose_age_ms: 5,
+            brake: false,
         };
         bytes.extend(ToBoard::from(arm).encode().as_bytes());
         bytes.extend(ToBoard::from(drive).encode().as_bytes());

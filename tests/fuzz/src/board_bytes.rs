@@ -3,7 +3,7 @@
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, FailsafeAction, Hello, ResetCause, Sequence, ToBoard, ToHost, VERSION,
+    EmergencyStop, FailsafeAction, Hello, ResetCause, Sequence, ToBoard, ToHost, UNNAMED, VERSION,
 };
 
 use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
@@ -80,7 +80,7 @@ impl Bench {
     fn at_stage(choices: &mut Choices<'_>) -> Self {
         let options = choices.byte();
         let is = |bit: u8| options & (1 << bit) != 0;
-        let board = Board::new(ResetCause::PowerOn, [0, 1, 0]);
+        let board = Board::new(ResetCause::PowerOn, [0, 1, 0], UNNAMED);
         let mut bench = Self {
             outputs: board.outputs(),
             board,
@@ -202,6 +202,7 @@ impl Bench {
                 steering_100urad: choices.i16(),
                 telemetry_time_us: self.now_us.wrapping_sub(choices.u32()),
                 pose_age_ms: choices.u16(),
+                brake: choices.flag(),
             }),
             14 => {
                 let period_us = u32::from(choices.u16());
@@ -259,6 +260,7 @@ impl Bench {
             steering_100urad,
             telemetry_time_us: self.now_us,
             pose_age_ms: 10,
+            brake: false,
         });
         self.wait(2, 5 * MS);
     }

@@ -214,6 +214,7 @@ impl Bench {
             21 => self.drive(DriveCommand {
                 speed_m_s: choices.f64(),
                 steering_rad: choices.f64(),
+                brake: choices.flag(),
                 pose_time_ns: choices.flag().then(|| choices.u64()),
             }),
             22 => {
@@ -221,6 +222,7 @@ impl Bench {
                     self.drive(DriveCommand {
                         speed_m_s: 0.5,
                         steering_rad: -0.2,
+                        brake: false,
                         pose_time_ns: Some(self.now_ns - 8 * MS),
                     });
                     self.run(1);
@@ -378,6 +380,14 @@ impl Bench {
             frames_dropped: choices.u16(),
             bytes_overrun: choices.u16(),
             imu_errors: choices.u16(),
+            supply_mv: choices.u16(),
+            battery_open: choices.flag(),
+            power_on: choices.flag(),
+            edges_refused: choices.u16(),
+            imu_calibration: choices.byte(),
+            imu_status: choices.byte(),
+            imu_error: choices.byte(),
+            imu_self_test: choices.byte(),
         }
     }
 
@@ -424,6 +434,7 @@ impl Bench {
 
     fn check_event(&mut self, event: &Event, answer_to_greeting: bool) {
         match event {
+            Event::Identified { .. } => {}
             Event::Connected { .. } => {
                 assert!(
                     answer_to_greeting,

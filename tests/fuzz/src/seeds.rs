@@ -282,6 +282,7 @@ fn to_board() -> Vec<(&'static str, Frame)> {
                 steering_100urad: -3_000,
                 telemetry_time_us: 2_200_000,
                 pose_age_ms: 12,
+                brake: false,
             }
             .into(),
         ),
@@ -330,6 +331,14 @@ fn to_host() -> Vec<(&'static str, Frame)> {
                 frames_dropped: 4,
                 bytes_overrun: 5,
                 imu_errors: 6,
+                supply_mv: 5_000,
+                battery_open: false,
+                power_on: false,
+                edges_refused: 0,
+                imu_calibration: 0xFF,
+                imu_status: 5,
+                imu_error: 0,
+                imu_self_test: 0x0F,
             }
             .into(),
         ),

@@ -45,7 +45,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         estimator: EstimatorSection::default(),
         supervisor: SupervisorSection::default(),
         watch: WatchSection::default(),
-        fence: FenceSection::square(FENCE_WIDTH_M),
+        fence: FenceSection::square(FENCE_WIDTH_M, BRAKING_M_S2),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())
@@ -65,6 +65,9 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
 
 /// Distance of the point P beyond the front axle, in m.
 pub const POINT_DISTANCE_M: f64 = 0.35;
+
+/// A lower bound of the simulated car's deceleration at neutral, in m/s².
+const BRAKING_M_S2: f64 = 1.4;
 
 /// Width of the geofence around the origin, in m: the circle plus room to stop.
 pub const FENCE_WIDTH_M: f64 = 4.0;

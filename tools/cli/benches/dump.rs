@@ -97,8 +97,12 @@ fn tick(index: u64) -> Entry {
                 rear_speed: noisy(index + 15, 0.4),
                 steering: noisy(index + 16, 0.3),
                 pose_time,
+                brake: false,
             }),
             request: None,
+            proved: false,
+            braking_measured: None,
+            preflight: None,
         },
         drive: Some(DriveWrite {
             sequence: index as u8,

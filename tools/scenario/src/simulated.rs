@@ -16,6 +16,10 @@ const RIGID_BODY: &str = "car";
 /// Width of the simulated hall, in m.
 const HALL_WIDTH_M: f64 = 20.0;
 
+/// A lower bound of the simulated car's deceleration at neutral, in m/s²: it rolls out with
+/// 1.46 to 1.62 m/s² between 0.3 and 1 m/s.
+pub const BRAKING_M_S2: f64 = 1.4;
+
 /// The subject of a drive of the simulated car. Everything else has the daemon's
 /// defaults.
 #[derive(Clone, Debug)]
@@ -46,7 +50,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         supervisor: SupervisorSection::default(),
         watch: WatchSection::default(),
         // The size of a hall, so that drives may begin and end anywhere.
-        fence: FenceSection::square(HALL_WIDTH_M),
+        fence: FenceSection::square(HALL_WIDTH_M, BRAKING_M_S2),
         board: BoardSection::from(&default_board_configuration()),
         control: ControlSection::default(),
         record: RecordSection::default(),

@@ -8,7 +8,7 @@ use singletrack_core::config::{
 };
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
-    simulated::{Drive, daemon_config},
+    simulated::{BRAKING_M_S2, Drive, daemon_config},
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossWindow, SimulationConfig};
@@ -43,7 +43,8 @@ fn config(reference: ReferenceSection, fence: FenceSection) -> Config {
 fn wall(x: f64) -> FenceSection {
     FenceSection {
         corners_m: vec![[-8.0, -8.0], [x, -8.0], [x, 8.0], [-8.0, 8.0]],
-        ..FenceSection::default()
+        margin_m: Some(0.0),
+        ..FenceSection::new(BRAKING_M_S2)
     }
 }
 
@@ -63,7 +64,7 @@ fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<R
             end_us: start_us + 60_000_000,
         });
     }
-    let fence = config.fence.fence().unwrap();
+    let fence = config.fence.fence(&config.vehicle).unwrap();
     let mut least = f64::INFINITY;
     let mut told = None;
     for _ in 0..4_000 {

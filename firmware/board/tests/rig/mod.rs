@@ -6,8 +6,9 @@
 use singletrack_board::{Board, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, EscCalibration, FailsafeAction, Hello, RefusalReason, ResetCause, Sequence,
-    ServoCalibration, SpeedLoop, Status, Telemetry, ToBoard, ToHost, VERSION,
+    EmergencyStop, EscCalibration, EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS,
+    RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, Telemetry, ToBoard,
+    ToHost, UNNAMED, VERSION,
 };
 
 pub(crate) const MS: u32 = 1_000;
@@ -25,6 +26,7 @@ pub(crate) fn configuration() -> Configuration {
             slew_us_per_20ms: 100,
         },
         esc: EscCalibration {
+            kind: EscKind::Car,
             neutral_us: NEUTRAL,
             deadband_us: 20,
             min_us: 1_200,
@@ -44,6 +46,10 @@ pub(crate) fn configuration() -> Configuration {
         failsafe: FailsafeAction::Coast,
         max_pose_age_ms: 900,
         stop_input: false,
+        kill_output: false,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: 0,
+        imu_axes: ImuAxes::AS_PRINTED,
     }
 }
 
@@ -68,7 +74,7 @@ pub(crate) struct Rig {
 impl Rig {
     /// A board that has just started at a given time, not yet polled.
     pub(crate) fn starting_at(now: u32) -> Self {
-        let board = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION);
+        let board = Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, UNNAMED);
         Self {
             outputs: board.outputs(),
             board,
@@ -255,6 +261,7 @@ impl Rig {
             steering_100urad,
             telemetry_time_us: self.now,
             pose_age_ms: 10,
+            brake: false,
         }
     }
 

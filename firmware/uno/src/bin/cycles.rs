@@ -25,7 +25,7 @@ use core::{arch::asm, hint::black_box, panic::PanicInfo};
 
 use singletrack_board::{Board, Inputs};
 use singletrack_protocol::{
-    BoardMode, Configuration, Configure, Decoder, Drive, EscCalibration, FailsafeAction, Frame,
+    BoardMode, Configuration, Configure, Decoder, Drive, EscCalibration, EscKind, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS, Frame,
     ImuState, RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, StopCause,
     Telemetry, ToBoard, ToHost,
 };
@@ -44,6 +44,7 @@ const CONFIGURATION: Configuration = Configuration {
         slew_us_per_20ms: 90,
     },
     esc: EscCalibration {
+        kind: EscKind::Car,
         neutral_us: 1_500,
         deadband_us: 30,
         min_us: 1_000,
@@ -63,6 +64,10 @@ const CONFIGURATION: Configuration = Configuration {
     failsafe: FailsafeAction::Brake,
     max_pose_age_ms: 900,
     stop_input: true,
+    kill_output: false,
+    max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+    car_id: 0,
+    imu_axes: ImuAxes::AS_PRINTED,
 };
 
 /// Entered from the C runtime's start-up code.
@@ -85,6 +90,7 @@ fn measure_codec(round: u8, number: i16) {
         steering_100urad: -number,
         telemetry_time_us: u32::from(number.unsigned_abs()) << 12,
         pose_age_ms: 12,
+        brake: false,
     });
     measure_decoding(1, &drive.encode());
     let configure = ToBoard::Configure(Configure {
@@ -123,6 +129,14 @@ fn measure_codec(round: u8, number: i16) {
         frames_dropped: 0,
         bytes_overrun: 0,
         imu_errors: 3,
+            supply_mv: 5_000,
+            battery_open: false,
+            power_on: false,
+            edges_refused: 0,
+            imu_calibration: 0xFF,
+            imu_status: 5,
+            imu_error: 0,
+            imu_self_test: 0x0F,
     });
     let status = black_box(status);
     black_box(measured(4, || status.encode()));
@@ -146,7 +160,7 @@ fn measure_polls() {
     const POLLS_PER_CONTROL: u8 = 10;
     const POLLS_PER_STATUS: u8 = 200;
 
-    static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::PowerOn, [0; 3]));
+    static BOARD: InPlace<Board> = InPlace::new(Board::new(ResetCause::PowerOn, [0; 3], 0));
 
     // SAFETY: this function is called only once.
     #[allow(unsafe_code)]

@@ -4,31 +4,45 @@
 //! those of [`Configuration::validate`], which the board applies too; here they are text.
 
 use singletrack_protocol::{
-    Configuration, EscCalibration, FailsafeAction, ServoCalibration, SpeedLoop,
+    Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, LONGEST_ROLL_OUT_MS,
+    ServoCalibration, SpeedLoop,
 };
 
-use super::{choice::choice, section::section, value::Convert as _};
+use super::{
+    ConfigError,
+    choice::choice,
+    section::{Maps as _, section},
+    value::Convert as _,
+};
 
 section! {
     /// What the board is given before it may be armed. The example's calibration is that of
     /// the simulated car: measure yours with the wheels off the ground.
     "board" => pub BoardSection: Copy, Eq;
-    [maps Configuration];
+    [];
 
+    /// The car that this file is for: the number that the board's image was built with
+    /// (`cargo uno --car-id`). The board refuses the configuration of another car.
+    car_id: u16 = 0;
     /// When the board stops the car by itself: "coast" sends neutral; "brake" sends the
-    /// braking pulse until the wheels stand, then neutral.
-    failsafe: FailsafeKind = FailsafeKind::Coast => failsafe;
+    /// braking pulse until the wheels stand, then neutral, and needs `esc.kind`.
+    failsafe: FailsafeKind = FailsafeKind::Coast;
     /// Oldest pose that the board obeys. At least the time that the host needs to hold and to
     /// stop, so that the host stops first.
-    max_pose_age_ms: u16 = 950 => max_pose_age_ms, text "1 to 1000";
+    max_pose_age_ms: u16 = 950, text "1 to 1000";
     /// Whether a normally-closed stop switch is wired to the board.
-    stop_input: bool = false => stop_input;
+    stop_input: bool = false;
+    /// Whether the board switches the ESC's supply (pin D7): on only while it is armed and
+    /// healthy. Arming then takes 2 s more.
+    kill_output: bool = false;
     /// The steering servo.
-    servo: ServoSection => servo;
+    servo: ServoSection;
     /// The electronic speed controller.
-    esc: EscSection => esc;
+    esc: EscSection;
     /// The speed loop.
-    speed: SpeedSection => speed;
+    speed: SpeedSection;
+    /// The mounting of the IMU.
+    imu: ImuSection = ImuSection::default();
 }
 
 choice! {
@@ -62,22 +76,66 @@ section! {
 section! {
     /// The electronic speed controller.
     "board.esc" => pub EscSection: Copy, Eq;
-    [maps EscCalibration];
+    [];
 
+    /// What a pulse below neutral does. Needed for `failsafe = "brake"` and for reverse; left
+    /// out, no pulse below neutral is ever sent.
+    kind: Option<EscKindName> = None, example EscKindName::Car;
     /// Pulse at which the motor is free.
-    neutral_us: u16 => neutral_us, text "1500 - deadband_us to 1500 + deadband_us",
+    neutral_us: u16, text "1500 - deadband_us to 1500 + deadband_us",
         example 1500;
     /// Half width of the band around neutral in which the motor does not turn.
-    deadband_us: u16 => deadband_us, text "0 to 200", example 30;
+    deadband_us: u16, text "0 to 200", example 30;
     /// Shortest pulse ever sent.
-    min_us: u16 => min_us, text "800 to neutral_us - deadband_us - 1", example 1200;
+    min_us: u16, text "800 to neutral_us - deadband_us - 1", example 1200;
     /// Longest pulse ever sent.
-    max_us: u16 => max_us, text "neutral_us + deadband_us to 2200", example 1700;
+    max_us: u16, text "neutral_us + deadband_us to 2200", example 1700;
     /// Largest change of the pulse away from neutral in 20 ms; towards neutral it changes at
     /// once.
-    slew_us_per_20ms: u16 = 40 => slew_us_per_20ms, text "1 to 1400";
-    /// Pulse that brakes.
-    brake_us: u16 => brake_us, text "min_us to neutral_us - deadband_us - 1", example 1350;
+    slew_us_per_20ms: u16 = 40, text "1 to 1400";
+    /// Pulse that brakes; needed for the kinds that have a brake.
+    brake_us: Option<u16> = None, text "min_us to neutral_us - deadband_us - 1", example 1350;
+}
+
+choice! {
+    /// What an ESC does with a pulse below neutral.
+    pub EscKindName => EscKind;
+    /// The first one after driving forward brakes, a second one is reverse.
+    Car = "car";
+    /// It is reverse at once; there is no brake.
+    ForwardReverse = "forward-reverse";
+    /// It brakes, always.
+    Vesc = "vesc";
+}
+
+section! {
+    /// The mounting of the IMU: which axis, as printed on the chip, points where.
+    "board.imu" => pub ImuSection: Copy, Eq;
+    [maps ImuAxes = ImuAxes::AS_PRINTED];
+
+    /// Points forward.
+    forward: ImuAxisName => forward;
+    /// Points to the left.
+    left: ImuAxisName => left;
+    /// Points up.
+    up: ImuAxisName => up;
+}
+
+choice! {
+    /// A direction as printed on the IMU.
+    pub ImuAxisName => ImuAxis;
+    /// Along x.
+    PlusX = "+x";
+    /// Against x.
+    MinusX = "-x";
+    /// Along y.
+    PlusY = "+y";
+    /// Against y.
+    MinusY = "-y";
+    /// Along z.
+    PlusZ = "+z";
+    /// Against z.
+    MinusZ = "-z";
 }
 
 section! {
@@ -86,7 +144,7 @@ section! {
     [maps SpeedLoop];
 
     /// Distance that the car rolls in one motor pulse.
-    pulse_distance_um: u16 => pulse_distance_um, text "1 to 65535", example 3000;
+    pulse_distance_um: u16 => pulse_distance_um, text "100 to 30000", example 3000;
     /// Feed-forward gain.
     feed_forward_us_per_m_s: u16 => feed_forward_us_per_m_s, text "0 to 5000", example 80;
     /// Proportional gain.
@@ -102,15 +160,137 @@ section! {
 }
 
 impl BoardSection {
-    /// As it is sent.
+    /// As it is sent, but for the longest roll-out, which
+    /// [`Config::board_configuration`](super::Config::board_configuration) knows.
     #[must_use]
     pub fn configuration(&self) -> Configuration {
-        self.to_inner("board")
+        let esc = &self.esc;
+        Configuration {
+            servo: self.servo.to_inner("servo"),
+            esc: EscCalibration {
+                // Left out: no pulse ever brakes, and reverse is refused, see `validate`.
+                kind: esc
+                    .kind
+                    .map_or(EscKind::ForwardReverse, |kind| kind.to_inner("kind")),
+                neutral_us: esc.neutral_us,
+                deadband_us: esc.deadband_us,
+                min_us: esc.min_us,
+                max_us: esc.max_us,
+                slew_us_per_20ms: esc.slew_us_per_20ms,
+                brake_us: esc.brake_us.unwrap_or(esc.neutral_us),
+            },
+            speed: self.speed.to_inner("speed"),
+            failsafe: self.failsafe.to_inner("failsafe"),
+            max_pose_age_ms: self.max_pose_age_ms,
+            stop_input: self.stop_input,
+            kill_output: self.kill_output,
+            max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+            car_id: self.car_id,
+            imu_axes: self.imu.onto(ImuAxes::AS_PRINTED),
+        }
+    }
+
+    /// Refuses what the board would refuse, and what only the file can tell.
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let esc = &self.esc;
+        let brakes = self.failsafe == FailsafeKind::Brake;
+        match esc.kind {
+            None if brakes || self.speed.max_reverse_mm_s != 0 => {
+                return Err(ConfigError::value(
+                    "board.esc.kind",
+                    "missing",
+                    "failsafe = \"brake\" and reverse send pulses below neutral, whose meaning \
+                     depends on the ESC: write \"car\", \"forward-reverse\" or \"vesc\"",
+                ));
+            }
+            Some(EscKindName::ForwardReverse) if brakes => {
+                return Err(ConfigError::value(
+                    "board.failsafe",
+                    "brake",
+                    "an ESC of board.esc.kind = \"forward-reverse\" has no brake: the pulse would \
+                     drive the car backwards; use \"coast\"",
+                ));
+            }
+            Some(EscKindName::Vesc) if self.speed.max_reverse_mm_s != 0 => {
+                return Err(ConfigError::value(
+                    "board.speed.max_reverse_mm_s",
+                    self.speed.max_reverse_mm_s,
+                    "an ESC of board.esc.kind = \"vesc\" brakes below neutral and has no reverse; \
+                     use 0",
+                ));
+            }
+            Some(kind @ (EscKindName::Car | EscKindName::Vesc)) if esc.brake_us.is_none() => {
+                return Err(ConfigError::value(
+                    "board.esc.brake_us",
+                    "missing",
+                    format!(
+                        "board.esc.kind = \"{}\" needs it",
+                        kind.to_inner("kind").name()
+                    ),
+                ));
+            }
+            _ => {}
+        }
+        let distance_um = self.speed.pulse_distance_um;
+        if !(100..=30_000).contains(&distance_um) {
+            return Err(ConfigError::value(
+                "board.speed.pulse_distance_um",
+                distance_um,
+                "must be 100 to 30000: with a longer distance the board cannot tell a slow car from \
+                 one that stands or whose sensor is dead; use a sensor with more edges per turn, or \
+                 one on the motor instead of on the wheel",
+            ));
+        }
+        if !self.imu.onto(ImuAxes::AS_PRINTED).is_mounting() {
+            let [forward, left, up] = [self.imu.forward, self.imu.left, self.imu.up]
+                .map(|axis| axis.to_inner("axis").name());
+            return Err(ConfigError::value(
+                "board.imu",
+                format!("{forward}, {left}, {up}"),
+                "no chip can be mounted like this: each of x, y and z must point along one axis, \
+                 and the three must be right-handed",
+            ));
+        }
+        Ok(self.configuration().validate()?)
     }
 }
 
 impl From<&Configuration> for BoardSection {
     fn from(configuration: &Configuration) -> Self {
-        Self::from_inner(*configuration, "board")
+        let Configuration {
+            servo,
+            esc,
+            speed,
+            failsafe,
+            max_pose_age_ms,
+            stop_input,
+            kill_output,
+            max_roll_out_ms: _,
+            car_id,
+            imu_axes,
+        } = *configuration;
+        Self {
+            car_id,
+            failsafe: FailsafeKind::from_inner(failsafe, "failsafe"),
+            max_pose_age_ms,
+            stop_input,
+            kill_output,
+            servo: ServoSection::from_inner(servo, "servo"),
+            esc: EscSection {
+                kind: Some(EscKindName::from_inner(esc.kind, "kind")),
+                neutral_us: esc.neutral_us,
+                deadband_us: esc.deadband_us,
+                min_us: esc.min_us,
+                max_us: esc.max_us,
+                slew_us_per_20ms: esc.slew_us_per_20ms,
+                brake_us: Some(esc.brake_us),
+            },
+            speed: SpeedSection::from_inner(speed, "speed"),
+            imu: ImuSection {
+                forward: ImuAxisName::from_inner(imu_axes.forward, "forward"),
+                left: ImuAxisName::from_inner(imu_axes.left, "left"),
+                up: ImuAxisName::from_inner(imu_axes.up, "up"),
+            },
+        }
     }
 }

@@ -1,26 +1,31 @@
 //! `[fence]`: where the car may be.
 
-use singletrack_control::Position;
+use singletrack_control::{Position, VehicleParameters};
 use singletrack_pilot::Fence;
 
 use super::{ConfigError, section::section};
 
 section! {
-    /// Where the centre of mass may be, and must be able to stop. The default is the paper's
-    /// carpet. A car that has to turn round first, which takes up to 2.7 m, needs a larger
-    /// fence.
+    /// Where the centre of mass may be, and must be able to stop. A car that has to turn
+    /// round first, which takes up to 2.7 m, needs a larger fence than the default, the
+    /// paper's carpet.
     "fence" => pub FenceSection;
-    [default];
+    [new];
 
     /// Corners of a polygon, 3 to 16, in order.
     corners_m: Vec<[f64; 2]> = square(2.0), in -1_000.0..=1_000.0;
-    /// Distance kept from the sides; half the car's length keeps all of it inside.
-    margin_m: f64 = 0.0, in 0.0..=10.0;
-    // That of the simulated car, whose motor does not brake at neutral.
-    /// Deceleration that the car really reaches when it is commanded to stop. To measure it,
-    /// let the car roll out on your floor from speed v over the distance s: v * v / (2 * s).
-    braking_m_s2: f64 = 1.4, in up_to(50.0);
+    /// Distance kept from the sides. The default is half the length of a car, taken as
+    /// 1.54 wheelbases: 0.2 m for the paper's.
+    margin_m: Option<f64> = None, in 0.0..=10.0, otherwise 0.2;
+    // Nobody but the operator knows it: the fence and the watch of every stop rest on it.
+    /// Deceleration that the car really reaches with the motor at neutral. To measure it,
+    /// let the car roll out on your floor from speed v over the distance s, which gives
+    /// v * v / (2 * s); take the lowest of several, less 20 %.
+    braking_m_s2: f64, in up_to(50.0), example 1.2;
 }
+
+/// Length of a 1:10 car per wheelbase: the paper's is 0.4 m long.
+const LENGTH_PER_WHEELBASE: f64 = 0.4 / 0.26;
 
 /// The corners of a square of this width, in m, around the origin.
 fn square(width_m: f64) -> Vec<[f64; 2]> {
@@ -29,26 +34,38 @@ fn square(width_m: f64) -> Vec<[f64; 2]> {
 }
 
 impl FenceSection {
-    /// A square of this width, in m, around the origin.
+    /// A square of this width, in m, around the origin, for a car with this deceleration.
     #[must_use]
-    pub fn square(width_m: f64) -> Self {
+    pub fn square(width_m: f64, braking_m_s2: f64) -> Self {
         Self {
             corners_m: square(width_m),
-            ..Self::default()
+            ..Self::new(braking_m_s2)
         }
     }
 
-    /// For the controller.
+    /// The distance kept from the sides, for this car, in m.
+    #[must_use]
+    pub fn margin_m(&self, vehicle: &VehicleParameters) -> f64 {
+        let half = 0.5 * LENGTH_PER_WHEELBASE * vehicle.wheelbase_m();
+        self.margin_m.unwrap_or((half * 1_000.0).round() / 1_000.0)
+    }
+
+    /// Writes the margin for this car out, so that every reader of the configuration has it.
+    pub(super) fn resolve(&mut self, vehicle: &VehicleParameters) {
+        self.margin_m = Some(self.margin_m(vehicle));
+    }
+
+    /// For the controller of this car.
     ///
     /// # Errors
     ///
     /// A polygon without area, or whose sides cross.
-    pub fn fence(&self) -> Result<Fence, ConfigError> {
+    pub fn fence(&self, vehicle: &VehicleParameters) -> Result<Fence, ConfigError> {
         let corners: Vec<_> = self
             .corners_m
             .iter()
             .map(|&[x, y]| Position::new(x, y))
             .collect();
-        Ok(Fence::new(&corners, self.margin_m)?)
+        Ok(Fence::new(&corners, self.margin_m(vehicle))?)
     }
 }

@@ -35,10 +35,14 @@ use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
 use singletrack_link::SessionConfig;
 use singletrack_pilot::{PilotConfig, WatchConfig};
+use singletrack_protocol::Configuration;
 
 use section::{Declared as _, Maps as _};
 
-pub use board::{BoardSection, EscSection, FailsafeKind, ServoSection, SpeedSection};
+pub use board::{
+    BoardSection, EscKindName, EscSection, FailsafeKind, ImuAxisName, ImuSection, ServoSection,
+    SpeedSection,
+};
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
@@ -88,7 +92,6 @@ pub struct Config {
     #[serde(default)]
     pub watch: WatchSection,
     /// Where the car may be.
-    #[serde(default)]
     pub fence: FenceSection,
     /// What the board is given.
     pub board: BoardSection,
@@ -122,6 +125,7 @@ impl Config {
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
         }
+        config.fence.resolve(&config.vehicle);
         config.validate().map_err(|error| ConfigError::File {
             path: path.to_owned(),
             source: Box::new(error),
@@ -135,8 +139,9 @@ impl Config {
     ///
     /// The file cannot be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
-        let config: Self =
+        let mut config: Self =
             toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
+        config.fence.resolve(&config.vehicle);
         config.validate()?;
         Ok(config)
     }
@@ -175,9 +180,9 @@ impl Config {
         self.supervisor.check()?;
         self.watch.check()?;
         self.fence.check()?;
-        self.fence.fence()?;
+        self.fence.fence(&self.vehicle)?;
         self.control.check()?;
-        self.board.configuration().validate()?;
+        self.board.validate()?;
         self.record.validate()?;
         self.socket.validate()?;
         together::validate(self)
@@ -201,11 +206,25 @@ impl Config {
             ),
             supervisor: self.supervisor.config(),
             watch: self.watch.onto(WatchConfig::paper()),
-            fence: self.fence.fence()?,
+            fence: self.fence.fence(&self.vehicle)?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             period: value::seconds(self.control.period_ms),
         })
+    }
+
+    /// What the board is given.
+    #[must_use]
+    pub fn board_configuration(&self) -> Configuration {
+        // A deceleration that was measured with the brake is less at neutral.
+        const UNBRAKED: f64 = 2.0;
+        const STANDSTILL_S: f64 = 1.0;
+        let roll_out_s = UNBRAKED * self.limits.max_speed_m_s / self.fence.braking_m_s2;
+        let longest_ms = 1_000.0 * (roll_out_s + STANDSTILL_S);
+        Configuration {
+            max_roll_out_ms: longest_ms.min(30_000.0) as u16,
+            ..self.board.configuration()
+        }
     }
 
     /// The configuration of the session with the board. The seed should differ from one start
@@ -213,7 +232,7 @@ impl Config {
     #[must_use]
     pub fn link(&self, nonce_seed: u64) -> SessionConfig {
         SessionConfig {
-            configuration: self.board.configuration(),
+            configuration: self.board_configuration(),
             software_version: software_version(),
             nonce_seed,
             baud: self.serial.baud(),

@@ -1,9 +1,10 @@
 //! The list of the sections.
 
 use super::{
-    BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, LawSection,
-    LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection, SerialSection,
-    ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection, WatchSection,
+    BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, ImuSection,
+    LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection,
+    SerialSection, ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection,
+    WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -29,6 +30,7 @@ pub const SECTIONS: &[Section] = &[
     ServoSection::SECTION,
     EscSection::SECTION,
     SpeedSection::SECTION,
+    ImuSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
     SocketSection::SECTION,

@@ -19,6 +19,8 @@ use singletrack_protocol::BoardMode;
 use singletrack_sim::{Destination, SimulationConfig, World};
 
 pub(crate) const PERIOD_US: u64 = 10_000;
+/// A lower bound of the simulated car's deceleration at neutral.
+const BRAKING_M_S2: f64 = 1.4;
 const STEP_US: u64 = 500;
 
 /// The capacity of the simulated line, in bytes.
@@ -108,6 +110,7 @@ impl SimulatedDrive {
             Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
         config.motion_capture.server = Ipv4Addr::LOCALHOST;
         // The circle of the example is as large as the example's carpet.
+        config.fence.braking_m_s2 = BRAKING_M_S2;
         config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
         let simulation = SimulationConfig::default();
         config

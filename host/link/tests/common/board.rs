@@ -1,7 +1,7 @@
 //! The real board, with a motor that turns when it is driven.
 
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
-use singletrack_protocol::{BoardMode, Configuration, ResetCause};
+use singletrack_protocol::{BoardMode, Configuration, ResetCause, UNNAMED};
 
 /// Time between two motor pulses at about 0.4 m/s.
 const PULSE_US: u32 = 12_000;
@@ -18,7 +18,7 @@ pub(crate) struct TestBoard {
 
 impl TestBoard {
     pub(crate) fn started() -> Self {
-        let board = Board::new(ResetCause::External, [0, 1, 0]);
+        let board = Board::new(ResetCause::External, [0, 1, 0], UNNAMED);
         Self {
             outputs: board.outputs(),
             board,

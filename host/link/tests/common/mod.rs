@@ -10,9 +10,9 @@ use std::num::NonZeroU32;
 
 use singletrack_link::{Event, Session, SessionConfig, State};
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Configuration, Configure, Decoder, EscCalibration, FailsafeAction,
-    Hello, ImuState, Refusal, RefusalReason, Request, Sequence, ServoCalibration, SpeedLoop,
-    StopCause, Telemetry, ToBoard, ToHost, VERSION,
+    Acknowledgement, BoardMode, Configuration, Configure, Decoder, EscCalibration, EscKind,
+    FailsafeAction, Hello, ImuAxes, ImuState, LONGEST_ROLL_OUT_MS, Refusal, RefusalReason, Request,
+    Sequence, ServoCalibration, SpeedLoop, StopCause, Telemetry, ToBoard, ToHost, VERSION,
 };
 
 pub(crate) const MS: u64 = 1_000_000;
@@ -28,6 +28,7 @@ pub(crate) fn configuration() -> Configuration {
             slew_us_per_20ms: 200,
         },
         esc: EscCalibration {
+            kind: EscKind::Car,
             neutral_us: 1_500,
             deadband_us: 30,
             min_us: 1_000,
@@ -47,6 +48,10 @@ pub(crate) fn configuration() -> Configuration {
         failsafe: FailsafeAction::Coast,
         max_pose_age_ms: 900,
         stop_input: false,
+        kill_output: false,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: 0,
+        imu_axes: ImuAxes::AS_PRINTED,
     }
 }
 

@@ -55,6 +55,10 @@ pub struct PlanarPose {
     pub yaw_rad: f64,
     /// Angle between the body's up axis and the world's, in radians.
     pub tilt_rad: f64,
+    /// Rotation about the body's x axis, its left side up, in radians.
+    pub roll_rad: f64,
+    /// Rotation about the body's y axis, its front down, in radians.
+    pub pitch_rad: f64,
     /// Mid-exposure, in nanoseconds of the local monotonic clock. It is never after
     /// `receive_time_ns`.
     pub capture_time_ns: u64,
@@ -125,7 +129,8 @@ impl PlanarPose {
     /// Projects a pose onto the plane.
     ///
     /// With the quaternion (x, y, z, w), the yaw is atan2(2(wz + xy), 1 - 2(y² + z²))
-    /// and the tilt is 2 asin √(x² + y²).
+    /// and the tilt is 2 asin √(x² + y²). The world's up axis, seen from the body, gives
+    /// roll and pitch.
     pub(super) fn project(
         pose: &BodyPose,
         capture: &CaptureTime,
@@ -142,6 +147,8 @@ impl PlanarPose {
             z_m,
             yaw_rad: libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
             tilt_rad,
+            roll_rad: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            pitch_rad: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
             capture_time_ns: capture.time_ns,
             capture_uncertainty_ns: capture.uncertainty_ns,
             capture_source: capture.source,

@@ -112,6 +112,15 @@ impl LatestState {
         self.board
     }
 
+    /// The reason of a stop that the board has latched until it is reset.
+    pub(super) const fn latched(&self) -> Option<Reason> {
+        match self.board {
+            Some(BoardState::EmergencyStopped) => Some(Reason::EmergencyStop),
+            Some(BoardState::RunsAtNeutral) => Some(Reason::RunsAtNeutral),
+            _ => None,
+        }
+    }
+
     /// The link, as a reason for [`super::Mode::Disconnected`].
     pub(super) const fn check_link(&self) -> Option<Reason> {
         match self.link {
@@ -132,7 +141,10 @@ impl LatestState {
         match self.board {
             None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
             Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(BoardState::Armed | BoardState::Driving) => return Some(Reason::BoardArmed),
+            Some(BoardState::RunsAtNeutral) => return Some(Reason::RunsAtNeutral),
+            Some(BoardState::Armed | BoardState::Driving | BoardState::PoweringUp) => {
+                return Some(Reason::BoardArmed);
+            }
             Some(BoardState::Neutral | BoardState::Failsafe) => {}
         }
         let standing = conditions.motor_speed.abs() < config.standing_speed
@@ -196,6 +208,12 @@ impl LatestState {
         };
         if health.stop_input_open {
             return Some(Reason::StopInputOpen);
+        }
+        if config.min_battery > 0.0 && health.battery_open {
+            return Some(Reason::BatteryOpen);
+        }
+        if health.imu_fault {
+            return Some(Reason::ImuFault);
         }
         if self.battery_low >= BATTERY_LOW_REPORTS {
             return Some(Reason::BatteryLow);

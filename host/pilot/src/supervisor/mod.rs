@@ -49,9 +49,16 @@ use checks::LatestState;
 /// pose behind them only grows older.
 const REST: f64 = 0.1;
 
+/// Time, in s, that a board with a kill output takes from its answer to armed: the ESC
+/// starts at neutral, for 2 s.
+const POWER_UP: f64 = 2.5;
+
 /// The number of poses after which a slowing car drives on: a single one may be of
 /// another body.
 const POSES_TO_GO_ON: u32 = 3;
+
+/// The longest time between two renewals of a held drive, s.
+const HOLD_TIMEOUT: f64 = 0.5;
 
 /// The state machine of the modes.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,6 +68,8 @@ pub struct Supervisor {
     reason: Option<Reason>,
     /// Why the last drive, or the last attempt to arm, ended.
     ended: Option<Reason>,
+    /// Why an arm request would be refused now.
+    preflight: Option<Reason>,
     /// When the mode began.
     since: Time,
     /// Since when a stopping car has been commanded to stand.
@@ -70,10 +79,23 @@ pub struct Supervisor {
     poses_before: u32,
     /// Whether the board has reported a latched emergency stop since the fault began.
     latched: bool,
-    arm_requested: bool,
-    stop_requested: bool,
+    arm_requested: Option<Arming>,
+    stop_requested: Option<Reason>,
     emergency_requested: bool,
     arm_refused: bool,
+    /// Whether the operator has renewed the drive since the last tick.
+    hold_heard: bool,
+    /// The tick that saw the last renewal; `None` unless the drive is held.
+    held: Option<Time>,
+}
+
+/// How a drive is armed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Arming {
+    /// It goes on by itself.
+    Unattended,
+    /// It ends unless it is renewed.
+    Held,
 }
 
 impl Supervisor {
@@ -85,15 +107,18 @@ impl Supervisor {
             mode: Mode::Disconnected,
             reason: Some(Reason::LinkDown),
             ended: None,
+            preflight: Some(Reason::LinkDown),
             since: Time(0),
             resting: None,
             latest: LatestState::new(),
             poses_before: 0,
             latched: false,
-            arm_requested: false,
-            stop_requested: false,
+            arm_requested: None,
+            stop_requested: None,
             emergency_requested: false,
             arm_refused: false,
+            hold_heard: false,
+            held: None,
         }
     }
 
@@ -107,6 +132,13 @@ impl Supervisor {
     #[must_use]
     pub const fn reason(&self) -> Option<Reason> {
         self.reason
+    }
+
+    /// Why an arm request would be refused now; `None` if it would not, or while a drive is
+    /// underway.
+    #[must_use]
+    pub const fn preflight(&self) -> Option<Reason> {
+        self.preflight
     }
 
     /// The tick at which the mode began.
@@ -167,25 +199,42 @@ impl Supervisor {
     /// A request from a person or a program, judged in the next step.
     pub const fn handle_request(&mut self, request: PilotRequest) {
         match request {
-            PilotRequest::Arm => self.arm_requested = true,
-            PilotRequest::Disarm => {
-                self.stop_requested = true;
-                // A disarm revokes an arm before it.
-                self.arm_requested = false;
-            }
+            PilotRequest::Arm => self.arm_requested = Some(Arming::Unattended),
+            PilotRequest::ArmHeld => self.arm_requested = Some(Arming::Held),
+            PilotRequest::Hold => self.hold_heard = true,
+            PilotRequest::Disarm => self.request_stop(Reason::Requested),
+            PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),
+            PilotRequest::TimeUp => self.request_stop(Reason::TimeUp),
             PilotRequest::EmergencyStop => self.emergency_requested = true,
         }
+    }
+
+    const fn request_stop(&mut self, reason: Reason) {
+        // Of several, an explicit disarm counts: only that acknowledges a fault.
+        if !matches!(self.stop_requested, Some(Reason::Requested)) {
+            self.stop_requested = Some(reason);
+        }
+        // A stop revokes an arm before it.
+        self.arm_requested = None;
     }
 
     /// Runs the checks, changes the mode by the table of the module, and returns what to
     /// ask of the board.
     pub fn step(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
-        let arm = core::mem::take(&mut self.arm_requested);
-        let stop = core::mem::take(&mut self.stop_requested);
+        let arm = self.arm_requested.take();
+        let mut stop = self.stop_requested.take();
         let emergency = core::mem::take(&mut self.emergency_requested);
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
         self.latest.begin_tick(now);
+        if core::mem::take(&mut self.hold_heard) && self.held.is_some() {
+            self.held = Some(now);
+        }
+        if let Some(held) = self.held
+            && now.seconds_since(held) > HOLD_TIMEOUT
+        {
+            stop = stop.or(Some(Reason::OperatorGone));
+        }
 
         if emergency {
             // Also without a link: the session repeats it until the board confirms it.
@@ -194,7 +243,7 @@ impl Supervisor {
             return Some(BoardRequest::EmergencyStop);
         }
         if self.mode == Mode::Fault {
-            return self.fault_step(stop, now);
+            return self.fault_step(stop == Some(Reason::Requested), now);
         }
         let unlinked = self.latest.check_link();
         if unlinked.is_some() {
@@ -203,7 +252,7 @@ impl Supervisor {
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => {
-                self.standing_step(arm, stop, conditions)
+                self.standing_step(arm, stop.is_some(), conditions)
             }
             Mode::Arming => self.arming_step(stop, refused, conditions),
             Mode::Driving | Mode::Slowing => self.driving_step(stop, conditions),
@@ -222,7 +271,7 @@ impl Supervisor {
 
     fn fault_step(&mut self, stop: bool, now: Time) -> Option<BoardRequest> {
         let board = self.latest.board();
-        let latched = board == Some(BoardState::EmergencyStopped);
+        let latched = self.latest.latched().is_some();
         self.latched |= latched;
         let board_was_reset =
             self.latched && matches!(board, Some(BoardState::Booting | BoardState::Neutral));
@@ -236,14 +285,15 @@ impl Supervisor {
 
     fn standing_step(
         &mut self,
-        arm: bool,
+        arm: Option<Arming>,
         stop: bool,
         conditions: &Conditions,
     ) -> Option<BoardRequest> {
         let now = conditions.now;
         let board = self.latest.board();
-        let armed = matches!(board, Some(BoardState::Armed | BoardState::Driving));
-        match self.latest.arming_check(conditions, &self.config) {
+        let armed = board.is_some_and(BoardState::is_armed);
+        let check = self.latest.arming_check(conditions, &self.config);
+        match check {
             Some(failed) => {
                 // While the car only settles, the reason why the last drive ended stays
                 // in place, except in the tick of a refused arm request.
@@ -254,12 +304,14 @@ impl Supervisor {
                         | Reason::EstimateUnsettled
                         | Reason::BoardArmed
                 );
-                let ended = self.ended.filter(|_| settling && !arm);
+                let ended = self.ended.filter(|_| settling && arm.is_none());
                 self.enter(Mode::Idle, ended.or(Some(failed)), now);
+                self.preflight = Some(failed);
                 (stop && armed).then_some(BoardRequest::Disarm)
             }
-            None if arm => {
+            None if arm.is_some() => {
                 self.ended = None;
+                self.held = (arm == Some(Arming::Held)).then_some(now);
                 self.enter(Mode::Arming, None, now);
                 Some(BoardRequest::Arm)
             }
@@ -272,16 +324,16 @@ impl Supervisor {
 
     fn arming_step(
         &mut self,
-        stop: bool,
+        stop: Option<Reason>,
         refused: bool,
         conditions: &Conditions,
     ) -> Option<BoardRequest> {
         let now = conditions.now;
-        if stop {
-            return self.abort_arming(Reason::Requested, now);
+        if let Some(reason) = stop {
+            return self.abort_arming(reason, now);
         }
-        if self.latest.board() == Some(BoardState::EmergencyStopped) {
-            self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
+        if let Some(reason) = self.latest.latched() {
+            self.enter(Mode::Fault, Some(reason), now);
             return None;
         }
         if refused {
@@ -292,10 +344,16 @@ impl Supervisor {
         }
         if self.latest.board() == Some(BoardState::Armed) {
             self.enter(Mode::Driving, None, now);
-        } else if now.seconds_since(self.since) > self.config.arm_timeout {
+        } else if now.seconds_since(self.since) > self.arm_timeout() {
             return self.abort_arming(Reason::BoardTimeout, now);
         }
         None
+    }
+
+    /// The longest time that the board may take, s: longer once it switches the supply on.
+    fn arm_timeout(&self) -> f64 {
+        let powering_up = self.latest.board() == Some(BoardState::PoweringUp);
+        self.config.arm_timeout + if powering_up { POWER_UP } else { 0.0 }
     }
 
     fn abort_arming(&mut self, reason: Reason, now: Time) -> Option<BoardRequest> {
@@ -303,13 +361,17 @@ impl Supervisor {
         Some(BoardRequest::Disarm)
     }
 
-    fn driving_step(&mut self, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
+    fn driving_step(
+        &mut self,
+        stop: Option<Reason>,
+        conditions: &Conditions,
+    ) -> Option<BoardRequest> {
         let now = conditions.now;
         if self.follow_stopped_board(now) {
             return None;
         }
-        let reason = if stop {
-            Some(Reason::Requested)
+        let reason = if stop.is_some() {
+            stop
         } else if conditions.reference_finished {
             Some(Reason::ReferenceFinished)
         } else {
@@ -380,9 +442,14 @@ impl Supervisor {
         let (mode, reason) = match self.latest.board() {
             Some(BoardState::Armed | BoardState::Driving) => return false,
             Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
-            None | Some(BoardState::Booting | BoardState::Neutral | BoardState::Failsafe) => {
-                (Mode::Idle, Reason::BoardFailsafe)
-            }
+            Some(BoardState::RunsAtNeutral) => (Mode::Fault, Reason::RunsAtNeutral),
+            None
+            | Some(
+                BoardState::Booting
+                | BoardState::Neutral
+                | BoardState::Failsafe
+                | BoardState::PoweringUp,
+            ) => (Mode::Idle, Reason::BoardFailsafe),
         };
         self.enter(mode, Some(reason), now);
         true
@@ -401,6 +468,14 @@ impl Supervisor {
             self.since = now;
             self.resting = None;
         }
+        if !mode.is_underway() {
+            self.held = None;
+        }
+        // The arming check of the next tick says what is left of it.
+        self.preflight = match mode {
+            Mode::Ready | Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Stopping => None,
+            Mode::Disconnected | Mode::Idle | Mode::Fault => reason,
+        };
         self.reason = reason;
     }
 }

@@ -73,5 +73,43 @@ words! {
         Requested = "requested",
         /// The law is singular at this state.
         LawSingular = "law-singular",
+        /// The operator who held the drive is gone.
+        OperatorGone = "operator-gone",
+        /// The time of the drive is over.
+        TimeUp = "time-up",
+        /// The car did not slow down after the motor was put to neutral.
+        StopNotObeyed = "stop-not-obeyed",
+        /// The measured deceleration of stops is below the configured one.
+        BrakesLessThanConfigured = "brakes-less-than-configured",
+        /// The car turns to the other side than its wheels are steered.
+        SteeringReversed = "steering-reversed",
+        /// The car turns much more or much less than its steering should make it.
+        SteeringDiffers = "steering-differs",
+        /// Gyro and cameras measure different yaw rates.
+        GyroDiffers = "gyro-differs",
+        /// The car moves in another direction than the yaw of the rigid body explains.
+        BodyYawWrong = "body-yaw-wrong",
+        /// The accelerometer contradicts the speed of the car, or has a large bias.
+        AccelerometerDiffers = "accelerometer-differs",
+        /// The poses repeat to the last bit while frames arrive.
+        PoseFrozen = "pose-frozen",
+        /// The rigid body is outside its height band.
+        PoseHeight = "pose-height",
+        /// The IMU is tilted before the car is armed.
+        ImuTilted = "imu-tilted",
+        /// IMU and cameras measure different roll or pitch.
+        TiltDiffers = "tilt-differs",
+        /// The sideslip is larger than the steering and the tyres explain.
+        SideslipImplausible = "sideslip-implausible",
+        /// The poses differ from their predictions by more than their noise explains.
+        EstimateInconsistent = "estimate-inconsistent",
+        /// The mid-exposure of the poses is not known well enough.
+        CaptureTimeUncertain = "capture-time-uncertain",
+        /// The board has latched a stop because the motor ran at neutral.
+        RunsAtNeutral = "runs-at-neutral",
+        /// Nothing is connected to the input that measures the battery.
+        BatteryOpen = "battery-open",
+        /// The IMU reports an error, or failed its self-test.
+        ImuFault = "imu-fault",
     }
 }

@@ -25,6 +25,8 @@ pub(crate) const AT_START: [Event; 3] = [
     Event::Health(BoardHealth {
         battery_mv: 7_400,
         stop_input_open: false,
+        battery_open: false,
+        imu_fault: false,
     }),
 ];
 

@@ -240,6 +240,8 @@ fn a_valid_pose_is_shown_at_its_mid_exposure() {
         z_m: 0.1,
         yaw_rad: 1.0,
         tilt_rad: 0.2,
+        roll_rad: 0.0,
+        pitch_rad: 0.0,
         capture_time_ns: 40_250_000_000,
         capture_uncertainty_ns: 1,
         capture_source: CaptureTimeSource::MidExposureEcho,
@@ -299,6 +301,14 @@ fn status(frames_damaged: u16) -> Entry {
             frames_dropped: 11,
             bytes_overrun: 12,
             imu_errors: 13,
+            supply_mv: 5_000,
+            battery_open: false,
+            power_on: false,
+            edges_refused: 0,
+            imu_calibration: 0xFF,
+            imu_status: 5,
+            imu_error: 0,
+            imu_self_test: 0x0F,
         },
     })
 }

@@ -116,5 +116,21 @@ fields! {
         bytes_overrun: u16,
         /// Errors on the bus to the IMU.
         imu_errors: u16,
+        /// The processor's supply, in mV.
+        supply_mv: u16,
+        /// Whether the battery's input floats.
+        battery_open: bool,
+        /// Whether the kill output is held.
+        power_on: bool,
+        /// Edges of the motor's sensor beyond those taken in a millisecond.
+        edges_refused: u16,
+        /// The BNO055's register CALIB_STAT.
+        imu_calibration: u8,
+        /// The BNO055's register SYS_STATUS.
+        imu_status: u8,
+        /// The BNO055's register SYS_ERR.
+        imu_error: u8,
+        /// The BNO055's register ST_RESULT.
+        imu_self_test: u8,
     }
 }

@@ -202,6 +202,8 @@ kinds! {
         RealTime = 9 "real-time",
         Setpoint = 10 "setpoint",
         Reconfigured = 11 "reconfigured",
+        Attitude = 12 "attitude",
+        Proved = 13 "proved",
     }
 }
 
@@ -274,6 +276,25 @@ codes! {
         MotorSpeedMismatch = 31,
         Overspeed = 32,
         SetpointStale = 33,
+        OperatorGone = 34,
+        TimeUp = 35,
+        StopNotObeyed = 36,
+        BrakesLessThanConfigured = 37,
+        SteeringReversed = 38,
+        SteeringDiffers = 39,
+        GyroDiffers = 40,
+        BodyYawWrong = 41,
+        AccelerometerDiffers = 42,
+        PoseFrozen = 43,
+        PoseHeight = 44,
+        ImuTilted = 45,
+        TiltDiffers = 46,
+        SideslipImplausible = 47,
+        EstimateInconsistent = 48,
+        CaptureTimeUncertain = 49,
+        RunsAtNeutral = 50,
+        BatteryOpen = 51,
+        ImuFault = 52,
     }
     BoardRequest as "BOARD_REQUEST" {
         Arm = 1,
@@ -302,6 +323,8 @@ codes! {
         Driving = 4,
         Failsafe = 5,
         EmergencyStopped = 6,
+        PoweringUp = 7,
+        RunsAtNeutral = 8,
     }
     LinkState as "LINK" {
         Down = 1,
@@ -314,6 +337,10 @@ codes! {
         Arm = 1,
         Disarm = 2,
         EmergencyStop = 3,
+        ArmHeld = 4,
+        Hold = 5,
+        OperatorGone = 6,
+        TimeUp = 7,
     }
     BoardMode as "MODE" {
         Boot = 1,
@@ -322,6 +349,7 @@ codes! {
         Driving = 4,
         Failsafe = 5,
         EmergencyStopped = 6,
+        PoweringUp = 7,
     }
     StopCause as "STOP_CAUSE" {
         None = 1,
@@ -332,6 +360,7 @@ codes! {
         StopInput = 6,
         EmergencyStop = 7,
         HostRestarted = 8,
+        RunsAtNeutral = 9,
     }
     ImuState as "IMU" {
         Silent = 1,
@@ -361,6 +390,7 @@ codes! {
         NotArmed = 13,
         ReverseDisabled = 14,
         VersionDiffers = 15,
+        OtherCar = 16,
     }
     RejectReason as "REJECTED" {
         NotFinite = 1,

@@ -2,8 +2,8 @@
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint};
 use singletrack_pilot::{
-    BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState, PilotRequest, PoseMissing,
-    RealTimeState,
+    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState,
+    PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 
 use super::{
@@ -30,6 +30,9 @@ message! {
         setpoint: Maybe<SetpointMessage>,
         /// Number of the configuration that is in force from here on.
         reconfigured: Maybe<u32>,
+        attitude: Maybe<AttitudeMessage>,
+        /// Whether the configuration has been proved on this car.
+        proved: Maybe<bool>,
     }
 }
 
@@ -83,6 +86,34 @@ message! {
         battery_mv: u16,
         /// False if no stop switch is configured.
         stop_input_open: bool,
+        /// Whether nothing is connected to the input that measures the battery.
+        battery_open: bool,
+        /// Whether the IMU reports an error, or failed its self-test.
+        imu_fault: bool,
+    }
+}
+
+message! {
+    /// Attitude, height and clock of the sensors.
+    AttitudeMessage as "Attitude" of AttitudeSample {
+        /// Of the IMU, in the car's axes.
+        imu: Maybe<TiltMessage>,
+        /// Of the rigid body, in its own axes.
+        body: Maybe<TiltMessage>,
+        /// Height of the rigid body's origin, in m.
+        height_m: Maybe<f64> = height,
+        /// Bound on the error of the poses' mid-exposure, in s.
+        capture_uncertainty_s: Maybe<f64> = capture_uncertainty,
+    }
+}
+
+message! {
+    /// Roll and pitch.
+    TiltMessage as "Tilt" of Tilt {
+        /// Rotation about the forward axis, left side up, in rad.
+        roll_rad: f64 = roll,
+        /// Rotation about the left axis, nose down, in rad.
+        pitch_rad: f64 = pitch,
     }
 }
 
@@ -164,6 +195,14 @@ impl Represents<Event> for EventMessage {
                 reconfigured: Maybe(Some(*number)),
                 ..of(EventKind::Reconfigured)
             },
+            Event::Attitude(sample) => Self {
+                attitude: Maybe(Some(Represents::of(sample))),
+                ..of(EventKind::Attitude)
+            },
+            Event::Proved(proved) => Self {
+                proved: Maybe(Some(*proved)),
+                ..of(EventKind::Proved)
+            },
         }
     }
 
@@ -185,6 +224,8 @@ impl Represents<Event> for EventMessage {
             EventKind::Reconfigured => {
                 Event::Reconfigured(part.take(self.reconfigured, "the configuration's number")?)
             }
+            EventKind::Attitude => Event::Attitude(part.take(self.attitude, "the attitude")?),
+            EventKind::Proved => Event::Proved(part.take(self.proved, "whether it is proved")?),
         })
     }
 }
@@ -243,6 +284,7 @@ mod tests {
             BoardState::Driving,
             BoardState::Failsafe,
             BoardState::EmergencyStopped,
+            BoardState::PoweringUp,
         ]);
         (
             any_time(),
@@ -273,6 +315,12 @@ mod tests {
                 Event::Request(PilotRequest::Arm),
                 Event::Request(PilotRequest::Disarm),
                 Event::Request(PilotRequest::EmergencyStop),
+                Event::Request(PilotRequest::ArmHeld),
+                Event::Request(PilotRequest::Hold),
+                Event::Request(PilotRequest::OperatorGone),
+                Event::Request(PilotRequest::TimeUp),
+                Event::Proved(true),
+                Event::Proved(false),
                 Event::ArmRefused,
             ]),
         ]

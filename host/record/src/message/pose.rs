@@ -43,6 +43,10 @@ message! {
         yaw_rad: f64,
         /// Angle between the body's up axis and the world's, in rad.
         tilt_rad: f64,
+        /// Rotation about the body's x axis, its left side up, in rad.
+        roll_rad: f64,
+        /// Rotation about the body's y axis, its front down, in rad.
+        pitch_rad: f64,
         /// Mid-exposure, in ns of the host's monotonic clock.
         capture_time_ns: u64,
         /// Bound on its error, in ns.

@@ -7,7 +7,7 @@ use super::{
     code::{Code, OptionalCode},
     declare::{fields, message},
     event::EventMessage,
-    field::{Group, Maybe},
+    field::{Group, InvalidMessage, Maybe, Represents},
     floor::{PointMessage, VelocityMessage},
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
@@ -72,6 +72,33 @@ fields! {
         command: Maybe<CommandMessage>,
         /// What to ask of the board.
         request: OptionalCode<BoardRequest>,
+        /// Whether the first metre of an unproved configuration has just passed.
+        proved: bool,
+        /// Deceleration of the stop that has just ended, in m/s^2.
+        braking_measured_m_s2: Maybe<f64> = braking_measured,
+        /// Why the car could not be armed in this tick.
+        preflight: PreflightMessage,
+    }
+}
+
+message! {
+    /// The arming check of a tick.
+    PreflightMessage as "Preflight" {
+        /// Why an arm request would be refused; none if it would not, or while a drive
+        /// is underway.
+        reason: OptionalCode<Reason>,
+    }
+}
+
+impl Represents<Option<Reason>> for PreflightMessage {
+    fn of(reason: &Option<Reason>) -> Self {
+        Self {
+            reason: OptionalCode(*reason),
+        }
+    }
+
+    fn value(self) -> Result<Option<Reason>, InvalidMessage> {
+        Ok(self.reason.0)
     }
 }
 
@@ -124,6 +151,8 @@ message! {
         /// Mid-exposure of the last accepted pose behind it, in ns of the host's
         /// monotonic clock.
         pose_time_ns: u64 = pose_time,
+        /// Whether the ESC should brake down to the speed, where it can.
+        brake: bool,
     }
 }
 

@@ -198,6 +198,14 @@ fn the_schema_alone_suffices_to_read_the_bytes() {
             frames_dropped: 11,
             bytes_overrun: 12,
             imu_errors: 13,
+            supply_mv: 5_000,
+            battery_open: false,
+            power_on: false,
+            edges_refused: 0,
+            imu_calibration: 0xFF,
+            imu_status: 5,
+            imu_error: 0,
+            imu_self_test: 0x0F,
         },
     });
     let drops = Entry::Drops(Drops {

@@ -148,8 +148,12 @@ fn output() -> impl Strategy<Value = Output> {
                     rear_speed,
                     steering,
                     pose_time: Time(pose_time),
+                    brake: false,
                 }),
                 request: None,
+                proved: false,
+                braking_measured: None,
+                preflight: None,
             },
         )
 }
@@ -221,7 +225,7 @@ fn telemetry() -> impl Strategy<Value = TelemetryRecord> {
 }
 
 fn status() -> impl Strategy<Value = StatusRecord> {
-    any::<(u64, u32, u32, bool, [u16; 7])>().prop_map(
+    any::<(u64, u32, u32, bool, [u16; 9])>().prop_map(
         |(receive_time_ns, board_time_us, configuration_hash, stop_input_open, counts)| {
             let [
                 battery_mv,
@@ -231,6 +235,8 @@ fn status() -> impl Strategy<Value = StatusRecord> {
                 frames_dropped,
                 bytes_overrun,
                 imu_errors,
+                supply_mv,
+                edges_refused,
             ] = counts;
             StatusRecord {
                 receive_time_ns,
@@ -247,6 +253,14 @@ fn status() -> impl Strategy<Value = StatusRecord> {
                     frames_dropped,
                     bytes_overrun,
                     imu_errors,
+                    supply_mv,
+                    battery_open: !stop_input_open,
+                    power_on: stop_input_open,
+                    edges_refused,
+                    imu_calibration: battery_mv as u8,
+                    imu_status: frames_received as u8,
+                    imu_error: frames_damaged as u8,
+                    imu_self_test: drives_refused as u8,
                 },
             }
         },
@@ -281,6 +295,8 @@ fn pose_state() -> impl Strategy<Value = PoseState> {
                     z_m,
                     yaw_rad,
                     tilt_rad,
+                    roll_rad: 0.0,
+                    pitch_rad: 0.0,
                     capture_time_ns,
                     capture_uncertainty_ns,
                     capture_source: CaptureTimeSource::FrameTimestamp,

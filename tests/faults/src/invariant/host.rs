@@ -208,6 +208,7 @@ mod tests {
             steering_100urad,
             telemetry_time_us: 0,
             pose_age_ms: 0,
+            brake: false,
         })
     }
 

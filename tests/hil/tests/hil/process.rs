@@ -69,7 +69,7 @@ fn killed(bench: &mut Bench) -> Outcome {
     // Limits the turn after every kill to a wide circle.
     const MOST_RAD: f64 = 0.6;
     const HALL_M: f64 = 20.0;
-    bench.config_mut().fence = FenceSection::square(HALL_M);
+    bench.config_mut().fence = FenceSection::square(HALL_M, bench.config().fence.braking_m_s2);
     onward(bench, MOST_RAD)?;
     bench.start_driving()?;
     for after in kill_times(bench.kills()) {

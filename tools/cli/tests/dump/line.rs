@@ -49,6 +49,14 @@ fn status(board_time_us: u32, frames_damaged: u16) -> Vec<u8> {
         frames_dropped: 0,
         bytes_overrun: 3,
         imu_errors: 0,
+        supply_mv: 5_000,
+        battery_open: false,
+        power_on: false,
+        edges_refused: 0,
+        imu_calibration: 0xFF,
+        imu_status: 5,
+        imu_error: 0,
+        imu_self_test: 0x0F,
     }))
 }
 
@@ -134,6 +142,7 @@ fn drive(number: u8) -> ToBoard {
         steering_100urad: -3_000,
         telemetry_time_us: 10_000 * u32::from(number),
         pose_age_ms: 12,
+        brake: false,
     })
 }
 

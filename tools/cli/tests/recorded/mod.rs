@@ -241,8 +241,12 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
                 rear_speed: 0.4,
                 steering: 0.33,
                 pose_time,
+                brake: false,
             }),
             request: None,
+            proved: false,
+            braking_measured: None,
+            preflight: None,
         },
         drive: time.map(|_| DriveWrite {
             sequence: index as u8,

@@ -5,8 +5,8 @@ use core::fmt::Write;
 use clap::ValueEnum;
 use singletrack_protocol::{
     Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop,
-    FrameError, Hello, MAX_PAYLOAD_LENGTH, Message, Packet, Refusal, Status, Telemetry, ToBoard,
-    ToHost, VERSION,
+    FrameError, Hello, Identity, MAX_PAYLOAD_LENGTH, Message, Packet, Refusal, Status, Telemetry,
+    ToBoard, ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
 
@@ -200,6 +200,7 @@ impl Content {
                 zero::<Status>(&zeros),
                 zero::<Acknowledgement>(&zeros),
                 zero::<Refusal>(&zeros),
+                zero::<Identity>(&zeros),
             ],
             Direction::ToBoard => vec![
                 zero::<Hello>(&zeros),
@@ -224,6 +225,7 @@ impl Content {
             Self::ToHost(ToHost::Status(_)) => Topic::Status.name(),
             Self::ToHost(ToHost::Acknowledgement(_)) => "acknowledgement",
             Self::ToHost(ToHost::Refusal(_)) => "refusal",
+            Self::ToHost(ToHost::Identity(_)) => "identity",
             Self::ToBoard(ToBoard::Configure(_)) => "configure",
             Self::ToBoard(ToBoard::Arm(_)) => "arm",
             Self::ToBoard(ToBoard::Disarm(_)) => "disarm",
@@ -272,6 +274,9 @@ impl Content {
                 field("sequence", number(answer.sequence.0.into()));
                 field("reason", word(answer.reason.name()));
             }
+            Self::ToHost(ToHost::Identity(identity)) => {
+                field("car_id", number(identity.car_id.into()));
+            }
             Self::ToBoard(ToBoard::Configure(configure)) => {
                 let configuration = &configure.configuration;
                 let (servo, esc, speed) = (
@@ -281,6 +286,7 @@ impl Content {
                 );
                 field("request", number(configure.request.0.into()));
                 field("configuration_hash", number(configuration.hash()));
+                field("esc.kind", word(esc.kind.name()));
                 for (name, value) in [
                     ("servo.centre_us", i64::from(servo.centre_us)),
                     ("servo.gain_us_per_rad", servo.gain_us_per_rad.into()),
@@ -315,6 +321,19 @@ impl Content {
                     number(configuration.max_pose_age_ms.into()),
                 );
                 field("stop_input", Value::Bool(configuration.stop_input));
+                field("kill_output", Value::Bool(configuration.kill_output));
+                field(
+                    "max_roll_out_ms",
+                    number(configuration.max_roll_out_ms.into()),
+                );
+                field("car_id", number(configuration.car_id.into()));
+                for (name, axis) in [
+                    ("imu_axes.forward", configuration.imu_axes.forward),
+                    ("imu_axes.left", configuration.imu_axes.left),
+                    ("imu_axes.up", configuration.imu_axes.up),
+                ] {
+                    field(name, word(axis.name()));
+                }
             }
             Self::ToBoard(ToBoard::Arm(arm)) => {
                 field("request", number(arm.request.0.into()));
@@ -333,6 +352,7 @@ impl Content {
                 );
                 field("telemetry_time_us", number(drive.telemetry_time_us));
                 field("pose_age_ms", number(drive.pose_age_ms.into()));
+                field("brake", Value::Bool(drive.brake));
             }
             Self::ToBoard(ToBoard::EmergencyStop(stop)) => {
                 field("request", number(stop.request.0.into()));
