@@ -248,7 +248,7 @@ impl<'a> Drive<'a> {
         let mut changed = false;
         let mut index = 0;
         while let Some(fault) = self.faults.get(index).copied() {
-            if us(fault.end_ms()) > now_us {
+            if us(fault.end_ms()) > now_us || fault.kind.is_lasting() {
                 index += 1;
                 continue;
             }
@@ -514,6 +514,11 @@ impl<'a> Drive<'a> {
         let board_mode = self.world.board().telemetry().map(|record| record.mode);
         let board_is_armed = is_running
             && matches!(board_mode, Some(BoardMode::Armed | BoardMode::Driving));
+        let moved_by_hand = self.schedule.faults.iter().any(|fault| {
+            let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
+            let rolls_us = (2e6 / self.spec.braking) as u64;
+            fault.kind == FaultKind::Push && (from..to + rolls_us + 500_000).contains(&now_us)
+        });
         self.stops.step(&Step {
             now_us,
             spec: &self.spec,
@@ -521,6 +526,7 @@ impl<'a> Drive<'a> {
             position: [truth.x, truth.y],
             pulses,
             board_is_armed,
+            moved_by_hand,
             mode: tick.as_ref().map(|tick| tick.output.mode),
         });
         let observation = Observation {
@@ -533,6 +539,7 @@ impl<'a> Drive<'a> {
             board_since_us: self.board_since_us,
             board_mode,
             board_is_armed,
+            moved_by_hand,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),
             written,

@@ -3,14 +3,14 @@
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
-use singletrack_protocol::{BoardMode, Configuration, ToBoard};
+use singletrack_protocol::{BoardMode, Configuration, EscKind, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{CarParameters, ReceivedMessage, Truth};
 
 use crate::{
     network::Exposure,
     pins::Pulse,
-    schedule::{Fault, FaultKind, Situation},
+    schedule::{Fault, FaultKind, FaultTarget, Situation},
     stop::Stop,
 };
 
@@ -53,9 +53,10 @@ impl Spec {
     ) -> Result<Self, ConfigError> {
         let us = |ms: u32| u64::from(ms) * 1_000;
         let limits = &config.limits;
+        let board = config.board_configuration();
         Ok(Self {
             situation: *situation,
-            board: config.board.configuration(),
+            board,
             hold_us: us(config.supervisor.hold_ms),
             blind_us: us(config.supervisor.blind_ms),
             blind_m: config.supervisor.blind_distance_m,
@@ -67,7 +68,7 @@ impl Spec {
             max_acceleration: limits.max_acceleration_m_s2,
             stop_deceleration: config.control.stop_deceleration_m_s2,
             braking: config.fence.braking_m_s2,
-            max_roll_out_us: (1e6 * limits.max_speed_m_s / config.fence.braking_m_s2) as u64,
+            max_roll_out_us: us(board.max_roll_out_ms.into()),
             true_signal_loss_us: car.motor.signal_loss_us,
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
@@ -85,7 +86,7 @@ impl Spec {
 
     /// Whether the board may brake.
     pub(crate) const fn brakes(&self) -> bool {
-        self.situation.brake
+        !matches!(self.board.esc.kind, EscKind::ForwardReverse)
     }
 }
 
@@ -131,6 +132,8 @@ pub(crate) struct Observation<'a> {
     pub(crate) board_mode: Option<BoardMode>,
     /// Whether the running board was armed at that time.
     pub(crate) board_is_armed: bool,
+    /// Whether somebody pushes the car, or it still rolls from that.
+    pub(crate) moved_by_hand: bool,
     /// The daemon's tick in this step, if any.
     pub(crate) tick: Option<&'a TickRecord>,
     /// Whether the tick's output must follow from its inputs; see
@@ -165,12 +168,19 @@ impl Observation<'_> {
 
     /// Whether a person moves the car.
     pub(crate) const fn is_moved_by_hand(&self) -> bool {
-        false
+        self.moved_by_hand
     }
 
     /// Whether the board gets no motor pulses.
     pub(crate) fn is_without_motor_pulses(&self) -> bool {
         self.is_effective(FaultKind::PulsesGone)
+    }
+
+    /// Whether line, sensors, cameras, board or host have a fault: they may not see what
+    /// the car does.
+    pub(crate) fn is_blinded(&self) -> bool {
+        let blinds = |fault: &Fault| !matches!(fault.kind.target(), FaultTarget::Car);
+        self.faults.iter().any(blinds) || self.new_faults.iter().any(blinds)
     }
 
     /// Whether the fault is in effect: of several faults with the same subject,
@@ -238,6 +248,7 @@ pub(crate) mod scene {
                 board_since_us: Some(65_000),
                 board_mode: None,
                 board_is_armed: true,
+                moved_by_hand: false,
                 tick: None,
                 is_replayed: true,
                 written: &[],

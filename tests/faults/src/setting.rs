@@ -1,14 +1,14 @@
 //! Converts a situation to the world's and the daemon's configuration.
 
-use singletrack_core::config::{BoardSection, Config, FailsafeKind};
+use singletrack_core::config::{BoardSection, Config, EscKindName, FailsafeKind};
 use singletrack_sim::{
-    BoardParameters, CameraParameters, CarBody, CarParameters, SimulationConfig, StartPose, WireFaults,
+    BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig, StartPose, WireFaults,
     WireParameters, default_board_configuration,
 };
 
 use crate::{
     SetupError,
-    schedule::{Deviation, ReferenceKind, Schedule, Situation, TrueCar},
+    schedule::{Deviation, Fault, FaultKind, ReferenceKind, Schedule, Situation, TrueCar},
 };
 
 /// The content of the daemon's configuration file. Each reload finds the other one.
@@ -102,15 +102,25 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
         f64::from(situation.braking_mm_s2) * 1e-3
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
+    let brakes = situation.brake && situation.esc_kind != EscKind::ForwardReverse;
     config.board = BoardSection {
-        failsafe: if situation.brake {
+        failsafe: if brakes {
             FailsafeKind::Brake
         } else {
             FailsafeKind::Coast
         },
         stop_input: situation.stop_input,
+        kill_output: situation.kill_output,
         ..BoardSection::from(&default_board_configuration())
     };
+    config.board.esc.kind = Some(match situation.esc_kind {
+        EscKind::Car | EscKind::LearnsNeutral => EscKindName::Car,
+        EscKind::ForwardReverse => EscKindName::ForwardReverse,
+        EscKind::Vesc => EscKindName::Vesc,
+    });
+    let esc = &mut config.board.esc;
+    esc.neutral_us = situation.neutral_us;
+    esc.deadband_us = esc.deadband_us.max(situation.neutral_us.abs_diff(1_500));
     config.board.speed.pulse_distance_um =
         u16::try_from(situation.pulse_distance_um).unwrap_or(u16::MAX);
     if file == ConfigurationFile::Slower {
@@ -154,7 +164,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         seed: schedule.seed,
         car: CarParameters {
             start: start(situation),
-            ..true_car(situation, &schedule.truth)
+            ..true_car(schedule)
         },
         board: BoardParameters {
             kind: situation.board,
@@ -169,13 +179,18 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         cameras: CameraParameters {
             latency_us: u64::from(situation.camera_latency_ms) * 1_000,
             car: true_body(&schedule.truth),
+            stamp_bias_ms: 1e-3 * f64::from(schedule.truth.get(Deviation::StampBias).unwrap_or(0)),
+            stamp_drift_ppm: f64::from(schedule.truth.get(Deviation::StampDrift).unwrap_or(0)),
             ..CameraParameters::default()
         },
         ..SimulationConfig::default()
     }
 }
 
-fn true_car(situation: &Situation, truth: &TrueCar) -> CarParameters {
+fn true_car(schedule: &Schedule) -> CarParameters {
+    let Schedule {
+        situation, truth, ..
+    } = schedule;
     let mut car = CarParameters::default();
     let value = |deviation| f64::from(truth.get(deviation).unwrap_or(0));
     let stated = |deviation| truth.get(deviation).map(f64::from);
@@ -195,6 +210,11 @@ fn true_car(situation: &Situation, truth: &TrueCar) -> CarParameters {
     if let Some(viscous) = stated(Deviation::Viscous) {
         motor.viscous_per_s = 1e-3 * viscous;
     }
+    motor.kind = truth.esc.unwrap_or(situation.esc_kind);
+    motor.signal_loss_us = motor.kind.signal_loss_us();
+    motor.kill_relay = situation.kill_output;
+    motor.slope_deg = 1e-2 * value(Deviation::Slope);
+    motor.slope_heading_deg = value(Deviation::SlopeHeading);
     let longer = |us: u16, deviation| {
         us.saturating_add_signed(truth.get(deviation).unwrap_or(0) as i16)
     };
@@ -203,8 +223,56 @@ fn true_car(situation: &Situation, truth: &TrueCar) -> CarParameters {
     if let Some(ms) = stated(Deviation::SignalLoss) {
         motor.signal_loss_us = (1e3 * ms) as u64;
     }
+    car.servo.backlash_us = value(Deviation::ServoBacklash);
+    let sensor = &mut car.motor_sensor;
+    sensor.emi_driven_hz = value(Deviation::EmiDriven);
+    sensor.emi_standstill_hz = value(Deviation::EmiStanding);
+    sensor.ringing_edges = value(Deviation::Ringing) as u16;
+    let imu = &mut car.imu;
+    imu.mounting_deg = [Deviation::ImuRoll, Deviation::ImuPitch, Deviation::ImuYaw]
+        .map(|deviation| 0.1 * value(deviation));
+    imu.gyro_scale = factor(Deviation::GyroScale);
+    imu.acceleration_scale = factor(Deviation::AccelerationScale);
+    imu.vibration_m_s2 = 1e-3 * value(Deviation::Vibration);
+    imu.leak_s = stated(Deviation::ImuLeak).map(|ms| 1e-3 * ms);
+    if let Some(mv) = stated(Deviation::Supply) {
+        car.battery.supply_v = 1e-3 * mv;
+    }
+    for fault in schedule.faults.iter().rev() {
+        happen(&mut car, fault);
+    }
     car.battery.start_v -= 1e-3 * value(Deviation::Drained) * car.battery.fall_v_per_ah;
     car
+}
+
+/// Enters a fault of the car that happens once. The earliest is entered last.
+fn happen(car: &mut CarParameters, fault: &Fault) {
+    let at_s = 1e-3 * f64::from(fault.at_ms);
+    let severity = f64::from(fault.severity);
+    match fault.kind {
+        FaultKind::ServoStuck => car.servo.stuck_from_s = Some(at_s),
+        FaultKind::EscStuck => car.motor.stuck_from_s = Some(at_s),
+        FaultKind::EscReboot => {
+            car.motor.reboot_at_s = Some(at_s);
+            car.motor.reboot_ms = f64::from(fault.for_ms);
+        }
+        FaultKind::BecDip => {
+            car.battery.dip_at_s = Some(at_s);
+            car.battery.dip_ms = f64::from(fault.for_ms);
+        }
+        FaultKind::Push => {
+            car.motor.push = Some(Push {
+                at_s,
+                speed_m_s: (severity - 500.0) / 500.0,
+                for_s: 1e-3 * f64::from(fault.for_ms),
+            });
+        }
+        FaultKind::WheelSlip => {
+            car.motor.slip = severity / 2_000.0;
+            car.motor.slip_from_s = Some(at_s);
+        }
+        _ => {}
+    }
 }
 
 fn true_body(truth: &TrueCar) -> CarBody {
@@ -216,6 +284,9 @@ fn true_body(truth: &TrueCar) -> CarBody {
             forward - 1e-3 * value(Deviation::PivotForward),
             left - 1e-3 * value(Deviation::PivotLeft),
         ],
+        height_m: truth
+            .get(Deviation::BodyHeight)
+            .map_or(body.height_m, |mm| 1e-3 * f64::from(mm)),
         yaw_rad: body.yaw_rad + 1e-3 * value(Deviation::BodyYaw),
         ..body
     }

@@ -77,9 +77,12 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     }
 
     fn drop_entries(&mut self) -> Result<(), SetupError> {
+        let mut smaller = self.best.clone();
+        smaller.truth.esc = None;
+        self.attempt(smaller)?;
         for deviation in Deviation::ALL {
             let mut smaller = self.best.clone();
-            smaller.truth.0.remove(deviation);
+            smaller.truth.deviations.remove(deviation);
             self.attempt(smaller)?;
         }
         let mut index = 0;
@@ -104,10 +107,13 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 12] = [
+        let changes: [fn(&mut Situation, &Situation); 15] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,
+            |s, default| s.kill_output = default.kill_output,
+            |s, default| s.esc_kind = default.esc_kind,
+            |s, default| s.neutral_us = default.neutral_us,
             |s, default| s.braking_mm_s2 = default.braking_mm_s2,
             |s, default| s.pulse_distance_um = default.pulse_distance_um,
             |s, default| s.coast = default.coast,

@@ -108,6 +108,8 @@ pub(crate) struct Step<'a> {
     pub(crate) pulses: &'a [Pulse],
     /// Whether the running board is armed, by its telemetry.
     pub(crate) board_is_armed: bool,
+    /// Whether somebody moves the car: no stop is judged then.
+    pub(crate) moved_by_hand: bool,
     /// Mode after a tick in this step.
     pub(crate) mode: Option<Mode>,
 }
@@ -174,6 +176,10 @@ impl Stops {
                     stop.rolling = None;
                 }
             }
+        }
+        if step.moved_by_hand {
+            self.stop = None;
+            self.driven = false;
         }
         let Some(stop) = &mut self.stop else { return };
         if self.last_drives {

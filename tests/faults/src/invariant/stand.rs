@@ -70,7 +70,7 @@ const MAYBE: f64 = 0.85;
 
 impl WeakBrakes {
     fn is_disturbed(observation: &Observation<'_>) -> bool {
-        !observation.faults.is_empty()
+        observation.is_blinded()
             || observation
                 .newest_pose
                 .is_none_or(|pose| pose.exposure.falsified)

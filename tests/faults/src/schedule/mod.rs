@@ -5,7 +5,7 @@ mod kind;
 mod text;
 mod truth;
 
-use singletrack_sim::BoardKind;
+use singletrack_sim::{BoardKind, EscKind};
 
 pub use kind::{FaultKind, FaultTarget};
 pub use text::ScheduleError;
@@ -50,6 +50,12 @@ pub struct Situation {
     /// Whether the length of the port's queue can be read, which reveals a stuck
     /// line; a pseudo-terminal's cannot.
     pub queue_shows: bool,
+    /// Whether the board switches the ESC's supply.
+    pub kill_output: bool,
+    /// `board.esc.kind` of the configuration.
+    pub esc_kind: EscKind,
+    /// `board.esc.neutral_us` of the configuration; its deadband reaches to 1500 µs.
+    pub neutral_us: u16,
     /// Distance of the geofence from the reference, in mm.
     pub fence_mm: u32,
     /// `fence.braking_m_s2` of the configuration, in mm/s².
@@ -113,6 +119,14 @@ pub struct Fault {
     pub for_ms: u32,
     /// Severity, 1 to 1000; see [`FaultKind`] for the meaning.
     pub severity: u32,
+}
+
+impl Schedule {
+    /// Whether the car is calibrated well enough that it must drive.
+    #[must_use]
+    pub fn is_tolerable(&self) -> bool {
+        self.truth.is_tolerable() && self.situation.neutral_us.abs_diff(1_500) <= 10
+    }
 }
 
 impl Fault {

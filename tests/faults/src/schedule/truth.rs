@@ -3,6 +3,8 @@
 use core::ops::RangeInclusive;
 use std::collections::BTreeMap;
 
+use singletrack_sim::EscKind;
+
 macro_rules! deviations {
     ($($(#[$meaning:meta])* $kind:ident = $name:literal, $tolerable:expr, of $possible:expr;)*) => {
         /// A property of the true car; v is its value.
@@ -69,6 +71,40 @@ deviations! {
     PivotForward = "pivot-forward-mm", -10..=10, of -500..=500;
     /// The pivot of the rigid body is v mm farther to the left.
     PivotLeft = "pivot-left-mm", -10..=10, of -500..=500;
+    /// The servo has v µs of play.
+    ServoBacklash = "servo-backlash-us", 0..=10, of 0..=200;
+    /// The floor rises by v/100 degrees.
+    Slope = "slope-cdeg", 0..=50, of 0..=1_000;
+    /// It rises in the direction of v degrees from the world's x axis.
+    SlopeHeading = "slope-heading-deg", 0..=359, of 0..=359;
+    /// The IMU is turned by v/10 degrees about the car's up axis.
+    ImuYaw = "imu-yaw-ddeg", -20..=20, of -1_800..=1_800;
+    /// The IMU is turned by v/10 degrees about its left axis.
+    ImuPitch = "imu-pitch-ddeg", -20..=20, of -1_800..=1_800;
+    /// The IMU is turned by v/10 degrees about its forward axis.
+    ImuRoll = "imu-roll-ddeg", -20..=20, of -1_800..=1_800;
+    /// The gyroscope measures v/1000 more.
+    GyroScale = "gyro-scale-permille", -15..=15, of -900..=900;
+    /// The accelerometer measures v/1000 more.
+    AccelerationScale = "acceleration-scale-permille", -20..=20, of -900..=900;
+    /// A lasting acceleration leaks away with a time constant of v ms.
+    ImuLeak = "imu-leak-ms", 2_000..=60_000, of 100..=1_000_000;
+    /// The IMU's acceleration vibrates by v mm/s² while the wheels turn.
+    Vibration = "vibration-mm-s2", 0..=300, of 0..=20_000;
+    /// The mid-exposure stamps are v µs late.
+    StampBias = "stamp-bias-us", -2_000..=2_000, of -200_000..=200_000;
+    /// That error grows by v ppm.
+    StampDrift = "stamp-drift-ppm", -20..=20, of -20_000..=20_000;
+    /// The pivot of the rigid body is v mm above the floor.
+    BodyHeight = "body-height-mm", 80..=180, of 0..=2_000;
+    /// The board's supply is v mV.
+    Supply = "supply-mv", 4_600..=5_200, of 4_000..=5_500;
+    /// Edges by interference while the ESC drives, per second.
+    EmiDriven = "emi-driven-hz", 0..=1, of 0..=10_000;
+    /// Edges by interference while it does not, per second.
+    EmiStanding = "emi-standing-hz", 0..=0, of 0..=10_000;
+    /// Further edges after each true one.
+    Ringing = "ringing-edges", 0..=0, of 0..=20;
     /// The battery has given v mAh.
     Drained = "drained-mah", 0..=800, of 0..=3_000;
 }
@@ -83,19 +119,26 @@ impl Deviation {
 
 /// The true car. What is not stated is as the simulated car's default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TrueCar(pub BTreeMap<Deviation, i32>);
+pub struct TrueCar {
+    /// The stated properties.
+    pub deviations: BTreeMap<Deviation, i32>,
+    /// The kind of the ESC, if it is not the configured one.
+    pub esc: Option<EscKind>,
+}
 
 impl TrueCar {
     /// The stated value.
     #[must_use]
     pub fn get(&self, deviation: Deviation) -> Option<i32> {
-        self.0.get(&deviation).copied()
+        self.deviations.get(&deviation).copied()
     }
 
     /// Whether a calibrated car may be so, which must drive.
     #[must_use]
     pub fn is_tolerable(&self) -> bool {
         let within = |(kind, value): (&Deviation, &i32)| kind.tolerable().contains(value);
-        self.0.iter().all(within)
+        // Its neutral is learned while the board gives neutral.
+        let esc = matches!(self.esc, None | Some(EscKind::LearnsNeutral));
+        esc && self.deviations.iter().all(within)
     }
 }
