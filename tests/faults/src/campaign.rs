@@ -147,7 +147,8 @@ pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutc
     attempt_until(schedule, tamper, Until::Violation)
 }
 
-fn attempt_until(
+/// Like [`attempt`], to the end that is given.
+pub(crate) fn attempt_until(
     schedule: &Schedule,
     tamper: &mut dyn Tamper,
     until: Until,

@@ -80,7 +80,7 @@ pub fn drive(
     tamper: &mut dyn Tamper,
     until: Until,
 ) -> Result<DriveOutcome, SetupError> {
-    let mut drive = Drive::new(schedule)?;
+    let mut drive = Drive::new(schedule, tamper)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
     while drive.now_us < end_us {
         drive.step(end_us, tamper)?;
@@ -151,7 +151,7 @@ struct Buffers {
 }
 
 impl<'a> Drive<'a> {
-    fn new(schedule: &'a Schedule) -> Result<Self, SetupError> {
+    fn new(schedule: &'a Schedule, tamper: &mut dyn Tamper) -> Result<Self, SetupError> {
         let config = setting::config(&schedule.situation, ConfigurationFile::default())?;
         let world =
             World::new(setting::simulation(schedule)).map_err(|error| SetupError::Other {
@@ -200,7 +200,7 @@ impl<'a> Drive<'a> {
             buffers: Buffers::default(),
             schedule,
         };
-        drive.start_daemon()?;
+        drive.start_daemon(tamper)?;
         Ok(drive)
     }
 
@@ -223,7 +223,7 @@ impl<'a> Drive<'a> {
         self.now_us = next_us.min(end_us);
         self.world
             .advance_filtered(self.now_us, &mut TamperedPins(tamper));
-        self.change_faults()?;
+        self.change_faults(tamper)?;
         self.send_requests()?;
         let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
         let has_read = self.receive();
@@ -241,7 +241,7 @@ impl<'a> Drive<'a> {
     }
 
     /// Ends and begins faults, with their effects.
-    fn change_faults(&mut self) -> Result<(), SetupError> {
+    fn change_faults(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         self.new_faults.clear();
         let now_us = self.now_us;
         let us = |ms: u32| u64::from(ms) * 1_000;
@@ -277,7 +277,7 @@ impl<'a> Drive<'a> {
         }
         if changed {
             stage::hold(&mut self.world, &self.schedule.situation, &self.faults);
-            self.host_faults()?;
+            self.host_faults(tamper)?;
         }
         if self.schedule.situation.board == BoardKind::Native
             && self.bites_us.is_some_and(|us| us <= now_us)
@@ -288,7 +288,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    fn host_faults(&mut self) -> Result<(), SetupError> {
+    fn host_faults(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         let unplugged = self.is_active(FaultKind::LineUnplugged);
         self.port.set_plugged(!unplugged);
         let killed = self.is_active(FaultKind::DaemonKilled);
@@ -298,7 +298,7 @@ impl<'a> Drive<'a> {
             self.newest_pose = None;
             self.pending_requests.clear();
         } else if !killed && self.daemon.is_none() {
-            self.start_daemon()?;
+            self.start_daemon(tamper)?;
         }
         let was_paused = self.paused;
         self.paused = self.is_active(FaultKind::DaemonPaused);
@@ -308,7 +308,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    fn start_daemon(&mut self) -> Result<(), SetupError> {
+    fn start_daemon(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         self.daemons += 1;
         let step_ns: u64 = self
             .faults
@@ -319,7 +319,9 @@ impl<'a> Drive<'a> {
         let wall_ns = self.wall_ns + self.now_us * 1_000 + step_ns;
         let process = u64::from(self.random.between(300, 32_767));
         let config = setting::config(&self.schedule.situation, self.file)?;
-        let daemon = Daemon::start(&config, wall_ns ^ process, self.daemons, self.now_us)?;
+        let mut run = config.clone();
+        tamper.host(&mut run);
+        let daemon = Daemon::start(&run, wall_ns ^ process, self.daemons, self.now_us)?;
         self.program = Program::default();
         self.drive_time_s = None;
         self.newest_setpoint_ns = None;
@@ -585,6 +587,7 @@ impl<'a> Drive<'a> {
         bytes.clear();
         written.clear();
         self.port.take_written(bytes);
+        tamper.from_host(self.now_us, bytes);
         for &byte in &*bytes {
             if let Some(Ok(packet)) = self.written.push(byte)
                 && let Ok(message) = ToBoard::decode(packet)

@@ -48,6 +48,7 @@ mod invariant;
 mod network;
 mod observation;
 mod pins;
+pub mod planted;
 mod port;
 mod program;
 mod random;
@@ -59,6 +60,7 @@ mod stage;
 mod stop;
 mod tamper;
 
+pub use invariant::names;
 pub use campaign::{Campaign, CampaignOutcome, Failure, attempt};
 pub use drive::{DriveOutcome, Until, Violation, drive};
 pub use recording::{Recording, RecordingError};

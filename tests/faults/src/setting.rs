@@ -88,7 +88,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
             ),
         ),
     };
-    let h = reach(situation) + f64::from(situation.fence_mm) * 1e-3;
+    let h = (reach(situation) + f64::from(situation.fence_mm) * 1e-3).max(0.3);
     let text = format!(
         "[serial]\nport = \"simulated\"\n\
          [motion_capture]\nserver = \"127.0.0.1\"\nrigid_body = \"car\"\nup_axis = \"y\"\n\

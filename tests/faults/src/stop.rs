@@ -27,7 +27,7 @@ struct Rolling {
     from: Option<(f64, f64)>,
 }
 
-/// A stop, from the decision or the first pulse that frees the motor.
+/// A stop: since the host has decided it, or since the board is not armed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stop {
     pub(crate) began_us: u64,
@@ -162,10 +162,6 @@ impl Stops {
                 }
             };
             self.driven |= pulse.drives();
-            // A slowing car that stands may drive on.
-            if pulse.effect != Effect::Drive && self.driven && !step.board_is_armed {
-                self.begin(step);
-            }
             if let Some(stop) = &mut self.stop {
                 if released {
                     stop.rolling.get_or_insert(Rolling {
@@ -176,6 +172,10 @@ impl Stops {
                     stop.rolling = None;
                 }
             }
+        }
+        // A slowing car that stands may drive on, as long as the board is armed.
+        if self.driven && !step.board_is_armed {
+            self.begin(step);
         }
         if step.moved_by_hand {
             self.stop = None;

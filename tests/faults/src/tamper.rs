@@ -6,7 +6,18 @@ use singletrack_sim::{PulseFilter, PulseRecord};
 
 /// Hooks that change inputs and outputs of a drive. The default does nothing.
 pub trait Tamper {
-    /// Changes the bytes that the host sends to the board at `now_us`.
+    /// Changes the configuration with which a daemon starts; the invariants judge by the
+    /// one that it was given.
+    fn host(&mut self, config: &mut Config) {
+        let _ = config;
+    }
+
+    /// Changes the bytes that the host writes at `now_us`.
+    fn from_host(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        let _ = (now_us, bytes);
+    }
+
+    /// Changes the bytes on the way from the host to the board at `now_us`.
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         let _ = (now_us, bytes);
     }

@@ -15,7 +15,12 @@ mod stand;
 
 use singletrack_pilot::PilotConfig;
 
-use crate::observation::Observation;
+use crate::{
+    SetupError,
+    observation::Observation,
+    schedule::Situation,
+    setting::{self, ConfigurationFile},
+};
 
 /// Result of a check; the error describes the violation, with values.
 pub(crate) type Verdict = Result<(), String>;
@@ -32,6 +37,19 @@ pub(crate) trait Invariant {
 /// One servo period on the board's clock, in µs: the longest time from a decision
 /// to its pulse.
 const SERVO_US: u64 = 20_000;
+
+/// The names of all invariants, and of the two that the campaign itself checks.
+///
+/// # Errors
+///
+/// The default configuration is invalid.
+pub fn names() -> Result<Vec<&'static str>, SetupError> {
+    let config = setting::config(&Situation::default(), ConfigurationFile::default())?;
+    let pilot = config.pilot().map_err(SetupError::Config)?;
+    let invariants = all(pilot);
+    let names = invariants.iter().map(|invariant| invariant.name());
+    Ok(names.chain(["repeatable", "panic"]).collect())
+}
 
 /// All invariants, for one drive with this pilot.
 pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {

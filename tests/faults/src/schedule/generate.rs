@@ -110,7 +110,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
             &[EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc],
         ),
         neutral_us: 1_500,
-        fence_mm: random.spread(300, 3_000),
+        fence_mm: random.spread(300, 3_000) as i32,
         braking_mm_s2: 1_400,
         pulse_distance_um: 3_000,
         camera_latency_ms: random.between(3, 25),
@@ -202,7 +202,12 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
     if random.happens(850) {
         // Room for a drive that can stop.
         let speed = situation.speed_mm_s;
-        situation.fence_mm += speed * speed / (2 * situation.braking_mm_s2) + speed / 5;
+        situation.fence_mm +=
+            (speed * speed / (2 * situation.braking_mm_s2) + speed / 5) as i32;
+    }
+    if random.happens(150) {
+        // By mistake.
+        situation.fence_mm = random.signed(-300, 200);
     }
 }
 

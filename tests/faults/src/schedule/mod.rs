@@ -56,8 +56,9 @@ pub struct Situation {
     pub esc_kind: EscKind,
     /// `board.esc.neutral_us` of the configuration; its deadband reaches to 1500 µs.
     pub neutral_us: u16,
-    /// Distance of the geofence from the reference, in mm.
-    pub fence_mm: u32,
+    /// Distance of the geofence from the reference, in mm; negative if the reference leaves
+    /// it.
+    pub fence_mm: i32,
     /// `fence.braking_m_s2` of the configuration, in mm/s².
     pub braking_mm_s2: u32,
     /// `board.speed.pulse_distance_um` of the configuration; the true distance deviates
