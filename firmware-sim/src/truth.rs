@@ -292,11 +292,11 @@ truth! {
         torn: f64, in 0.0 to 1.0 => |c, v| c.car.imu.torn = v;
         /// Calibration of system, gyroscope and accelerometer, 0 (none) to 3 (full, the default).
         calibration: [u8; 3], in 0.0 to 3.0 => |c, v| c.car.imu.calibration = v;
-        /// Register SYS_STATUS (5: the fusion runs).
+        /// Register `SYS_STATUS` (5: the fusion runs).
         system_status: u8, in 0.0 to 255.0 => |c, v| c.car.imu.system_status = v;
-        /// Register SYS_ERR (0: no error).
+        /// Register `SYS_ERR` (0: no error).
         system_error: u8, in 0.0 to 255.0 => |c, v| c.car.imu.system_error = v;
-        /// Register ST_RESULT (15: all self-tests passed).
+        /// Register `ST_RESULT` (15: all self-tests passed).
         self_test: u8, in 0.0 to 255.0 => |c, v| c.car.imu.self_test = v;
         /// Time from the return of its supply to the first sample (650).
         restart_ms: f64, in 0.0 to 600000.0 => |c, v| c.car.imu.restart_ms = v;

@@ -316,6 +316,11 @@ impl World {
         self.board.reset(self.now_us, cause, &mut self.car);
     }
 
+    /// Presses the board's reset button; its bootloader runs first.
+    pub fn press_reset(&mut self) {
+        self.reset_board(ResetCause::External);
+    }
+
     /// Switches the board's power; the ESC has its own supply.
     pub fn set_board_power(&mut self, on: bool) {
         self.board.set_power(self.now_us, on, &mut self.car);

@@ -1,18 +1,19 @@
 //! The board: its parts, and the order of their work in a poll.
 
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, Refusal, RefusalReason,
-    Request, ResetCause, STATUS_PERIOD_US, Sequence, Status, StopCause, TELEMETRY_PERIOD_US,
-    Telemetry, ToBoard,
+    Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, LONGEST_ROLL_OUT_MS,
+    Refusal, RefusalReason, Request, ResetCause, STATUS_PERIOD_US, Sequence, Status, StopCause,
+    TELEMETRY_PERIOD_US, Telemetry, ToBoard,
 };
 
 use crate::{
     clock::{Ticker, age_us},
-    esc::{Esc, NEUTRAL_AT_BOOT_US},
+    esc::{BRAKE_ABOVE_MM_S, Esc, Motion, NEUTRAL_AT_BOOT_US},
     imu::Imu,
     io::{Inputs, Outputs},
     link::Link,
-    odometer::Odometer,
+    odometer::{Driven, Odometer},
+    roll_out::RollOut,
     safety::{ArmingConditions, Safety},
     steering::Steering,
 };
@@ -29,6 +30,7 @@ pub struct Board {
     link: Link,
     safety: Safety,
     odometer: Odometer,
+    roll_out: RollOut,
     imu: Imu,
     steering: Steering,
     esc: Esc,
@@ -56,6 +58,7 @@ impl Board {
             link: Link::new(software_version, car_id),
             safety: Safety::new(),
             odometer: Odometer::new(),
+            roll_out: RollOut::new(LONGEST_ROLL_OUT_MS),
             imu: Imu::new(),
             steering: Steering::new(),
             esc: Esc::new(),
@@ -118,6 +121,7 @@ impl Board {
             esc_us: self.esc_us(),
             esc_neutral_us: self.neutral_us(),
             drive_deadline_us: self.safety.drive_deadline_us(),
+            power_on: self.power_on(),
         }
     }
 
@@ -162,18 +166,35 @@ impl Board {
         self.active.as_ref().map_or(0, |active| active.hash)
     }
 
-    fn esc_us(&self) -> u16 {
-        self.configuration()
-            .map_or(NEUTRAL_AT_BOOT_US, |configuration| {
+    fn esc_us(&self) -> Option<u16> {
+        if self.safety.is_silent() {
+            return None;
+        }
+        Some(match self.configuration() {
+            Some(configuration) if !self.safety.is_latched() => {
                 self.esc.pulse_us(&configuration.esc)
-            })
+            }
+            _ => NEUTRAL_AT_BOOT_US,
+        })
     }
 
     fn neutral_us(&self) -> u16 {
-        self.configuration()
-            .map_or(NEUTRAL_AT_BOOT_US, |configuration| {
-                configuration.esc.neutral_us
-            })
+        match self.configuration() {
+            Some(configuration) if !self.safety.is_latched() => configuration.esc.neutral_us,
+            _ => NEUTRAL_AT_BOOT_US,
+        }
+    }
+
+    /// Whether the kill output holds the ESC's supply.
+    fn power_on(&self) -> bool {
+        self.safety.is_armed() && self.has_kill_output()
+    }
+
+    fn motion(&self) -> Motion {
+        Motion {
+            moving: self.odometer.is_moving(),
+            speed_mm_s: self.odometer.speed_mm_s(),
+        }
     }
 
     /// Processes time and inputs, before any received byte.
@@ -181,14 +202,30 @@ impl Board {
         let driven = self
             .configuration()
             .is_some_and(|configuration| self.esc.is_driving(&configuration.esc));
-        self.odometer
-            .observe(now_us, elapsed_us, inputs.motor, driven);
+        let target_mm_s = self
+            .safety
+            .command()
+            .map_or(0, |command| command.speed_mm_s.unsigned_abs());
+        let esc = Driven {
+            driven,
+            target_mm_s,
+        };
+        self.odometer.observe(now_us, elapsed_us, inputs.motor, esc);
+        self.roll_out.observe(
+            elapsed_us,
+            driven || target_mm_s != 0,
+            self.odometer.is_moving(),
+            self.odometer.count(),
+        );
         self.imu.observe(now_us, elapsed_us, inputs.imu.as_ref());
 
         let was_driving = self.is_driving();
         self.safety.advance(now_us, elapsed_us);
         if self.odometer.has_failed() {
             self.safety.fail(StopCause::MotorSensor);
+        }
+        if self.roll_out.lasts_too_long(self.odometer.count()) {
+            self.safety.latch(StopCause::RunsAtNeutral);
         }
         if self.has_stop_input() {
             self.safety.observe_stop_input(inputs.stop_input_open);
@@ -222,6 +259,7 @@ impl Board {
                     version_differs: self.link.version_differs(),
                     moving: self.odometer.is_moving(),
                     stop_input_open: self.has_stop_input() && inputs.stop_input_open,
+                    kill_output: self.has_kill_output(),
                 };
                 let outcome = self.safety.arm(now_us, arm, conditions);
                 self.answer(Request::Arm, arm.request, outcome, transmit);
@@ -229,7 +267,7 @@ impl Board {
             ToBoard::Disarm(disarm) => {
                 self.safety.disarm();
                 if was_driving {
-                    self.esc.release();
+                    self.stop(self.odometer.speed_mm_s() > BRAKE_ABOVE_MM_S);
                 }
                 self.answer(Request::Disarm, disarm.request, Ok(()), transmit);
             }
@@ -273,6 +311,16 @@ impl Board {
         let neutral_changed = configuration.esc.neutral_us != self.neutral_us();
         self.steering.configure(&configuration.servo);
         self.esc.configure(configuration);
+        if neutral_changed {
+            // Held from now on.
+            self.esc.release();
+        }
+        self.odometer
+            .configure(configuration.speed.pulse_distance_um);
+        self.roll_out.configure(
+            configuration.max_roll_out_ms,
+            configuration.speed.pulse_distance_um,
+        );
         self.active = Some(Active {
             configuration: *configuration,
             hash,
@@ -287,18 +335,22 @@ impl Board {
     /// Stops the ESC if the safety state machine has just ended driving.
     fn stop_if(&mut self, was_driving: bool) {
         if was_driving && !self.is_driving() {
-            self.stop();
+            let brakes = self
+                .configuration()
+                .is_some_and(|configuration| configuration.failsafe == FailsafeAction::Brake);
+            self.stop(brakes);
         }
     }
 
+    /// Goes to neutral, after braking if `brakes` and if the ESC can.
     #[inline(never)]
-    fn stop(&mut self) {
-        let action = self
+    fn stop(&mut self, brakes: bool) {
+        let can_brake = self
             .configuration()
-            .map_or(FailsafeAction::Coast, |configuration| {
-                configuration.failsafe
-            });
-        self.esc.stop(action);
+            .is_some_and(|configuration| configuration.esc.kind.has_brake());
+        // An emergency stop trusts no configuration.
+        let brakes = brakes && can_brake && !self.safety.is_latched();
+        self.esc.stop(brakes, self.motion());
     }
 
     const fn is_driving(&self) -> bool {
@@ -308,6 +360,11 @@ impl Board {
     fn has_stop_input(&self) -> bool {
         self.configuration()
             .is_some_and(|configuration| configuration.stop_input)
+    }
+
+    fn has_kill_output(&self) -> bool {
+        self.configuration()
+            .is_some_and(|configuration| configuration.kill_output)
     }
 
     fn answer(
@@ -344,20 +401,32 @@ impl Board {
         };
         if control_due {
             self.odometer.measure(configuration.speed.pulse_distance_um);
+            let speed_mm_s = self.odometer.speed_mm_s().unsigned_abs();
+            if self.roll_out.keeps_its_speed(speed_mm_s) {
+                self.safety.latch(StopCause::RunsAtNeutral);
+            }
         }
         self.steering.advance(elapsed_us);
-        let moving = self.odometer.is_moving();
+        let motion = Motion {
+            moving: self.odometer.is_moving(),
+            speed_mm_s: self.odometer.speed_mm_s(),
+        };
         match self.safety.command() {
             Some(command) => {
                 let target_mm_s = command.speed_mm_s;
                 if control_due {
                     self.esc
-                        .control(configuration, target_mm_s, self.odometer.speed_mm_s());
+                        .control(configuration, target_mm_s, motion.speed_mm_s, command.brake);
                 }
-                self.esc
-                    .advance_driving(&configuration.esc, elapsed_us, target_mm_s, moving);
+                self.esc.advance_driving(
+                    &configuration.esc,
+                    elapsed_us,
+                    target_mm_s,
+                    command.brake,
+                    motion,
+                );
             }
-            None => self.esc.advance_stopped(elapsed_us, moving),
+            None => self.esc.advance_stopped(elapsed_us, motion),
         }
     }
 
@@ -408,7 +477,7 @@ impl Board {
             attitude_q14: sample.attitude_q14,
             motor_speed_mm_s: self.motor_speed_mm_s(),
             servo_us: self.steering.pulse_us().unwrap_or(0),
-            esc_us: self.esc_us(),
+            esc_us: self.esc_us().unwrap_or(0),
         }
     }
 
@@ -428,7 +497,7 @@ impl Board {
             imu_errors: inputs.imu_errors,
             supply_mv: inputs.supply_mv,
             battery_open: inputs.battery_open,
-            power_on: false,
+            power_on: self.power_on(),
             edges_refused: inputs.edges_refused,
             imu_calibration: inputs.imu_health.calibration,
             imu_status: inputs.imu_health.status,

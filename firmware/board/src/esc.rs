@@ -7,10 +7,15 @@
 //! [`PAUSE_US`] until the wheels stand still; and then drives. To change to
 //! forward, it gives neutral until the wheels stand still.
 //!
+//! An ESC of another kind gets no brake before reverse: [`EscKind`].
+//!
 //! The brake pulse is given only where it brakes, that is, after driving forward.
-//! An ESC that has just braked would interpret it as full reverse.
+//! An ESC that has just braked would interpret it as full reverse. It ends after
+//! [`MAX_BRAKE_US`], when the wheels stand, and when they speed up again: an ESC that
+//! takes the pulse for reverse, whatever the configuration says, drives for a moment
+//! only.
 
-use singletrack_protocol::{Configuration, EscCalibration, FailsafeAction};
+use singletrack_protocol::{Configuration, EscCalibration, EscKind, FailsafeAction};
 
 use crate::{
     clock::Stopwatch,
@@ -19,6 +24,7 @@ use crate::{
 };
 
 /// ESC pulse before the configuration, in µs: neutral for nearly every ESC.
+/// Also that of an emergency stop, which trusts no configuration.
 pub(crate) const NEUTRAL_AT_BOOT_US: u16 = 1_500;
 
 /// Shortest braking before reverse.
@@ -27,8 +33,50 @@ pub(crate) const BRAKE_US: u32 = 200_000;
 /// Shortest neutral between brake and reverse.
 pub(crate) const PAUSE_US: u32 = 200_000;
 
-/// Longest braking, before reverse and when the board stops the car.
+/// Longest braking.
 pub(crate) const MAX_BRAKE_US: u32 = 500_000;
+
+/// A car that is faster than its command by this is braked, if the command says so.
+/// Below, it rolls: a brake pulse is not worth its jerk.
+pub(crate) const BRAKE_ABOVE_MM_S: i16 = 150;
+
+/// A car that is faster than its slowest speed while braking by this, and by a
+/// quarter, speeds up.
+const SPEEDS_UP_MM_S: i16 = 50;
+
+/// A brake pulse.
+#[derive(Clone, Copy, Debug)]
+struct Brake {
+    since: Stopwatch,
+    slowest_mm_s: i16,
+}
+
+impl Brake {
+    const fn started() -> Self {
+        Self {
+            since: Stopwatch::started(),
+            slowest_mm_s: i16::MAX,
+        }
+    }
+
+    /// Advances time; whether the pulse must end.
+    fn ends(&mut self, elapsed_us: u32, motion: Motion) -> bool {
+        self.since.advance(elapsed_us);
+        let speed = motion.speed_mm_s;
+        self.slowest_mm_s = self.slowest_mm_s.min(speed);
+        let slowest = self.slowest_mm_s;
+        let speeds_up = speed.saturating_sub(slowest) > slowest / 4 + SPEEDS_UP_MM_S;
+        !motion.moving || speeds_up || self.since.elapsed_us() >= MAX_BRAKE_US
+    }
+}
+
+/// The wheels by the motor pulses.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Motion {
+    pub(crate) moving: bool,
+    /// Magnitude of the speed.
+    pub(crate) speed_mm_s: i16,
+}
 
 /// Direction of travel, with the phases before reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,8 +97,10 @@ pub(crate) struct Esc {
     /// Whether a pulse below neutral brakes: the ESC was driven forward and has not
     /// been braked since.
     can_brake: bool,
-    /// Time since the start of a braking stop.
-    stopping: Option<Stopwatch>,
+    /// The brake pulse of a stop, by the board or by the host.
+    braking: Option<Brake>,
+    /// The slowest speed in [`Gear::Braking`].
+    before_reverse: Brake,
     /// Present pulse and target of the slew limiter, relative to neutral, in µs.
     offset_us: i16,
     target_us: i16,
@@ -64,7 +114,8 @@ impl Esc {
             gear: Gear::Forward,
             in_gear: Stopwatch::started(),
             can_brake: false,
-            stopping: None,
+            braking: None,
+            before_reverse: Brake::started(),
             offset_us: 0,
             target_us: 0,
             slew: SlewLimiter::new(0),
@@ -73,17 +124,18 @@ impl Esc {
     }
 
     /// Applies a configuration. A braking stop continues unless the configuration
-    /// coasts.
+    /// coasts or the ESC has no brake.
     pub(crate) fn configure(&mut self, configuration: &Configuration) {
         self.slew = SlewLimiter::new(configuration.esc.slew_us_per_20ms);
-        if configuration.failsafe == FailsafeAction::Coast {
+        let brakes = configuration.failsafe == FailsafeAction::Brake;
+        if !brakes || !configuration.esc.kind.has_brake() {
             self.release();
         }
     }
 
     /// Goes to neutral without braking.
     pub(crate) fn release(&mut self) {
-        self.stopping = None;
+        self.braking = None;
         self.neutral();
         if self.gear == Gear::Braking {
             self.can_brake = false;
@@ -94,14 +146,24 @@ impl Esc {
         }
     }
 
-    /// Goes to neutral, after braking if configured and possible.
-    pub(crate) fn stop(&mut self, action: FailsafeAction) {
-        let brakes = action == FailsafeAction::Brake && self.can_brake;
+    /// Goes to neutral, after braking if `brakes` and possible.
+    pub(crate) fn stop(&mut self, brakes: bool, motion: Motion) {
+        // One that the host or a change to reverse has started continues.
+        let before_reverse = (self.gear == Gear::Braking).then_some(self.before_reverse);
+        let started = (self.can_brake && motion.moving).then(Brake::started);
+        let braking = self.braking.or(before_reverse).or(started);
         self.release();
-        if brakes {
+        if brakes && braking.is_some() {
             self.can_brake = false;
-            self.stopping = Some(Stopwatch::started());
+            self.braking = braking;
         }
+    }
+
+    /// Starts the brake pulse.
+    fn brake(&mut self) {
+        self.neutral();
+        self.can_brake = false;
+        self.braking = Some(Brake::started());
     }
 
     const fn neutral(&mut self) {
@@ -129,13 +191,9 @@ impl Esc {
     }
 
     /// Advances time while stopped.
-    pub(crate) fn advance_stopped(&mut self, elapsed_us: u32, moving: bool) {
-        if let Some(braking) = &mut self.stopping {
-            braking.advance(elapsed_us);
-            if !moving || braking.elapsed_us() >= MAX_BRAKE_US {
-                self.stopping = None;
-            }
-        }
+    pub(crate) fn advance_stopped(&mut self, elapsed_us: u32, motion: Motion) {
+        self.braking
+            .take_if(|braking| braking.ends(elapsed_us, motion));
     }
 
     /// Advances time while driving at `target_mm_s`.
@@ -144,11 +202,17 @@ impl Esc {
         calibration: &EscCalibration,
         elapsed_us: u32,
         target_mm_s: i16,
-        moving: bool,
+        brake: bool,
+        motion: Motion,
     ) {
-        self.stopping = None;
+        let slow = motion.speed_mm_s <= target_mm_s;
+        self.braking
+            .take_if(|braking| braking.ends(elapsed_us, motion) || !brake || slow);
         self.in_gear.advance(elapsed_us);
-        self.shift(target_mm_s, moving);
+        let speeds_up = self.gear == Gear::Braking
+            && self.before_reverse.ends(elapsed_us, motion)
+            && motion.moving;
+        self.shift(calibration.kind, target_mm_s, motion.moving, speeds_up);
         if self.gear == Gear::Braking {
             self.target_us = offset_us(calibration.brake_us, calibration);
         } else if !self.gear.drives(target_mm_s) {
@@ -163,7 +227,9 @@ impl Esc {
         self.offset_us = self
             .slew
             .approach(self.offset_us, self.target_us, elapsed_us);
-        if self.gear == Gear::Forward && self.is_driving(calibration) {
+        // Not at the edge of the deadband, where the ESC may not have driven.
+        let deadband_us = i32::from(calibration.deadband_us);
+        if self.gear == Gear::Forward && i32::from(self.offset_us) > deadband_us {
             self.can_brake = true;
         }
     }
@@ -175,11 +241,22 @@ impl Esc {
         configuration: &Configuration,
         target_mm_s: i16,
         measured_mm_s: i16,
+        brake: bool,
     ) {
-        if !self.gear.drives(target_mm_s) {
+        let calibration = &configuration.esc;
+        let too_fast = measured_mm_s.saturating_sub(target_mm_s) > BRAKE_ABOVE_MM_S;
+        if brake
+            && too_fast
+            && target_mm_s >= 0
+            && self.gear == Gear::Forward
+            && self.can_brake
+            && calibration.kind.has_brake()
+        {
+            self.brake();
+        }
+        if self.braking.is_some() || !self.gear.drives(target_mm_s) {
             return;
         }
-        let calibration = &configuration.esc;
         let limit_us = match self.gear {
             Gear::Reverse => -offset_us(calibration.min_us, calibration),
             _ => offset_us(calibration.max_us, calibration),
@@ -203,14 +280,14 @@ impl Esc {
         };
     }
 
-    fn shift(&mut self, target_mm_s: i16, moving: bool) {
+    fn shift(&mut self, kind: EscKind, target_mm_s: i16, moving: bool, speeds_up: bool) {
         let backward = target_mm_s < 0;
         let time_us = self.in_gear.elapsed_us();
         let gear = match self.gear {
-            Gear::Forward if backward && self.can_brake => Gear::Braking,
+            Gear::Forward if backward && self.can_brake && kind == EscKind::Car => Gear::Braking,
             Gear::Forward if backward => Gear::Pausing,
             Gear::Braking | Gear::Pausing if !backward => Gear::Forward,
-            Gear::Braking if time_us >= MAX_BRAKE_US => Gear::Pausing,
+            Gear::Braking if time_us >= MAX_BRAKE_US || speeds_up => Gear::Pausing,
             Gear::Braking if time_us >= BRAKE_US && !moving => Gear::Pausing,
             Gear::Pausing if time_us >= PAUSE_US && !moving => Gear::Reverse,
             Gear::Reverse if target_mm_s > 0 && !moving => Gear::Forward,
@@ -222,13 +299,15 @@ impl Esc {
             }
             self.gear = gear;
             self.in_gear = Stopwatch::started();
+            self.before_reverse = Brake::started();
+            self.braking = None;
             self.neutral();
         }
     }
 
     /// The pulse, in µs, always within the limits.
     pub(crate) fn pulse_us(&self, calibration: &EscCalibration) -> u16 {
-        if self.stopping.is_some() {
+        if self.braking.is_some() {
             return calibration.brake_us;
         }
         calibration

@@ -34,6 +34,7 @@ mod imu;
 mod io;
 mod link;
 mod odometer;
+mod roll_out;
 mod safety;
 mod slew;
 mod speed;

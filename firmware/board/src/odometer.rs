@@ -5,12 +5,24 @@ use crate::{
     io::MotorPulses,
 };
 
-/// Time without a pulse after which the wheels count as standing still.
-pub(crate) const STANDSTILL_US: u32 = 150_000;
+/// Time without a pulse after which the wheels count as standing still: at least
+/// this, and at least that of the speed [`STANDSTILL_US_PER_UM`] with a long pulse
+/// distance.
+const STANDSTILL_US: u32 = 150_000;
 
-/// Driving time without a pulse after which the sensor has failed: with a dead
+/// 50 mm/s.
+const STANDSTILL_US_PER_UM: u32 = 20;
+
+/// Driving time without a pulse before which the sensor has not failed: with a dead
 /// sensor, the speed loop would go to full throttle.
-pub(crate) const SENSOR_TIMEOUT_US: u32 = 150_000;
+const SENSOR_PATIENCE_US: u32 = 150_000;
+
+/// Driving time without a pulse after which the sensor has failed in any case.
+const SENSOR_TIMEOUT_US: u32 = 600_000;
+
+/// Pulse distance assumed before the configuration, in µm: the longest one, so that
+/// wheels that turn are not taken for standing.
+const UNKNOWN_DISTANCE_UM: u16 = 30_000;
 
 /// Time without a pulse after which the speed is zero. The next pulse only starts a
 /// new interval.
@@ -31,7 +43,21 @@ pub(crate) struct Odometer {
     /// Driving time since the last pulse, without short pauses.
     driven: Stopwatch,
     not_driven: Stopwatch,
+    /// Distance commanded in that driving time, in units of 1.024 µm.
+    commanded: u32,
+    /// Commanded distance within which a pulse must come, in the same units.
+    patience: u32,
+    standstill_us: u32,
     speed_mm_s: i16,
+}
+
+/// What the ESC was doing since the last poll.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Driven {
+    /// Its pulse was beyond the deadband.
+    pub(crate) driven: bool,
+    /// Magnitude of the commanded speed.
+    pub(crate) target_mm_s: u16,
 }
 
 impl Odometer {
@@ -42,29 +68,42 @@ impl Odometer {
             since_pulse: Stopwatch::started_ago(u32::MAX),
             driven: Stopwatch::started(),
             not_driven: Stopwatch::started(),
+            commanded: 0,
+            patience: patience(UNKNOWN_DISTANCE_UM),
+            standstill_us: standstill_us(UNKNOWN_DISTANCE_UM),
             speed_mm_s: 0,
         }
     }
 
-    /// Updates the pulses in every poll. `driven` says whether the ESC pulse was
-    /// beyond the deadband since the last poll.
+    /// Adapts the waiting times to the sensor.
+    pub(crate) const fn configure(&mut self, pulse_distance_um: u16) {
+        self.patience = patience(pulse_distance_um);
+        self.standstill_us = standstill_us(pulse_distance_um);
+    }
+
+    /// Updates the pulses in every poll.
     pub(crate) fn observe(
         &mut self,
         now_us: u32,
         elapsed_us: u32,
         pulses: MotorPulses,
-        driven: bool,
+        esc: Driven,
     ) {
         self.since_pulse.advance(elapsed_us);
-        if driven {
+        if esc.driven {
             self.driven.advance(elapsed_us);
+            // A poll later than this is a fault of its own.
+            let elapsed_us = u16::try_from(elapsed_us).unwrap_or(u16::MAX);
+            let commanded = (u32::from(esc.target_mm_s) * u32::from(elapsed_us)) >> 10;
+            // The time-out comes before an overflow: below 2^21 per poll.
+            self.commanded = self.commanded.wrapping_add(commanded);
             self.not_driven = Stopwatch::started();
         } else {
             self.not_driven.advance(elapsed_us);
-            // A shorter pause does not reset the time, so that driving in bursts
-            // cannot hide a dead sensor.
-            if self.not_driven.elapsed_us() >= SENSOR_TIMEOUT_US {
-                self.driven = Stopwatch::started();
+            // A shorter pause does not reset time and distance, so that driving in
+            // bursts cannot hide a dead sensor.
+            if self.not_driven.elapsed_us() >= self.standstill_us {
+                self.expect_pulse();
             }
         }
         let newest = *self.newest.get_or_insert(pulses);
@@ -73,18 +112,33 @@ impl Odometer {
             // An edge later than `now_us` counts as an edge now.
             let age = age_us(now_us, pulses.last_edge_us).unwrap_or(0);
             self.since_pulse = Stopwatch::started_ago(age);
-            self.driven = Stopwatch::started();
+            self.expect_pulse();
         }
     }
 
-    pub(crate) const fn is_moving(&self) -> bool {
-        self.since_pulse.elapsed_us() < STANDSTILL_US
+    /// Starts to wait for a pulse again.
+    const fn expect_pulse(&mut self) {
+        self.driven = Stopwatch::started();
+        self.commanded = 0;
     }
 
-    /// Whether the motor has been driven for too long without a pulse.
+    /// Pulses so far, wrapping.
+    pub(crate) fn count(&self) -> u16 {
+        self.newest.map_or(0, |newest| newest.count)
+    }
+
+    pub(crate) const fn is_moving(&self) -> bool {
+        self.since_pulse.elapsed_us() < self.standstill_us
+    }
+
+    /// Whether the motor has been driven for too long without a pulse: over a
+    /// commanded distance, because a pulse takes distance, and over a time, because
+    /// a car that is commanded to crawl must move too.
     pub(crate) const fn has_failed(&self) -> bool {
-        self.driven.elapsed_us() >= SENSOR_TIMEOUT_US
-            && self.since_pulse.elapsed_us() >= SENSOR_TIMEOUT_US
+        let driven_us = self.driven.elapsed_us();
+        driven_us >= SENSOR_PATIENCE_US
+            && self.since_pulse.elapsed_us() >= SENSOR_PATIENCE_US
+            && (self.commanded >= self.patience || driven_us >= SENSOR_TIMEOUT_US)
     }
 
     /// Measures the speed; called once per control period.
@@ -118,6 +172,22 @@ impl Odometer {
     }
 }
 
+/// Two and a half pulse distances: one until the first edge, wherever the wheel
+/// stands, and the rest for a car that follows its command late.
+const fn patience(pulse_distance_um: u16) -> u32 {
+    let distance = pulse_distance_um as u32;
+    2 * distance + distance / 2
+}
+
+const fn standstill_us(pulse_distance_um: u16) -> u32 {
+    let us = pulse_distance_um as u32 * STANDSTILL_US_PER_UM;
+    if us > STANDSTILL_US {
+        us
+    } else {
+        STANDSTILL_US
+    }
+}
+
 /// Speed of `pulses` pulses in `span_us`, in mm/s, saturating.
 #[inline(never)]
 fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 {
@@ -136,8 +206,13 @@ fn speed_mm_s(pulse_distance_um: u16, mut pulses: u32, mut span_us: u32) -> i16 
 mod tests {
     use std::vec::Vec;
 
-    use super::Odometer;
+    use super::{Driven, Odometer};
     use crate::io::MotorPulses;
+
+    const COASTING: Driven = Driven {
+        driven: false,
+        target_mm_s: 0,
+    };
 
     const PULSE_UM: u16 = 5_000;
 
@@ -154,7 +229,7 @@ mod tests {
                     count: (pulses as u16).wrapping_add(65_530),
                     last_edge_us: from_us.wrapping_add(pulses * period_us),
                 },
-                false,
+                COASTING,
             );
             if elapsed % 10_000 == 0 {
                 odometer.measure(PULSE_UM);
@@ -192,7 +267,7 @@ mod tests {
         };
         let mut before = start;
         for elapsed in (10_000..=600_000_u32).step_by(10_000) {
-            odometer.observe(100_000 + elapsed, 10_000, last, false);
+            odometer.observe(100_000 + elapsed, 10_000, last, COASTING);
             odometer.measure(PULSE_UM);
             let now = odometer.speed_mm_s();
             assert!(now <= before && u32::from(now.unsigned_abs()) <= 5_000_000 / elapsed);
@@ -209,14 +284,14 @@ mod tests {
             count: 65_531,
             last_edge_us: 905_000,
         };
-        odometer.observe(910_000, 10_000, first, false);
+        odometer.observe(910_000, 10_000, first, COASTING);
         odometer.measure(PULSE_UM);
         assert_eq!(odometer.speed_mm_s(), 0);
         let second = MotorPulses {
             count: 65_532,
             last_edge_us: 915_000,
         };
-        odometer.observe(920_000, 10_000, second, false);
+        odometer.observe(920_000, 10_000, second, COASTING);
         odometer.measure(PULSE_UM);
         assert_eq!(odometer.speed_mm_s(), 500);
     }
@@ -232,11 +307,11 @@ mod tests {
                 count: 65_530_u16.wrapping_add(pulses),
                 last_edge_us,
             };
-            odometer.observe(100_000 + silent_us, silent_us, pulse(20, 100_000), false);
+            odometer.observe(100_000 + silent_us, silent_us, pulse(20, 100_000), COASTING);
             odometer.measure(PULSE_UM);
             assert_eq!(odometer.speed_mm_s(), silent_mm_s, "{silent_us}");
             let edge_us = 105_000 + silent_us;
-            odometer.observe(edge_us, 5_000, pulse(21, edge_us), false);
+            odometer.observe(edge_us, 5_000, pulse(21, edge_us), COASTING);
             odometer.measure(PULSE_UM);
             assert_eq!(odometer.speed_mm_s(), next_mm_s, "{silent_us}");
         }
@@ -256,7 +331,7 @@ mod tests {
                     count,
                     last_edge_us,
                 };
-                odometer.observe(last_edge_us, 0, pulses, false);
+                odometer.observe(last_edge_us, 0, pulses, COASTING);
                 odometer.measure(PULSE_UM);
                 odometer.speed_mm_s()
             };
@@ -283,7 +358,7 @@ mod tests {
                     count,
                     last_edge_us: 7,
                 },
-                true,
+                COASTING,
             );
             odometer.measure(u16::MAX);
         }

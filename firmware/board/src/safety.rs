@@ -8,6 +8,9 @@
 //! EmergencyStopped  from every state; left only by a reset
 //! ```
 //!
+//! With a kill output, `PoweringUp` lies between `Arm` and `Armed`: the ESC's supply
+//! is switched on and its neutral is held for two seconds.
+//!
 //! A command is in force until its own time to live or the age limit of its pose
 //! ends, whichever is first. Both are measured on the board's clock from the
 //! telemetry that the host had received, so that a delay on the line does not
@@ -23,6 +26,10 @@ use crate::clock::{Stopwatch, age_us};
 /// Time at neutral before arming; ESCs arm after a second or more.
 pub(crate) const NEUTRAL_HOLD_US: u32 = 2_000_000;
 
+/// Time for which an emergency stop gives a neutral pulse before the pin falls
+/// silent: an ESC that holds its last pulse for a while holds this one.
+pub(crate) const SILENCE_AFTER_US: u32 = 500_000;
+
 /// Conditions for arming, besides the state of the machine.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmingConditions {
@@ -31,6 +38,8 @@ pub(crate) struct ArmingConditions {
     pub(crate) moving: bool,
     /// False unless the stop input is configured.
     pub(crate) stop_input_open: bool,
+    /// The ESC gets its supply only now.
+    pub(crate) kill_output: bool,
 }
 
 /// A command that was accepted.
@@ -38,6 +47,8 @@ pub(crate) struct ArmingConditions {
 pub(crate) struct Command {
     pub(crate) speed_mm_s: i16,
     pub(crate) steering_100urad: i16,
+    /// Brake down to the speed.
+    pub(crate) brake: bool,
     /// Board time of the telemetry behind it.
     telemetry_time_us: u32,
     /// Time after that until its pose reaches the configured age.
@@ -66,8 +77,10 @@ pub(crate) struct Safety {
     cause: StopCause,
     /// Time since the present neutral pulse was first output.
     neutral: Stopwatch,
-    /// Time since the last [`Safety::fail`].
+    /// Time since the last stop by the board.
     failed: Stopwatch,
+    /// Time since the ESC's supply was switched on.
+    powered: Stopwatch,
     /// The last request that armed; repeated, it does not arm again.
     arm_request: Option<Sequence>,
     /// The command in force; only while driving.
@@ -84,6 +97,7 @@ impl Safety {
             cause: StopCause::None,
             neutral: Stopwatch::started(),
             failed: Stopwatch::started_ago(u32::MAX),
+            powered: Stopwatch::started(),
             arm_request: None,
             command: None,
             last_sequence: Sequence(0),
@@ -112,6 +126,19 @@ impl Safety {
         self.command.as_ref().map(Command::deadline_us)
     }
 
+    /// Whether the stop is latched.
+    pub(crate) const fn is_latched(&self) -> bool {
+        matches!(self.mode, BoardMode::EmergencyStopped)
+    }
+
+    /// Whether the ESC gets no pulses any more: a while after a latched stop, and at
+    /// once where it is the neutral pulse that drives.
+    pub(crate) const fn is_silent(&self) -> bool {
+        self.is_latched()
+            && (self.failed.elapsed_us() >= SILENCE_AFTER_US
+                || matches!(self.cause, StopCause::RunsAtNeutral))
+    }
+
     pub(crate) const fn is_armed(&self) -> bool {
         matches!(
             self.mode,
@@ -124,6 +151,10 @@ impl Safety {
     pub(crate) fn advance(&mut self, now_us: u32, elapsed_us: u32) {
         self.neutral.advance(elapsed_us);
         self.failed.advance(elapsed_us);
+        self.powered.advance(elapsed_us);
+        if self.mode == BoardMode::PoweringUp && self.powered.elapsed_us() >= NEUTRAL_HOLD_US {
+            self.mode = BoardMode::Armed;
+        }
         if self.mode == BoardMode::Boot && self.neutral.elapsed_us() >= NEUTRAL_HOLD_US {
             self.mode = BoardMode::Neutral;
         }
@@ -212,7 +243,12 @@ impl Safety {
         if conditions.moving {
             return Err(RefusalReason::Moving);
         }
-        self.mode = BoardMode::Armed;
+        self.mode = if conditions.kill_output {
+            self.powered = Stopwatch::started();
+            BoardMode::PoweringUp
+        } else {
+            BoardMode::Armed
+        };
         self.arm_request = Some(arm.request);
         Ok(())
     }
@@ -231,6 +267,9 @@ impl Safety {
         };
         if !self.is_armed() {
             return Err(RefusalReason::NotArmed);
+        }
+        if self.mode == BoardMode::PoweringUp {
+            return Err(RefusalReason::NotYetNeutral);
         }
         let age = fresh_age_us(now_us, drive.telemetry_time_us)?;
         if self.mode == BoardMode::Driving && !drive.sequence.is_newer_than(self.last_sequence) {
@@ -251,6 +290,7 @@ impl Safety {
                 .min(speed.max_forward_mm_s.into())
                 .max(-i32::from(speed.max_reverse_mm_s)) as i16,
             steering_100urad: drive.steering_100urad,
+            brake: drive.brake,
             telemetry_time_us: drive.telemetry_time_us,
             pose_time_to_live_us,
         };
@@ -289,6 +329,7 @@ impl Safety {
     pub(crate) const fn latch(&mut self, cause: StopCause) {
         if !matches!(self.mode, BoardMode::EmergencyStopped) {
             self.mode = BoardMode::EmergencyStopped;
+            self.failed = Stopwatch::started();
             self.cause = cause;
             self.command = None;
         }

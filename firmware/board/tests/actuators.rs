@@ -45,21 +45,17 @@ fn the_throttle_slews_up_and_falls_immediately() {
         rig.drive(2_000, 0);
         rig.run(MS);
         // 60 us in 20 ms are 3 us in 1 ms.
-        assert!(
-            rig.outputs.esc_us <= pulse + 3,
-            "{} after {pulse}",
-            rig.outputs.esc_us
-        );
-        pulse = rig.outputs.esc_us;
+        assert!(rig.esc_us() <= pulse + 3, "{} after {pulse}", rig.esc_us());
+        pulse = rig.esc_us();
     }
     assert!(pulse > NEUTRAL + 200);
     // A lower speed: the next control step goes to the lower pulse at once.
     rig.drive(1_000, 0);
     rig.run(10 * MS);
-    assert!(rig.outputs.esc_us < pulse - 50);
+    assert!(rig.esc_us() < pulse - 50);
     // Zero speed: exactly neutral at once.
     rig.drive(0, 0);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
     assert_eq!(rig.board.mode(), BoardMode::Driving);
 }
 
@@ -69,10 +65,10 @@ fn a_speed_of_zero_resets_the_integral() {
     // Too slow for a long time: the integral fills.
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(3_000 * MS, 1_000, 0);
-    let filled = rig.outputs.esc_us;
+    let filled = rig.esc_us();
     rig.drive(0, 0);
     rig.drive_for(100 * MS, 1_000, 0);
-    let fresh = rig.outputs.esc_us;
+    let fresh = rig.esc_us();
     assert_eq!(filled, NEUTRAL + 20 + 100 + 25 + 60);
     assert!(fresh < filled - 40, "{fresh} and {filled}");
 }
@@ -87,7 +83,7 @@ fn the_integral_stops_while_the_throttle_slews() {
     // At the commanded speed before the throttle has slewed up.
     rig.pulse_period_us = Some(5_000);
     rig.drive_for(200 * MS, 1_000, 0);
-    let beyond_deadband = rig.outputs.esc_us - NEUTRAL - 20;
+    let beyond_deadband = rig.esc_us() - NEUTRAL - 20;
     assert!(beyond_deadband.abs_diff(100) <= 2, "{beyond_deadband}");
 }
 
@@ -99,11 +95,11 @@ fn the_integral_stops_at_the_limit_of_the_throttle() {
     // Too slow for a long time: 100 us of feed-forward and 25 us for the error end at the limit.
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(3_000 * MS, 1_000, 0);
-    assert_eq!(rig.outputs.esc_us, narrow.esc.max_us);
+    assert_eq!(rig.esc_us(), narrow.esc.max_us);
     // At the commanded speed no accumulated integral keeps the throttle open.
     rig.pulse_period_us = Some(5_000);
     rig.drive_for(100 * MS, 1_000, 0);
-    let beyond_deadband = rig.outputs.esc_us - NEUTRAL - 20;
+    let beyond_deadband = rig.esc_us() - NEUTRAL - 20;
     assert!(beyond_deadband.abs_diff(100) <= 2, "{beyond_deadband}");
 }
 
@@ -113,7 +109,7 @@ fn faster_commands_are_clamped_to_the_configured_speed() {
         let mut rig = Rig::driving_with(configuration());
         rig.pulse_period_us = Some(2_500);
         rig.drive_for(1_000 * MS, speed_mm_s, 0);
-        rig.outputs.esc_us
+        rig.esc_us()
     };
     assert_eq!(settled(i16::MAX), settled(2_000));
     // The wheels turn at 2 m/s: only the feed-forward is left.
@@ -127,9 +123,9 @@ fn a_car_that_is_too_fast_gets_neutral_not_the_brake() {
     rig.pulse_period_us = Some(500);
     for _ in 0..100 {
         rig.drive_for(10 * MS, 500, 0);
-        assert!(rig.outputs.esc_us >= NEUTRAL);
+        assert!(rig.esc_us() >= NEUTRAL);
     }
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -142,7 +138,7 @@ fn the_loop_reaches_the_commanded_speed() {
         rig.drive(1_000, 0);
         for _ in 0..10 {
             rig.now += MS;
-            let drive = f64::from(rig.outputs.esc_us) - f64::from(NEUTRAL + 20);
+            let drive = f64::from(rig.esc_us()) - f64::from(NEUTRAL + 20);
             speed_m_s += (drive.max(0.0) / 133.0 - speed_m_s) * 0.001 / 0.2;
             travelled_m += speed_m_s * 0.001;
             let count = (travelled_m / 0.005) as u16;
@@ -165,7 +161,7 @@ fn telemetry_contains_the_output_pulses() {
     rig.drive_for(500 * MS, 1_200, -900);
     let telemetry = rig.telemetry();
     assert_eq!(Some(telemetry.servo_us), rig.outputs.servo_us);
-    assert_eq!(telemetry.esc_us, rig.outputs.esc_us);
+    assert_eq!(telemetry.esc_us, rig.esc_us());
     assert_eq!(telemetry.last_sequence.next(), rig.board.last_sequence());
     assert_eq!(telemetry.motor_speed_mm_s, 1_000);
 }

@@ -24,7 +24,7 @@ fn reversing_with(configuration: Configuration) -> Rig {
     rig.drive_for(230 * MS, -300, 0);
     rig.pulse_period_us = Some(16_667);
     rig.drive_for(300 * MS, -300, 0);
-    assert!(rig.outputs.esc_us < NEUTRAL - 20);
+    assert!(rig.esc_us() < NEUTRAL - 20);
     assert!(rig.telemetry().motor_speed_mm_s < -250);
     rig
 }
@@ -38,7 +38,7 @@ fn phases(rig: &mut Rig, duration_ms: u32, speed_mm_s: i16) -> Vec<(i8, u32)> {
             rig.drive(speed_mm_s, 0);
         }
         rig.run(MS);
-        let kind = match rig.outputs.esc_us {
+        let kind = match rig.esc_us() {
             ..1_480 => -1,
             1_480..=1_520 => 0,
             _ => 1,
@@ -89,7 +89,7 @@ fn braking_before_reverse_is_limited() {
         .map(|&(_, time)| time)
         .sum();
     assert!(braked <= 500, "{all:?}");
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn a_speed_of_zero_neither_brakes_nor_changes_gear() {
     let mut rig = Rig::driving_with(with_reverse());
     for _ in 0..100 {
         rig.drive_for(10 * MS, 0, 0);
-        assert_eq!(rig.outputs.esc_us, NEUTRAL);
+        assert_eq!(rig.esc_us(), NEUTRAL);
     }
     let onwards = phases(&mut rig, 60, 1_000);
     assert!(matches!(onwards[..], [(0, ..=25), (1, _)]), "{onwards:?}");
@@ -144,10 +144,12 @@ fn a_stop_before_reverse_continues_braking() {
         ..with_reverse()
     });
     phases(&mut rig, 100, -300);
-    rig.emergency_stop();
-    assert_eq!(rig.outputs.esc_us, configuration().esc.brake_us);
-    rig.run(500 * MS);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    rig.greet(rig.now);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    assert_eq!(rig.esc_us(), configuration().esc.brake_us);
+    // Half a second in all.
+    rig.run(410 * MS);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -156,7 +158,7 @@ fn the_gear_stays_in_reverse_at_standstill() {
     rig.pulse_period_us = None;
     for _ in 0..50 {
         rig.drive_for(10 * MS, 0, 0);
-        assert_eq!(rig.outputs.esc_us, NEUTRAL);
+        assert_eq!(rig.esc_us(), NEUTRAL);
     }
     let onwards = phases(&mut rig, 60, -300);
     assert!(matches!(onwards[..], [(0, ..=25), (-1, _)]), "{onwards:?}");
@@ -190,6 +192,6 @@ fn the_throttle_in_reverse_is_clamped_to_its_limit() {
         // Hardly moving: the loop saturates.
         rig.pulse_period_us = Some(100_000);
         rig.drive_for(3_000 * MS, -500, 0);
-        assert_eq!(rig.outputs.esc_us, min_us);
+        assert_eq!(rig.esc_us(), min_us);
     }
 }

@@ -188,10 +188,12 @@ struct Watch {
     outputs: Outputs,
     configuration: Option<Configuration>,
     time_us: u32,
-    /// Time at the brake pulse of a stop.
+    /// Time at the brake pulse.
     braked_us: u32,
     drove: bool,
     braked: bool,
+    latched_us: u32,
+    silent: bool,
 }
 
 impl Watch {
@@ -204,6 +206,8 @@ impl Watch {
             braked_us: 0,
             drove: false,
             braked: false,
+            latched_us: 0,
+            silent: false,
         }
     }
 
@@ -223,12 +227,18 @@ impl Watch {
         }
         let configuration = rig.board.configuration().copied();
         let Some(now) = configuration else {
-            assert_eq!((outputs.servo_us, outputs.esc_us), (None, NEUTRAL));
+            assert_eq!(outputs.servo_us, None);
+            assert!(!outputs.power_on);
+            self.check_silence(mode, &outputs, elapsed_us);
+            if mode != BoardMode::EmergencyStopped {
+                assert_eq!(outputs.esc_us, Some(NEUTRAL));
+            }
             assert!(matches!(
                 mode,
                 BoardMode::Boot | BoardMode::Neutral | BoardMode::EmergencyStopped
             ));
             self.mode = mode;
+            self.outputs = outputs;
             self.time_us = rig.now;
             return;
         };
@@ -243,32 +253,14 @@ impl Watch {
             assert!(change <= slew / 20_000 + 1, "{change} in {elapsed_us} us");
         }
 
-        let (esc, esc_us) = (&now.esc, outputs.esc_us);
-        assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
-        assert!((esc.min_us..=esc.max_us).contains(&esc_us));
-        if mode == BoardMode::Driving {
-            self.drove = true;
-            self.braked_us = 0;
-            if now.speed.max_reverse_mm_s == 0 {
-                assert!(esc_us >= esc.neutral_us, "reverse");
-            }
-        } else if esc_us != esc.neutral_us {
-            // A stop brakes once, after driving, for at most half a second.
-            self.braked = true;
-            assert_eq!(esc_us, esc.brake_us);
-            assert!(matches!(
-                mode,
-                BoardMode::Failsafe | BoardMode::EmergencyStopped
-            ));
-            assert_eq!(now.failsafe, FailsafeAction::Brake);
-            if before != BoardMode::Driving {
-                self.braked_us = self.braked_us.saturating_add(elapsed_us);
-            }
-            assert!(
-                self.braked_us < 500 * MS,
-                "braked for {} us",
-                self.braked_us
-            );
+        let armed = matches!(
+            mode,
+            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
+        );
+        assert_eq!(outputs.power_on, armed && now.kill_output);
+        self.check_silence(mode, &outputs, elapsed_us);
+        if mode != BoardMode::EmergencyStopped {
+            self.check_esc(before, mode, &now, &outputs, elapsed_us);
         }
         self.mode = mode;
         self.outputs = outputs;
@@ -277,21 +269,93 @@ impl Watch {
     }
 }
 
+impl Watch {
+    /// A latched stop gives a neutral pulse for half a second at most, and then none
+    /// for ever. No other state is silent.
+    fn check_silence(&mut self, mode: BoardMode, outputs: &Outputs, elapsed_us: u32) {
+        if mode != BoardMode::EmergencyStopped {
+            assert_ne!(outputs.esc_us, None);
+            return;
+        }
+        assert_eq!(outputs.esc_neutral_us, NEUTRAL);
+        if self.mode == BoardMode::EmergencyStopped {
+            self.latched_us = self.latched_us.saturating_add(elapsed_us);
+            assert!(self.outputs.esc_us.is_some() || outputs.esc_us.is_none());
+        }
+        match outputs.esc_us {
+            Some(pulse) => assert_eq!(pulse, NEUTRAL),
+            None => self.silent = true,
+        }
+        assert!(self.silent || self.latched_us < 500 * MS, "not silent");
+    }
+
+    fn check_esc(
+        &mut self,
+        before: BoardMode,
+        mode: BoardMode,
+        now: &Configuration,
+        outputs: &Outputs,
+        elapsed_us: u32,
+    ) {
+        let esc = &now.esc;
+        let esc_us = outputs.esc_us.unwrap_or(0);
+        assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
+        let brake_us = Some(esc.brake_us).filter(|_| esc.kind.has_brake());
+        assert!((esc.min_us..=esc.max_us).contains(&esc_us) || Some(esc_us) == brake_us);
+        let braked = self.outputs.esc_us == Some(esc_us) && Some(esc_us) == brake_us;
+        self.braked_us = if braked {
+            self.braked_us.saturating_add(elapsed_us)
+        } else {
+            0
+        };
+        if mode == BoardMode::Driving {
+            self.drove = true;
+            if now.speed.max_reverse_mm_s != 0 {
+                return;
+            }
+            assert!(
+                esc_us >= esc.neutral_us || Some(esc_us) == brake_us,
+                "reverse"
+            );
+        } else if esc_us != esc.neutral_us {
+            // A stop brakes once, after driving.
+            self.braked = true;
+            assert_eq!(Some(esc_us), brake_us);
+            match mode {
+                BoardMode::Failsafe => assert_eq!(now.failsafe, FailsafeAction::Brake),
+                // Disarmed while it rolled.
+                BoardMode::Neutral => {}
+                _ => panic!("{mode:?} brakes"),
+            }
+            assert!(matches!(
+                before,
+                BoardMode::Driving | BoardMode::Failsafe | BoardMode::Neutral
+            ));
+        }
+        assert!(
+            self.braked_us < 500 * MS,
+            "braked for {} us",
+            self.braked_us
+        );
+    }
+}
+
 /// Whether one poll may change the mode in this way.
 fn may_follow(before: BoardMode, after: BoardMode) -> bool {
-    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral};
+    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral, PoweringUp};
     before == after
         || after == EmergencyStopped
         || matches!(
             (before, after),
             (Boot, Neutral)
-                | (Neutral, Boot | Armed)
+                | (Neutral, Boot | Armed | PoweringUp)
+                | (PoweringUp, Armed | Neutral | Failsafe)
                 | (Armed, Neutral | Driving | Failsafe)
                 | (Driving, Neutral | Failsafe)
-                | (Failsafe, Armed)
+                | (Failsafe, Armed | PoweringUp)
                 // The board stops the car; the arm request in the same poll claims
                 // to know that.
-                | (Driving, Armed)
+                | (Driving, Armed | PoweringUp)
         )
 }
 
@@ -468,7 +532,7 @@ proptest! {
         for piece in pieces {
             rig.run(MS);
             rig.poll(&piece);
-            prop_assert_eq!((rig.outputs.servo_us, rig.outputs.esc_us), (None, NEUTRAL));
+            prop_assert_eq!((rig.outputs.servo_us, rig.esc_us()), (None, NEUTRAL));
         }
     }
 }

@@ -2,7 +2,9 @@
 
 mod rig;
 
-use singletrack_protocol::{BoardMode, Configuration, FailsafeAction, RefusalReason, StopCause};
+use singletrack_protocol::{
+    BoardMode, Configuration, EscCalibration, EscKind, FailsafeAction, RefusalReason, StopCause,
+};
 
 use rig::{MS, NEUTRAL, Rig, configuration};
 
@@ -29,14 +31,12 @@ fn a_stop_by_the_board_coasts_and_holds_the_last_steering_angle() {
     assert_eq!(rig.outputs.servo_us, Some(1_680));
     rig.run(96 * MS);
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::Failsafe, NEUTRAL)
     );
+    rig.pulse_period_us = None;
     rig.run(5_000 * MS);
-    assert_eq!(
-        (rig.outputs.servo_us, rig.outputs.esc_us),
-        (Some(1_680), NEUTRAL)
-    );
+    assert_eq!((rig.outputs.servo_us, rig.esc_us()), (Some(1_680), NEUTRAL));
 }
 
 #[test]
@@ -44,33 +44,33 @@ fn a_braking_stop_brakes_until_the_wheels_stand_still() {
     let mut rig = Rig::driving_with(braking());
     rig.run(96 * MS);
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::Failsafe, BRAKE)
     );
     rig.run(100 * MS);
-    assert_eq!(rig.outputs.esc_us, BRAKE);
+    assert_eq!(rig.esc_us(), BRAKE);
     rig.pulse_period_us = None;
     let stood_still_us = rig.now.wrapping_sub(rig.inputs.motor.last_edge_us);
     rig.run(149_999 - stood_still_us);
-    assert_eq!(rig.outputs.esc_us, BRAKE);
+    assert_eq!(rig.esc_us(), BRAKE);
     rig.run(1);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
     // Pushed by hand, it does not brake again.
     rig.pulse_period_us = Some(5_000);
     rig.run(1_000 * MS);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
 fn a_braking_stop_ends_after_half_a_second() {
     let mut rig = Rig::driving_with(braking());
-    while rig.outputs.esc_us != BRAKE {
+    while rig.esc_us() != BRAKE {
         rig.run(MS);
     }
     rig.run(498 * MS);
-    assert_eq!(rig.outputs.esc_us, BRAKE);
+    assert_eq!(rig.esc_us(), BRAKE);
     rig.run(2 * MS);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn a_stop_at_standstill_does_not_brake() {
     rig.drive(0, 0);
     rig.run(96 * MS);
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::Failsafe, NEUTRAL)
     );
 }
@@ -92,22 +92,28 @@ fn a_stop_in_reverse_does_not_brake() {
     rig.drive_for(250 * MS, -500, 0);
     rig.pulse_period_us = Some(10_000);
     rig.drive_for(500 * MS, -500, 0);
-    assert!(rig.outputs.esc_us < NEUTRAL - 20);
+    assert!(rig.esc_us() < NEUTRAL - 20);
     rig.emergency_stop();
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
-fn disarming_coasts_and_ends_in_neutral_mode() {
-    let mut rig = Rig::driving_with(braking());
+fn disarming_ends_in_neutral_mode() {
+    let mut rig = Rig::driving_with(Configuration {
+        esc: EscCalibration {
+            kind: EscKind::ForwardReverse,
+            ..configuration().esc
+        },
+        ..configuration()
+    });
     rig.disarm();
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::Neutral, NEUTRAL)
     );
     assert_eq!(rig.board.stop_cause(), StopCause::Disarmed);
     rig.drive(1_000, 0);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -121,7 +127,7 @@ fn an_emergency_stop_is_latched_until_reset() {
         let mut rig = from;
         rig.pulse_period_us = None;
         rig.emergency_stop();
-        assert_eq!(rig.outputs.esc_us, NEUTRAL);
+        assert_eq!(rig.esc_us(), NEUTRAL);
         for _ in 0..10 {
             rig.run(500 * MS);
             rig.disarm();
@@ -132,7 +138,7 @@ fn an_emergency_stop_is_latched_until_reset() {
             );
             rig.greet(rig.now);
             rig.drive(1_000, 0);
-            assert_eq!(rig.outputs.esc_us, NEUTRAL);
+            assert_eq!(rig.esc_us(), 0);
             assert_eq!(rig.board.mode(), BoardMode::EmergencyStopped);
         }
         assert_eq!(rig.board.stop_cause(), StopCause::EmergencyStop);
@@ -140,15 +146,31 @@ fn an_emergency_stop_is_latched_until_reset() {
 }
 
 #[test]
-fn an_emergency_stop_brakes_if_so_configured() {
-    let mut rig = Rig::driving_with(braking());
+fn an_emergency_stop_gives_the_start_pulse_for_half_a_second_and_then_none() {
+    // Neither the configured neutral nor the brake is trusted.
+    let off = Configuration {
+        esc: EscCalibration {
+            neutral_us: NEUTRAL + 15,
+            ..configuration().esc
+        },
+        ..braking()
+    };
+    let mut rig = Rig::driving_with(off);
     rig.emergency_stop();
-    assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
-        (BoardMode::EmergencyStopped, BRAKE)
-    );
-    rig.run(500 * MS);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    for _ in 0..500 {
+        assert_eq!(
+            (rig.outputs.esc_us, rig.outputs.esc_neutral_us),
+            (Some(NEUTRAL), NEUTRAL)
+        );
+        rig.run(MS);
+    }
+    for _ in 0..100 {
+        assert_eq!(rig.outputs.esc_us, None);
+        rig.run(100 * MS);
+    }
+    assert_eq!(rig.telemetry().esc_us, 0);
+    // The wheels are still held straight.
+    assert!(rig.outputs.servo_us.is_some());
 }
 
 #[test]
@@ -157,7 +179,7 @@ fn opening_the_stop_switch_is_an_emergency_stop() {
     rig.inputs.stop_input_open = true;
     rig.run(1);
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::EmergencyStopped, NEUTRAL)
     );
     assert_eq!(rig.board.stop_cause(), StopCause::StopInput);
@@ -214,7 +236,7 @@ fn driving_for_150_ms_without_a_pulse_is_a_failed_sensor() {
     while rig.board.mode() != BoardMode::Failsafe {
         rig.run(MS);
         rig.drive(1_000, 0);
-        if rig.outputs.esc_us > NEUTRAL + 20 {
+        if rig.esc_us() > NEUTRAL + 20 {
             beyond_deadband_since.get_or_insert(rig.now);
         }
         let driven = rig.now - beyond_deadband_since.unwrap_or(rig.now);
@@ -225,7 +247,7 @@ fn driving_for_150_ms_without_a_pulse_is_a_failed_sensor() {
         );
     }
     assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
-    assert_eq!(rig.outputs.esc_us, NEUTRAL);
+    assert_eq!(rig.esc_us(), NEUTRAL);
 }
 
 #[test]
@@ -291,7 +313,7 @@ fn a_new_session_stops_the_car_and_a_repeated_greeting_does_not() {
     assert_eq!(rig.board.mode(), BoardMode::Driving);
     rig.greet(78);
     assert_eq!(
-        (rig.board.mode(), rig.outputs.esc_us),
+        (rig.board.mode(), rig.esc_us()),
         (BoardMode::Failsafe, NEUTRAL)
     );
     assert_eq!(rig.board.stop_cause(), StopCause::HostRestarted);

@@ -52,6 +52,9 @@ enum Command {
         /// Write a record, as the daemon does: every tick's inputs and outputs.
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
+        /// Print what the drive came to instead of its trajectory (plant kind "car").
+        #[arg(long, value_enum, value_name = "FORMAT")]
+        summary: Option<SummaryFormat>,
     },
     #[cfg(feature = "paper")]
     /// Compute where the steady motion is stable: eigenvalues, bifurcations, the sampled loop.
@@ -77,6 +80,12 @@ enum Command {
 enum SimulateFormat {
     /// One row every 0.05 s, SI units and radians.
     Csv,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SummaryFormat {
+    /// One JSON object: the true ways, speeds and clearance, and why the drive ended.
+    Json,
 }
 
 fn main() -> ExitCode {
@@ -113,14 +122,20 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
             scenario,
             format: SimulateFormat::Csv,
             record,
+            summary,
         } => {
             let scenario = simulate::Scenario::read(scenario)?;
-            let simulation = match record {
-                Some(path) => simulate::simulate_recorded(&scenario, path)?,
-                None => simulate::simulate(&scenario)?,
+            let options = simulate::RunOptions {
+                record: record.as_deref(),
+                summary: summary.is_some(),
             };
+            let simulation = simulate::simulate_with(&scenario, options)?;
             for note in &simulation.notes {
                 eprintln!("singletrack: note: {note}");
+            }
+            if let Some(SummaryFormat::Json) = summary {
+                println!("{}", serde_json::to_string(&simulation.summary)?);
+                return Ok(());
             }
             match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
                 // The reader of a pipe may close it at any time.

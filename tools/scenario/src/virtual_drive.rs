@@ -29,12 +29,12 @@ const HOST_POLL_US: u64 = 250;
 /// The source address of the host's datagrams.
 const HOST_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
 
-/// The source address of the server's datagrams.
-const SERVER_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_510);
+/// The port from which the server's datagrams come.
+const SERVER_PORT: u16 = 1_510;
 
 /// The time-out until the car drives, in s: longer than bootloader, ESC arming and
 /// estimator take.
-const READY_TIMEOUT: f64 = 15.0;
+pub(crate) const READY_TIMEOUT: f64 = 15.0;
 
 /// Why a virtual drive could not be set up or started.
 #[derive(Debug, thiserror::Error)]
@@ -137,7 +137,8 @@ impl Sockets for SimulatedSockets<'_> {
             let bytes = &datagram.bytes;
             if let Some(room) = buffer.get_mut(..bytes.len()) {
                 room.copy_from_slice(bytes);
-                return Some((bytes.len(), SERVER_ADDRESS));
+                let address = datagram.from.unwrap_or(Ipv4Addr::LOCALHOST);
+                return Some((bytes.len(), (address, SERVER_PORT).into()));
             }
         }
     }
@@ -215,6 +216,12 @@ impl VirtualDrive {
     #[must_use]
     pub const fn controller(&self) -> &Controller {
         self.host.controller()
+    }
+
+    /// The pilot's mode after the last tick.
+    #[must_use]
+    pub const fn mode(&self) -> Mode {
+        self.host.mode()
     }
 
     /// Sends a request to the pilot, for the next tick.

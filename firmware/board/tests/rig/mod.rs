@@ -117,8 +117,13 @@ impl Rig {
         rig.pulse_period_us = Some(5_000);
         rig.drive_for(500 * MS, 1_000, 0);
         assert_eq!(rig.board.mode(), BoardMode::Driving);
-        assert!(rig.outputs.esc_us > NEUTRAL + 20);
+        assert!(rig.esc_us() > NEUTRAL + 20);
         rig
+    }
+
+    /// The ESC's pulse; zero for none.
+    pub(crate) fn esc_us(&self) -> u16 {
+        self.outputs.esc_us.unwrap_or(0)
     }
 
     pub(crate) fn poll(&mut self, received: &[u8]) -> Outputs {

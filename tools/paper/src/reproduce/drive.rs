@@ -5,7 +5,7 @@ use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceS
 use singletrack_record::{Entry, Reader, RecordError, Topic};
 use singletrack_scenario::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
-    Scenario, SimulateError, StartSection, SteeringHold,
+    Scenario, SimulateError, StartSection,
 };
 use singletrack_statistics::RootMeanSquare;
 
@@ -93,15 +93,10 @@ impl Experiment {
                 point_p_m: self.start_m,
                 yaw_deg: self.yaw_deg,
             },
-            control: ControlSection {
-                align_to_cameras: true,
-                period_ms: match plant {
-                    PlantKind::Ideal => 0,
-                    PlantKind::Car => PERIOD_MS,
-                },
-                delay_ticks: 0,
-                steering: SteeringHold::Ramp,
-            },
+            control: ControlSection::new(match plant {
+                PlantKind::Ideal => 0,
+                PlantKind::Car => PERIOD_MS,
+            }),
             plant: PlantSection { kind: plant },
             run: RunSection {
                 duration_s: self.duration_s,
@@ -113,8 +108,15 @@ impl Experiment {
             },
             vehicle: setup.vehicle,
             believed_vehicle: self.believed,
+            truth: None,
+            operator: None,
             limits: None,
+            estimator: None,
+            supervisor: None,
+            watch: None,
+            fence: None,
             board: None,
+            motion_capture: None,
         }
     }
 

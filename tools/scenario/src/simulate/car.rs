@@ -2,20 +2,21 @@
 
 use std::path::Path;
 
-use singletrack_control::{Position, Reference, direction};
+use singletrack_control::{Position, Reference};
 use singletrack_core::config::{Config, LawKind};
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Entry;
-use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
+use singletrack_sim::{LossWindow, SimulationConfig, Truth};
 
 use super::{
     Simulation,
+    operator::{Operator, OperatorSection},
     row::{ROWS_PER_SECOND, Row},
     scenario::{Scenario, ScenarioError, SteeringHold},
+    summary::{Tally, drives},
 };
 use crate::{
-    simulated::{self, daemon_config},
-    virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
+    virtual_drive::{READY_TIMEOUT, VirtualDrive, VirtualDriveError, VirtualTick},
     virtual_record::{VirtualRecord, VirtualRecordError},
 };
 
@@ -59,36 +60,8 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
         .outer_loop
         .validate_for(&scenario.reference().map_err(ScenarioError::from)?)
         .map_err(ScenarioError::from)?;
-    let vehicle = scenario.vehicle;
-    let yaw = scenario.start.yaw_deg.to_radians();
-    let [x, y] = scenario.start.point_p_m;
-    let centre = Position::new(x, y)
-        - (vehicle.front_axle_distance_m + scenario.law.point_distance_m) * direction(yaw);
-    let mut simulation = SimulationConfig {
-        seed: scenario.run.seed,
-        ..SimulationConfig::default()
-    };
-    simulation.car.vehicle = vehicle;
-    simulation.car.start = StartPose {
-        x_m: centre.x,
-        y_m: centre.y,
-        yaw_rad: yaw,
-    };
-
-    let mut config = daemon_config(simulated::Drive {
-        vehicle,
-        law: scenario.law,
-        outer_loop: scenario.outer_loop,
-        reference: scenario.reference.clone(),
-    });
-    config.control.period_ms = scenario.control.period_ms;
-    config.control.align_to_cameras = scenario.control.align_to_cameras;
-    if let Some(limits) = scenario.limits {
-        config.limits = limits;
-    }
-    if let Some(board) = scenario.board {
-        config.board = board;
-    }
+    let simulation = scenario.simulation()?;
+    let mut config = scenario.daemon()?;
     config.reference = config
         .reference
         .written_out()
@@ -121,16 +94,33 @@ pub fn drive_entries(
     Ok(daemon)
 }
 
-/// Drives a scenario on the simulated car; time zero is its first driving tick.
+/// How a scenario is run on the car.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RunOptions<'a> {
+    /// Where to write a record of the drive.
+    pub record: Option<&'a Path>,
+    /// Whether the summary is wanted: a drive that does not start is a result then, and the
+    /// run goes on after the end of a drive.
+    pub summary: bool,
+}
+
+/// Simulated time after the end of a drive for the summary, in s: a car that rolls freely
+/// stands by then.
+const AFTER_END: f64 = 5.0;
+
+/// Drives a scenario on the simulated car; time zero is its first driving tick, or the
+/// start of the run if there is none.
 ///
 /// # Errors
 ///
 /// The car can't drive the scenario, or does not start.
-pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Simulation, CarError> {
+pub(super) fn simulate(
+    scenario: &Scenario,
+    options: RunOptions<'_>,
+) -> Result<Simulation, CarError> {
     let (daemon, simulation) = virtual_drive_config(scenario)?;
     let period_us = daemon.control.period_ns() / 1_000;
-    let latency_us = simulation.cameras.latency_us;
-    let under_way = latency_us.div_ceil(period_us);
+    let under_way = simulation.cameras.latency_us.div_ceil(period_us);
     for loss in &scenario.marker_loss {
         if loss.first_tick <= under_way {
             return Err(ScenarioError::value(
@@ -141,78 +131,240 @@ pub(super) fn simulate(scenario: &Scenario, record: Option<&Path>) -> Result<Sim
             .into());
         }
     }
-    let reference = scenario.reference().map_err(ScenarioError::from)?;
-    let mut drive = VirtualDrive::new(daemon.clone(), scenario.run.seed, simulation)?;
-    let mut record = record
-        .map(|path| VirtualRecord::start(path, &mut drive, &daemon, scenario.run.seed))
-        .transpose()?;
-    let mut last = drive.start()?;
-    let start_us = last.now.0 / 1_000;
-    for loss in &scenario.marker_loss {
-        // A tick is lost when no frame arrives in the period before it.
-        let first_us = start_us + (loss.first_tick - 1) * period_us - latency_us;
-        drive.world_mut().cameras_mut().add_loss_window(LossWindow {
-            start_us: first_us,
-            end_us: first_us + loss.ticks * period_us,
-        });
+    let takes_any_end = options.summary || scenario.expects_any_end();
+    let operator = scenario.operator.unwrap_or_default();
+    if operator.arm {
+        let run = Run::new(scenario, &daemon, &simulation, options.record)?;
+        match run.start() {
+            Ok(run) => return run.finish(takes_any_end),
+            Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if takes_any_end => {}
+            Err(error) => return Err(error),
+        }
+        if let Some(path) = options.record {
+            // The run is repeated from its start, with a record of its own.
+            let _ = std::fs::remove_file(path);
+        }
+    }
+    let run = Run::new(scenario, &daemon, &simulation, options.record)?;
+    run.start_without_drive(operator.arm).finish(takes_any_end)
+}
+
+/// A run of a scenario.
+struct Run<'a> {
+    scenario: &'a Scenario,
+    daemon: &'a Config,
+    /// The true distance of the front axle from G, in m.
+    front_axle_distance_m: f64,
+    latency_us: u64,
+    drive: VirtualDrive,
+    record: Option<VirtualRecord>,
+    unrecorded: Option<VirtualRecordError>,
+    operator: Operator,
+    /// Arms the car as soon as it is ready, until the time-out.
+    arms: bool,
+    /// The least duration of the run, in s.
+    least_s: f64,
+    start_us: u64,
+    tally: Tally,
+    last: Option<VirtualTick>,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        scenario: &'a Scenario,
+        daemon: &'a Config,
+        simulation: &SimulationConfig,
+        record: Option<&Path>,
+    ) -> Result<Self, CarError> {
+        let seed = scenario.run.seed;
+        let mut drive = VirtualDrive::new(daemon.clone(), seed, simulation.clone())?;
+        // Until the car drives, nothing timed happens to it.
+        drive.world_mut().set_epoch(None);
+        let record = record
+            .map(|path| VirtualRecord::start(path, &mut drive, daemon, seed))
+            .transpose()?;
+        let fence = daemon.fence.fence().map_err(ScenarioError::from)?;
+        let tally = Tally::new(&fence)
+            .map_err(|error| ScenarioError::Section(singletrack_core::ConfigError::Fence(error)))?;
+        Ok(Self {
+            scenario,
+            daemon,
+            front_axle_distance_m: simulation.car.vehicle.front_axle_distance_m,
+            latency_us: simulation.cameras.latency_us,
+            drive,
+            record,
+            unrecorded: None,
+            operator: Operator::new(&scenario.operator.unwrap_or_default()),
+            arms: false,
+            least_s: 0.0,
+            start_us: 0,
+            tally,
+            last: None,
+        })
     }
 
-    let rows = (scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
-    let start = {
-        let [x, y] = scenario.start.point_p_m;
-        Position::new(x, y)
-    };
-    let mut ended = None;
-    let mut unrecorded = None;
-    let rows = (0..=rows)
-        .map(|index| {
-            let row_us = start_us + index * 1_000_000 / ROWS_PER_SECOND;
-            while drive.next_tick_us() <= row_us {
-                last = drive.step();
+    /// Goes on to the first driving tick.
+    fn start(mut self) -> Result<Self, CarError> {
+        let first = self.drive.start()?;
+        self.start_us = first.now.0 / 1_000;
+        self.drive.world_mut().set_epoch(Some(self.start_us));
+        self.take(first);
+        self.lose_markers();
+        Ok(self)
+    }
+
+    /// Starts at the start of the simulation. The car is never armed, or refuses it: then
+    /// there is no time from which anything could count.
+    fn start_without_drive(mut self, arms: bool) -> Self {
+        if arms {
+            self.arms = true;
+            self.least_s = READY_TIMEOUT;
+            self.operator = Operator::new(&OperatorSection::default());
+        } else {
+            self.drive.world_mut().set_epoch(Some(0));
+            self.lose_markers();
+        }
+        self
+    }
+
+    fn lose_markers(&mut self) {
+        let period_us = self.daemon.control.period_ns() / 1_000;
+        for loss in &self.scenario.marker_loss {
+            // A tick is lost when no frame arrives in the period before it.
+            let first_us = self.start_us + (loss.first_tick - 1) * period_us - self.latency_us;
+            self.drive
+                .world_mut()
+                .cameras_mut()
+                .add_loss_window(LossWindow {
+                    start_us: first_us,
+                    end_us: first_us + loss.ticks * period_us,
+                });
+        }
+    }
+
+    /// Time of the run, in s.
+    fn time(&self, now_us: u64) -> f64 {
+        now_us.saturating_sub(self.start_us) as f64 * 1e-6
+    }
+
+    fn take(&mut self, tick: VirtualTick) {
+        let time = self.time(tick.now.0 / 1_000);
+        self.tally.add(time, &tick);
+        self.last = Some(tick);
+    }
+
+    fn step(&mut self) -> Result<(), CarError> {
+        let next_us = self.drive.next_tick_us();
+        let time = self.time(next_us);
+        self.operator
+            .act(&mut self.drive, time)
+            .map_err(|_| ScenarioError::value("operator", "busy", "leave time between requests"))?;
+        if self.arms && time >= READY_TIMEOUT {
+            self.arms = false;
+        }
+        if self.arms && self.drive.mode() == Mode::Ready {
+            self.arms = self.drive.request(PilotRequest::Arm).is_err();
+        }
+        let tick = self.drive.step();
+        self.take(tick);
+        Ok(())
+    }
+
+    /// Goes on to the end of the run.
+    fn finish(mut self, takes_any_end: bool) -> Result<Simulation, CarError> {
+        let duration_s = self.scenario.run.duration_s;
+        let reference = self.scenario.reference().map_err(ScenarioError::from)?;
+        let count = (duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
+        let mut ended = None;
+        let mut rows = Vec::new();
+        for index in 0..=count {
+            let row_us = self.start_us + index * 1_000_000 / ROWS_PER_SECOND;
+            while self.drive.next_tick_us() <= row_us {
+                self.step()?;
             }
-            if let Some(record) = &mut record
-                && unrecorded.is_none()
-            {
-                unrecorded = record.write(&mut drive).err();
-            }
+            self.write();
+            let time = index as f64 / ROWS_PER_SECOND as f64;
+            let Some(last) = &self.last else {
+                // Before the first tick.
+                continue;
+            };
             let truth = if row_us == last.now.0 / 1_000 {
                 last.truth
             } else {
-                drive.advance_to(row_us);
-                drive.world().truth()
+                self.drive.advance_to(row_us);
+                self.drive.world().truth()
             };
-            let time = index as f64 / ROWS_PER_SECOND as f64;
             let output = &last.tick.output;
-            if !matches!(output.mode, Mode::Driving | Mode::Slowing) && ended.is_none() {
+            if !drives(output.mode) && ended.is_none() {
                 let reason = output.reason.map_or("no reason", Reason::name);
                 ended = Some(format!(
                     "the car no longer follows its reference from t = {time} s on: {}, {reason}",
                     output.mode
                 ));
             }
-            row(scenario, &reference, start, time, &truth, &last)
+            rows.push(self.row(&reference, time, &truth, last));
+        }
+        if takes_any_end {
+            let until_s = |run: &Self| {
+                let after = run
+                    .tally
+                    .ended_s()
+                    .map_or(0.0, |ended_s| ended_s + AFTER_END);
+                duration_s.max(after).max(run.least_s)
+            };
+            while self.time(self.drive.next_tick_us()) <= until_s(&self) {
+                self.step()?;
+                self.write();
+            }
+        }
+        if let Some(error) = self.unrecorded {
+            return Err(error.into());
+        }
+        if let Some(record) = self.record {
+            record.finish(&mut self.drive)?;
+        }
+        let mut notes = Vec::new();
+        let control = &self.scenario.control;
+        if control.delay_ticks > 0 || control.steering == SteeringHold::Step {
+            notes.push(
+                "control.delay_ticks and control.steering are the ideal plant's; the car has its own \
+                 delays, and a servo"
+                    .to_owned(),
+            );
+        }
+        notes.extend(ended);
+        Ok(Simulation {
+            rows,
+            notes,
+            summary: Some(self.tally.summary()),
         })
-        .collect();
-    if let Some(error) = unrecorded {
-        return Err(error.into());
     }
-    if let Some(record) = record {
-        record.finish(&mut drive)?;
+
+    fn write(&mut self) {
+        if let Some(record) = &mut self.record
+            && self.unrecorded.is_none()
+        {
+            self.unrecorded = record.write(&mut self.drive).err();
+        }
     }
-    let mut notes = Vec::new();
-    if scenario.control.delay_ticks > 0 || scenario.control.steering == SteeringHold::Step {
-        notes.push(
-            "control.delay_ticks and control.steering are the ideal plant's; the car has its own \
-             delays, and a servo"
-                .to_owned(),
-        );
+
+    fn row(&self, reference: &Reference, time: f64, truth: &Truth, last: &VirtualTick) -> Row {
+        let start = Position::from(self.scenario.start.point_p_m);
+        row(
+            self.front_axle_distance_m,
+            self.scenario.law.point_distance_m,
+            reference,
+            start,
+            time,
+            truth,
+            last,
+        )
     }
-    notes.extend(ended);
-    Ok(Simulation { rows, notes })
 }
 
 fn row(
-    scenario: &Scenario,
+    front_axle_distance_m: f64,
+    point_distance_m: f64,
     reference: &Reference,
     start: Position,
     time: f64,
@@ -220,10 +372,7 @@ fn row(
     last: &VirtualTick,
 ) -> Row {
     let output = &last.tick.output;
-    let [x_p, y_p] = truth.point_p(
-        scenario.vehicle.front_axle_distance_m,
-        scenario.law.point_distance_m,
-    );
+    let [x_p, y_p] = truth.point_p(front_axle_distance_m, point_distance_m);
     let nominal = match reference {
         Reference::VelocitySteps(steps) => steps.integrate(start, time),
         other => other.at(time).position.unwrap_or(start),

@@ -201,7 +201,7 @@ impl<'a> Simulation<'a> {
 
     /// The law evaluated at ticks, acting after a delay.
     fn sampled(&self) -> Result<Vec<Row>, IdealError> {
-        let control = self.scenario.control;
+        let control = &self.scenario.control;
         let period = f64::from(control.period_ms) / 1000.0;
         let tick_time = |tick: u64| (tick * u64::from(control.period_ms)) as f64 / 1000.0;
         let delay = usize::try_from(control.delay_ticks).unwrap_or(usize::MAX);

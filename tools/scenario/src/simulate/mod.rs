@@ -3,19 +3,24 @@
 mod car;
 mod ideal;
 mod integrator;
+mod layer;
+mod operator;
 mod row;
 mod scenario;
+mod summary;
 
 use std::path::Path;
 
-pub use car::{CarError, drive_entries, virtual_drive_config};
+pub use car::{CarError, RunOptions, drive_entries, virtual_drive_config};
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
+pub use operator::OperatorSection;
 pub use row::{HEADER, Row, write_csv};
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
     StartSection, SteeringHold,
 };
+pub use summary::Summary;
 
 /// Why a simulation stopped.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +34,9 @@ pub enum SimulateError {
     /// The ideal plant has no pilot to record.
     #[error("there is nothing to record: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
     NoPilot,
+    /// The ideal plant has no pilot whose drive could be summed up.
+    #[error("there is no summary: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
+    NoSummary,
 }
 
 /// The result of a scenario.
@@ -38,6 +46,8 @@ pub struct Simulation {
     pub rows: Vec<Row>,
     /// Notes for the user.
     pub notes: Vec<String>,
+    /// What the drive came to; none on the ideal plant.
+    pub summary: Option<Summary>,
 }
 
 /// Runs a scenario on the plant that it names.
@@ -50,9 +60,28 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
         PlantKind::Ideal => Simulation {
             rows: ideal::simulate(scenario)?,
             notes: Vec::new(),
+            summary: None,
         },
-        PlantKind::Car => car::simulate(scenario, None)?,
+        PlantKind::Car => car::simulate(scenario, RunOptions::default())?,
     })
+}
+
+/// Like [`simulate`], with options.
+///
+/// # Errors
+///
+/// The errors of [`simulate`] and [`simulate_recorded`]; the plant is ideal and a summary is
+/// wanted.
+pub fn simulate_with(
+    scenario: &Scenario,
+    options: RunOptions<'_>,
+) -> Result<Simulation, SimulateError> {
+    match scenario.plant.kind {
+        PlantKind::Ideal if options.record.is_some() => Err(SimulateError::NoPilot),
+        PlantKind::Ideal if options.summary => Err(SimulateError::NoSummary),
+        PlantKind::Ideal => simulate(scenario),
+        PlantKind::Car => Ok(car::simulate(scenario, options)?),
+    }
 }
 
 /// Like [`simulate`], and writes a record of the drive to `path`.
@@ -62,8 +91,11 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
 /// The errors of [`simulate`]; the plant is ideal and has no pilot; the file exists or
 /// can't be written.
 pub fn simulate_recorded(scenario: &Scenario, path: &Path) -> Result<Simulation, SimulateError> {
-    match scenario.plant.kind {
-        PlantKind::Ideal => Err(SimulateError::NoPilot),
-        PlantKind::Car => Ok(car::simulate(scenario, Some(path))?),
-    }
+    simulate_with(
+        scenario,
+        RunOptions {
+            record: Some(path),
+            ..RunOptions::default()
+        },
+    )
 }

@@ -4,11 +4,17 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use singletrack_control::{
-    FrontPointLaw, LawError, Reference, TrackingLoop, VehicleParameters, VelocityPointLaw,
+    FrontPointLaw, LawError, Position, Reference, TrackingLoop, VehicleParameters,
+    VelocityPointLaw, direction,
 };
 use singletrack_core::config::{
-    BoardSection, ConfigError, LawSection, LimitsSection, OuterLoopSection, ReferenceSection,
+    Config, ConfigError, LawSection, OuterLoopSection, ReferenceSection,
 };
+use singletrack_sim::{CarTruth, SimulationConfig, StartPose};
+use toml::Table;
+
+use super::{layer::layer, operator::OperatorSection};
+use crate::simulated::{self, daemon_config};
 
 /// A scenario; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -38,13 +44,36 @@ pub struct Scenario {
     /// true ones if left out.
     #[serde(default)]
     pub believed_vehicle: Option<VehicleParameters>,
-    /// The limits of the pilot of plant kind "car"; the daemon's defaults if left out.
+    /// What is true of the car of plant kind "car" and differs from its configuration.
     #[serde(default)]
-    pub limits: Option<LimitsSection>,
-    /// The calibration and the limits of the board of plant kind "car"; those of the
-    /// simulated board if left out.
+    pub truth: Option<CarTruth>,
+    /// Who drives plant kind "car".
     #[serde(default)]
-    pub board: Option<BoardSection>,
+    pub operator: Option<OperatorSection>,
+    // Sections of the daemon's configuration, for plant kind "car". A key that is left out
+    // is as in the configuration for the simulated car: the daemon's defaults, a fence of the
+    // size of a hall, and the calibration of the simulated board.
+    /// The limits of the pilot.
+    #[serde(default)]
+    pub limits: Option<Table>,
+    /// The estimator.
+    #[serde(default)]
+    pub estimator: Option<Table>,
+    /// When the pilot drives, and when it stops.
+    #[serde(default)]
+    pub supervisor: Option<Table>,
+    /// Plausibility of the sensors, and tick timing.
+    #[serde(default)]
+    pub watch: Option<Table>,
+    /// The geofence.
+    #[serde(default)]
+    pub fence: Option<Table>,
+    /// The calibration and the limits of the board.
+    #[serde(default)]
+    pub board: Option<Table>,
+    /// What the host believes of the cameras.
+    #[serde(default)]
+    pub motion_capture: Option<Table>,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -58,8 +87,7 @@ pub struct StartSection {
 }
 
 /// How the controller runs.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct ControlSection {
     /// Period of the controller, in ms; 0 for continuous control.
     pub period_ms: u32,
@@ -73,6 +101,23 @@ pub struct ControlSection {
     /// How a steering rate becomes steering.
     #[serde(default)]
     pub steering: SteeringHold,
+    /// Further keys of the daemon's section, for plant kind "car".
+    #[serde(flatten)]
+    pub daemon: Table,
+}
+
+impl ControlSection {
+    /// A controller with this period, in ms, that is as the daemon's.
+    #[must_use]
+    pub fn new(period_ms: u32) -> Self {
+        Self {
+            period_ms,
+            align_to_cameras: aligns_to_cameras(),
+            delay_ticks: 0,
+            steering: SteeringHold::default(),
+            daemon: Table::new(),
+        }
+    }
 }
 
 const fn aligns_to_cameras() -> bool {
@@ -165,6 +210,17 @@ pub enum ScenarioError {
     /// The vehicle is invalid.
     #[error("[vehicle] {0}")]
     Vehicle(#[from] singletrack_control::VehicleParameterError),
+    /// A section of the daemon's configuration can't be read.
+    #[error("[{section}] {message}")]
+    Layer {
+        /// The section.
+        section: &'static str,
+        /// Why.
+        message: String,
+    },
+    /// The truth of the car can't be simulated.
+    #[error(transparent)]
+    Truth(#[from] singletrack_sim::ConfigError),
     /// A value is outside its range.
     #[error("{key} is {value}: {fix}")]
     Value {
@@ -247,18 +303,12 @@ impl Scenario {
                 "it must lie between 0 and 86400",
             ));
         }
-        if self.plant.kind == PlantKind::Ideal {
-            for (key, given) in [
-                ("limits", self.limits.is_some()),
-                ("board", self.board.is_some()),
-            ] {
-                if given {
-                    return Err(ScenarioError::value(
-                        key,
-                        "given",
-                        "plant kind \"ideal\" has neither pilot nor board; remove it, or use \"car\"",
-                    ));
-                }
+        match self.plant.kind {
+            PlantKind::Ideal => self.validate_ideal()?,
+            PlantKind::Car => {
+                self.daemon()?;
+                self.simulation()?;
+                self.operator.unwrap_or_default().validate()?;
             }
         }
         if self.control.period_ms > 1_000 {
@@ -306,6 +356,112 @@ impl Scenario {
             }
         }
         Ok(())
+    }
+
+    /// Refuses what only the car has.
+    fn validate_ideal(&self) -> Result<(), ScenarioError> {
+        let given = self.daemon_sections();
+        let given = given.iter().find(|(_, given)| given.is_some());
+        let key = match given {
+            Some(&(key, _)) => Some(key),
+            None if self.truth.is_some() => Some("truth"),
+            None if self.operator.is_some() => Some("operator"),
+            None => None,
+        };
+        if let Some(key) = key {
+            return Err(ScenarioError::value(
+                key,
+                "given",
+                "plant kind \"ideal\" has neither pilot nor board; remove it, or use \"car\"",
+            ));
+        }
+        if let Some((key, _)) = self.control.daemon.iter().next() {
+            return Err(ScenarioError::Layer {
+                section: "control",
+                message: format!(
+                    "unknown field `{key}`: plant kind \"ideal\" takes `period_ms`, \
+                     `align_to_cameras`, `delay_ticks` and `steering`"
+                ),
+            });
+        }
+        Ok(())
+    }
+
+    /// The sections of the daemon's configuration, except `[control]`.
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 7] {
+        [
+            ("limits", self.limits.as_ref()),
+            ("board", self.board.as_ref()),
+            ("estimator", self.estimator.as_ref()),
+            ("supervisor", self.supervisor.as_ref()),
+            ("watch", self.watch.as_ref()),
+            ("fence", self.fence.as_ref()),
+            ("motion_capture", self.motion_capture.as_ref()),
+        ]
+    }
+
+    /// The daemon's configuration, not yet validated: what is believed of the car.
+    pub(super) fn daemon(&self) -> Result<Config, ScenarioError> {
+        let mut config = daemon_config(simulated::Drive {
+            vehicle: self.vehicle,
+            law: self.law,
+            outer_loop: self.outer_loop,
+            reference: self.reference.clone(),
+        });
+        config.control.period_ms = self.control.period_ms;
+        config.control.align_to_cameras = self.control.align_to_cameras;
+        let Config {
+            limits,
+            board,
+            estimator,
+            supervisor,
+            watch,
+            fence,
+            motion_capture,
+            control,
+            ..
+        } = &mut config;
+        layer("limits", limits, self.limits.as_ref())?;
+        layer("board", board, self.board.as_ref())?;
+        layer("estimator", estimator, self.estimator.as_ref())?;
+        layer("supervisor", supervisor, self.supervisor.as_ref())?;
+        layer("watch", watch, self.watch.as_ref())?;
+        layer("fence", fence, self.fence.as_ref())?;
+        layer(
+            "motion_capture",
+            motion_capture,
+            self.motion_capture.as_ref(),
+        )?;
+        layer("control", control, Some(&self.control.daemon))?;
+        Ok(config)
+    }
+
+    /// The simulation: what is true of the car. By default that agrees with what is
+    /// believed.
+    pub(super) fn simulation(&self) -> Result<SimulationConfig, ScenarioError> {
+        let mut simulation = SimulationConfig {
+            seed: self.run.seed,
+            ..SimulationConfig::default()
+        };
+        simulation.car.vehicle = self.vehicle;
+        if let Some(truth) = &self.truth {
+            truth.apply(&mut simulation)?;
+        }
+        let yaw = self.start.yaw_deg.to_radians();
+        let [x, y] = self.start.point_p_m;
+        let reach = simulation.car.vehicle.front_axle_distance_m + self.law.point_distance_m;
+        let centre = Position::new(x, y) - reach * direction(yaw);
+        simulation.car.start = StartPose {
+            x_m: centre.x,
+            y_m: centre.y,
+            yaw_rad: yaw,
+        };
+        Ok(simulation)
+    }
+
+    /// Whether a drive that does not start, or ends, is a result rather than an error.
+    pub(super) const fn expects_any_end(&self) -> bool {
+        self.truth.is_some() || self.operator.is_some()
     }
 
     pub(crate) fn front_point_law(&self) -> Result<FrontPointLaw, LawError> {

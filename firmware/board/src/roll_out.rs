@@ -1,0 +1,113 @@
+//! The watch over a car that is not driven: its wheels must come to rest.
+//!
+//! An ESC whose neutral is another than the configured one drives the car at
+//! neutral, armed or not; one that is stuck goes on driving. Two signs:
+//!
+//! - The wheels turn for longer than the longest roll-out, over [`LEAST_MM`] at
+//!   least. Shorter motion is a car that rolls out, or that a hand moves; few pulses
+//!   are interference.
+//! - After a drive, they do not slow down. The speed must stay below a line that
+//!   falls to zero within the longest roll-out, for which the slowest car that the
+//!   host expects is fast enough.
+
+use crate::clock::Stopwatch;
+
+/// Shortest way for the first sign.
+const LEAST_MM: u32 = 500;
+
+/// Time after the end of the drive in which the car may still speed up: a servo
+/// frame, and the lag of ESC and motor.
+const SETTLE_US: u32 = 300_000;
+
+/// Control periods (of 10 ms) above the line for the second sign.
+const ABOVE_LINE: u8 = 20;
+
+/// Margin of the line, besides an eighth.
+const MARGIN_MM_S: u32 = 50;
+
+/// Pulse distance assumed before the configuration, in µm.
+const UNKNOWN_DISTANCE_UM: u16 = 10_000;
+
+#[derive(Debug)]
+pub(crate) struct RollOut {
+    longest_ms: u16,
+    pulse_distance_um: u16,
+    /// Time for which the wheels have turned without being driven.
+    rolling: Stopwatch,
+    /// Pulses, wrapping, when that began.
+    since_count: u16,
+    /// It began with the end of a drive, not from standstill.
+    after_drive: bool,
+    fastest_mm_s: u16,
+    above_line: u8,
+}
+
+impl RollOut {
+    pub(crate) const fn new(longest_ms: u16) -> Self {
+        Self {
+            longest_ms,
+            pulse_distance_um: UNKNOWN_DISTANCE_UM,
+            rolling: Stopwatch::started(),
+            since_count: 0,
+            after_drive: false,
+            fastest_mm_s: 0,
+            above_line: 0,
+        }
+    }
+
+    pub(crate) const fn configure(&mut self, longest_ms: u16, pulse_distance_um: u16) {
+        self.longest_ms = longest_ms;
+        self.pulse_distance_um = pulse_distance_um;
+    }
+
+    /// Call in every poll. `driven` says whether the ESC is driven or commanded to
+    /// move; `count` is the number of pulses so far.
+    pub(crate) const fn observe(
+        &mut self,
+        elapsed_us: u32,
+        driven: bool,
+        moving: bool,
+        count: u16,
+    ) {
+        if driven || !moving {
+            self.rolling = Stopwatch::started();
+            self.since_count = count;
+            self.after_drive = driven;
+            self.fastest_mm_s = 0;
+            self.above_line = 0;
+        } else {
+            self.rolling.advance(elapsed_us);
+        }
+    }
+
+    /// Call in every poll: whether the wheels have turned for too long.
+    pub(crate) const fn lasts_too_long(&self, count: u16) -> bool {
+        // Two products of 16 bits each.
+        let longest_us = self.longest_ms as u32 * 1_000;
+        let way_um = count.wrapping_sub(self.since_count) as u32 * self.pulse_distance_um as u32;
+        self.rolling.elapsed_us() >= longest_us && way_um >= LEAST_MM * 1_000
+    }
+
+    /// Call once per control period: whether the wheels do not slow down.
+    pub(crate) fn keeps_its_speed(&mut self, speed_mm_s: u16) -> bool {
+        let rolling_us = self.rolling.elapsed_us();
+        if !self.after_drive || rolling_us == 0 {
+            return false;
+        }
+        if rolling_us < SETTLE_US {
+            self.fastest_mm_s = self.fastest_mm_s.max(speed_mm_s);
+            return false;
+        }
+        let fastest = u32::from(self.fastest_mm_s);
+        // Below 2^15 both; see `lasts_too_long` for what comes after the roll-out.
+        let rolling_ms = (rolling_us >> 10).min(self.longest_ms.into());
+        let fallen = fastest * rolling_ms / u32::from(self.longest_ms);
+        let line = fastest + fastest / 8 + MARGIN_MM_S - fallen;
+        self.above_line = if u32::from(speed_mm_s) > line {
+            self.above_line.saturating_add(1)
+        } else {
+            0
+        };
+        self.above_line >= ABOVE_LINE
+    }
+}

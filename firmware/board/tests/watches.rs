@@ -1,0 +1,267 @@
+//! The watches over the motor's pulses: a dead sensor, and wheels that turn at neutral.
+
+mod rig;
+
+use singletrack_protocol::{
+    BoardMode, Configuration, EscKind, LONGEST_ROLL_OUT_MS, SpeedLoop, StopCause,
+};
+
+use rig::{MS, NEUTRAL, Rig, configuration};
+
+fn with_pulse_distance(pulse_distance_um: u16) -> Configuration {
+    Configuration {
+        speed: SpeedLoop {
+            pulse_distance_um,
+            ..configuration().speed
+        },
+        ..configuration()
+    }
+}
+
+/// A commanded speed that rises by 2 m/s², as the host's does, to its end.
+fn ramp(ms: u32, end_mm_s: i16) -> i16 {
+    i16::try_from(2 * ms).unwrap_or(i16::MAX).min(end_mm_s)
+}
+
+/// Time from the first pulse beyond the deadband to the failsafe with a dead sensor, in
+/// ms, and the commanded distance until then, in mm.
+fn until_failure(pulse_distance_um: u16, end_mm_s: i16) -> (u32, u32) {
+    let mut rig = Rig::armed_with(with_pulse_distance(pulse_distance_um));
+    let (mut driven_ms, mut commanded_um) = (0, 0);
+    for ms in 0..2_000 {
+        let speed = ramp(ms, end_mm_s);
+        if ms % 10 == 0 {
+            rig.drive(speed, 0);
+        }
+        rig.run(MS);
+        if rig.board.mode() == BoardMode::Failsafe {
+            assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
+            return (driven_ms, commanded_um / 1_000);
+        }
+        if rig.esc_us() > NEUTRAL + 20 {
+            driven_ms += 1;
+            commanded_um += u32::from(speed.unsigned_abs());
+        }
+    }
+    panic!("still driving");
+}
+
+#[test]
+fn a_dead_sensor_is_found_after_two_and_a_half_pulse_distances_and_150_ms() {
+    for distance_um in [3_000, 6_000, 12_000, 25_000, 30_000] {
+        for end_mm_s in [400, 1_500] {
+            let (driven_ms, commanded_mm) = until_failure(distance_um, end_mm_s);
+            let patience_mm = u32::from(distance_um) * 5 / 2_000;
+            assert!(
+                driven_ms >= 149 && commanded_mm + 1 >= patience_mm,
+                "{distance_um} um, {end_mm_s} mm/s: {driven_ms} ms, {commanded_mm} mm"
+            );
+            // Not later than either needs, but for a period of the ramp.
+            let of_time = driven_ms <= 152;
+            let of_distance = commanded_mm <= patience_mm + 20;
+            assert!(
+                of_time || of_distance,
+                "{distance_um} um, {end_mm_s} mm/s: {driven_ms} ms, {commanded_mm} mm"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_car_that_is_commanded_to_crawl_has_600_ms_for_a_pulse() {
+    for distance_um in [6_000, 30_000] {
+        let (driven_ms, _) = until_failure(distance_um, 20);
+        assert!((599..=602).contains(&driven_ms), "{driven_ms}");
+    }
+}
+
+#[test]
+fn pulses_of_a_slow_car_with_a_long_pulse_distance_are_enough() {
+    // 25 mm a pulse at 60 mm/s.
+    let mut rig = Rig::armed_with(with_pulse_distance(25_000));
+    rig.pulse_period_us = Some(416_667);
+    rig.drive_for(5_000 * MS, 60, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+}
+
+#[test]
+fn bursts_of_driving_do_not_hide_a_dead_sensor_of_a_long_pulse_distance() {
+    let mut rig = Rig::armed_with(with_pulse_distance(25_000));
+    for burst in 0.. {
+        rig.drive_for(140 * MS, 400, 0);
+        rig.drive_for(300 * MS, 0, 0);
+        if rig.board.mode() == BoardMode::Failsafe {
+            break;
+        }
+        assert!(burst < 5, "still driving");
+    }
+    assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
+}
+
+#[test]
+fn the_standstill_time_follows_the_pulse_distance() {
+    for (distance_um, still_ms) in [(100, 150), (5_000, 150), (12_000, 240), (30_000, 600)] {
+        let mut rig = Rig::ready_with(with_pulse_distance(distance_um));
+        rig.inputs.motor.count = rig.inputs.motor.count.wrapping_add(1);
+        rig.inputs.motor.last_edge_us = rig.now;
+        rig.poll(&[]);
+        rig.run((still_ms - 1) * MS);
+        assert!(rig.arm().is_err(), "{distance_um}");
+        rig.run(MS);
+        assert_eq!(rig.arm(), Ok(()), "{distance_um}");
+    }
+}
+
+/// Runs until the board latches; returns the time, in ms. None if it does not.
+fn until_latched(rig: &mut Rig, for_ms: u32) -> Option<u32> {
+    for ms in 0..for_ms {
+        if rig.board.mode() == BoardMode::EmergencyStopped {
+            assert_eq!(rig.board.stop_cause(), StopCause::RunsAtNeutral);
+            // Neutral is what drives: no pulse at all.
+            assert_eq!(rig.outputs.esc_us, None);
+            return Some(ms);
+        }
+        rig.run(MS);
+    }
+    None
+}
+
+#[test]
+fn an_unarmed_car_that_drives_at_neutral_latches_after_the_longest_roll_out() {
+    for max_roll_out_ms in [1_000, 2_700] {
+        let mut rig = Rig::ready_with(Configuration {
+            max_roll_out_ms,
+            ..configuration()
+        });
+        // 0.6 m/s.
+        rig.pulse_period_us = Some(8_333);
+        let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+        let expected = u32::from(max_roll_out_ms);
+        assert!(
+            (expected..=expected + 20).contains(&latched_ms),
+            "{latched_ms}"
+        );
+    }
+}
+
+#[test]
+fn a_car_that_drives_at_neutral_before_any_configuration_latches_too() {
+    let mut rig = Rig::new();
+    rig.pulse_period_us = Some(10_000);
+    let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+    let expected = u32::from(LONGEST_ROLL_OUT_MS);
+    assert!((expected..=expected + 30).contains(&latched_ms));
+}
+
+#[test]
+fn a_car_that_is_moved_by_hand_for_a_while_does_not_latch() {
+    let mut rig = Rig::ready_with(Configuration {
+        max_roll_out_ms: 3_000,
+        ..configuration()
+    });
+    for _ in 0..5 {
+        // 0.5 m/s over 1.4 m, then it stands.
+        rig.pulse_period_us = Some(10_000);
+        rig.run(2_800 * MS);
+        rig.pulse_period_us = None;
+        rig.run(200 * MS);
+    }
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+}
+
+#[test]
+fn edges_of_interference_at_standstill_do_not_latch() {
+    let mut rig = Rig::ready_with(Configuration {
+        max_roll_out_ms: 1_000,
+        ..configuration()
+    });
+    // Ten edges a second never look like standstill, and are 50 mm/s.
+    rig.pulse_period_us = Some(100_000);
+    rig.run(5_000 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+}
+
+/// Turns the wheels as a car does that slows down from 1 m/s.
+fn roll_out(rig: &mut Rig, deceleration_mm_s2: u32) {
+    rig.pulse_period_us = None;
+    let mut way_um = 0;
+    for ms in 0..20_000_u32 {
+        let speed = 1_000_u32.saturating_sub(deceleration_mm_s2 * ms / 1_000);
+        if speed < 30 || rig.board.mode() == BoardMode::EmergencyStopped {
+            return;
+        }
+        way_um += speed;
+        if way_um >= 5_000 {
+            way_um -= 5_000;
+            rig.inputs.motor.count = rig.inputs.motor.count.wrapping_add(1);
+            rig.inputs.motor.last_edge_us = rig.now;
+        }
+        rig.run(MS);
+    }
+}
+
+#[test]
+fn after_a_drive_wheels_that_keep_their_speed_latch_long_before_the_roll_out() {
+    let mut rig = Rig::driving_with(Configuration {
+        max_roll_out_ms: 4_000,
+        ..configuration()
+    });
+    rig.run(100 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+    assert!((300..=1_300).contains(&latched_ms), "{latched_ms}");
+}
+
+#[test]
+fn a_car_that_rolls_out_as_slowly_as_configured_does_not_latch() {
+    for (deceleration, max_roll_out_ms) in [(1_400, 1_700), (300, 4_300)] {
+        let rolls = || {
+            let mut rig = Rig::driving_with(Configuration {
+                max_roll_out_ms,
+                ..configuration()
+            });
+            rig.run(100 * MS);
+            rig
+        };
+        let mut rig = rolls();
+        roll_out(&mut rig, deceleration);
+        assert_eq!(rig.board.mode(), BoardMode::Failsafe, "{deceleration}");
+        // Much more slowly than the longest roll-out.
+        let mut rig = rolls();
+        roll_out(&mut rig, deceleration / 4);
+        assert_eq!(rig.board.stop_cause(), StopCause::RunsAtNeutral);
+    }
+}
+
+#[test]
+fn a_commanded_standstill_that_the_car_ignores_latches() {
+    let mut rig = Rig::driving_with(Configuration {
+        max_roll_out_ms: 4_000,
+        ..configuration()
+    });
+    rig.drive_for(2_000 * MS, 0, 0);
+    assert_eq!(rig.board.stop_cause(), StopCause::RunsAtNeutral);
+}
+
+#[test]
+fn a_car_that_is_faster_than_its_command_does_not_latch() {
+    let mut rig = Rig::driving_with(Configuration {
+        max_roll_out_ms: 1_000,
+        ..configuration()
+    });
+    // Downhill: neutral, and still faster than 0.4 m/s.
+    rig.drive_for(3_000 * MS, 400, 0);
+    assert!((NEUTRAL..=NEUTRAL + 20).contains(&rig.esc_us()));
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+}
+
+#[test]
+fn every_kind_of_esc_is_watched() {
+    for kind in EscKind::ALL {
+        let mut configuration = configuration();
+        configuration.esc.kind = kind;
+        let mut rig = Rig::ready_with(configuration);
+        rig.pulse_period_us = Some(8_000);
+        assert!(until_latched(&mut rig, 6_000).is_some(), "{kind:?}");
+    }
+}

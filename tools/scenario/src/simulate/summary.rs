@@ -1,0 +1,138 @@
+//! What a drive came to, for a person or a script that wants no trajectory.
+
+use serde::Serialize;
+use singletrack_control::Position;
+use singletrack_pilot::{Fence, FenceError, Mode, Reason};
+use singletrack_sim::Truth;
+
+use crate::virtual_drive::VirtualTick;
+
+/// What a drive came to. Ways, speeds and clearance are the car's true ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Whether the car drove at all.
+    pub armed: bool,
+    /// The pilot's mode at the end of the run.
+    pub mode: &'static str,
+    /// Why the drive ended, or why there was none; a fault at the end of the run counts
+    /// more.
+    pub reason: Option<&'static str>,
+    /// When the drive ended, in s; none if it went on to the end of the run, or there was
+    /// none.
+    pub ended_s: Option<f64>,
+    /// Way of the centre of mass during the drive, in m.
+    pub way_m: f64,
+    /// Way after it, in m; without a drive since the start of the run.
+    pub way_after_m: f64,
+    /// Highest speed, in m/s.
+    pub speed_max_m_s: f64,
+    /// Lowest speed, in m/s; negative is backward.
+    pub speed_min_m_s: f64,
+    /// Speed at the end of the run, in m/s.
+    pub speed_end_m_s: f64,
+    /// Least distance of the centre of mass from the sides of the geofence, without its
+    /// margin, in m; negative outside.
+    pub clearance_min_m: f64,
+}
+
+/// Whether the car follows its reference in this mode.
+pub(super) const fn drives(mode: Mode) -> bool {
+    matches!(mode, Mode::Driving | Mode::Slowing)
+}
+
+/// A summary in the making.
+#[derive(Debug)]
+pub(super) struct Tally {
+    fence: Fence,
+    /// The way at the last tick, and whether the car drove then.
+    last: Option<(f64, bool)>,
+    armed: bool,
+    mode: Mode,
+    reason: Option<Reason>,
+    reason_of_end: Option<Reason>,
+    ended_s: Option<f64>,
+    way: f64,
+    way_after: f64,
+    speed: [f64; 2],
+    speed_end: f64,
+    clearance: f64,
+}
+
+impl Tally {
+    pub(super) fn new(fence: &Fence) -> Result<Self, FenceError> {
+        Ok(Self {
+            fence: Fence::new(fence.corners(), 0.0)?,
+            last: None,
+            armed: false,
+            mode: Mode::Disconnected,
+            reason: None,
+            reason_of_end: None,
+            ended_s: None,
+            way: 0.0,
+            way_after: 0.0,
+            speed: [0.0; 2],
+            speed_end: 0.0,
+            clearance: f64::INFINITY,
+        })
+    }
+
+    /// When the drive ended, in s of the run.
+    pub(super) const fn ended_s(&self) -> Option<f64> {
+        self.ended_s
+    }
+
+    /// Adds a tick at a time of the run, in s.
+    pub(super) fn add(&mut self, time: f64, tick: &VirtualTick) {
+        let output = &tick.tick.output;
+        self.add_truth(&tick.truth);
+        let now_drives = drives(output.mode);
+        let drove = self.last.is_some_and(|(_, drove)| drove);
+        if now_drives {
+            self.armed = true;
+            self.ended_s = None;
+        } else if drove {
+            self.ended_s = Some(time);
+            self.reason_of_end = output.reason;
+        }
+        self.mode = output.mode;
+        self.reason = output.reason;
+        self.last = Some((tick.truth.way, now_drives));
+    }
+
+    fn add_truth(&mut self, truth: &Truth) {
+        if let Some((way, drove)) = self.last {
+            let sum = if drove {
+                &mut self.way
+            } else {
+                &mut self.way_after
+            };
+            *sum += truth.way - way;
+        }
+        let [lowest, highest] = self.speed;
+        self.speed = [lowest.min(truth.speed), highest.max(truth.speed)];
+        self.speed_end = truth.speed;
+        let centre = Position::new(truth.x, truth.y);
+        self.clearance = self.clearance.min(self.fence.clearance(&centre));
+    }
+
+    pub(super) fn summary(&self) -> Summary {
+        let reason = match self.mode {
+            Mode::Fault => self.reason,
+            _ if self.armed => self.reason_of_end.or(self.reason),
+            _ => self.reason,
+        };
+        let [speed_min_m_s, speed_max_m_s] = self.speed;
+        Summary {
+            armed: self.armed,
+            mode: self.mode.name(),
+            reason: reason.map(Reason::name),
+            ended_s: self.ended_s,
+            way_m: self.way,
+            way_after_m: self.way_after,
+            speed_max_m_s,
+            speed_min_m_s,
+            speed_end_m_s: self.speed_end,
+            clearance_min_m: self.clearance,
+        }
+    }
+}
