@@ -50,8 +50,8 @@ pub struct CameraParameters {
     pub loss_windows: Vec<LossWindow>,
     /// Representation of a loss on the wire.
     pub loss_kind: LossKind,
-    /// Error of the mid-exposure stamps, in ms; positive is late: the pose is older than
-    /// its stamp.
+    /// Error of the mid-exposure stamps, in ms. Positive is late: the pose is older than
+    /// its stamp, and the frame leaves later by as much.
     pub stamp_bias_ms: f64,
     /// Growth of that error since the start of the simulation, in ppm.
     pub stamp_drift_ppm: f64,
@@ -377,7 +377,7 @@ impl Cameras {
         let p = &self.parameters;
         let is_frozen = self.epoch.is_within(p.frozen_from_s, p.frozen_ms, now_us);
         let mut car = match loss {
-            None if is_frozen => self.last_pose,
+            None if is_frozen && self.last_pose.tracking_valid() => self.last_pose,
             None => measured,
             Some(_) => self.last_pose.with_tracking_valid(false),
         };
@@ -401,14 +401,16 @@ impl Cameras {
         if loss != Some(LossKind::Absent) {
             bodies.push(car);
         }
-        let sent_us = self.sending_time(now_us);
+        let error_us = self.stamp_error_us(now_us);
+        let sent_us = self.sending_time(now_us + error_us.max(0.0) as u64);
+        let error_ticks = (error_us * TICKS_PER_SECOND as f64 * 1e-6) as i64;
         self.under_way.push_back(CameraFrame {
             // As in Motive, wraps after eight months.
             number: self.exposures as i32,
             exposed_us: now_us,
             sent_us,
             ticks: CameraTicks {
-                mid_exposure: self.stamp(now_us),
+                mid_exposure: self.ticks(now_us).saturating_add_signed(error_ticks),
                 received: self.ticks(now_us + (sent_us - now_us) / 2),
                 transmit: self.ticks(sent_us),
             },
@@ -418,12 +420,10 @@ impl Cameras {
         });
     }
 
-    /// The mid-exposure stamp of an exposure at this time.
-    fn stamp(&self, now_us: u64) -> u64 {
+    /// Error of the mid-exposure stamp of an exposure at this time, in µs.
+    fn stamp_error_us(&self, now_us: u64) -> f64 {
         let p = &self.parameters;
-        let error_us = p.stamp_bias_ms * 1e3 + p.stamp_drift_ppm * 1e-6 * now_us as f64;
-        let error_ticks = error_us * TICKS_PER_SECOND as f64 * 1e-6;
-        self.ticks(now_us).saturating_add_signed(error_ticks as i64)
+        p.stamp_bias_ms * 1e3 + p.stamp_drift_ppm * 1e-6 * now_us as f64
     }
 
     /// The frame that somebody else sends after this one; `None` while nobody does.

@@ -314,7 +314,8 @@ truth! {
         body_name: String => |c, v| c.cameras.car.name = v;
         /// The axis that points up in the stream: "y" or "z".
         up_axis: UpAxis => |c, v| c.cameras.up_axis = v;
-        /// Error of the mid-exposure stamps; positive is late: the pose is older than its stamp.
+        /// Error of the mid-exposure stamps. Positive is late: the pose is older than its stamp,
+        /// and the frame leaves later by as much.
         stamp_bias_ms: f64, in -1000.0 to 1000.0 => |c, v| c.cameras.stamp_bias_ms = v;
         /// Growth of that error since the start of the simulation.
         stamp_drift_ppm: f64, in -10000.0 to 10000.0 => |c, v| c.cameras.stamp_drift_ppm = v;

@@ -7,6 +7,7 @@ use singletrack_scenario::simulate::{
     self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection,
 };
+use singletrack_sim::BoardKind;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{Setup, extreme::largest};
@@ -97,7 +98,10 @@ impl Experiment {
                 PlantKind::Ideal => 0,
                 PlantKind::Car => PERIOD_MS,
             }),
-            plant: PlantSection { kind: plant },
+            plant: PlantSection {
+                kind: plant,
+                board: BoardKind::Native,
+            },
             run: RunSection {
                 duration_s: self.duration_s,
                 seed: 1,

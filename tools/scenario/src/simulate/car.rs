@@ -162,6 +162,8 @@ struct Run<'a> {
     operator: Operator,
     /// Arms the car as soon as it is ready, until the time-out.
     arms: bool,
+    /// Simulation time at which the host reaches the board, in µs.
+    connected_us: u64,
     /// The least duration of the run, in s.
     least_s: f64,
     start_us: u64,
@@ -180,6 +182,12 @@ impl<'a> Run<'a> {
         let mut drive = VirtualDrive::new(daemon.clone(), seed, simulation.clone())?;
         // Until the car drives, nothing timed happens to it.
         drive.world_mut().set_epoch(None);
+        let connected_us = match scenario.expects_any_end() {
+            true => (scenario.operator.unwrap_or_default().daemon_after_s * 1e6) as u64,
+            // A car whose ESC is ready when it must be, as configured.
+            false => 0,
+        };
+        drive.world_mut().set_wire_connected(connected_us == 0);
         let record = record
             .map(|path| VirtualRecord::start(path, &mut drive, daemon, seed))
             .transpose()?;
@@ -196,6 +204,7 @@ impl<'a> Run<'a> {
             unrecorded: None,
             operator: Operator::new(&scenario.operator.unwrap_or_default()),
             arms: false,
+            connected_us,
             least_s: 0.0,
             start_us: 0,
             tally,
@@ -205,7 +214,12 @@ impl<'a> Run<'a> {
 
     /// Goes on to the first driving tick.
     fn start(mut self) -> Result<Self, CarError> {
+        while self.drive.next_tick_us() < self.connected_us {
+            self.drive.step();
+        }
+        self.drive.world_mut().set_wire_connected(true);
         let first = self.drive.start()?;
+        self.connected_us = 0;
         self.start_us = first.now.0 / 1_000;
         self.drive.world_mut().set_epoch(Some(self.start_us));
         self.take(first);
@@ -255,6 +269,10 @@ impl<'a> Run<'a> {
 
     fn step(&mut self) -> Result<(), CarError> {
         let next_us = self.drive.next_tick_us();
+        if self.connected_us > 0 && next_us >= self.connected_us {
+            self.connected_us = 0;
+            self.drive.world_mut().set_wire_connected(true);
+        }
         let time = self.time(next_us);
         self.operator
             .act(&mut self.drive, time)

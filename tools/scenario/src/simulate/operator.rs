@@ -13,6 +13,9 @@ use crate::virtual_drive::VirtualDrive;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OperatorSection {
+    /// The daemon reaches the board so long after the car was switched on, in s: an ESC
+    /// is ready by then, and the board is not yet configured.
+    pub daemon_after_s: f64,
     /// Arms the car as soon as it is ready.
     pub arm: bool,
     /// Requests an emergency stop.
@@ -32,6 +35,7 @@ pub struct OperatorSection {
 impl Default for OperatorSection {
     fn default() -> Self {
         Self {
+            daemon_after_s: 2.0,
             arm: true,
             emergency_stop_at_s: None,
             disarm_at_s: None,
@@ -85,6 +89,13 @@ impl OperatorSection {
 
     /// Refuses times that do not exist.
     pub(super) fn validate(&self) -> Result<(), ScenarioError> {
+        if !(0.0..=10.0).contains(&self.daemon_after_s) {
+            return Err(ScenarioError::value(
+                "operator.daemon_after_s",
+                self.daemon_after_s,
+                "it must lie between 0 and 10",
+            ));
+        }
         for (key, at_s, _) in self.actions() {
             if let Some(at_s) = at_s
                 && !(0.0..=86_400.0).contains(&at_s)

@@ -10,7 +10,7 @@ use singletrack_control::{
 use singletrack_core::config::{
     Config, ConfigError, LawSection, OuterLoopSection, ReferenceSection,
 };
-use singletrack_sim::{CarTruth, SimulationConfig, StartPose};
+use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::Table;
 
 use super::{layer::layer, operator::OperatorSection};
@@ -141,6 +141,9 @@ pub enum SteeringHold {
 pub struct PlantSection {
     /// The kind of plant.
     pub kind: PlantKind,
+    /// The board of plant kind "car": its code, or the UNO image on a simulated processor.
+    #[serde(default)]
+    pub board: BoardKind,
 }
 
 /// The paper's model, or the whole simulator.
@@ -444,6 +447,7 @@ impl Scenario {
             ..SimulationConfig::default()
         };
         simulation.car.vehicle = self.vehicle;
+        simulation.board.kind = self.plant.board;
         if let Some(truth) = &self.truth {
             truth.apply(&mut simulation)?;
         }
