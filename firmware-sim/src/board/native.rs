@@ -145,6 +145,8 @@ impl Native {
                 cut: false,
             };
             filter.frame(&mut frame);
+            let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
+            car.set_kill_output(self.board.outputs().power_on && !stalled);
             car.apply_pulses(frame.servo_us, frame.esc_us);
             pulses.push(frame);
         }
@@ -159,10 +161,9 @@ impl Native {
             .drive_deadline_us
             .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
         let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
-        let esc_us = if expired || stalled {
-            outputs.esc_neutral_us
-        } else {
-            outputs.esc_us
+        let esc_us = match outputs.esc_us {
+            Some(_) if expired || stalled => outputs.esc_neutral_us,
+            esc_us => esc_us.unwrap_or(0),
         };
         (outputs.servo_us.unwrap_or(0), esc_us)
     }
