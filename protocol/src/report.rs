@@ -239,8 +239,8 @@ structure! {
         pub battery_open: bool,
         /// The kill output is held: the ESC has its supply. False without one.
         pub power_on: bool,
-        /// Edges of the motor's sensor beyond those that the board takes in a
-        /// millisecond: interference.
+        /// Milliseconds in which the motor's sensor gave more edges than the board
+        /// takes in one: interference.
         #[serde(with = "postcard::fixint::le")]
         pub edges_refused: u16,
         /// The IMU's register CALIB_STAT (BNO055, 0x35): two bits each, from the

@@ -26,14 +26,15 @@
 //! | D4        | Stop switch to ground; if open, the pin follows its pull-up     |
 //! | D9, OC1A  | Servo pulses; a resistor pulls the floating pin low             |
 //! | D10, OC1B | ESC pulses, likewise                                            |
-//! | A0        | Half of the battery's voltage, against AVcc = 5 V               |
+//! | D7        | The kill output; a pull-down holds the floating pin low         |
+//! | A0        | Half of the battery's voltage, against AVcc; or open            |
 //! | A4, A5    | SDA and SCL with pull-ups, and the [`Bno055`] at 0x28           |
 
 mod bno055;
 mod message;
 mod pipe;
 
-pub use bno055::{Bno055, Motion};
+pub use bno055::{Bno055, ImuRegisters, Motion};
 pub use message::{
     BusFault, CYCLES_PER_US, Figures, Hang, Interrupt, Pin, Pulse, Reply, Report, Request,
     ResetFlags, Run,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Motion;
+use crate::{ImuRegisters, Motion};
 
 /// Cycles of the UNO's oscillator per µs.
 pub const CYCLES_PER_US: u64 = 16;
@@ -82,6 +82,13 @@ pub struct Run {
     pub motion: Vec<(u64, Motion)>,
     /// Voltage at the battery's terminals, in mV, from the start of the span.
     pub battery_mv: u16,
+    /// The board's 5 V, in mV, from the start of the span; zero leaves it.
+    pub supply_mv: u16,
+    /// The battery's divider is not connected: the input floats.
+    pub divider_open: bool,
+    /// The registers of the IMU's health while it works, from the start of the span;
+    /// none leaves them.
+    pub imu_health: Option<ImuRegisters>,
     /// Whether the stop switch is open, from the start of the span.
     pub stop_input_open: bool,
 }
@@ -113,6 +120,9 @@ pub struct Report {
     pub watchdog_reset: Option<u64>,
     /// Bytes lost by receiver overrun since the process started.
     pub bytes_overrun: u64,
+    /// Changes of the kill output (D7) with their times, in order: whether it is
+    /// high.
+    pub kill_output: Vec<(u64, bool)>,
 }
 
 /// A pin with pulses on it.

@@ -311,6 +311,13 @@ void uno_set_adc0(struct uno *uno, uint32_t millivolts)
 		avr_raise_irq(irq, millivolts);
 }
 
+/* Sets the supply, which is the converter's reference. */
+void uno_set_supply(struct uno *uno, uint32_t millivolts)
+{
+	avr_t *avr = uno->avr;
+	avr->vcc = avr->avcc = avr->aref = millivolts;
+}
+
 /* Registers, I/O and SRAM, with their size in bytes. */
 uint8_t *uno_data(struct uno *uno, uint32_t *size)
 {

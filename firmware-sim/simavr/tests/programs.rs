@@ -173,6 +173,65 @@ fn edges_voltage_and_switch_reach_the_program() {
 }
 
 #[test]
+fn the_converter_measures_against_the_supply_and_its_reference_does_not() {
+    let mut uno = Uno::started("supply.c");
+    for (supply_mv, battery_mv, divider_open) in [
+        (5_000, 7_400, false),
+        (4_500, 7_400, false),
+        (5_000, 0, true),
+    ] {
+        let report = uno.run(Run {
+            received: vec![(uno.cycle() + MS, 0)],
+            battery_mv,
+            supply_mv,
+            divider_open,
+            ..uno.until(12 * MS)
+        });
+        let words: Vec<_> = bytes(&report.transmitted)
+            .chunks(2)
+            .map(|word| u32::from(u16::from_le_bytes([word[0], word[1]])))
+            .collect();
+        let [pin, pulled_up, bandgap] = words[..] else {
+            panic!("{words:?}")
+        };
+        let supply = u32::from(supply_mv);
+        assert!(
+            bandgap.abs_diff(1_100 * 1_024 / supply) <= 1,
+            "{supply}: {bandgap}"
+        );
+        if divider_open {
+            assert_eq!(pulled_up, 1_023);
+            assert!(pin < 1_000, "{pin}");
+        } else {
+            assert_eq!(pin, u32::from(battery_mv) / 2 * 1_024 / supply);
+            assert!(pin < pulled_up && pulled_up < 950, "{pin} {pulled_up}");
+        }
+    }
+}
+
+#[test]
+fn the_kill_output_is_reported_with_its_times() {
+    let mut uno = Uno::started("kill.c");
+    let start = uno.cycle();
+    let report = uno.run(Run {
+        received: vec![
+            (start + 2 * MS, 1),
+            (start + 5 * MS, 0),
+            (start + 8 * MS, 1),
+        ],
+        ..uno.until(10 * MS)
+    });
+    let [(on, true), (off, false), (_, true)] = report.kill_output[..] else {
+        panic!("{:?}", report.kill_output)
+    };
+    assert!(on - start - 2 * MS < MS / 10 && off - start - 5 * MS < MS / 10);
+    // The pin floats, and the pull-down holds it.
+    uno.ask(&Request::Hold);
+    let held = uno.cycle();
+    assert_eq!(uno.pass(MS).kill_output, [(held, false)]);
+}
+
+#[test]
 fn edges_around_a_restart_cause_no_interrupts() {
     let mut uno = Uno::started("inputs.c");
     uno.pass(MS);

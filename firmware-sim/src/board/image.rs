@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use singletrack_protocol::ResetCause;
 use singletrack_simavr::{
-    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, Reply, Report, Request, ResetFlags, Run,
+    BusFault, CYCLES_PER_US, Figures, Hang, ImuRegisters, Motion, Pin, Reply, Report, Request,
+    ResetFlags, Run,
 };
 
 use super::{
@@ -12,6 +13,7 @@ use super::{
     frames::{Frame, Frames, width_us},
     local_time,
     process::Process,
+    supply_mv,
 };
 use crate::{
     car::{Car, ImuReading, MotorPulses},
@@ -289,6 +291,9 @@ impl Image {
                 &environment.car.parameters().battery,
                 environment.battery_noise,
             ),
+            supply_mv: supply_mv(&environment.car.parameters().battery),
+            divider_open: environment.car.parameters().battery.divider_open,
+            imu_health: Some(imu_registers(environment.car)),
             stop_input_open: environment.stop_input_open,
         };
         match self.ask(&Request::Run(run)) {
@@ -330,6 +335,10 @@ impl Image {
             environment.car,
             environment.pulses,
         );
+        // Its changes reach the car at the end of the step.
+        if let Some(&(_, held)) = report.kill_output.last() {
+            environment.car.set_kill_output(held);
+        }
         if let Some(frame) = self.frames.over(report.cycle) {
             self.log(&frame, &environment.clock, environment.pulses);
         }
@@ -379,5 +388,15 @@ impl Image {
                 None
             }
         }
+    }
+}
+
+fn imu_registers(car: &Car) -> ImuRegisters {
+    let [calibration, self_test, status, error] = car.parameters().imu.registers();
+    ImuRegisters {
+        calibration,
+        self_test,
+        status,
+        error,
     }
 }

@@ -10,7 +10,7 @@ mod size;
 
 use serde::{Deserialize, Serialize};
 use singletrack_board::Board;
-use singletrack_protocol::{ResetCause, Telemetry};
+use singletrack_protocol::{ResetCause, Telemetry, UNNAMED};
 use singletrack_simavr::{BusFault, Figures, Hang};
 
 pub use image::{Installation, UnoError};
@@ -73,6 +73,8 @@ impl core::fmt::Display for BoardKind {
 pub struct BoardParameters {
     /// Implementation of the board.
     pub kind: BoardKind,
+    /// Number of the car that the board is built into; the image's is built in.
+    pub car_id: u16,
     /// Rate error of the board's clock, in ppm; positive is fast. The resonator of
     /// a UNO is within ± 5,000.
     pub clock_skew_ppm: i32,
@@ -97,6 +99,7 @@ impl Default for BoardParameters {
     fn default() -> Self {
         Self {
             kind: BoardKind::Native,
+            car_id: UNNAMED,
             clock_skew_ppm: 3_000,
             clock_offset_us: 0,
             poll_period_us: 1_000,
@@ -344,6 +347,8 @@ impl SimulatedBoard {
         let board_time_us = self.board_time_us(now_us).unwrap_or(0);
         self.phase = phase;
         self.monitor = Monitor::default();
+        // The pin floats, and its pull-down holds it.
+        car.set_kill_output(false);
         if let Machine::Image(image) = &mut self.machine {
             image.hold(&self.clock, car, &mut self.pulses);
         }
@@ -433,7 +438,16 @@ fn local_time(clock: &SkewedClock, started_us: u64, simulation_us: u64) -> u32 {
     clock.at(simulation_us.saturating_sub(started_us)) as u32
 }
 
+/// The voltage at the battery's terminals. A floating input shows anything: half of the
+/// supply at the pin.
 fn battery_mv(car: &Car, p: &BatteryParameters, noise: &mut Random) -> u16 {
+    if p.divider_open {
+        return supply_mv(p);
+    }
     let volts = car.truth().battery_v + noise.normal() * p.noise_v;
     (volts * 1e3).round() as u16
+}
+
+fn supply_mv(p: &BatteryParameters) -> u16 {
+    (p.supply_v * 1e3).round() as u16
 }

@@ -1,9 +1,10 @@
 //! A simulated Arduino for the real board code: clock, bytes, pins.
 
-use singletrack_board::{Board, ImuSample, Inputs, MotorPulses};
-use singletrack_protocol::{ResetCause, UNNAMED};
+use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, axis_map};
+use singletrack_protocol::{ImuAxes, ResetCause};
+use singletrack_simavr::Motion;
 
-use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time};
+use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time, supply_mv};
 use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
 
 /// Version reported by the simulated board: this crate's.
@@ -33,7 +34,7 @@ impl Native {
     pub(super) fn new(parameters: BoardParameters) -> Self {
         Self {
             parameters,
-            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, UNNAMED),
+            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, parameters.car_id),
             polls: 0,
             frames: 0,
             inputs: Inputs::default(),
@@ -45,7 +46,7 @@ impl Native {
     }
 
     pub(super) fn restart(&mut self, cause: ResetCause) {
-        self.board = Board::new(cause, SOFTWARE_VERSION, UNNAMED);
+        self.board = Board::new(cause, SOFTWARE_VERSION, self.parameters.car_id);
         self.polls = 0;
         self.frames = 0;
         self.inputs = Inputs::default();
@@ -72,11 +73,22 @@ impl Native {
 
     pub(super) fn take_imu(&mut self, board_time_us: u32, reading: &ImuReading) {
         if !self.imu_is_silent {
-            self.inputs.imu = Some(ImuSample {
-                time_us: board_time_us,
+            // The sensor turns its values to the car's axes.
+            let axes = self
+                .board
+                .configuration()
+                .map_or(ImuAxes::AS_PRINTED, |configuration| configuration.imu_axes);
+            let motion = Motion {
                 linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
                 angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
                 attitude_q14: reading.attitude_q14,
+            }
+            .remapped(axis_map(axes));
+            self.inputs.imu = Some(ImuSample {
+                time_us: board_time_us,
+                linear_acceleration_mm_s2: motion.linear_acceleration_mm_s2,
+                angular_velocity_mrad_s: motion.angular_velocity_mrad_s,
+                attitude_q14: motion.attitude_q14,
             });
         }
     }
@@ -106,6 +118,15 @@ impl Native {
                     last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
                 };
                 self.inputs.battery_mv = battery_mv(car, &car.parameters().battery, battery_noise);
+                self.inputs.supply_mv = supply_mv(&car.parameters().battery);
+                self.inputs.battery_open = car.parameters().battery.divider_open;
+                let [calibration, self_test, status, error] = car.parameters().imu.registers();
+                self.inputs.imu_health = ImuHealth {
+                    calibration,
+                    self_test,
+                    status,
+                    error,
+                };
                 self.inputs.stop_input_open = stop_input_open;
                 self.received.clear();
                 wire.board_read(now_us, &mut self.received);
@@ -134,6 +155,7 @@ impl Native {
                 );
             }
         }
+        car.set_kill_output(self.power_on(board_time_us));
         if self.frames * SERVO_FRAME_US <= elapsed {
             self.frames = elapsed / SERVO_FRAME_US + 1;
             let (servo_us, esc_us) = self.pulses(board_time_us);
@@ -145,8 +167,6 @@ impl Native {
                 cut: false,
             };
             filter.frame(&mut frame);
-            let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
-            car.set_kill_output(self.board.outputs().power_on && !stalled);
             car.apply_pulses(frame.servo_us, frame.esc_us);
             pulses.push(frame);
         }
@@ -154,17 +174,28 @@ impl Native {
 
     /// The pulses on the pins, after the supervising timer interrupt: neutral once
     /// the command has expired, and once the main loop has been silent for longer
-    /// than [`HANG_TIMEOUT_US`].
+    /// than [`HANG_TIMEOUT_US`]. A silent ESC stays silent.
     fn pulses(&self, board_time_us: u32) -> (u16, u16) {
+        let outputs = self.board.outputs();
+        let esc_us = match outputs.esc_us {
+            Some(_) if !self.is_valid(board_time_us) => outputs.esc_neutral_us,
+            esc_us => esc_us.unwrap_or(0),
+        };
+        (outputs.servo_us.unwrap_or(0), esc_us)
+    }
+
+    /// The kill output, after the same interrupt.
+    fn power_on(&self, board_time_us: u32) -> bool {
+        self.board.outputs().power_on && self.is_valid(board_time_us)
+    }
+
+    /// Whether the outputs of the main loop are in force.
+    fn is_valid(&self, board_time_us: u32) -> bool {
         let outputs = self.board.outputs();
         let expired = outputs
             .drive_deadline_us
             .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
         let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
-        let esc_us = match outputs.esc_us {
-            Some(_) if expired || stalled => outputs.esc_neutral_us,
-            esc_us => esc_us.unwrap_or(0),
-        };
-        (outputs.servo_us.unwrap_or(0), esc_us)
+        !expired && !stalled
     }
 }

@@ -1,6 +1,6 @@
 //! The newest IMU sample, and whether it has been sent.
 
-use singletrack_protocol::ImuState;
+use singletrack_protocol::{ImuAxes, ImuState};
 
 use crate::{
     clock::{Stopwatch, age_us},
@@ -9,6 +9,19 @@ use crate::{
 
 /// Time without a sample after which the IMU counts as silent.
 pub(crate) const SILENCE_US: u32 = 50_000;
+
+/// The registers AXIS_MAP_CONFIG and AXIS_MAP_SIGN of a BNO055 that is mounted like
+/// this: they turn all of its values to the car's axes.
+#[must_use]
+pub const fn axis_map(axes: ImuAxes) -> [u8; 2] {
+    let ImuAxes { forward, left, up } = axes;
+    [
+        forward.index() | left.index() << 2 | up.index() << 4,
+        (forward.is_negative() as u8) << 2
+            | (left.is_negative() as u8) << 1
+            | up.is_negative() as u8,
+    ]
+}
 
 #[derive(Debug)]
 pub(crate) struct Imu {
@@ -72,5 +85,28 @@ impl Imu {
     /// Notes that the newest sample has been sent.
     pub(crate) const fn sent(&mut self) {
         self.unsent = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::{ImuAxes, ImuAxis};
+
+    use super::axis_map;
+
+    #[test]
+    fn mountings_have_the_data_sheets_registers() {
+        // BST-BNO055-DS000, 3.4: placements P1 (as printed), P0 and P5.
+        let [x, y, z] = [ImuAxis::PlusX, ImuAxis::PlusY, ImuAxis::PlusZ];
+        let [minus_y, minus_z] = [ImuAxis::MinusY, ImuAxis::MinusZ];
+        for (forward, left, up, registers) in [
+            (x, y, z, [0x24, 0x00]),
+            (minus_y, x, z, [0x21, 0x04]),
+            (y, x, minus_z, [0x21, 0x01]),
+        ] {
+            let axes = ImuAxes { forward, left, up };
+            assert!(axes.is_mounting());
+            assert_eq!(axis_map(axes), registers, "{axes:?}");
+        }
     }
 }

@@ -58,8 +58,8 @@ pub struct Inputs {
     pub imu_errors: u16,
     /// The IMU's own opinion of itself.
     pub imu_health: ImuHealth,
-    /// Edges of the motor's sensor beyond those taken in a tick so far, wrapping;
-    /// [`MotorPulses::count`] does not have them.
+    /// Milliseconds with more edges of the motor's sensor than were counted so far,
+    /// wrapping.
     pub edges_refused: u16,
 }
 

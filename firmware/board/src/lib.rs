@@ -41,4 +41,5 @@ mod speed;
 mod steering;
 
 pub use board::Board;
+pub use imu::axis_map;
 pub use io::{ImuHealth, ImuSample, Inputs, MotorPulses, Outputs};

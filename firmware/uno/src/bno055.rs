@@ -9,8 +9,8 @@
 //! A sensor that does not answer, or has restarted, is configured again. The search
 //! for it has no time limit.
 
-use singletrack_board::ImuSample;
-use singletrack_protocol::TELEMETRY_PERIOD_US;
+use singletrack_board::{ImuHealth, ImuSample, axis_map};
+use singletrack_protocol::{ImuAxes, TELEMETRY_PERIOD_US};
 
 use crate::{
     ROUND_MS,
@@ -23,6 +23,11 @@ const ADDRESS: u8 = 0x28;
 const CHIP_ID: u8 = 0x00;
 const PAGE_ID: u8 = 0x07;
 const GYRO_DATA: u8 = 0x14;
+/// The first of the registers of its health, up to the operation mode.
+const CALIBRATION: u8 = 0x35;
+const SELF_TEST: u8 = 0x36;
+const SYSTEM_STATUS: u8 = 0x39;
+const SYSTEM_ERROR: u8 = 0x3A;
 const UNIT_SELECTION: u8 = 0x3B;
 const OPERATION_MODE: u8 = 0x3D;
 const POWER_MODE: u8 = 0x3E;
@@ -35,8 +40,6 @@ const MODE_BITS: u8 = 0x0F;
 const NORMAL_POWER: u8 = 0x00;
 /// m/s² (bit 0 clear) and rad/s (bit 1 set).
 const UNITS: u8 = 0b10;
-/// Axes and signs as printed on the chip.
-const AXES: [u8; 2] = [0x24, 0x00];
 
 /// One sample: gyro, Euler angles, quaternion and linear acceleration.
 const SAMPLE_LENGTH: usize = 26;
@@ -44,6 +47,9 @@ const _: () = assert!(SAMPLE_LENGTH <= twi::MAX_READ);
 // Offsets in a sample, in words; the gyro's words come first.
 const QUATERNION: usize = 6;
 const LINEAR_ACCELERATION: usize = 10;
+
+/// Bytes from the first register of its health to its mode.
+const HEALTH_LENGTH: u8 = OPERATION_MODE + 1 - CALIBRATION;
 
 /// Number of rounds of the main loop in `ms`, rounded up.
 const fn rounds(ms: u8) -> u8 {
@@ -94,6 +100,9 @@ pub(crate) struct Bno055 {
     samples_since_check: u8,
     failures: u8,
     errors: u16,
+    health: ImuHealth,
+    /// Axes and signs, as written to the sensor or about to be.
+    axes: [u8; 2],
     newest: [u8; SAMPLE_LENGTH],
 }
 
@@ -108,6 +117,13 @@ impl Bno055 {
             samples_since_check: 0,
             failures: 0,
             errors: 0,
+            health: ImuHealth {
+                calibration: 0,
+                self_test: 0,
+                status: 0,
+                error: 0,
+            },
+            axes: axis_map(ImuAxes::AS_PRINTED),
             newest: [0; SAMPLE_LENGTH],
         }
     }
@@ -115,6 +131,20 @@ impl Bno055 {
     /// Errors so far, wrapping.
     pub(crate) const fn errors(&self) -> u16 {
         self.errors
+    }
+
+    /// Its own opinion of itself, ten times a second.
+    pub(crate) const fn health(&self) -> ImuHealth {
+        self.health
+    }
+
+    /// Sets the mounting; the sensor is set up again if it has changed.
+    pub(crate) fn mount(&mut self, axes: ImuAxes) {
+        let axes = axis_map(axes);
+        if self.axes != axes && !self.in_transfer {
+            self.axes = axes;
+            self.next(Stage::Identify, 0);
+        }
     }
 
     /// Call in every round; keeps `sample` at the newest one.
@@ -151,10 +181,10 @@ impl Bno055 {
             Stage::SelectPage => write(&[PAGE_ID, 0]),
             Stage::SetPower => write(&[POWER_MODE, NORMAL_POWER]),
             Stage::SetUnits => write(&[UNIT_SELECTION, UNITS]),
-            Stage::SetAxes => write(&[AXIS_MAP, AXES[0], AXES[1]]),
+            Stage::SetAxes => write(&[AXIS_MAP, self.axes[0], self.axes[1]]),
             Stage::LeaveConfiguration => write(&[OPERATION_MODE, IMUPLUS_MODE]),
             Stage::Sample => read(GYRO_DATA, SAMPLE_LENGTH as u8),
-            Stage::CheckMode => read(OPERATION_MODE, 1),
+            Stage::CheckMode => read(CALIBRATION, HEALTH_LENGTH),
         }
     }
 
@@ -188,15 +218,16 @@ impl Bno055 {
                     self.wait = 0;
                 }
             }
-            Stage::CheckMode if twi::first_byte() & MODE_BITS == IMUPLUS_MODE => {
-                // Synchronises again if rounds were missed.
-                let wait = self.wait_for_slot(now_us);
-                self.next(Stage::Sample, wait);
-            }
             Stage::CheckMode => {
-                // It has restarted.
-                self.errors = self.errors.wrapping_add(1);
-                self.next(Stage::Identify, 0);
+                if self.checked() {
+                    // Synchronises again if rounds were missed.
+                    let wait = self.wait_for_slot(now_us);
+                    self.next(Stage::Sample, wait);
+                } else {
+                    // It has restarted.
+                    self.errors = self.errors.wrapping_add(1);
+                    self.next(Stage::Identify, 0);
+                }
             }
         }
     }
@@ -220,6 +251,18 @@ impl Bno055 {
         if !measures || self.failures >= MAX_FAILURES {
             self.next(Stage::Identify, RETRY_AFTER);
         }
+    }
+
+    /// Stores the health that was read; returns whether the mode is right.
+    fn checked(&mut self) -> bool {
+        self.health = ImuHealth {
+            calibration: twi::first_byte(),
+            self_test: twi::byte::<{ (SELF_TEST - CALIBRATION) as usize }>(),
+            status: twi::byte::<{ (SYSTEM_STATUS - CALIBRATION) as usize }>(),
+            error: twi::byte::<{ (SYSTEM_ERROR - CALIBRATION) as usize }>(),
+        };
+        let mode = twi::byte::<{ (OPERATION_MODE - CALIBRATION) as usize }>();
+        mode & MODE_BITS == IMUPLUS_MODE
     }
 
     /// Stores the sample that was read; returns false if it is not new.

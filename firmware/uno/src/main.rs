@@ -8,6 +8,7 @@
 //! | D0, D1 | line to the host |
 //! | D2 | pulses of the motor |
 //! | D4 | stop switch to ground, normally closed |
+//! | D7 | kill output: the ESC's supply |
 //! | D9 | servo |
 //! | D10 | ESC |
 //! | A0 | battery, halved |
@@ -23,6 +24,7 @@ mod bno055;
 mod clock;
 mod in_place;
 mod interrupts;
+mod kill_output;
 mod motor;
 mod panic;
 mod pulses;
@@ -148,7 +150,11 @@ impl MainLoop {
     fn round(&mut self) -> bool {
         self.imu.poll(clock::tick_us(), &mut self.inputs.imu);
         self.inputs.imu_errors = self.imu.errors();
-        self.inputs.battery_mv = self.battery.poll();
+        self.inputs.imu_health = self.imu.health();
+        self.battery.poll();
+        self.inputs.battery_mv = self.battery.millivolts;
+        self.inputs.supply_mv = self.battery.supply_mv;
+        self.inputs.battery_open = self.battery.open;
         self.polls_next = !self.polls_next;
         self.polls_next
     }
@@ -159,10 +165,14 @@ impl MainLoop {
         self.inputs.motor = self.motor.poll(clock::now_us());
         self.inputs.stop_input_open = stop_input::is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
+        self.inputs.edges_refused = motor::refused();
         let outputs = sections::measured(POLL, || {
             board.poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
         supervisor::publish(now_us, &outputs);
+        if let Some(configuration) = board.configuration() {
+            self.imu.mount(configuration.imu_axes);
+        }
     }
 }
 

@@ -2,12 +2,16 @@
 
 use core::panic::PanicInfo;
 
-use crate::{interrupts, pulses};
+use crate::{interrupts, kill_output, pulses};
 
-/// Ends the pulses, which makes servo and ESC let go, and waits for the watchdog.
+/// Drops the ESC's supply, ends the pulses, which makes servo and ESC let go, and waits
+/// for the watchdog.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
-    interrupts::masked(pulses::stop);
+    interrupts::masked(|masked| {
+        kill_output::set(masked, false);
+        pulses::stop(masked);
+    });
     interrupts::disable();
     loop {}
 }

@@ -27,8 +27,8 @@ const _: () = assert!((BETWEEN_PULSES.end as u16 + 1) * 256 <= PERIOD);
 /// The end of [`BETWEEN_PULSES`], in which the next pulses are set: one or two
 /// ticks long. Earlier writes would have no effect.
 ///
-/// The timer applies new values only at the end of a period. But servo pulses are
-/// also switched on and off here, which must not cut one.
+/// The timer applies new values only at the end of a period. But pulses are also
+/// switched on and off here, which must not cut one.
 const DECISION: core::ops::Range<u8> = 143..BETWEEN_PULSES.end;
 const _: () =
     assert!((DECISION.end - DECISION.start) as u32 * 256 >= COUNTS_PER_US as u32 * clock::TICK_US);
@@ -45,7 +45,6 @@ const WGM13_WGM12: u8 = 0b11 << 3;
 const CS11: u8 = 1 << 1;
 
 const ESC_ONLY: u8 = COM1B1 | WGM11;
-const SERVO_AND_ESC: u8 = COM1A1 | ESC_ONLY;
 
 /// Width of a pulse as a compare value: the pin falls one count after it.
 #[derive(Clone, Copy)]
@@ -89,22 +88,20 @@ pub(crate) fn are_due(masked: Masked) -> bool {
     DECISION.contains(&TCNT1.read_high(masked))
 }
 
-/// Sets the ESC's pulses from the next period on; call it only while [`are_due`].
+/// Sets the pulses of servo and ESC from the next period on, or none; call it only
+/// while [`are_due`].
 #[inline(always)]
-pub(crate) fn set_esc(masked: Masked, width: Width) {
-    OCR1B.write(masked, width.compare_value());
-}
-
-/// Sets the servo's pulses from the next period on, or none; call it only while
-/// [`are_due`].
-#[inline(always)]
-pub(crate) fn set_servo(masked: Masked, width: Option<Width>) {
-    if let Some(width) = width {
+pub(crate) fn set(masked: Masked, servo: Option<Width>, esc: Option<Width>) {
+    let mut pins = WGM11;
+    if let Some(width) = servo {
         OCR1A.write(masked, width.compare_value());
-        TCCR1A.write(SERVO_AND_ESC);
-    } else {
-        TCCR1A.write(ESC_ONLY);
+        pins |= COM1A1;
     }
+    if let Some(width) = esc {
+        OCR1B.write(masked, width.compare_value());
+        pins |= COM1B1;
+    }
+    TCCR1A.write(pins);
 }
 
 /// Ends the pulses after those in progress. Takes up to 2.5 ms.

@@ -69,6 +69,7 @@ pub(crate) const PORTB: Register = Register(0x25);
 pub(crate) const DDRC: Register = Register(0x27);
 pub(crate) const PORTC: Register = Register(0x28);
 pub(crate) const PIND: Register = Register(0x29);
+pub(crate) const DDRD: Register = Register(0x2A);
 pub(crate) const PORTD: Register = Register(0x2B);
 
 // External interrupts

@@ -1,8 +1,9 @@
 //! The supervisor: a 1 kHz interrupt with final authority over the pulses.
 //!
 //! The main loop publishes the pulses and their deadline; only the interrupt writes
-//! them to the timer. It sets the ESC to neutral when the deadline has passed, and
-//! when the main loop has published nothing for [`TIMEOUT_TICKS`].
+//! them to the timer. It sets the ESC to neutral, and drops the kill output, when the
+//! deadline has passed, and when the main loop has published nothing for
+//! [`TIMEOUT_TICKS`]. A silent ESC stays silent.
 #![allow(unsafe_code)]
 
 use singletrack_board::Outputs;
@@ -10,7 +11,7 @@ use singletrack_board::Outputs;
 use crate::{
     clock,
     interrupts::{self, Masked, Shared, SharedByte, masked},
-    pulses::{self, Width},
+    kill_output, motor, pulses::{self, Width},
 };
 
 /// Number of ticks after which a silent main loop counts as hung. (With one servo
@@ -23,8 +24,9 @@ const NEUTRAL_AT_START: Width = Width::from_us(1_500);
 // Published by the main loop. (Separate statics, because the compiler would
 // disassemble one structure with 64-bit shifts.)
 static SERVO: Shared<Option<Width>> = Shared::new(None);
-static ESC: Shared<Width> = Shared::new(NEUTRAL_AT_START);
+static ESC: Shared<Option<Width>> = Shared::new(Some(NEUTRAL_AT_START));
 static NEUTRAL: Shared<Width> = Shared::new(NEUTRAL_AT_START);
+static POWER_ON: SharedByte = SharedByte::new(0);
 /// Ticks for which `ESC` is valid without another publication.
 static VALID_TICKS: SharedByte = SharedByte::new(0);
 
@@ -46,20 +48,24 @@ pub(crate) fn wake() {
 
 /// Starts the pulses, with the ESC in neutral, and the ticks.
 pub(crate) fn start() {
-    masked(|masked| pulses::start(masked, NEUTRAL_AT_START));
+    masked(|masked| {
+        kill_output::start(masked);
+        pulses::start(masked, NEUTRAL_AT_START);
+    });
     clock::start();
 }
 
 /// Publishes the outputs that the main loop computed at `now_us`.
 pub(crate) fn publish(now_us: u32, outputs: &Outputs) {
     let servo = outputs.servo_us.map(Width::from_us);
-    let esc = Width::from_us(outputs.esc_us);
+    let esc = outputs.esc_us.map(Width::from_us);
     let neutral = Width::from_us(outputs.esc_neutral_us);
     let valid_ticks = valid_ticks(now_us, outputs.drive_deadline_us);
     masked(|masked| {
         SERVO.set(masked, servo);
         ESC.set(masked, esc);
         NEUTRAL.set(masked, neutral);
+        POWER_ON.set(u8::from(outputs.power_on));
         VALID_TICKS.set(valid_ticks);
         SILENT_TICKS.set(0);
     });
@@ -139,12 +145,16 @@ extern "avr-interrupt" fn __vector_14() {
         silent_ticks += 1;
         SILENT_TICKS.set(silent_ticks);
     }
+    motor::tick(masked);
+    let is_valid = silent_ticks <= VALID_TICKS.get();
+    kill_output::set(masked, is_valid && POWER_ON.get() != 0);
     if pulses::are_due(masked) {
-        if silent_ticks > VALID_TICKS.get() {
-            pulses::set_esc(masked, NEUTRAL.get(masked));
+        let esc = ESC.get(masked);
+        let esc = if is_valid {
+            esc
         } else {
-            pulses::set_esc(masked, ESC.get(masked));
-        }
-        pulses::set_servo(masked, SERVO.get(masked));
+            esc.map(|_| NEUTRAL.get(masked))
+        };
+        pulses::set(masked, SERVO.get(masked), esc);
     }
 }

@@ -118,7 +118,13 @@ pub(crate) fn take(buffer: &mut [u8]) -> bool {
 
 /// The first byte that was read.
 pub(crate) fn first_byte() -> u8 {
-    READ[0].get()
+    byte::<0>()
+}
+
+/// A byte that was read.
+pub(crate) fn byte<const INDEX: usize>() -> u8 {
+    const { assert!(INDEX < MAX_READ) }
+    READ[INDEX].get()
 }
 
 /// Aborts the transfer, and frees a bus held by a sensor that has lost count of

@@ -159,7 +159,7 @@ impl<'a> Drive<'a> {
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            spec: Spec::new(&schedule.situation, &world.config().car, &config).map_err(SetupError::Config)?,
+            spec: Spec::new(&schedule.situation, world.config(), &config).map_err(SetupError::Config)?,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -477,8 +477,8 @@ impl<'a> Drive<'a> {
         let mut configuration = None;
         if let Some((number, mut config)) = self.changed.take() {
             tamper.configuration(number, &mut config);
-            let car = &self.world.config().car;
-            self.spec = Spec::new(&self.schedule.situation, car, &config).map_err(SetupError::Config)?;
+            let world = self.world.config();
+            self.spec = Spec::new(&self.schedule.situation, world, &config).map_err(SetupError::Config)?;
             let pilot = config.pilot().map_err(SetupError::Config)?;
             configuration = Some((number, pilot));
         }

@@ -5,7 +5,7 @@ use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
 use singletrack_protocol::{BoardMode, Configuration, EscKind, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{CarParameters, ReceivedMessage, Truth};
+use singletrack_sim::{ReceivedMessage, SimulationConfig, Truth};
 
 use crate::{
     network::Exposure,
@@ -37,6 +37,11 @@ pub(crate) struct Spec {
     pub(crate) max_roll_out_us: u64,
     /// Time without pulses after which the true ESC releases the motor.
     pub(crate) true_signal_loss_us: u64,
+    /// How much younger than they are the server's stamps make poses: in µs, and its
+    /// growth per µs.
+    true_stamp_error: [f64; 2],
+    /// Whether interference makes edges on the motor sensor's wire.
+    pub(crate) has_interference: bool,
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
     pub(crate) period_s: f64,
@@ -48,7 +53,7 @@ pub(crate) struct Spec {
 impl Spec {
     pub(crate) fn new(
         situation: &Situation,
-        car: &CarParameters,
+        world: &SimulationConfig,
         config: &Config,
     ) -> Result<Self, ConfigError> {
         let us = |ms: u32| u64::from(ms) * 1_000;
@@ -69,7 +74,15 @@ impl Spec {
             stop_deceleration: config.control.stop_deceleration_m_s2,
             braking: config.fence.braking_m_s2,
             max_roll_out_us: us(board.max_roll_out_ms.into()),
-            true_signal_loss_us: car.motor.signal_loss_us,
+            true_signal_loss_us: world.car.motor.signal_loss_us,
+            true_stamp_error: [
+                1e3 * world.cameras.stamp_bias_ms,
+                1e-6 * world.cameras.stamp_drift_ppm,
+            ],
+            has_interference: {
+                let sensor = &world.car.motor_sensor;
+                sensor.emi_driven_hz + sensor.emi_standstill_hz > 0.0 || sensor.ringing_edges > 0
+            },
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
             setpoint_timeout_ns: match config.reference {
@@ -82,6 +95,18 @@ impl Spec {
             period_s: f64::from(config.control.period_ms) * 1e-3,
             fence: config.fence.fence(&config.vehicle)?,
         })
+    }
+
+    /// How much younger than it is a pose may look to the host, in µs.
+    pub(crate) fn stamp_error_us(&self, now_us: u64) -> u64 {
+        let [bias_us, growth] = self.true_stamp_error;
+        (bias_us + growth * now_us as f64).max(0.0) as u64
+    }
+
+    /// Whether the stamps leave the frames by more than 0.5 ms a second.
+    pub(crate) const fn stamps_drift(&self) -> bool {
+        let [_, growth] = self.true_stamp_error;
+        growth.abs() > 5e-4
     }
 
     /// Whether the board may brake.
@@ -201,7 +226,7 @@ pub(crate) mod scene {
     use singletrack_sim::PulseRecord;
 
     use super::{
-        CarParameters, Exposure, Observation, Pulse, ReceivedPose, Situation, Spec, Truth,
+        Exposure, Observation, Pulse, ReceivedPose, SimulationConfig, Situation, Spec, Truth,
     };
     use crate::{
         pins::Effect,
@@ -220,7 +245,7 @@ pub(crate) mod scene {
             let situation = Situation::default();
             let config = setting::config(&situation, ConfigurationFile::default()).unwrap();
             Self {
-                spec: Spec::new(&situation, &CarParameters::default(), &config).unwrap(),
+                spec: Spec::new(&situation, &SimulationConfig::default(), &config).unwrap(),
                 pulses: vec![Pulse {
                     record: PulseRecord {
                         time_us: 5_000_000,

@@ -9,7 +9,8 @@ use crate::observation::{Spec, TOLERANCE_US};
 pub(crate) enum Effect {
     /// No pulse.
     Absent,
-    /// Neutral, to the rounding of a measured pulse.
+    /// The configured neutral, or the one before any configuration and after an emergency
+    /// stop, which a configuration must have in its deadband.
     Neutral,
     /// The brake pulse of a board that may brake, after driving forward, for at most
     /// [`BRAKE_US`].
@@ -51,6 +52,9 @@ impl Pulse {
 /// loop apart, on a clock that may be 0.5 % slow.
 pub(crate) const BRAKE_US: u64 = 500_000 + 20_000 + 10_000 + 2_500;
 
+/// Neutral before any configuration.
+const NEUTRAL_US: u16 = 1_500;
+
 /// Follows the pulses.
 #[derive(Debug, Default)]
 pub(crate) struct Pins {
@@ -80,7 +84,8 @@ impl Pins {
         }
         // A pulse cut by a reset drives only if it is longer than neutral.
         let short = record.cut && record.esc_us < esc.neutral_us;
-        if short || record.esc_us.abs_diff(esc.neutral_us) <= TOLERANCE_US {
+        let is = |us: u16| record.esc_us.abs_diff(us) <= TOLERANCE_US;
+        if short || is(esc.neutral_us) || is(NEUTRAL_US) {
             return Effect::Neutral;
         }
         if !(spec.brakes() && record.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US) {

@@ -165,12 +165,13 @@ bugs! {
     Board "drives on after an emergency stop", "latched-stop", "ask stop at 6000",
         |_| prolonged(61_000);
     Board "drives on without motor pulses", "motor-pulses",
-        "fault pulses-gone at 6000 for 900 severity 1", |_| prolonged(500_000);
+        "fault pulses-gone at 6000 for 900 severity 1", |_| prolonged(800_000);
     Board "creeps after a stop", "stands", "ask disarm at 6000", |_| creeping_after_a_stop();
     Board "holds its last pulse for a second after a stop", "stands",
         "speed_mm_s 1000; fault daemon-paused at 6000 for 2500 severity 500",
         |_| prolonged(1_000_000);
-    Board "never releases the brake", "brake-pulse", "brake true; ask disarm at 6000",
+    Board "never releases the brake", "brake-pulse",
+        "brake true; speed_mm_s 1200; fault daemon-paused at 6000 for 2500 severity 500",
         |_| NeverReleases::default();
     Board "never releases the brake, which is reverse", "backward",
         "brake true; truth esc-kind forward-reverse; fault daemon-paused at 6000 for 2500 severity 500",

@@ -123,7 +123,7 @@ pub(crate) struct Stops {
     /// The last pulse, and whether the ESC was left with one that drives.
     last_pulse_us: u64,
     last_drives: bool,
-    /// Driven since the present drive began.
+    /// Driven while armed, since the present drive began.
     driven: bool,
 }
 
@@ -161,7 +161,7 @@ impl Stops {
                     !self.last_drives
                 }
             };
-            self.driven |= pulse.drives();
+            self.driven |= pulse.drives() && step.board_is_armed;
             if let Some(stop) = &mut self.stop {
                 if released {
                     stop.rolling.get_or_insert(Rolling {

@@ -13,6 +13,12 @@ use super::{
 const SRAM: usize = 0x100;
 const ADC_COUNTS: u32 = 1_024;
 const SUPPLY_MV: u32 = 5_000;
+/// Voltage on a floating A0 without pull-up: anything is possible, also that of a
+/// charged battery.
+const FLOATING_MV: u32 = 3_900;
+/// The divider's resistance at the pin, and that of the pull-up, in Ω.
+const DIVIDER_OHM: u32 = 5_000;
+const PULL_UP_OHM: u32 = 35_000;
 /// Time for which the motor sensor stays high, unless the next edge is earlier.
 const SENSOR_HIGH: u64 = 16 * 50;
 
@@ -29,6 +35,31 @@ pub(crate) struct Board {
     crash: Option<String>,
     sensor_falls: Option<u64>,
     watchdog_reset: Option<u64>,
+    battery: Battery,
+}
+
+/// What is at the converter's inputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Battery {
+    battery_mv: u32,
+    supply_mv: u32,
+    divider_open: bool,
+    pulled_up: bool,
+}
+
+impl Battery {
+    /// The voltage on A0.
+    const fn pin_mv(self) -> u32 {
+        let without = match self.divider_open {
+            true if self.pulled_up => return self.supply_mv,
+            true => return FLOATING_MV,
+            false => self.battery_mv / 2,
+        };
+        if !self.pulled_up {
+            return without;
+        }
+        (without * PULL_UP_OHM + self.supply_mv * DIVIDER_OHM) / (PULL_UP_OHM + DIVIDER_OHM)
+    }
 }
 
 /// Pending inputs of a run.
@@ -53,6 +84,12 @@ impl Board {
             crash: None,
             sensor_falls: None,
             watchdog_reset: None,
+            battery: Battery {
+                battery_mv: 0,
+                supply_mv: SUPPLY_MV,
+                divider_open: false,
+                pulled_up: false,
+            },
         })
     }
 
@@ -119,11 +156,15 @@ impl Board {
     }
 
     fn run(&mut self, run: Run) -> Reply {
-        let pin_mv = u32::from(run.battery_mv) / 2;
-        let counts = (pin_mv * ADC_COUNTS / SUPPLY_MV).min(ADC_COUNTS - 1);
-        // simavr multiplies by 1023; the converter has 1024 steps.
-        self.machine
-            .set_adc0((counts * SUPPLY_MV).div_ceil(ADC_COUNTS - 1));
+        if run.supply_mv != 0 {
+            self.battery.supply_mv = run.supply_mv.into();
+        }
+        self.battery.battery_mv = run.battery_mv.into();
+        self.battery.divider_open = run.divider_open;
+        self.pass_voltages();
+        if let Some(health) = run.imu_health {
+            self.machine.devices().twi.imu.set_health(health);
+        }
         self.machine.devices().stop_input_open = run.stop_input_open;
         let mut inputs = Inputs {
             received: run.received.into(),
@@ -140,6 +181,7 @@ impl Board {
         let report = Report {
             transmitted: std::mem::take(&mut devices.uart.transmitted),
             pulses: std::mem::take(&mut devices.pulses),
+            kill_output: std::mem::take(&mut devices.kill_changes),
             bytes_overrun: devices.uart.bytes_overrun,
             cycle: self.now(),
             watchdog_reset: self.watchdog_reset.take(),
@@ -148,6 +190,16 @@ impl Board {
             Some(crash) => Reply::Failed(crash.clone()),
             None => Reply::Ran(report),
         }
+    }
+
+    fn pass_voltages(&mut self) {
+        self.battery.pulled_up = self.machine.devices().battery_pull_up();
+        let supply_mv = self.battery.supply_mv;
+        let counts = (self.battery.pin_mv() * ADC_COUNTS / supply_mv).min(ADC_COUNTS - 1);
+        self.machine.set_supply(supply_mv);
+        // simavr multiplies by 1023; the converter has 1024 steps.
+        self.machine
+            .set_adc0((counts * supply_mv).div_ceil(ADC_COUNTS - 1));
     }
 
     /// Applies the inputs that are due; returns the time of the next one.
@@ -196,6 +248,10 @@ impl Board {
             let now = self.now();
             let devices = self.machine.devices();
             if devices.changed || devices.next() <= now {
+                if devices.battery_pull_up() != self.battery.pulled_up {
+                    self.pass_voltages();
+                }
+                let devices = self.machine.devices();
                 devices.advance(now);
                 devices.changed = false;
                 if let Some(at) = devices.watchdog_reset {

@@ -70,6 +70,9 @@ pub(crate) struct Devices {
     /// Times of the rising edges of D9 and D10 while high.
     high_since: [Option<u64>; 2],
     pub(crate) pulses: Vec<Pulse>,
+    /// The level of D7, and its changes.
+    kill_output: bool,
+    pub(crate) kill_changes: Vec<(u64, bool)>,
     pub(crate) motor_level: bool,
     pub(crate) stop_input_open: bool,
     /// Last unprocessed write to GPIOR0.
@@ -93,6 +96,8 @@ impl Devices {
             ports: [Port::default(); 3],
             high_since: [None; 2],
             pulses: Vec::new(),
+            kill_output: false,
+            kill_changes: Vec::new(),
             motor_level: false,
             stop_input_open: false,
             mark: None,
@@ -109,6 +114,7 @@ impl Devices {
         self.ports = [Port::default(); 3];
         self.timer1 = Timer1::new();
         self.update_pins(now);
+        self.update_kill_output(now);
         self.uart.reset();
         self.twi.reset();
         self.watchdog = Watchdog::default();
@@ -226,6 +232,23 @@ impl Devices {
         }
     }
 
+    fn update_kill_output(&mut self, now: u64) {
+        const KILL: u8 = 1 << 7;
+        let [.., Port { direction, output }] = self.ports;
+        // A pull-down holds a floating pin.
+        let high = direction & output & KILL != 0;
+        if self.kill_output != high {
+            self.kill_output = high;
+            self.kill_changes.push((now, high));
+        }
+    }
+
+    /// Whether the pull-up of A0 is on.
+    pub(crate) const fn battery_pull_up(&self) -> bool {
+        let [_, Port { direction, output }, _] = self.ports;
+        output & !direction & 1 != 0
+    }
+
     fn update_bus_pins(&mut self, now: u64) {
         let Port { direction, output } = self.ports[1];
         let pulled_low = direction & !output & 1 << 5 != 0;
@@ -328,6 +351,7 @@ impl Devices {
         match address {
             PORTB | DDRB | TCCR1A => self.update_pins(now),
             PORTC | DDRC => self.update_bus_pins(now),
+            PORTD | DDRD => self.update_kill_output(now),
             _ => {}
         }
         if matches!(address, TCCR1A | 0x81) && self.timer1.counts_down() {

@@ -59,6 +59,7 @@ unsafe extern "C" {
     fn uno_request(uno: *mut c_void, vector: u8, requested: c_int);
     fn uno_set_int0(uno: *mut c_void, level: c_int);
     fn uno_set_adc0(uno: *mut c_void, millivolts: u32);
+    fn uno_set_supply(uno: *mut c_void, millivolts: u32);
     fn uno_data(uno: *mut c_void, size: *mut u32) -> *mut u8;
     fn uno_silence_stdout() -> c_int;
 }
@@ -213,6 +214,11 @@ impl Machine {
     pub(crate) fn set_adc0(&mut self, millivolts: u32) {
         // SAFETY: as above.
         unsafe { uno_set_adc0(self.uno, millivolts) };
+    }
+
+    pub(crate) fn set_supply(&mut self, millivolts: u32) {
+        // SAFETY: as above.
+        unsafe { uno_set_supply(self.uno, millivolts) };
     }
 
     /// Registers, I/O and SRAM by address.

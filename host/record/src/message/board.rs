@@ -122,7 +122,7 @@ fields! {
         battery_open: bool,
         /// Whether the kill output is held.
         power_on: bool,
-        /// Edges of the motor's sensor beyond those taken in a millisecond.
+        /// Milliseconds with more edges of the motor's sensor than the board takes.
         edges_refused: u16,
         /// The BNO055's register CALIB_STAT.
         imu_calibration: u8,

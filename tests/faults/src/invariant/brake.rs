@@ -7,7 +7,8 @@ use crate::{observation::Observation, pins::BRAKE_US};
 
 /// `brake-pulse`: while reverse is disabled, a pulse below the deadband is the brake pulse
 /// of a board that may brake. It comes once after driving forward, lasts at most half a
-/// second, and ends when the wheels have stood for as long as the board needs to tell.
+/// second, and ends when the wheels have stood for as long as the board needs to tell; it
+/// can't tell where interference makes edges.
 #[derive(Default)]
 pub(super) struct BrakePulse {
     since_us: Option<u64>,
@@ -59,7 +60,7 @@ impl Invariant for BrakePulse {
                 "without a drive forward before it"
             } else if pulse.time_us - since_us > BRAKE_US {
                 "for over half a second"
-            } else if self.stood_us.is_some_and(|stood_us| {
+            } else if !spec.has_interference && self.stood_us.is_some_and(|stood_us| {
                 pulse.time_us > stood_us + standstill_us(spec.board.speed.pulse_distance_um)
             }) {
                 "although the wheels stand"

@@ -22,13 +22,23 @@ use crate::observation::Observation;
 /// A car whose motor is free and that brakes less than configured may roll farther, see
 /// `stands`. A car that was armed outside, or that somebody pushed there, is not judged
 /// until it is inside again.
-#[derive(Default)]
 pub(super) struct Fence {
     /// Recent maximum of the speed, in m/s; frozen at the crossing.
     speed: f64,
     /// Largest error of the estimate in this drive, in m.
     error: f64,
     excused: bool,
+}
+
+impl Default for Fence {
+    /// The car may have been put down outside.
+    fn default() -> Self {
+        Self {
+            speed: 0.0,
+            error: 0.0,
+            excused: true,
+        }
+    }
 }
 
 const SILENCE_S: f64 = 0.12;
@@ -142,7 +152,10 @@ mod tests {
         let mut scene = Scene::new();
         let side = 2.0 + 0.8;
         let judge = |scene: &Scene| {
-            let mut fence = Fence::default();
+            let mut fence = Fence {
+                excused: false,
+                ..Fence::default()
+            };
             fence.check(&scene.observation(0))
         };
         scene.truth.speed = 1.0;
