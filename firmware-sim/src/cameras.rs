@@ -688,4 +688,127 @@ mod tests {
         };
         assert!(next(&mut cameras).bodies[2].position_m[0].is_nan());
     }
+
+    /// The frames of a car that drives along x with 1 m/s for two seconds.
+    fn driven(change: impl FnOnce(&mut CameraParameters)) -> (Cameras, Vec<CameraFrame>) {
+        let mut parameters = exact();
+        change(&mut parameters);
+        let mut cameras = Cameras::new(parameters, 1);
+        while cameras.next_exposure_us() < 2_000_000 {
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                x: time_us as f64 * 1e-6,
+                ..Truth::default()
+            });
+        }
+        let frames = core::iter::from_fn(|| cameras.take_frame(u64::MAX)).collect();
+        (cameras, frames)
+    }
+
+    fn x(frame: &CameraFrame) -> f64 {
+        frame.bodies.last().unwrap().position_m[0].into()
+    }
+
+    #[test]
+    fn a_late_stamp_is_on_an_older_pose() {
+        for (bias_ms, drift_ppm) in [(20.0, 0.0), (-20.0, 0.0), (0.0, 1_000.0)] {
+            let (cameras, frames) = driven(|p| {
+                (p.stamp_bias_ms, p.stamp_drift_ppm) = (bias_ms, drift_ppm);
+            });
+            for frame in frames {
+                let error_us = bias_ms * 1e3 + drift_ppm * 1e-6 * frame.exposed_us as f64;
+                let error =
+                    frame.ticks.mid_exposure as f64 - cameras.ticks(frame.exposed_us) as f64;
+                assert!((error - error_us * 10.0).abs() <= 1.0, "{error}");
+                // No stamp is in the future of its packet.
+                assert!(frame.ticks.mid_exposure < frame.ticks.transmit);
+            }
+        }
+    }
+
+    #[test]
+    fn frozen_poses_repeat_in_new_frames() {
+        let (_, frames) = driven(|p| (p.frozen_from_s, p.frozen_ms) = (Some(1.0), 500.0));
+        for frame in &frames {
+            let seen_us = match frame.exposed_us {
+                at @ 1_000_000..1_500_000 => at.min(990_000),
+                at => at,
+            };
+            assert!((x(frame) - seen_us as f64 * 1e-6).abs() < 1e-6);
+            assert!(frame.car_tracked && frame.bodies.last().unwrap().tracking_valid());
+        }
+        assert!(
+            frames
+                .windows(2)
+                .all(|pair| pair[0].number < pair[1].number)
+        );
+    }
+
+    #[test]
+    fn a_flip_lasts_and_another_body_stands_still() {
+        let (_, frames) = driven(|p| p.flip_from_s = Some(1.0));
+        for frame in &frames {
+            // Up is y: half the yaw's sine.
+            let half = f64::from(frame.bodies.last().unwrap().orientation_xyzw[1]);
+            let expected = if frame.exposed_us < 1_000_000 {
+                0.0
+            } else {
+                1.0
+            };
+            assert!((half - expected).abs() < 1e-6);
+            assert!((x(frame) - frame.exposed_us as f64 * 1e-6).abs() < 1e-6);
+        }
+        let (_, frames) = driven(|p| p.other_body_from_s = Some(1.0));
+        let decoy = CameraParameters::default().decoys[0].position_m;
+        for frame in &frames {
+            let expected = match frame.exposed_us {
+                at @ ..1_000_000 => at as f64 * 1e-6,
+                _ => decoy[0],
+            };
+            assert!((x(frame) - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn forged_frames_follow_the_true_ones_and_drift_away() {
+        let (cameras, frames) = driven(|p| {
+            p.forged_from_s = Some(0.5);
+            p.forged_offset_m = [0.1, -0.2];
+            p.forged_drift_m_s = [0.0, 1.0];
+        });
+        assert_eq!(cameras.forge(&frames[10]), None);
+        let last = frames.last().unwrap();
+        let forged = cameras.forge(last).unwrap();
+        assert_eq!(forged.number, last.number + 1);
+        assert!(forged.ticks.mid_exposure > last.ticks.mid_exposure);
+        let [x, _, minus_y] = forged.bodies.last().unwrap().position_m;
+        let elapsed_s = last.sent_us as f64 * 1e-6 - 0.5;
+        assert!((f64::from(x) - (last.exposed_us as f64 * 1e-6 + 0.1)).abs() < 1e-6);
+        assert!((f64::from(-minus_y) - (elapsed_s - 0.2)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn nothing_timed_happens_before_its_epoch() {
+        let mut cameras = Cameras::new(
+            CameraParameters {
+                flip_from_s: Some(0.0),
+                ..exact()
+            },
+            1,
+        );
+        let mut half = |epoch| {
+            cameras.set_epoch(epoch);
+            let time_us = cameras.next_exposure_us();
+            cameras.expose(&Truth {
+                time_us,
+                ..Truth::default()
+            });
+            let frame = cameras.take_frame(u64::MAX).unwrap();
+            frame.bodies.last().unwrap().orientation_xyzw[1]
+        };
+        assert!(half(None).abs() < 1e-6);
+        assert!(half(Some(1_000_000)).abs() < 1e-6);
+        assert!((half(Some(0)) - 1.0).abs() < 1e-6);
+    }
 }

@@ -64,7 +64,7 @@ pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
-pub use parameters::{ConfigError, SimulationConfig};
+pub use parameters::{ConfigError, SimulationConfig, SimulationFileError};
 pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
 pub use real_time::{

@@ -6,8 +6,9 @@ use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
 use clap::Parser;
 use singletrack_mocap::codec::BitstreamVersion;
 use singletrack_sim::{
-    BoardKind, LossKind, LossPattern, RealTimeConfig, RealTimeError, RealTimeSimulator,
-    SimulationConfig, StartPose, UdpConfig, parse_bitstream, parse_duration_us,
+    BoardKind, LossKind, LossPattern, NatNetParameters, RealTimeConfig, RealTimeError,
+    RealTimeSimulator, SimulationConfig, SimulationFileError, StartPose, UdpConfig,
+    parse_bitstream, parse_duration_us,
 };
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -19,10 +20,18 @@ use tokio::signal::unix::{SignalKind, signal};
 #[derive(Debug, Parser)]
 #[command(name = "singletrack-sim", version)]
 struct Arguments {
+    /// Configuration of the simulation; other options replace what it says
+    ///
+    /// A TOML file with the sections of the simulation (`[car.servo]`, `[cameras]`, ...),
+    /// and a table `[truth]` as in a scenario: what is true of the car and differs from
+    /// its configuration. Times in it count from the start of the simulator.
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+
     /// Board to simulate: its code, compiled for this machine, or the UNO image on
-    /// a simulated processor (built by `cargo uno`)
-    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
-    board: BoardKind,
+    /// a simulated processor (built by `cargo uno`) [default: native]
+    #[arg(long, value_name = "native|uno")]
+    board: Option<BoardKind>,
 
     /// Path of the link to the board's serial port
     #[arg(long, value_name = "PATH", default_value = "/tmp/singletrack-board")]
@@ -44,33 +53,35 @@ struct Arguments {
     #[arg(long)]
     multicast: bool,
 
-    /// NatNet bitstream version, 2.7 to 4.4
-    #[arg(long, value_name = "VERSION", default_value = "4.1", value_parser = parse_bitstream)]
-    bitstream: BitstreamVersion,
+    /// NatNet bitstream version, 2.7 to 4.4 [default: 4.1]
+    #[arg(long, value_name = "VERSION", value_parser = parse_bitstream)]
+    bitstream: Option<BitstreamVersion>,
 
-    /// Seed of all random numbers
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    /// Seed of all random numbers [default: 1]
+    #[arg(long)]
+    seed: Option<u64>,
 
     /// Initial position of the centre of mass, in metres, and yaw, in degrees
-    #[arg(long, value_name = "X,Y,YAW", default_value = "0,0,0", allow_hyphen_values = true, value_parser = parse_pose)]
-    start: StartPose,
+    /// [default: 0,0,0]
+    #[arg(long, value_name = "X,Y,YAW", allow_hyphen_values = true, value_parser = parse_pose)]
+    start: Option<StartPose>,
 
     /// Lose the markers for DURATION at every multiple of INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     loss: Option<LossPattern>,
 
-    /// Form of a loss: tracking bit cleared (occluded), body absent, or no frame (silent)
-    #[arg(long, value_name = "KIND", default_value = "occluded", value_parser = parse_loss_kind)]
-    loss_kind: LossKind,
+    /// Form of a loss: tracking bit cleared (occluded, the default), body absent, or no
+    /// frame (silent)
+    #[arg(long, value_name = "KIND", value_parser = parse_loss_kind)]
+    loss_kind: Option<LossKind>,
 
-    /// Probability that a byte on the serial line has a bit flipped
-    #[arg(long, value_name = "PROBABILITY", default_value_t = 0.0)]
-    corrupt: f64,
+    /// Probability that a byte on the serial line has a bit flipped [default: 0]
+    #[arg(long, value_name = "PROBABILITY")]
+    corrupt: Option<f64>,
 
-    /// Probability that a byte on the serial line is lost
-    #[arg(long, value_name = "PROBABILITY", default_value_t = 0.0)]
-    drop: f64,
+    /// Probability that a byte on the serial line is lost [default: 0]
+    #[arg(long, value_name = "PROBABILITY")]
+    drop: Option<f64>,
 
     /// Stop after this long, such as 40s; without it, run until Ctrl-C
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
@@ -114,20 +125,21 @@ fn parse_pose(text: &str) -> Result<StartPose, String> {
 }
 
 impl Arguments {
-    fn config(&self) -> RealTimeConfig {
-        let mut simulation = SimulationConfig {
-            seed: self.seed,
-            ..SimulationConfig::default()
+    fn config(&self) -> Result<RealTimeConfig, SimulationFileError> {
+        let mut simulation = match &self.config {
+            Some(path) => SimulationConfig::read(path)?,
+            None => SimulationConfig::default(),
         };
-        simulation.board.kind = self.board;
-        simulation.car.start = self.start;
-        simulation.wire.faults.corrupt = self.corrupt;
-        simulation.wire.faults.drop = self.drop;
-        simulation.cameras.loss = self.loss;
-        simulation.cameras.loss_kind = self.loss_kind;
-        simulation.natnet.bitstream = self.bitstream;
-        simulation.natnet.multicast = self.multicast;
-        RealTimeConfig {
+        replace(&mut simulation.board.kind, self.board);
+        replace(&mut simulation.seed, self.seed);
+        replace(&mut simulation.car.start, self.start);
+        replace(&mut simulation.wire.faults.corrupt, self.corrupt);
+        replace(&mut simulation.wire.faults.drop, self.drop);
+        replace(&mut simulation.cameras.loss_kind, self.loss_kind);
+        replace(&mut simulation.natnet.bitstream, self.bitstream);
+        simulation.cameras.loss = self.loss.or(simulation.cameras.loss);
+        simulation.natnet.multicast |= self.multicast;
+        Ok(RealTimeConfig {
             simulation,
             pty_link: Some(self.port.clone()),
             udp: UdpConfig {
@@ -136,7 +148,14 @@ impl Arguments {
                 data_port: self.data_port,
             },
             ..RealTimeConfig::default()
-        }
+        })
+    }
+}
+
+/// Replaces what an option gives.
+fn replace<T>(value: &mut T, given: Option<T>) {
+    if let Some(given) = given {
+        *value = given;
     }
 }
 
@@ -156,9 +175,12 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     // First, so that no signal leaves the link behind.
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
-    let simulator = RealTimeSimulator::start(arguments.config())?;
+    let config = arguments.config()?;
+    let natnet = config.simulation.natnet;
+    let body = config.simulation.cameras.car.name.clone();
+    let simulator = RealTimeSimulator::start(config)?;
     if !arguments.quiet {
-        introduce(arguments, &simulator);
+        introduce(&natnet, &body, &simulator);
     }
     let end = async {
         match arguments.duration {
@@ -208,15 +230,14 @@ async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTime
     }
 }
 
-fn introduce(arguments: &Arguments, simulator: &RealTimeSimulator) {
-    let body = &SimulationConfig::default().cameras.car.name;
+fn introduce(natnet: &NatNetParameters, body: &str, simulator: &RealTimeSimulator) {
     println!("serial port  {}", simulator.pty_path().display());
     println!(
         "NatNet       {} (commands), {} (frames), bitstream {}, {}, Y up",
         simulator.command_address(),
         simulator.data_address(),
-        arguments.bitstream,
-        if arguments.multicast {
+        natnet.bitstream,
+        if natnet.multicast {
             "multicast"
         } else {
             "unicast"

@@ -391,6 +391,8 @@ mod tests {
         encode,
     };
 
+    use singletrack_protocol::ImuState;
+
     use super::*;
 
     #[test]
@@ -412,5 +414,56 @@ mod tests {
         // 12 ms in ticks of 100 ns; the clock is 40 ppm fast, which is 0.5 us here.
         let (then, now) = (ticks_at(1_000_000), ticks_at(1_012_000));
         assert_eq!(now - then, 120_000);
+    }
+
+    #[test]
+    fn a_dip_of_its_supply_silences_the_imu_until_it_has_restarted() {
+        let mut config = SimulationConfig::default();
+        config.car.battery.dip_at_s = Some(1.0);
+        config.car.battery.dip_ms = 200.0;
+        config.car.imu.restart_ms = 500.0;
+        let mut world = World::new(config).unwrap();
+        let mut samples = Vec::new();
+        for ms in (0..3_000).step_by(10) {
+            world.advance_to(ms * 1_000);
+            if let Some(telemetry) = world.board().telemetry() {
+                samples.push((ms, telemetry.imu != ImuState::Silent));
+            }
+        }
+        // The board waits for 50 ms before it calls the IMU silent.
+        let silent = |ms| (1_070..1_700).contains(&ms);
+        let good = |ms| !(1_000..=1_750).contains(&ms);
+        assert!(samples.iter().all(|&(ms, some)| !silent(ms) || !some));
+        assert!(samples.iter().skip(5).all(|&(ms, some)| !good(ms) || some));
+        assert!(samples.len() > 250);
+    }
+
+    #[test]
+    fn a_second_network_card_and_a_server_that_is_off() {
+        let connect = |natnet| {
+            let mut world = World::new(SimulationConfig {
+                natnet,
+                ..SimulationConfig::default()
+            })
+            .unwrap();
+            let mut request = [0; 512];
+            let message = ClientMessage::EchoRequest { client_stamp: 1 };
+            let length = encode::client_message(&message, &mut request).unwrap();
+            world.handle_datagram(([127, 0, 0, 1], 4_000).into(), &request[..length]);
+            world.poll_datagram()
+        };
+        let natnet = crate::NatNetParameters::default();
+        assert_eq!(connect(natnet).unwrap().from, None);
+        let second = Some([127, 0, 0, 2].into());
+        let natnet = crate::NatNetParameters {
+            sends_from: second,
+            ..natnet
+        };
+        assert_eq!(connect(natnet).unwrap().from, second);
+        let natnet = crate::NatNetParameters {
+            is_off: true,
+            ..natnet
+        };
+        assert_eq!(connect(natnet), None);
     }
 }

@@ -226,6 +226,15 @@ impl<L: Line> ControlLoop<L> {
         let tick = controller.tick(now, &mut write, &mut |event| {
             dropped += tell(&mut rings.reports, now.0, event);
         });
+        if tick.output.proved
+            && let Some(proof) = controller.proof()
+        {
+            let report = Report::Proved {
+                time_ns: now.0,
+                proof,
+            };
+            dropped += u64::from(rings.reports.push(report).is_err());
+        }
         let record = TickRecord {
             index: self.index,
             scheduled_ns: slot.scheduled_ns,
@@ -351,10 +360,11 @@ impl<L: Line> ControlLoop<L> {
                 number,
                 pilot,
                 board,
+                hash,
                 ..
             } = &*change;
             self.controller
-                .reconfigure(Time(now_ns), *number, pilot, *board)
+                .reconfigure(Time(now_ns), *number, pilot, *board, *hash)
                 .map_err(Refusal::from)
         };
         change.outcome = Some(outcome);

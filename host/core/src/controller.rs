@@ -7,12 +7,18 @@ use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
 use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth, LinkState, Output,
-    Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Underway,
+    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth,
+    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Tilt,
+    Underway,
 };
-use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request as BoardRequestKind};
+use singletrack_protocol::{
+    BoardMode, Configuration, RefusalReason, Request as BoardRequestKind, Status, StopCause,
+};
 
-use crate::line::Sent;
+use crate::{
+    line::Sent,
+    proof::{Proof, Proofs},
+};
 
 /// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
 /// telemetry.
@@ -34,6 +40,13 @@ pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 pub struct Controller {
     session: Session,
     pilot: Pilot,
+    /// The hash of the configuration in force, of what the first metre proves.
+    configuration: u64,
+    /// The number of the car; `None` before the board has given it.
+    car_id: Option<u16>,
+    proofs: Proofs,
+    /// The attitude of IMU and body since the last event that has it.
+    attitude: AttitudeSample,
     events: Events,
     dropped: u32,
     ticks: u32,
@@ -67,12 +80,17 @@ pub enum ReconfigureError {
 const LINE_HEALTH_TICKS: u32 = 10;
 
 impl Controller {
-    /// A controller with a closed port.
+    /// A controller with a closed port, for a configuration with this hash
+    /// ([`configuration_hash`](crate::configuration_hash)).
     #[must_use]
-    pub fn new(session: Session, pilot: Pilot) -> Self {
+    pub fn new(session: Session, pilot: Pilot, configuration: u64, proofs: Proofs) -> Self {
         Self {
             session,
             pilot,
+            configuration,
+            car_id: None,
+            proofs,
+            attitude: AttitudeSample::default(),
             events: Events::new(),
             dropped: 0,
             ticks: 0,
@@ -89,6 +107,23 @@ impl Controller {
     #[must_use]
     pub const fn pilot(&self) -> &Pilot {
         &self.pilot
+    }
+
+    /// The configuration in force on this car; `None` before the board has given its number.
+    #[must_use]
+    pub fn proof(&self) -> Option<Proof> {
+        self.car_id.map(|car_id| Proof {
+            configuration: self.configuration,
+            car_id,
+        })
+    }
+
+    /// Tells the pilot whether the configuration in force is proved on this car.
+    fn tell_proved(&mut self) {
+        let proved = self
+            .proof()
+            .is_some_and(|proof| self.proofs.contains(proof));
+        self.push(Event::Proved(proved));
     }
 
     /// The port was opened: the session greets the board.
@@ -115,14 +150,36 @@ impl Controller {
             events: &mut self.events,
             dropped: &mut self.dropped,
         };
+        let (car_id, attitude) = (&mut self.car_id, &mut self.attitude);
+        let before = *car_id;
         self.session.handle_bytes(time.0, bytes, &mut |event| {
             on_link(&event);
+            match &event {
+                // The next board may be in another car.
+                LinkEvent::Connected { .. } => *car_id = None,
+                LinkEvent::Identified { car_id: number } => *car_id = Some(*number),
+                LinkEvent::Telemetry(record) if record.has_fresh_imu_sample() => {
+                    attitude.imu = Some(imu_tilt(record.telemetry.attitude_q14));
+                }
+                _ => {}
+            }
             queue.link(&event);
         });
+        if self.car_id != before {
+            self.tell_proved();
+        }
     }
 
     /// The motion capture reported on the rigid body.
     pub fn observed(&mut self, observation: &Observation) {
+        if let PoseState::Valid(pose) = observation.state {
+            self.attitude.body = Some(Tilt {
+                roll: pose.roll_rad,
+                pitch: pose.pitch_rad,
+            });
+            self.attitude.height = Some(pose.z_m);
+            self.attitude.capture_uncertainty = Some(pose.capture_uncertainty_ns as f64 * 1e-9);
+        }
         let event = match observation.state {
             PoseState::Valid(pose) => Event::Pose(PoseSample {
                 capture: Time(pose.capture_time_ns),
@@ -155,7 +212,8 @@ impl Controller {
         self.push(Event::Setpoint(setpoint));
     }
 
-    /// Replaces the configuration of pilot and board; `number` is for the record. The next
+    /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
+    /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
     /// tick sends it to the board, which accepts no commands until it has acknowledged it.
     ///
     /// # Errors
@@ -168,6 +226,7 @@ impl Controller {
         number: u32,
         pilot: &PilotConfig,
         board: Configuration,
+        hash: u64,
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // The new configuration would apply to an arm request that came before it.
@@ -186,6 +245,10 @@ impl Controller {
         }
         self.pilot.reconfigure(pilot)?;
         self.push(Event::Reconfigured(number));
+        if hash != self.configuration {
+            self.configuration = hash;
+            self.tell_proved();
+        }
         Ok(())
     }
 
@@ -212,11 +275,20 @@ impl Controller {
         });
         if self.ticks.is_multiple_of(LINE_HEALTH_TICKS) {
             queue.push(Event::Line(line_health(&self.session, now)));
+            let attitude = core::mem::take(&mut self.attitude);
+            if attitude != AttitudeSample::default() {
+                queue.push(Event::Attitude(attitude));
+            }
         }
         self.ticks = self.ticks.wrapping_add(1);
         let events = core::mem::take(&mut self.events);
         let dropped_events = core::mem::take(&mut self.dropped);
         let output = self.pilot.step(now, &events);
+        if output.proved
+            && let Some(proof) = self.proof()
+        {
+            self.proofs.insert(proof);
+        }
 
         // The drive command is written first: it must not be late.
         let drive = output.command.map(|command| {
@@ -225,7 +297,7 @@ impl Controller {
                 DriveCommand {
                     speed_m_s: command.rear_speed,
                     steering_rad: command.steering,
-                    brake: false,
+                    brake: command.brake,
                     pose_time_ns: Some(command.pose_time.0),
                 },
             )?;
@@ -373,8 +445,8 @@ impl Queue<'_> {
             LinkEvent::Status(status) => self.push(Event::Health(BoardHealth {
                 battery_mv: status.battery_mv,
                 stop_input_open: status.stop_input_open,
-                battery_open: false,
-                imu_fault: false,
+                battery_open: status.battery_open,
+                imu_fault: imu_fault(status),
             })),
             LinkEvent::Refused {
                 request: BoardRequestKind::Arm,
@@ -387,6 +459,25 @@ impl Queue<'_> {
             | LinkEvent::Unanswered { .. }
             | LinkEvent::StopConfirmed { .. } => {}
         }
+    }
+}
+
+/// Whether the IMU's registers report an error. A self-test of zero has not been read yet.
+const fn imu_fault(status: &Status) -> bool {
+    /// SYS_STATUS of a system error.
+    const ERROR: u8 = 1;
+    /// Accelerometer, gyro and controller; the magnetometer is not used.
+    const PASSED: u8 = 0b1101;
+    status.imu_status == ERROR
+        || (status.imu_self_test != 0 && status.imu_self_test & PASSED != PASSED)
+}
+
+/// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world.
+fn imu_tilt(quaternion: [i16; 4]) -> Tilt {
+    let [w, x, y, z] = quaternion.map(|part| f64::from(part) / 16_384.0);
+    Tilt {
+        roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        pitch: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
     }
 }
 
@@ -427,6 +518,9 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             BoardMode::Armed => BoardState::Armed,
             BoardMode::Driving => BoardState::Driving,
             BoardMode::Failsafe => BoardState::Failsafe,
+            BoardMode::EmergencyStopped if telemetry.stop_cause == StopCause::RunsAtNeutral => {
+                BoardState::RunsAtNeutral
+            }
             BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
             BoardMode::PoweringUp => BoardState::PoweringUp,
         },

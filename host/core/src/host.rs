@@ -22,6 +22,7 @@ use crate::{
     control_loop::{ControlLoop, Rings},
     controller::Controller,
     line::Line,
+    proof::{Proofs, configuration_hash},
     reconfigure::Configurations,
     report::Report,
     requests::Requests,
@@ -43,7 +44,7 @@ const RECONFIGURATIONS: usize = 2;
 const REQUESTS: usize = 10;
 
 /// Options of a host that are not in its configuration.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct HostOptions {
     /// It must differ from one start to the next: by it the board detects a restarted host.
     pub nonce_seed: u64,
@@ -52,6 +53,9 @@ pub struct HostOptions {
     /// Takes a configuration that the daemon refuses: only for studies of what its checks
     /// prevent. The board checks its part in any case.
     pub skip_validation: bool,
+    /// The configurations that have been proved. A newly proved one is reported
+    /// ([`Report::Proved`]).
+    pub proofs: Proofs,
 }
 
 /// The parts of a host.
@@ -92,6 +96,8 @@ impl<L: Line> Host<L> {
         let controller = Controller::new(
             LinkSession::new(config.link(options.nonce_seed))?,
             Pilot::new(config.pilot()?),
+            configuration_hash(&config)?,
+            options.proofs,
         );
         let session = PlanarSession::new(config.motion_capture.session()?)
             .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;

@@ -19,6 +19,7 @@ pub mod virtual_host;
 
 mod alignment;
 mod meta;
+mod proof;
 mod report;
 mod requests;
 mod restart_keys;
@@ -26,6 +27,7 @@ mod restart_keys;
 pub use config::{Config, ConfigError};
 pub use host::{Host, HostOptions};
 pub use meta::record_meta;
+pub use proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use report::{LineCounters, Report, link_phase};
 pub use requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled};
 pub use restart_keys::restart_keys;

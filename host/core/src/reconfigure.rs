@@ -10,6 +10,7 @@ use rtrb::Consumer;
 
 use crate::{
     config::{Config, ConfigError, ReferenceSection},
+    proof::configuration_hash,
     requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled},
     restart_keys::restart_keys,
 };
@@ -127,6 +128,7 @@ impl Configurations {
             number: self.number.wrapping_add(1),
             pilot: config.pilot()?,
             board: config.board_configuration(),
+            hash: configuration_hash(&config)?,
             until_ns,
             outcome: None,
         });

@@ -4,6 +4,8 @@ use singletrack_link::{Counters, Event, State, TimedTelemetry};
 use singletrack_protocol::Status;
 use singletrack_record::{Entry, LinkPhase, StatusRecord, TelemetryRecord};
 
+use crate::proof::Proof;
+
 /// A report of the control thread. Ticks have their own ring.
 #[derive(Clone, Copy, Debug)]
 pub enum Report {
@@ -20,6 +22,13 @@ pub enum Report {
     },
     /// The counters so far.
     Counters(LineCounters),
+    /// A configuration has been proved on a car.
+    Proved {
+        /// When the first metre had passed.
+        time_ns: u64,
+        /// The configuration and the car.
+        proof: Proof,
+    },
 }
 
 /// Counts of the line to the board.
@@ -42,7 +51,7 @@ impl Report {
         match self {
             Self::Telemetry(record) => Some(Entry::Telemetry(record)),
             Self::Status(record) => Some(Entry::Status(record)),
-            Self::Link { .. } | Self::Counters(_) => None,
+            Self::Link { .. } | Self::Counters(_) | Self::Proved { .. } => None,
         }
     }
 

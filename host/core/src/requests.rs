@@ -31,6 +31,8 @@ pub struct Reconfiguration {
     pub pilot: PilotConfig,
     /// For the board.
     pub board: Configuration,
+    /// Its hash: [`configuration_hash`](crate::configuration_hash).
+    pub hash: u64,
     /// The caller's time-out: after this the configuration is refused, ns.
     pub until_ns: u64,
     /// The outcome; `None` until the control loop has handled it.

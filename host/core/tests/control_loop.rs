@@ -12,8 +12,9 @@ mod simulated_drive;
 
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{
-    Config, ControlRequest, Refusal,
+    Config, ControlRequest, Proofs, Refusal,
     config::{OuterLoopSection, ReferenceSection},
+    configuration_hash,
     controller::{Controller, ReconfigureError},
     line::Sent,
 };
@@ -132,6 +133,8 @@ fn controller() -> Controller {
     Controller::new(
         LinkSession::new(config.link(7)).unwrap(),
         Pilot::new(config.pilot().unwrap()),
+        configuration_hash(&config).unwrap(),
+        Proofs::default(),
     )
 }
 

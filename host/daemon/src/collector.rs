@@ -85,6 +85,10 @@ impl Collector {
         }
         while let Some(tick) = self.ticks.pop() {
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
+            if let Some(measured) = tick.output.braking_measured {
+                let text = format!("the stop measured a deceleration of {measured:.2} m/s2");
+                self.log(tick.start_ns, Level::Info, text);
+            }
             {
                 let mut latest = self.status.latest();
                 latest.tick = Some(TickView::from(&tick));
@@ -110,6 +114,10 @@ impl Collector {
                 self.log(time_ns, level, text);
             }
             Report::Counters(counters) => self.status.latest().tally.line(&counters),
+            Report::Proved { time_ns, proof } => {
+                let text = format!("the configuration is proved on car {}", proof.car_id);
+                self.log(time_ns, Level::Info, text);
+            }
         }
     }
 

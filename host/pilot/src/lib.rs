@@ -30,5 +30,5 @@ pub use event::{
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
-pub use supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig};
+pub use supervisor::{BoardRequest, Conditions, Mode, REST, Reason, Supervisor, SupervisorConfig};
 pub use watch::{ImuVerdict, WatchConfig};

@@ -13,7 +13,11 @@ use crate::{
     event::{BoardSample, Event},
     fence::Fence,
     supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
-    watch::{BlindWatch, ImuWatch, SpeedWatch, TickWatch, WatchConfig},
+    watch::{
+        AttitudeWatch, BlindWatch, FrozenWatch, ImuWatch, InnovationWatch, PROVING_SPEED, Proving,
+        PushWatch, SideslipWatch, SpeedWatch, Speeds, Steps, StopLimits, StopWatch, TickWatch,
+        WatchConfig,
+    },
 };
 
 /// The configuration of a [`Pilot`], in SI units.
@@ -103,6 +107,12 @@ pub struct Underway(pub Mode);
 /// and the lag of the motor.
 const REACTION: f64 = 0.1;
 
+/// The deceleration assumed of an unproved car, m/s²: that of one that rolls well.
+const UNPROVED_BRAKING: f64 = 0.25;
+
+/// The longest age of telemetry whose motor speed counts, s.
+const MOTOR_RECENT: f64 = 0.2;
+
 /// The lowest speed at which yaw rate over speed gives the curvature, m/s.
 const BENDS_FROM: f64 = 0.1;
 
@@ -120,6 +130,19 @@ pub struct Pilot {
     speeds: SpeedWatch,
     ticks: TickWatch,
     blind: BlindWatch,
+    stops: StopWatch,
+    steps: Steps,
+    sideslip: SideslipWatch,
+    innovations: InnovationWatch,
+    frozen: FrozenWatch,
+    attitude: AttitudeWatch,
+    push: PushWatch,
+    /// Whether the configuration has been proved on this car.
+    proved: bool,
+    /// The comparison of the sensors; only in a drive of an unproved configuration.
+    proving: Option<Proving>,
+    /// When the board made its last record.
+    board_time: Option<Time>,
     imu_time: Option<Time>,
     pose_time: Option<Time>,
     motor_speed: f64,
@@ -138,6 +161,16 @@ impl Pilot {
             speeds: SpeedWatch::default(),
             ticks: TickWatch::default(),
             blind: BlindWatch::default(),
+            stops: StopWatch::default(),
+            steps: Steps::default(),
+            sideslip: SideslipWatch::default(),
+            innovations: InnovationWatch::default(),
+            frozen: FrozenWatch::default(),
+            attitude: AttitudeWatch::default(),
+            push: PushWatch::default(),
+            proved: false,
+            proving: None,
+            board_time: None,
             imu_time: None,
             pose_time: None,
             motor_speed: 0.0,
@@ -157,11 +190,16 @@ impl Pilot {
         if mode.is_underway() {
             return Err(Underway(mode));
         }
+        if config.braking != self.config.braking {
+            self.stops.forget();
+        }
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.estimator = Estimator::new(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.speeds.reset();
+        self.steps.reset();
+        self.push = PushWatch::default();
         self.pose_time = None;
         Ok(())
     }
@@ -195,6 +233,9 @@ impl Pilot {
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
             .max(fabs(self.law.actuation().speed));
+        self.steps.tick(now, steering);
+        self.attitude.tick(now);
+        let speeds = self.speeds_at(now, estimate.as_ref());
         let (period, watch) = (self.config.period, &self.config.watch);
         self.blind.advance(now, pace);
         self.ticks.tick(now, period, watch);
@@ -213,6 +254,14 @@ impl Pilot {
             imu_still: self.imu.is_still(),
             speed,
             motor_speed: self.motor_speed,
+            camera_speed: speeds.cameras,
+            stands: speeds
+                .worst()
+                .is_some_and(|speed| speed < self.config.supervisor.standing_speed),
+            preflight: self.preflight(),
+            doubt: self.doubt(),
+            implausible_motion: self.implausible_motion(),
+            contradiction: self.proving.and_then(|proving| proving.found()),
             speed_mismatch: self.speeds.is_mismatched(),
             overspeed: self.speeds.is_overspeed(),
             commanded_speed: self.law.actuation().speed,
@@ -232,7 +281,25 @@ impl Pilot {
             self.drive_start = Some(now);
             self.law.reset();
             self.speeds.reset();
+            self.sideslip.reset();
+            self.innovations.reset();
+            let unproved = self.config.supervisor.prove && !self.proved;
+            self.proving = unproved.then(Proving::default);
         }
+        let follows = |mode| matches!(mode, Mode::Driving | Mode::Slowing);
+        if follows(mode) {
+            self.stops.end();
+        } else if follows(was) {
+            self.stops.begin(now, &speeds);
+        }
+        if !mode.commands() {
+            self.proving = None;
+        }
+        let stop = self.stops.tick(now, &speeds, &self.stop_limits());
+        if stop.disobeyed {
+            request = Some(self.supervisor.stop_not_obeyed(now));
+        }
+        let mode = self.supervisor.mode();
         if matches!(mode, Mode::Idle | Mode::Disconnected | Mode::Fault) {
             self.stand_by(was);
         }
@@ -251,7 +318,7 @@ impl Pilot {
             command: None,
             request,
             proved: false,
-            braking_measured: None,
+            braking_measured: stop.measured,
             preflight: self.supervisor.preflight(),
         };
         if let Some(estimate) = &estimate {
@@ -261,6 +328,8 @@ impl Pilot {
                 Mode::Driving => {
                     if let Err(reason) = self.drive(now, estimate, &mut output) {
                         request = Some(self.supervisor.fault(reason, now));
+                        self.stops.begin(now, &speeds);
+                        self.proving = None;
                         self.stand_by(mode);
                         output.mode = self.supervisor.mode();
                         output.reason = self.supervisor.reason();
@@ -311,13 +380,121 @@ impl Pilot {
         } else {
             actuation
         };
+        let (actuation, coast) = self.prove(now, estimate, actuation, output);
         output.drive_time = Some(time);
         output.reference = Some(reference);
         output.point_velocity = Some(velocity);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
-        output.command = Some(command(estimate, &actuation, false));
+        let command = command(estimate, &actuation, false);
+        output.command = Some(if coast {
+            DriveCommand {
+                rear_speed: 0.0,
+                ..command
+            }
+        } else {
+            command
+        });
         Ok(())
+    }
+
+    /// A tick of the proving run: limits the speed, and says whether the car is to roll at
+    /// neutral. Without one, nothing changes.
+    fn prove(
+        &mut self,
+        now: Time,
+        estimate: &Estimate,
+        actuation: Actuation,
+        output: &mut Output,
+    ) -> (Actuation, bool) {
+        let Some(proving) = &mut self.proving else {
+            return (actuation, false);
+        };
+        let tick = proving.tick(now, estimate.speed, self.config.braking);
+        if tick.coast {
+            // The drive goes on from the speed to which the car has rolled.
+            self.law.cap_speed(fabs(estimate.speed));
+        }
+        if proving.is_slow() {
+            self.law.cap_speed(PROVING_SPEED);
+        }
+        if let Some(measured) = tick.coasted {
+            self.stops.coasted(measured, self.config.braking);
+            output.braking_measured = Some(measured);
+        }
+        if tick.passed {
+            self.proved = true;
+            self.proving = None;
+            output.proved = true;
+        }
+        (self.law.actuation(), tick.coast)
+    }
+
+    /// What forbids to arm, by the watches.
+    fn preflight(&self) -> Option<Reason> {
+        let marker_yaw = self.config.estimator.marker_yaw;
+        self.attitude
+            .check(marker_yaw, &self.config.watch)
+            .or(match () {
+                () if self.push.is_wrong() => Some(Reason::BodyYawWrong),
+                () if self.stops.is_too_weak() => Some(Reason::BrakesLessThanConfigured),
+                () => None,
+            })
+    }
+
+    /// What forbids to arm and to drive, by the watches.
+    const fn doubt(&self) -> Option<Reason> {
+        if self.frozen.is_frozen() {
+            Some(Reason::PoseFrozen)
+        } else if self.attitude.is_uncertain() {
+            Some(Reason::CaptureTimeUncertain)
+        } else {
+            None
+        }
+    }
+
+    /// What ends a drive, by the watches.
+    fn implausible_motion(&self) -> Option<Reason> {
+        let watch = &self.config.watch;
+        let [forward, left] = self.estimator.acceleration_bias();
+        if self.sideslip.is_exceeded() {
+            Some(Reason::SideslipImplausible)
+        } else if fabs(forward).max(fabs(left)) > watch.max_acceleration_bias {
+            Some(Reason::AccelerometerDiffers)
+        } else if self.innovations.is_inconsistent(watch) {
+            Some(Reason::EstimateInconsistent)
+        } else {
+            None
+        }
+    }
+
+    fn speeds_at(&self, now: Time, estimate: Option<&Estimate>) -> Speeds {
+        let heard = self
+            .board_time
+            .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);
+        Speeds {
+            motor: heard.then_some(self.motor_speed),
+            cameras: self.steps.camera_speed(now),
+            estimate: estimate.map(|estimate| estimate.speed),
+        }
+    }
+
+    const fn stop_limits(&self) -> StopLimits {
+        StopLimits {
+            braking: self.config.braking,
+            standing: self.config.supervisor.standing_speed,
+        }
+    }
+
+    /// The deceleration that the geofence relies on, m/s²: as configured or as measured,
+    /// whichever is lower.
+    fn braking(&self) -> f64 {
+        let known = self.config.braking.min(self.stops.lowest().max(0.05));
+        if self.proving.is_some() {
+            known.min(UNPROVED_BRAKING)
+        } else {
+            known
+        }
     }
 
     /// Handles an event; true if it is a pose and was accepted.
@@ -337,7 +514,8 @@ impl Pilot {
                     external.handle(setpoint);
                 }
             }
-            Event::Attitude(_) | Event::Proved(_) => {}
+            Event::Attitude(sample) => self.attitude.handle(sample, &self.config.watch),
+            Event::Proved(proved) => self.proved = *proved,
             // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }
@@ -345,8 +523,10 @@ impl Pilot {
     }
 
     fn handle_pose(&mut self, pose: &PoseSample) -> bool {
+        self.frozen.pose(pose, &self.config.watch);
         let accepted = self.estimator.handle_pose(pose) == PoseVerdict::Accepted;
         if accepted {
+            self.innovations.pose(self.estimator.innovation());
             self.pose_time = Some(pose.capture);
             self.supervisor.handle_pose();
             self.blind.seen(pose.capture);
@@ -357,6 +537,22 @@ impl Pilot {
                 centre.yaw,
                 &self.config.watch,
             );
+            let config = &self.config;
+            let rear_axle = config.estimator.rear_axle_distance;
+            let step = self
+                .steps
+                .pose(pose.capture, centre.position, centre.yaw, rear_axle);
+            if let Some(step) = step {
+                if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
+                    self.sideslip.step(&step, &config.watch);
+                    if let Some(proving) = &mut self.proving {
+                        let wheelbase = config.estimator.wheelbase;
+                        proving.step(&step, wheelbase, config.watch.pulse_distance);
+                    }
+                } else {
+                    self.push.step(&step);
+                }
+            }
         }
         accepted
     }
@@ -367,7 +563,7 @@ impl Pilot {
     /// braking distance v²/2a, at the speed `pace` (m/s). It follows the present curvature,
     /// because a stop holds the steering.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
-        let braking = 0.5 * pace * pace / self.config.braking;
+        let braking = 0.5 * pace * pace / self.braking();
         let ahead = self.blind.distance() + pace * REACTION + braking;
         let curvature = if fabs(estimate.speed) > BENDS_FROM {
             estimate.yaw_rate / estimate.speed
@@ -394,11 +590,17 @@ impl Pilot {
     fn handle_board(&mut self, sample: &BoardSample) {
         self.supervisor.handle_board(sample.state);
         self.motor_speed = sample.motor_speed;
+        self.board_time = Some(sample.time);
+        self.steps.motor(sample.time, sample.motor_speed);
         if let Some(inertial) = &sample.inertial {
             self.imu_time = Some(inertial.time);
             let supervisor = &self.config.supervisor;
             let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
             self.imu.handle(inertial, &self.config.watch, still);
+            let rests = self.imu.is_still()
+                && sample.motor_speed == 0.0
+                && !self.supervisor.mode().commands();
+            self.steps.inertial(inertial, rests);
         }
         self.speeds.motor(sample.motor_speed);
         if let Some(inertial) = sample.inertial {

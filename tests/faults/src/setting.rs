@@ -97,9 +97,11 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
          margin_m = 0.0\nbraking_m_s2 = {}\n\
+         [supervisor]\nprove_first_metre = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
          {BOARD}",
-        f64::from(situation.braking_mm_s2) * 1e-3
+        f64::from(situation.braking_mm_s2) * 1e-3,
+        !situation.proved
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
     let brakes = situation.brake && situation.esc_kind != EscKind::ForwardReverse;

@@ -107,12 +107,13 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 15] = [
+        let changes: [fn(&mut Situation, &Situation); 16] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,
             |s, default| s.kill_output = default.kill_output,
             |s, default| s.esc_kind = default.esc_kind,
+            |s, default| s.proved = default.proved,
             |s, default| s.neutral_us = default.neutral_us,
             |s, default| s.braking_mm_s2 = default.braking_mm_s2,
             |s, default| s.pulse_distance_um = default.pulse_distance_um,

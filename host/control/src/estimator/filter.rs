@@ -131,9 +131,21 @@ impl Filter {
         heading
     }
 
-    /// Corrects with a pose. Returns false, and changes nothing, if the pose is outside the
-    /// innovation gate.
-    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> bool {
+    /// The estimated biases of the accelerometer, forward and left, m/s².
+    pub(super) fn acceleration_bias(&self) -> [f64; 2] {
+        [self.mean[FORWARD_BIAS], self.mean[LEFT_BIAS]]
+    }
+
+    /// The variance of the velocity across the car, m²/s².
+    pub(super) fn left_variance(&self) -> f64 {
+        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let p = |row, column| self.covariance[(row, column)];
+        s * s * p(VX, VX) - 2.0 * s * c * p(VX, VY) + c * c * p(VY, VY)
+    }
+
+    /// Corrects with a pose. Returns the normalised innovation squared; `None`, and changes
+    /// nothing, if the pose is outside the innovation gate.
+    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> Option<f64> {
         let innovation = Vector3::new(
             pose.position.x - self.mean[X],
             pose.position.y - self.mean[Y],
@@ -151,17 +163,16 @@ impl Filter {
             let deviation = libm::sqrt(spread[(component, component)].max(0.0));
             let difference = innovation[component].abs();
             if difference.is_nan() || difference > gate + GATE_DEVIATIONS * deviation {
-                return false;
+                return None;
             }
         }
-        let Some(inverse) = spread.try_inverse() else {
-            return false;
-        };
+        let inverse = spread.try_inverse()?;
+        let normalised = innovation.dot(&(inverse * innovation));
         let gain = self.covariance.fixed_columns::<3>(0) * inverse;
         self.mean += gain * innovation;
         self.covariance -= gain * self.covariance.fixed_rows::<3>(0).into_owned();
         self.symmetrise();
-        true
+        Some(normalised)
     }
 
     /// Corrects with the speed from the motor pulses (m/s), and with a lateral speed of the

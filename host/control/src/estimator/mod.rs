@@ -101,6 +101,8 @@ struct Track {
     /// Mid-exposure of the last accepted pose.
     pose_time: Time,
     poses: u32,
+    /// The normalised innovation squared of the last accepted pose.
+    innovation: f64,
     /// The position and yaw of the last estimate, to hold them beyond the horizon.
     held: Option<(Position, f64)>,
 }
@@ -144,6 +146,32 @@ impl Estimator {
             .map_or(0.0, |track| track.filter.gyro_bias())
     }
 
+    /// The estimated biases of the accelerometer, forward and left, m/s²; 0 before the first
+    /// pose.
+    #[must_use]
+    pub fn acceleration_bias(&self) -> [f64; 2] {
+        self.track
+            .as_ref()
+            .map_or([0.0; 2], |track| track.filter.acceleration_bias())
+    }
+
+    /// The normalised innovation squared of the last accepted pose: how far it was from its
+    /// prediction, in squared standard deviations of its three coordinates. A consistent
+    /// estimate has a mean of 3. It is 0 for the first pose.
+    #[must_use]
+    pub fn innovation(&self) -> f64 {
+        self.track.as_ref().map_or(0.0, |track| track.innovation)
+    }
+
+    /// The variance of the sideslip at this speed (m/s) and the time of the last pose, rad²;
+    /// infinite before the first pose and at standstill.
+    #[must_use]
+    pub fn sideslip_variance(&self, speed: f64) -> f64 {
+        self.track.as_ref().map_or(f64::INFINITY, |track| {
+            track.filter.left_variance() / (speed * speed)
+        })
+    }
+
     /// Handles a pose. The first one starts the estimate; later ones must pass the
     /// innovation gate.
     pub fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
@@ -160,6 +188,7 @@ impl Estimator {
                 time: pose.capture,
                 pose_time: pose.capture,
                 poses: 1,
+                innovation: 0.0,
                 held: None,
             });
             self.drop_samples_before(pose.capture);
@@ -175,10 +204,11 @@ impl Estimator {
             pose.capture,
             &self.config,
         );
-        if !track.filter.correct_pose(&measurement, &self.config) {
+        let Some(innovation) = track.filter.correct_pose(&measurement, &self.config) else {
             self.implausible_in_a_row = self.implausible_in_a_row.saturating_add(1);
             return PoseVerdict::Implausible;
-        }
+        };
+        track.innovation = innovation;
         track.pose_time = pose.capture;
         // An accepted pose replaces the held one, however old it is.
         track.held = None;

@@ -34,7 +34,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
 use singletrack_link::SessionConfig;
-use singletrack_pilot::{PilotConfig, WatchConfig};
+use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
 use singletrack_protocol::Configuration;
 
 use section::{Declared as _, Maps as _};
@@ -204,8 +204,15 @@ impl Config {
                 self.motion_capture.marker_offset_m,
                 self.motion_capture.marker_yaw_rad,
             ),
-            supervisor: self.supervisor.config(),
-            watch: self.watch.onto(WatchConfig::paper()),
+            supervisor: SupervisorConfig {
+                disarm_age: together::disarm_age(self),
+                ..self.supervisor.config()
+            },
+            watch: self.watch.onto(WatchConfig {
+                pulse_distance: f64::from(self.board.speed.pulse_distance_um) * 1e-6,
+                height: self.motion_capture.pose.height_m.unwrap_or(ANY_HEIGHT),
+                ..WatchConfig::paper()
+            }),
             fence: self.fence.fence(&self.vehicle)?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
@@ -239,6 +246,9 @@ impl Config {
         }
     }
 }
+
+/// The height band of a body whose height is not checked, in m.
+const ANY_HEIGHT: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 /// The version of this software: major, minor, patch.
 fn software_version() -> [u8; 3] {

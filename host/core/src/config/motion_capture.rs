@@ -92,6 +92,9 @@ section! {
     /// Largest angle between the body's up axis and the world's. Beyond it the car lies on
     /// its side.
     max_tilt_rad: f64 => max_tilt_rad, in up_to(1.5);
+    /// Height band of the body's pivot: to arm, the car must be in it. Left out, the height
+    /// is not checked.
+    height_m: Option<[f64; 2]> = None, in -100.0..=100.0, example [0.05, 0.25];
     /// Largest deviation of the quaternion's norm from one.
     quaternion_norm_tolerance: f64 = DEFAULT_QUATERNION_NORM_TOLERANCE, in up_to(0.5);
     /// After this many rejected poses in a row the body counts as lost.

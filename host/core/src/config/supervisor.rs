@@ -49,6 +49,9 @@ section! {
     /// A higher fraction of damaged frames over one second, to the board or from it, stops
     /// the car.
     max_damaged_frames: f64 => max_damaged, in up_to(1.0);
+    /// Drives the first metre of a configuration that has not been proved on this car with
+    /// 0.3 m/s at most, and compares the sensors. A contradiction stops the car.
+    prove_first_metre: bool => prove;
     /// Refuses to drive unless the system grants `SCHED_FIFO` and locked memory.
     require_real_time: bool => require_real_time;
 }
@@ -58,22 +61,5 @@ impl SupervisorSection {
     #[must_use]
     pub fn config(&self) -> SupervisorConfig {
         self.onto(SupervisorConfig::paper())
-    }
-
-    /// How long after the mid-exposure of its last pose a car may be driven, in
-    /// s, that is limited to `max_speed` (m/s) and brakes with `deceleration`
-    /// (m/s²).
-    ///
-    /// At a speed v the pose is held for min(hold, distance/v), then the speed
-    /// ramps down for v/deceleration. That has its highest value where the two
-    /// budgets meet, or at the highest speed.
-    pub(super) fn longest_blind_drive(&self, max_speed: f64, deceleration: f64) -> f64 {
-        let config = self.config();
-        let both = (config.hold_distance / config.hold).min(max_speed);
-        [both, max_speed]
-            .map(|speed| config.hold.min(config.hold_distance / speed) + speed / deceleration)
-            .into_iter()
-            // A car that has slowed down to a stop waits for this long.
-            .fold(config.blind, f64::max)
     }
 }

@@ -4,18 +4,19 @@ use core::fmt::Display;
 
 use singletrack_control::GRAVITY;
 
-use super::{Config, ConfigError};
+use singletrack_pilot::{REST, SupervisorConfig};
 
-/// From the command to stand to a disarmed board, s: the supervisor's rest, a tick, and the
-/// request on the line, sent twice.
-const REST_S: f64 = 0.15;
+use super::{Config, ConfigError, value::seconds};
+
+/// From a disarm request to a disarmed board, s: the request on the line, sent twice, the
+/// board's next round, and the error of its clock.
+const LINE_S: f64 = 0.03;
 
 /// Refuses values that contradict each other. Host and board must agree on what the car does.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     let Config {
         limits,
         board,
-        supervisor,
         control,
         watch,
         ..
@@ -88,19 +89,70 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
         ),
     )?;
-    let blind_s =
-        supervisor.longest_blind_drive(limits.max_speed_m_s, control.stop_deceleration_m_s2);
-    let blind_ms = 1_000.0 * (blind_s + REST_S);
+    let [low, high] = pose.height_m.unwrap_or_default();
     refuse_if(
-        blind_ms > f64::from(board.max_pose_age_ms),
+        low > high,
+        "motion_capture.pose.height_m",
+        low,
+        format!("the band ends at {high} m; give the lower value first"),
+    )?;
+    refuse_if(
+        config.fence.braking_m_s2 > control.stop_deceleration_m_s2,
+        "fence.braking_m_s2",
+        config.fence.braking_m_s2,
+        format!(
+            "a stop is commanded with control.stop_deceleration_m_s2 = {} m/s2, so the car does \
+             not slow down faster; lower it, or raise that",
+            control.stop_deceleration_m_s2
+        ),
+    )?;
+    let disarmed_ms = 1_000.0 * (longest_blind_drive(config) + LINE_S);
+    refuse_if(
+        disarmed_ms > f64::from(board.max_pose_age_ms),
         "board.max_pose_age_ms",
         board.max_pose_age_ms,
         format!(
             "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
-             limits.max_speed_m_s and disarms within {blind_ms:.0} ms, and must be first; raise it \
-             (up to 1000), shorten the hold, lower the speed or brake harder"
+             limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise \
+             it (up to 1000), shorten the hold, lower the speed or brake harder"
         ),
     )
+}
+
+/// The age of the last pose, in s, at which the host disarms the board whatever the car does:
+/// one tick later the request would come too late.
+pub(super) fn disarm_age(config: &Config) -> f64 {
+    let period = seconds(config.control.period_ms);
+    f64::from(config.board.max_pose_age_ms) / 1_000.0 - LINE_S - period
+}
+
+/// The age of the last pose, in s, at which the disarm request of a car without markers is
+/// written at the latest, whatever its speed.
+///
+/// Each step that waits for an age takes up to a period longer, because ticks are apart: the
+/// hold, the ramp, the stop for good and the rest. The stop begins to rest in the tick after
+/// its first.
+fn longest_blind_drive(config: &Config) -> f64 {
+    let period = seconds(config.control.period_ms);
+    let deceleration = config.control.stop_deceleration_m_s2;
+    let max_speed = config.limits.max_speed_m_s;
+    let SupervisorConfig {
+        hold,
+        hold_distance,
+        blind,
+        ..
+    } = config.supervisor.config();
+    // At a speed v the pose is held for min(hold, distance/v), then the speed ramps down for
+    // v/deceleration. That has its highest value where the two budgets meet, or at the highest
+    // speed.
+    let both = (hold_distance / hold).min(max_speed);
+    let ramp_ends = [both, max_speed]
+        .map(|speed| hold.min(hold_distance / speed) + speed / deceleration + 2.0 * period)
+        .into_iter()
+        .fold(0.0, f64::max);
+    // A car that has slowed down to a stop waits for this long.
+    let stops = ramp_ends.max(blind + period);
+    stops + period + REST + period
 }
 
 fn refuse_if(

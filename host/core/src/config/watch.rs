@@ -20,12 +20,29 @@ section! {
     /// Number of inertial samples in a row, equal to the last bit, that stops the car; 0
     /// disables the check.
     stuck_samples: u32 => stuck_samples, in 0..=1_000;
-    /// The speeds from the motor pulses and from the cameras may differ by this much...
+    /// The speeds from the motor pulses and from the cameras may differ by this much, plus a
+    /// pulse in 0.2 s...
     speed_margin_m_s: f64 => speed_margin, in up_to(2.0);
     /// ...plus this fraction of the higher one.
     speed_ratio: f64 => speed_ratio, in up_to(0.9);
     /// The car may exceed `limits.max_speed_m_s` by this much.
     overspeed_margin_m_s: f64 => overspeed_margin, in up_to(5.0);
+    /// Poses that repeat to the last bit for longer are frozen; 0 disables the check.
+    frozen_poses_ms: u32 => frozen_poses, in 0..=2_000;
+    /// To arm, the IMU must be tilted by less than this.
+    max_tilt_rad: f64 => max_tilt, in up_to(1.5);
+    /// To arm, roll and pitch of IMU and cameras may differ by this.
+    max_tilt_difference_rad: f64 => max_tilt_difference, in up_to(1.5);
+    /// The rear axle may move at this angle to the yaw, plus 0.03 rad per m/s2 of lateral
+    /// acceleration, as a mean over 0.25 m.
+    max_sideslip_rad: f64 => max_sideslip, in up_to(1.5);
+    /// A higher estimate of the accelerometer's bias is implausible.
+    max_acceleration_bias_m_s2: f64 => max_acceleration_bias, in up_to(50.0);
+    /// A higher mean of the normalised innovation squared of the poses is inconsistent. Its
+    /// expected value is 3.
+    max_innovation: f64 => max_innovation, in up_to(1_000_000.0);
+    /// The mid-exposure of the poses must be known to this.
+    max_capture_uncertainty_ms: f64 => max_capture_uncertainty, in up_to(200.0);
     /// Time between two ticks that stops the car.
     max_gap_ms: u32 => max_gap, in 20..=95;
     /// Number of ticks that may be missed in one second.

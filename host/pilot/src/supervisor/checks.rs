@@ -159,6 +159,8 @@ impl LatestState {
             .or_else(|| (!standing).then_some(Reason::Moving))
             .or_else(|| (!conditions.imu_still).then_some(Reason::ImuNotStill))
             .or_else(|| check_fence_and_deadlines(conditions))
+            .or(conditions.doubt)
+            .or(conditions.preflight)
     }
 
     /// What must still hold while the board arms.
@@ -171,6 +173,8 @@ impl LatestState {
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
             .or_else(|| check_fence_and_deadlines(conditions))
+            .or(conditions.doubt)
+            .or(conditions.preflight)
     }
 
     /// What must hold while the car drives; else it stops.
@@ -183,6 +187,9 @@ impl LatestState {
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.blind, config))
             .or_else(|| check_fence_and_deadlines(conditions))
+            .or(conditions.contradiction)
+            .or(conditions.doubt)
+            .or(conditions.implausible_motion)
             .or(match conditions {
                 _ if conditions.speed_mismatch => Some(Reason::MotorSpeedMismatch),
                 _ if conditions.overspeed => Some(Reason::Overspeed),

@@ -2,6 +2,7 @@
 
 use singletrack_control::Time;
 
+use super::reason::Reason;
 use crate::{watch::ImuVerdict, words::words};
 
 words! {
@@ -39,6 +40,19 @@ pub struct Conditions {
     pub speed: f64,
     /// The speed of the rear axle from the motor pulses, m/s.
     pub motor_speed: f64,
+    /// The speed that the cameras alone measure, m/s; `None` without recent poses.
+    pub camera_speed: Option<f64>,
+    /// Whether the car is known to stand, by every sensor that measures its speed.
+    pub stands: bool,
+    /// What forbids to arm, besides the checks of the supervisor.
+    pub preflight: Option<Reason>,
+    /// What forbids to arm and to drive, besides the checks of the supervisor.
+    pub doubt: Option<Reason>,
+    /// What ends a drive, besides the checks of the supervisor.
+    pub implausible_motion: Option<Reason>,
+    /// What the sensors of an unproved car contradict each other in. It ends a drive, and
+    /// the next one needs an acknowledgement.
+    pub contradiction: Option<Reason>,
     /// Whether motor pulses and cameras measure different speeds.
     pub speed_mismatch: bool,
     /// Whether the car is faster than its limit by more than the margin.

@@ -37,6 +37,11 @@ pub struct SupervisorConfig {
     pub arm_battery: f64,
     /// The largest fraction of damaged frames, in either direction, 0 to 1.
     pub max_damaged: f64,
+    /// The age of the last pose at which the board is disarmed in any case, s: before the
+    /// board stops the car by itself.
+    pub disarm_age: f64,
+    /// Whether a configuration is proved on the first metre that it drives on a car.
+    pub prove: bool,
     /// Whether the car may drive only with real-time scheduling and locked memory.
     pub require_real_time: bool,
 }
@@ -62,6 +67,8 @@ impl SupervisorConfig {
             min_battery: 6.4,
             arm_battery: 6.8,
             max_damaged: 0.5,
+            disarm_age: 0.9,
+            prove: true,
             require_real_time: false,
         }
     }

@@ -8,6 +8,7 @@
 //! |---|---|---|---|
 //! | any | `Fault` | an emergency stop is requested, also without a link | `EmergencyStop` |
 //! | `Driving` | `Fault` | the law is singular ([`Supervisor::fault`]) | `Disarm` |
+//! | any | `Fault` | the car does not slow down at the end of a drive ([`Supervisor::stop_not_obeyed`]) | `EmergencyStop` |
 //! | any but `Fault` | `Disconnected` | the link is not ready | |
 //! | `Disconnected`, `Idle`, `Ready` | `Idle` | the arming check fails | `Disarm`, if one is requested and the board is armed |
 //! | `Disconnected`, `Idle`, `Ready` | `Ready` | the arming check passes | |
@@ -18,10 +19,14 @@
 //! | `Slowing` | `Driving` | three fresh poses have come | |
 //! | `Driving`, `Slowing` | `Stopping` | a disarm request, the end of the reference, a failed driving check, or a pose beyond `blind` or `blind_distance` | |
 //! | `Stopping` | `Idle` | the car stands, or `stop_timeout` | `Disarm` |
+//! | `Driving`, `Slowing`, `Stopping` | `Idle` | the last pose is older than `disarm_age` | `Disarm` |
 //! | `Driving`, `Slowing`, `Stopping` | `Idle` | the board has stopped the car by itself | |
 //! | `Arming`, `Driving`, `Slowing`, `Stopping` | `Fault` | the board has latched an emergency stop | |
 //! | `Fault` | `Idle` | a disarm request while the board is not latched | `Disarm` |
 //! | `Fault` | `Idle` | the board was latched and has been reset | |
+//!
+//! A stop that was not obeyed is cleared by a disarm request after the car stands, and by
+//! nothing else.
 //!
 //! `Arming` is reached by an explicit request only. The request is judged in its tick
 //! and not kept. A disarm in the same tick wins over an arm.
@@ -47,7 +52,7 @@ use checks::LatestState;
 /// The time between the command to stand and the disarm of a car that the cameras do
 /// not see, s. Its wheels may still turn: a motor at neutral needs no commands, and the
 /// pose behind them only grows older.
-const REST: f64 = 0.1;
+pub const REST: f64 = 0.1;
 
 /// Time, in s, that a board with a kill output takes from its answer to armed: the ESC
 /// starts at neutral, for 2 s.
@@ -70,6 +75,8 @@ pub struct Supervisor {
     ended: Option<Reason>,
     /// Why an arm request would be refused now.
     preflight: Option<Reason>,
+    /// A contradiction that nobody has acknowledged yet.
+    unacknowledged: Option<Reason>,
     /// When the mode began.
     since: Time,
     /// Since when a stopping car has been commanded to stand.
@@ -108,6 +115,7 @@ impl Supervisor {
             reason: Some(Reason::LinkDown),
             ended: None,
             preflight: Some(Reason::LinkDown),
+            unacknowledged: None,
             since: Time(0),
             resting: None,
             latest: LatestState::new(),
@@ -239,11 +247,17 @@ impl Supervisor {
         if emergency {
             // Also without a link: the session repeats it until the board confirms it.
             self.latched = false;
-            self.enter(Mode::Fault, Some(Reason::EmergencyStop), now);
+            let worse = self.mode == Mode::Fault && self.reason == Some(Reason::StopNotObeyed);
+            let reason = if worse {
+                Reason::StopNotObeyed
+            } else {
+                Reason::EmergencyStop
+            };
+            self.enter(Mode::Fault, Some(reason), now);
             return Some(BoardRequest::EmergencyStop);
         }
         if self.mode == Mode::Fault {
-            return self.fault_step(stop == Some(Reason::Requested), now);
+            return self.fault_step(stop == Some(Reason::Requested), conditions);
         }
         let unlinked = self.latest.check_link();
         if unlinked.is_some() {
@@ -252,7 +266,7 @@ impl Supervisor {
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => {
-                self.standing_step(arm, stop.is_some(), conditions)
+                self.standing_step(arm, stop, conditions)
             }
             Mode::Arming => self.arming_step(stop, refused, conditions),
             Mode::Driving | Mode::Slowing => self.driving_step(stop, conditions),
@@ -269,7 +283,24 @@ impl Supervisor {
         BoardRequest::Disarm
     }
 
-    fn fault_step(&mut self, stop: bool, now: Time) -> Option<BoardRequest> {
+    /// Enters [`Mode::Fault`], because the car does not slow down at neutral. Returns the
+    /// request to the board.
+    pub fn stop_not_obeyed(&mut self, now: Time) -> BoardRequest {
+        self.latched = false;
+        self.enter(Mode::Fault, Some(Reason::StopNotObeyed), now);
+        BoardRequest::EmergencyStop
+    }
+
+    fn fault_step(&mut self, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
+        let now = conditions.now;
+        if self.reason == Some(Reason::StopNotObeyed) {
+            // A reset of the board does not clear it: the car may still run.
+            let cleared = stop && conditions.stands;
+            if cleared {
+                self.enter(Mode::Idle, self.reason, now);
+            }
+            return cleared.then_some(BoardRequest::Disarm);
+        }
         let board = self.latest.board();
         let latched = self.latest.latched().is_some();
         self.latched |= latched;
@@ -286,13 +317,18 @@ impl Supervisor {
     fn standing_step(
         &mut self,
         arm: Option<Arming>,
-        stop: bool,
+        stop: Option<Reason>,
         conditions: &Conditions,
     ) -> Option<BoardRequest> {
         let now = conditions.now;
         let board = self.latest.board();
+        if stop == Some(Reason::Requested) {
+            self.unacknowledged = None;
+        }
         let armed = board.is_some_and(BoardState::is_armed);
-        let check = self.latest.arming_check(conditions, &self.config);
+        let check = self
+            .unacknowledged
+            .or_else(|| self.latest.arming_check(conditions, &self.config));
         match check {
             Some(failed) => {
                 // While the car only settles, the reason why the last drive ended stays
@@ -307,7 +343,7 @@ impl Supervisor {
                 let ended = self.ended.filter(|_| settling && arm.is_none());
                 self.enter(Mode::Idle, ended.or(Some(failed)), now);
                 self.preflight = Some(failed);
-                (stop && armed).then_some(BoardRequest::Disarm)
+                (stop.is_some() && armed).then_some(BoardRequest::Disarm)
             }
             None if arm.is_some() => {
                 self.ended = None;
@@ -377,6 +413,13 @@ impl Supervisor {
         } else {
             self.latest.check_while_driving(conditions, &self.config)
         };
+        if conditions.contradiction.is_some() {
+            self.unacknowledged = conditions.contradiction;
+        }
+        if self.must_disarm(conditions) {
+            self.enter(Mode::Idle, reason.or(Some(Reason::PoseTooOld)), now);
+            return Some(BoardRequest::Disarm);
+        }
         let too_far = conditions.blind_distance > self.config.blind_distance;
         match reason.or(too_far.then_some(Reason::BlindTooFar)) {
             Some(reason) => self.enter(Mode::Stopping, Some(reason), now),
@@ -426,14 +469,24 @@ impl Supervisor {
             .latest
             .check_pose(conditions, self.config.fresh, &self.config)
             .is_some();
+        let standing_speed = self.config.standing_speed;
+        let seen = conditions.camera_speed.unwrap_or(0.0);
+        let stands = conditions.motor_speed.abs() < standing_speed && seen < standing_speed;
         let stands = conditions.commanded_speed == 0.0
-            && (conditions.motor_speed.abs() < self.config.standing_speed
-                || (blind && now.seconds_since(resting) >= REST));
-        if stands || now.seconds_since(self.since) > self.config.stop_timeout {
+            && (stands || (blind && now.seconds_since(resting) >= REST));
+        let late = now.seconds_since(self.since) > self.config.stop_timeout;
+        if stands || late || self.must_disarm(conditions) {
             self.enter(Mode::Idle, self.reason, now);
             return Some(BoardRequest::Disarm);
         }
         None
+    }
+
+    /// Whether the last pose is so old that the board would soon stop the car by itself.
+    fn must_disarm(&self, conditions: &Conditions) -> bool {
+        conditions
+            .pose_time
+            .is_some_and(|time| conditions.now.seconds_since(time) >= self.config.disarm_age)
     }
 
     /// Leaves the drive if the board is no longer armed; true if so. There is nothing to

@@ -3,15 +3,25 @@
 //! One monitor per kind of failure. A monitor is fed with samples or ticks and then
 //! queried; it decides nothing. The supervisor turns its verdict into a reason.
 
+mod attitude;
 mod blind;
 mod config;
+mod consistency;
 mod imu;
+mod proving;
 mod speed;
+mod steps;
+mod stop;
 mod ticks;
 
+pub(crate) use attitude::{AttitudeWatch, PushWatch};
 pub(crate) use blind::BlindWatch;
 pub use config::WatchConfig;
+pub(crate) use consistency::{FrozenWatch, InnovationWatch, SideslipWatch};
 pub use imu::ImuVerdict;
 pub(crate) use imu::ImuWatch;
+pub(crate) use proving::{PROVING_SPEED, Proving};
 pub(crate) use speed::SpeedWatch;
+pub(crate) use steps::Steps;
+pub(crate) use stop::{Speeds, StopLimits, StopWatch};
 pub(crate) use ticks::TickWatch;

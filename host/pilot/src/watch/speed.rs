@@ -76,8 +76,9 @@ impl SpeedWatch {
         if span.samples > 0 {
             let seen = (position - span.position).dot(&direction(yaw)) / duration;
             let measured = span.motor_speed / f64::from(span.samples);
-            let allowed =
-                config.speed_margin + config.speed_ratio * f64::max(fabs(seen), fabs(measured));
+            let allowed = config.speed_margin
+                + config.pulse_distance / SPAN
+                + config.speed_ratio * f64::max(fabs(seen), fabs(measured));
             // A NaN counts as a mismatch: the comparison is false.
             self.mismatches = if fabs(seen - measured) <= allowed {
                 0

@@ -32,6 +32,7 @@ impl Default for Situation {
             reset_on_open: false,
             queue_shows: false,
             kill_output: false,
+            proved: true,
             esc_kind: EscKind::Car,
             neutral_us: 1_500,
             fence_mm: 2_000,
@@ -104,6 +105,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         stop_input: random.happens(500),
         reset_on_open: random.happens(250),
         queue_shows: random.happens(500),
+        proved: false,
         kill_output: random.happens(300),
         esc_kind: random.choose(
             EscKind::Car,
@@ -194,6 +196,8 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
     if random.happens(40) {
         situation.neutral_us = random.choose(1_550, &[1_560, 1_570, 1_440]);
     }
+    // A car that fits its configuration may have been proved.
+    situation.proved = truth.is_tolerable() && random.happens(500);
     situation.pulse_distance_um = match random.between(0, 2) {
         0 => 3_000,
         1 => random.between(3_000, 12_000),

@@ -52,6 +52,8 @@ pub struct Situation {
     pub queue_shows: bool,
     /// Whether the board switches the ESC's supply.
     pub kill_output: bool,
+    /// Whether the configuration has been proved: its first metre is not driven slowly.
+    pub proved: bool,
     /// `board.esc.kind` of the configuration.
     pub esc_kind: EscKind,
     /// `board.esc.neutral_us` of the configuration; its deadband reaches to 1500 µs.

@@ -42,6 +42,7 @@ impl fmt::Display for Schedule {
             ("brake", s.brake),
             ("stop_input", s.stop_input),
             ("kill_output", s.kill_output),
+            ("proved", s.proved),
             ("reset_on_open", s.reset_on_open),
             ("queue_shows", s.queue_shows),
         ] {
@@ -149,6 +150,7 @@ impl Draft {
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?,
             ["neutral_us", n] => s.neutral_us = n.parse().ok()?,
+            ["proved", yes] => s.proved = yes.parse().ok()?,
             ["kill_output", yes] => s.kill_output = yes.parse().ok()?,
             ["braking_mm_s2", n] => s.braking_mm_s2 = n.parse().ok().filter(|n| *n > 0)?,
             ["pulse_distance_um", n] => s.pulse_distance_um = n.parse().ok()?,

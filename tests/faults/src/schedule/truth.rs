@@ -100,7 +100,7 @@ deviations! {
     /// The board's supply is v mV.
     Supply = "supply-mv", 4_600..=5_200, of 4_000..=5_500;
     /// Edges by interference while the ESC drives, per second.
-    EmiDriven = "emi-driven-hz", 0..=1, of 0..=10_000;
+    EmiDriven = "emi-driven-hz", 0..=0, of 0..=10_000;
     /// Edges by interference while it does not, per second.
     EmiStanding = "emi-standing-hz", 0..=0, of 0..=10_000;
     /// Further edges after each true one.

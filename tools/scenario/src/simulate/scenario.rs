@@ -413,6 +413,8 @@ impl Scenario {
         });
         config.control.period_ms = self.control.period_ms;
         config.control.align_to_cameras = self.control.align_to_cameras;
+        // Whether a car with a truth of its own is as believed is what its drive shows.
+        config.supervisor.prove_first_metre = self.truth.is_some();
         let Config {
             limits,
             board,

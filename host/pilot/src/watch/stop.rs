@@ -1,0 +1,341 @@
+//! Whether a stop slows the car down, and how fast.
+
+use libm::fabs;
+use singletrack_control::Time;
+
+/// Watches every end of a drive: the speed must fall, and the way to standstill gives the
+/// deceleration.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct StopWatch {
+    run: Option<Run>,
+    /// The decelerations of the last two stops, m/s².
+    measured: [Option<f64>; 2],
+    /// Stops in a row that were weaker than [`WEAK`].
+    weak: u32,
+    too_weak: bool,
+}
+
+/// A stop that is underway.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    begin: Time,
+    /// The tick before.
+    last: Time,
+    /// Speed at the beginning, m/s.
+    speed: f64,
+    /// Way since, m.
+    way: f64,
+    /// The speed when the reaction time had passed, m/s, and that time.
+    after_reaction: Option<(f64, Time)>,
+    /// Ticks in a row with too high a speed.
+    too_fast: u32,
+    /// Since when the car has stood.
+    standing: Option<Time>,
+}
+
+/// The speeds of a tick, in m/s; `None` where there is no recent measurement.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Speeds {
+    pub(crate) motor: Option<f64>,
+    pub(crate) cameras: Option<f64>,
+    /// From the estimator, which fuses both.
+    pub(crate) estimate: Option<f64>,
+}
+
+impl Speeds {
+    /// The larger of motor and cameras.
+    pub(crate) fn worst(&self) -> Option<f64> {
+        match (self.motor, self.cameras) {
+            (Some(motor), Some(cameras)) => Some(fabs(motor).max(fabs(cameras))),
+            (motor, cameras) => motor.or(cameras).map(fabs),
+        }
+    }
+}
+
+/// The result of a tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct StopVerdict {
+    /// The speed does not fall.
+    pub(crate) disobeyed: bool,
+    /// The deceleration of the stop that ended in this tick, m/s².
+    pub(crate) measured: Option<f64>,
+}
+
+/// The limits of a stop.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct StopLimits {
+    /// The configured deceleration, m/s².
+    pub(crate) braking: f64,
+    /// The car stands below this speed, m/s.
+    pub(crate) standing: f64,
+}
+
+/// The time after which a stop must show, s: command, ESC, and the span of the cameras'
+/// speed.
+const REACTION: f64 = 0.25;
+/// The share of the configured deceleration that the car must reach at least. It is low: a
+/// car that only rolls well is weak, and does not disobey.
+const LEAST_SHARE: f64 = 0.15;
+/// Tolerance of a measured speed, m/s.
+const TOLERANCE: f64 = 0.03;
+/// Below this speed nothing is judged, m/s.
+const SLOW: f64 = 0.08;
+/// The number of fast ticks in a row that make a disobeyed stop...
+const TOO_FAST: u32 = 3;
+/// ...and if the cameras see the car stand: its wheels may be off the floor, and a slow
+/// pulse sensor holds its last speed for a while.
+const TOO_FAST_IN_PLACE: u32 = 40;
+/// The time for which the car stands at the end of a stop, s.
+const STANDS: f64 = 0.2;
+/// The longest stop beyond its reaction time at [`LEAST_SHARE`], s. Afterwards a car that
+/// moves is one that somebody carries or pushes.
+const LONGER: f64 = 1.0;
+/// The part of the way that passes before the deceleration begins, s: as the geofence has
+/// it.
+const UNBRAKED: f64 = 0.1;
+/// The lowest speed from which a stop measures the deceleration, m/s.
+const MEASURED_FROM: f64 = 0.25;
+/// The highest deceleration that a stop can measure, m/s².
+const MOST: f64 = 10.0;
+/// A stop below this share of the configured deceleration is weak...
+const WEAK: f64 = 0.9;
+/// ...and below this one is enough to refuse the next drive.
+const TOO_WEAK: f64 = 0.6;
+
+impl StopWatch {
+    /// The drive ends at `now`: the motor is to slow down or at neutral.
+    pub(crate) fn begin(&mut self, now: Time, speeds: &Speeds) {
+        if self.run.is_some() {
+            return;
+        }
+        let speed = speeds.estimate.map(fabs).or(speeds.worst());
+        self.run = Some(Run {
+            begin: now,
+            last: now,
+            speed: speed.unwrap_or(0.0),
+            way: 0.0,
+            after_reaction: None,
+            too_fast: 0,
+            standing: None,
+        });
+    }
+
+    /// The next drive begins.
+    pub(crate) const fn end(&mut self) {
+        self.run = None;
+    }
+
+    /// Another configured deceleration: the earlier stops count no longer.
+    pub(crate) const fn forget(&mut self) {
+        self.measured = [None; 2];
+        self.weak = 0;
+        self.too_weak = false;
+    }
+
+    /// Whether the stops were too weak to drive again.
+    pub(crate) const fn is_too_weak(&self) -> bool {
+        self.too_weak
+    }
+
+    /// The lowest deceleration of the last two stops, m/s².
+    pub(crate) fn lowest(&self) -> f64 {
+        let [one, other] = self.measured.map(|value| value.unwrap_or(f64::INFINITY));
+        one.min(other)
+    }
+
+    /// A tick.
+    pub(crate) fn tick(&mut self, now: Time, speeds: &Speeds, limits: &StopLimits) -> StopVerdict {
+        let mut verdict = StopVerdict::default();
+        let Some(run) = &mut self.run else {
+            return verdict;
+        };
+        let elapsed = now.seconds_since(run.begin);
+        let worst = speeds.worst();
+        let pace = speeds.estimate.map(fabs).or(worst).unwrap_or(0.0);
+        run.way += pace * now.seconds_since(run.last);
+        run.last = now;
+        let least = LEAST_SHARE * limits.braking;
+        if elapsed >= REACTION
+            && let Some(speed) = worst
+        {
+            let (from, since) = *run.after_reaction.get_or_insert((speed, now));
+            let allowed = from - least * now.seconds_since(since) + TOLERANCE;
+            let too_fast = speed > allowed.max(SLOW);
+            run.too_fast = if too_fast { run.too_fast + 1 } else { 0 };
+            let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
+            let most = if in_place {
+                TOO_FAST_IN_PLACE
+            } else {
+                TOO_FAST
+            };
+            verdict.disobeyed = run.too_fast >= most;
+        }
+        // Without any measurement the car may still move.
+        let stands = worst.is_some_and(|speed| speed < limits.standing);
+        let since = if stands {
+            Some(*run.standing.get_or_insert(now))
+        } else {
+            run.standing = None;
+            None
+        };
+        let stood = since.is_some_and(|since| now.seconds_since(since) >= STANDS);
+        let late = elapsed > REACTION + LONGER + run.speed / least;
+        if stood || late || verdict.disobeyed {
+            let ended = *run;
+            self.run = None;
+            let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
+            verdict.measured = deceleration(&ended, left);
+            if let Some(measured) = verdict.measured {
+                self.judge(measured, limits.braking);
+            }
+        }
+        verdict
+    }
+
+    fn judge(&mut self, measured: f64, braking: f64) {
+        self.measured = [Some(measured), self.measured[0]];
+        self.weak = if measured < WEAK * braking {
+            self.weak + 1
+        } else {
+            0
+        };
+        self.too_weak |= self.weak >= 2 || measured < TOO_WEAK * braking;
+    }
+
+    /// A measurement of the deceleration besides the stops, m/s².
+    pub(crate) fn coasted(&mut self, measured: f64, braking: f64) {
+        self.judge(measured, braking);
+    }
+}
+
+/// The deceleration of a stop from its way, in m/s²: the speed falls after [`UNBRAKED`].
+fn deceleration(run: &Run, left: f64) -> Option<f64> {
+    if run.speed < MEASURED_FROM {
+        return None;
+    }
+    let fallen = (run.speed * run.speed - left * left).max(0.0);
+    let way = run.way - UNBRAKED * run.speed;
+    let most = way <= fallen / (2.0 * MOST);
+    Some(if most { MOST } else { fallen / (2.0 * way) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: StopLimits = StopLimits {
+        braking: 1.4,
+        standing: 0.03,
+    };
+
+    fn at(ms: u64) -> Time {
+        Time(1_000_000_000 + ms * 1_000_000)
+    }
+
+    /// A stop from `speed` with the deceleration of each moment, by its speed; the time of
+    /// the alarm in ms, and the measured deceleration.
+    fn stop(
+        watch: &mut StopWatch,
+        speed: f64,
+        deceleration: impl Fn(f64) -> f64,
+        seen: impl Fn(f64) -> Speeds,
+    ) -> (Option<u64>, Option<f64>) {
+        let mut speed = speed;
+        let mut measured = None;
+        watch.begin(at(0), &seen(speed));
+        for tick in 1..600 {
+            // The geofence's reaction time is allowed for.
+            if tick > 5 {
+                speed = (speed - 0.01 * deceleration(speed)).max(0.0);
+            }
+            let verdict = watch.tick(at(10 * tick), &seen(speed), &LIMITS);
+            measured = measured.or(verdict.measured);
+            if verdict.disobeyed {
+                return (Some(10 * tick), measured);
+            }
+        }
+        (None, measured)
+    }
+
+    const fn all(speed: f64) -> Speeds {
+        Speeds {
+            motor: Some(speed),
+            cameras: Some(speed),
+            estimate: Some(speed),
+        }
+    }
+
+    #[test]
+    fn a_speed_that_does_not_fall_is_disobeyed_within_half_a_second() {
+        for speed in [0.2, 0.5, 1.5] {
+            for deceleration in [0.0, 0.05, -1.0] {
+                let (alarm, _) = stop(&mut StopWatch::default(), speed, |_| deceleration, all);
+                assert!(alarm.is_some_and(|ms| ms <= 550), "{speed}: {alarm:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn either_of_motor_and_cameras_shows_a_stop_that_is_not_obeyed() {
+        let motor = |_| Speeds {
+            motor: Some(0.5),
+            cameras: Some(0.0),
+            estimate: Some(0.0),
+        };
+        let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 1.4, motor);
+        assert!(alarm.is_some_and(|ms| ms <= 900), "{alarm:?}");
+        let cameras = |_| Speeds {
+            motor: None,
+            cameras: Some(0.5),
+            estimate: None,
+        };
+        let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 1.4, cameras);
+        assert!(alarm.is_some_and(|ms| ms <= 550), "{alarm:?}");
+    }
+
+    #[test]
+    fn a_car_that_rolls_well_obeys_and_its_weak_deceleration_refuses_the_next_drive() {
+        let mut watch = StopWatch::default();
+        let (alarm, measured) = stop(&mut watch, 1.0, |speed| 0.3 + 0.2 * speed, all);
+        assert_eq!(alarm, None);
+        let measured = measured.unwrap();
+        assert!((0.3..0.5).contains(&measured), "{measured}");
+        assert!(watch.is_too_weak());
+        assert_eq!(watch.lowest(), measured);
+        watch.forget();
+        assert!(!watch.is_too_weak());
+        assert_eq!(watch.lowest(), f64::INFINITY);
+    }
+
+    #[test]
+    fn one_stop_a_little_too_weak_is_a_warning_and_the_second_refuses() {
+        let mut watch = StopWatch::default();
+        let (_, measured) = stop(&mut watch, 0.8, |_| 1.0, all);
+        assert!((0.95..1.2).contains(&measured.unwrap()), "{measured:?}");
+        assert!(!watch.is_too_weak());
+        stop(&mut watch, 0.8, |_| 1.0, all);
+        assert!(watch.is_too_weak());
+
+        let mut watch = StopWatch::default();
+        for deceleration in [1.0, 1.5, 1.0, 1.5] {
+            stop(&mut watch, 0.8, |_| deceleration, all);
+            assert!(!watch.is_too_weak());
+        }
+    }
+
+    #[test]
+    fn a_car_that_is_pushed_after_it_stood_is_no_alarm() {
+        let mut watch = StopWatch::default();
+        assert_eq!(stop(&mut watch, 0.5, |_| 1.4, all).0, None);
+        for tick in 600..1_000 {
+            let verdict = watch.tick(at(10 * tick), &all(1.0), &LIMITS);
+            assert_eq!(verdict, StopVerdict::default());
+        }
+    }
+
+    #[test]
+    fn a_stop_from_a_low_speed_measures_nothing() {
+        let (alarm, measured) = stop(&mut StopWatch::default(), 0.2, |_| 1.4, all);
+        assert_eq!((alarm, measured), (None, None));
+    }
+}
