@@ -250,7 +250,10 @@ bugs! {
     });
     Host "follows a false estimate", "estimate", "", |_| wandering();
     Host "assumes that it brakes ten times as well", "fence", "speed_mm_s 1200; fence_mm -300",
-        |_| Host(|config: &mut Config| config.fence.braking_m_s2 *= 10.0);
+        |_| Host(|config: &mut Config| {
+            config.fence.braking_m_s2 *= 10.0;
+            config.control.stop_deceleration_m_s2 *= 10.0;
+        });
     Host "has another fence", "fence", "speed_mm_s 800; fence_mm -300",
         |_| Host(|config: &mut Config| {
             for [x, y] in &mut config.fence.corners_m {

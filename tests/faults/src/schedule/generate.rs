@@ -181,6 +181,9 @@ fn gross(random: &mut Random) -> (Deviation, i32) {
     }
 }
 
+/// `control.stop_deceleration_m_s2`, which a configuration must not exceed.
+const MAX_BRAKING_MM_S2: u32 = 2_400;
+
 /// What the operator has configured for this car.
 fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
     let rolling = truth.get(Deviation::Rolling).unwrap_or(800);
@@ -191,7 +194,7 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
         // As measured, less a fifth.
         rolling * 4 / 5
     } else {
-        rolling * random.between(12, 40) / 10
+        (rolling * random.between(12, 40) / 10).min(MAX_BRAKING_MM_S2)
     };
     if random.happens(40) {
         situation.neutral_us = random.choose(1_550, &[1_560, 1_570, 1_440]);
