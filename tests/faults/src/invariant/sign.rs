@@ -6,7 +6,7 @@ use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
 /// The way that a contradiction may last, in m.
-const CONTRADICTED_M: f64 = 0.5;
+const CONTRADICTED_M: f64 = 2.0;
 
 /// The way driven while something is contradicted.
 #[derive(Default)]

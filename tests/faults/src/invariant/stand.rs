@@ -65,8 +65,8 @@ const COUNTS_WAY: f64 = 0.1;
 
 /// Shares of the configured deceleration below which a stop is weak: clearly, or maybe by
 /// an error of the measurement.
-const CLEARLY: f64 = 0.7;
-const MAYBE: f64 = 0.85;
+const CLEARLY: f64 = 0.5;
+const MAYBE: f64 = 0.75;
 
 impl WeakBrakes {
     fn is_disturbed(observation: &Observation<'_>) -> bool {
