@@ -13,7 +13,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     release::announce("singletrack")?;
     let mut cargo = cargo_here();
     if drives_the_image(arguments) {
-        let image = image::ensure(Progress::of_stderr())?;
+        let image = image::ensure(Progress::of_stderr(), 0)?;
         cargo.env("SINGLETRACK_UNO", image.folder);
     }
     cargo

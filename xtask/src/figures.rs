@@ -255,11 +255,11 @@ mod tests {
         assert_eq!(
             render(&table),
             "                          value    budget\n\
-             flash                   6,512 B  16,384 B\n\
+             flash                   6,512 B  24,576 B\n\
              static SRAM               289 B\n\
              worst stack               248 B\n\
              SRAM in all               537 B   1,400 B\n\
-             cpu                      7.12 %      15 %\n\
+             cpu                      7.12 %      20 %\n\
              interrupt INT0, most  56 cycles\n"
         );
     }

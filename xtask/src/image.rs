@@ -42,6 +42,9 @@ impl Progress {
     }
 }
 
+/// The variable with the car's number, which the image's source reads.
+const CAR_ID: &str = "SINGLETRACK_CAR_ID";
+
 /// Paths of the image.
 pub(crate) struct Image {
     /// Folder of all files.
@@ -52,15 +55,16 @@ pub(crate) struct Image {
     pub(crate) cycles_elf: PathBuf,
 }
 
-/// Installs the prerequisites, builds image and simulator, and places them.
-pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
+/// Installs the prerequisites, builds simulator and image, for this car or for none (zero),
+/// and places them.
+pub(crate) fn ensure(progress: Progress, car_id: u16) -> Result<Image, Failure> {
     let machine = Machine::this();
     prerequisites::ensure(&machine, &prerequisites::IMAGE, &mut |found| {
         if progress == Progress::Shown {
             eprintln!("{found}");
         }
     })?;
-    build(progress, || {
+    build(progress, car_id, || {
         check(
             cargo()
                 .args(["build", "--release", "--package", "singletrack-simavr"])
@@ -74,6 +78,7 @@ pub(crate) fn ensure(progress: Progress) -> Result<Image, Failure> {
 /// Builds the image and the simulator, and places both.
 pub(crate) fn build(
     progress: Progress,
+    car_id: u16,
     build_simulator: impl FnOnce() -> Result<(), Failure>,
 ) -> Result<Image, Failure> {
     let target = target::folder()?;
@@ -81,6 +86,7 @@ pub(crate) fn build(
     check(
         uno_cargo(&compiler()?, "build", &build)
             .args(progress.option())
+            .env(CAR_ID, car_id.to_string())
             .stdout(Stdio::null()),
     )?;
     build_simulator()?;
@@ -137,6 +143,7 @@ fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
     cargo
         // Suppresses the warning that AVR's linker does not support -no-pie.
         .env("RUSTC_LOG", "error")
+        .env(CAR_ID, "0")
         .args([command, "--release", "--locked", "--target-dir"])
         .arg(target);
     cargo

@@ -17,12 +17,13 @@ use crate::{
 };
 
 pub(crate) const USAGE: &str = "\
-usage: cargo uno [--flash PORT]
+usage: cargo uno [--car-id N] [--flash PORT]
 
 Build the image for the Arduino UNO, run it in simavr, and print its use of flash,
 SRAM and processor. Fails if a budget is exceeded. Installs missing Debian
 packages.
 
+  --car-id N     the car that it is for, 1 to 65535; its configuration names the same
   --flash PORT   then write it to the UNO at PORT, such as /dev/ttyACM0
   -h, --help     print this help
 ";
@@ -31,8 +32,11 @@ packages.
 #[derive(Debug, PartialEq, Eq)]
 enum UnoCommand {
     Help,
-    Check,
-    Flash(PathBuf),
+    Build {
+        /// Zero for none.
+        car_id: u16,
+        flash: Option<PathBuf>,
+    },
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
@@ -41,39 +45,71 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
             print!("{USAGE}");
             Ok(())
         }
-        UnoCommand::Check => build_and_check().map(drop),
-        UnoCommand::Flash(port) => {
-            // Before the build, which takes minutes.
-            check_port(&port)?;
-            let required = [&[prerequisites::PROGRAMMER][..], &prerequisites::IMAGE].concat();
-            prerequisites::ensure(&Machine::this(), &required, &mut |_| {})?;
-            flash(&build_and_check()?.elf, &port)
+        UnoCommand::Build {
+            car_id,
+            flash: port,
+        } => {
+            if let Some(port) = &port {
+                // Before the build, which takes minutes.
+                check_port(port)?;
+                let required = [&[prerequisites::PROGRAMMER][..], &prerequisites::IMAGE].concat();
+                prerequisites::ensure(&Machine::this(), &required, &mut |_| {})?;
+            }
+            let image = build_and_check(car_id)?;
+            port.map_or(Ok(()), |port| flash(&image.elf, &port))
         }
     }
 }
 
 fn parse(arguments: &[String]) -> Result<UnoCommand, Failure> {
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    match arguments[..] {
-        [] => Ok(UnoCommand::Check),
-        ["--help" | "-h"] => Ok(UnoCommand::Help),
-        ["--flash", port] if !port.is_empty() => Ok(UnoCommand::Flash(port.into())),
-        ["--flash"] => Err(Failure::new(format!(
-            "--flash needs the UNO's port, such as /dev/ttyACM0\n\n{USAGE}"
-        ))),
-        [argument] if argument.starts_with("--flash=") => parse(&[
-            "--flash".to_owned(),
-            argument["--flash=".len()..].to_owned(),
-        ]),
-        [unknown, ..] => Err(Failure::new(format!(
-            "unexpected argument {unknown:?}\n\n{USAGE}"
-        ))),
+    let refused = |reason: String| Err(Failure::new(format!("{reason}\n\n{USAGE}")));
+    let (mut car_id, mut flash) = (None, None);
+    let mut arguments = arguments.iter().map(String::as_str);
+    while let Some(argument) = arguments.next() {
+        let (name, value) = match argument.split_once('=') {
+            Some((name, value)) => (name, Some(value)),
+            None => (argument, None),
+        };
+        match name {
+            "--help" | "-h" if argument == name && car_id.is_none() && flash.is_none() => {
+                return match arguments.next() {
+                    None => Ok(UnoCommand::Help),
+                    Some(more) => refused(format!("unexpected argument {more:?}")),
+                };
+            }
+            "--flash" if flash.is_none() => {
+                match value.or_else(|| arguments.next()).unwrap_or_default() {
+                    "" => {
+                        return refused(
+                            "--flash needs the UNO's port, such as /dev/ttyACM0".to_owned(),
+                        );
+                    }
+                    port => flash = Some(PathBuf::from(port)),
+                }
+            }
+            "--car-id" if car_id.is_none() => {
+                let value = value.or_else(|| arguments.next()).unwrap_or_default();
+                match value.parse() {
+                    Ok(number @ 1_u16..) => car_id = Some(number),
+                    _ => {
+                        return refused(format!(
+                            "--car-id needs a number from 1 to 65535, not {value:?}"
+                        ));
+                    }
+                }
+            }
+            _ => return refused(format!("unexpected argument {argument:?}")),
+        }
     }
+    Ok(UnoCommand::Build {
+        car_id: car_id.unwrap_or(0),
+        flash,
+    })
 }
 
 /// Builds image and simulator, and checks the image against its budgets.
-fn build_and_check() -> Result<Image, Failure> {
-    let image = image::ensure(Progress::Shown)?;
+fn build_and_check(car_id: u16) -> Result<Image, Failure> {
+    let image = image::ensure(Progress::Shown, car_id)?;
     let mut figures = cargo();
     figures
         .args(["run", "--release", "--package", "singletrack-sim"])
@@ -179,9 +215,32 @@ mod tests {
         for arguments in [&["--flash", "/dev/ttyACM0"][..], &["--flash=/dev/ttyACM0"]] {
             assert_eq!(
                 parsed(arguments).unwrap(),
-                UnoCommand::Flash("/dev/ttyACM0".into())
+                UnoCommand::Build {
+                    car_id: 0,
+                    flash: Some("/dev/ttyACM0".into())
+                }
             );
         }
+    }
+
+    #[test]
+    fn the_cars_number_goes_with_and_without_a_port() {
+        for arguments in [&["--car-id", "7"][..], &["--car-id=7"]] {
+            assert_eq!(
+                parsed(arguments).unwrap(),
+                UnoCommand::Build {
+                    car_id: 7,
+                    flash: None
+                }
+            );
+        }
+        assert_eq!(
+            parsed(&["--flash", "/dev/ttyACM0", "--car-id", "65535"]).unwrap(),
+            UnoCommand::Build {
+                car_id: u16::MAX,
+                flash: Some("/dev/ttyACM0".into())
+            }
+        );
     }
 
     #[test]
@@ -193,6 +252,11 @@ mod tests {
             &["--flash", ""],
             &["--flash", "/dev/ttyACM0", "again"],
             &["--help", "me"],
+            &["--car-id"],
+            &["--car-id", "0"],
+            &["--car-id", "65536"],
+            &["--car-id", "seven"],
+            &["--car-id", "7", "--car-id", "8"],
         ] {
             let error = parsed(arguments).unwrap_err().to_string();
             assert!(error.contains(USAGE), "{error}");

@@ -332,7 +332,7 @@ fn real_time_steps(release: Release) -> Vec<Step> {
 
 /// Builds this source's image, with its simulator from this release build.
 fn with_simulator(release: Release) -> Result<Image, Failure> {
-    image::build(Progress::Shown, || release.build())
+    image::build(Progress::Shown, 0, || release.build())
 }
 
 /// Runs a command with this source's image: a step that runs alone must not test an

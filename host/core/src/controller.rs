@@ -443,7 +443,12 @@ impl Queue<'_> {
                 self.push(Event::Link(LinkState::Down));
             }
             LinkEvent::Status(status) => self.push(Event::Health(BoardHealth {
-                battery_mv: status.battery_mv,
+                // What a floating input shows is no battery.
+                battery_mv: if status.battery_open {
+                    0
+                } else {
+                    status.battery_mv
+                },
                 stop_input_open: status.stop_input_open,
                 battery_open: status.battery_open,
                 imu_fault: imu_fault(status),

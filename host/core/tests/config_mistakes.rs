@@ -140,7 +140,8 @@ board | max_pose_age_ms = 1200 | board.max_pose_age_ms | 1200 | 1 to 1000
 board.servo | gain_us_per_rad = 10 | board.servo.gain_us_per_rad | 10 | 50 to 5000
 board.servo | centre_us = 2000 | board.servo.centre_us | 2000 | 1080 to 1920
 board.esc | neutral_us = 1700 | board.esc.neutral_us | 1700 | 1470 to 1530
-board.speed | pulse_distance_um = 0 | board.speed.pulse_distance_um | 0 | 1 to 65535
+board.speed | pulse_distance_um = 0 | board.speed.pulse_distance_um | 0 | 100 to 30000
+board.speed | pulse_distance_um = 65000 | board.speed.pulse_distance_um | 65000 | one that stands or whose sensor is dead
 control | period_ms = 1 | control.period_ms | 1 | between 5 and 50
 control | realtime_priority = 99 | control.realtime_priority | 99 | between 0 and 90
 record | directory = "" | record.directory | empty | record.enabled = false

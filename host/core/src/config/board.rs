@@ -203,6 +203,14 @@ impl BoardSection {
                      depends on the ESC: write \"car\", \"forward-reverse\" or \"vesc\"",
                 ));
             }
+            _ if brakes && self.kill_output => {
+                return Err(ConfigError::value(
+                    "board.failsafe",
+                    "brake",
+                    "board.kill_output takes the ESC's supply at once, and without it nothing \
+                     brakes; use \"coast\"",
+                ));
+            }
             Some(EscKindName::ForwardReverse) if brakes => {
                 return Err(ConfigError::value(
                     "board.failsafe",

@@ -191,7 +191,10 @@ impl<'a> Run<'a> {
         let record = record
             .map(|path| VirtualRecord::start(path, &mut drive, daemon, seed))
             .transpose()?;
-        let fence = daemon.fence.fence().map_err(ScenarioError::from)?;
+        let fence = daemon
+            .fence
+            .fence(&daemon.vehicle)
+            .map_err(ScenarioError::from)?;
         let tally = Tally::new(&fence)
             .map_err(|error| ScenarioError::Section(singletrack_core::ConfigError::Fence(error)))?;
         Ok(Self {
