@@ -15,8 +15,8 @@ use crate::{
     supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
     watch::{
         AttitudeWatch, BlindWatch, FrozenWatch, ImuWatch, InnovationWatch, PROVING_SPEED, Proving,
-        PushWatch, SideslipWatch, SpeedWatch, Speeds, Steps, StopLimits, StopWatch, TickWatch,
-        WatchConfig,
+        PushWatch, SideslipWatch, SpeedWatch, Speeds, StartWatch, SteeringWatch, Steps, StopLimits,
+        StopWatch, TickWatch, WatchConfig,
     },
 };
 
@@ -133,6 +133,10 @@ pub struct Pilot {
     stops: StopWatch,
     steps: Steps,
     sideslip: SideslipWatch,
+    steering: SteeringWatch,
+    start: StartWatch,
+    /// The steering of the last command, rad: with the wave of the proving run.
+    commanded_steering: f64,
     innovations: InnovationWatch,
     frozen: FrozenWatch,
     attitude: AttitudeWatch,
@@ -164,6 +168,9 @@ impl Pilot {
             stops: StopWatch::default(),
             steps: Steps::default(),
             sideslip: SideslipWatch::default(),
+            steering: SteeringWatch::default(),
+            start: StartWatch::default(),
+            commanded_steering: 0.0,
             innovations: InnovationWatch::default(),
             frozen: FrozenWatch::default(),
             attitude: AttitudeWatch::default(),
@@ -233,7 +240,7 @@ impl Pilot {
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
             .max(fabs(self.law.actuation().speed));
-        self.steps.tick(now, steering);
+        self.steps.tick(now, self.commanded_steering);
         self.attitude.tick(now);
         let speeds = self.speeds_at(now, estimate.as_ref());
         let (period, watch) = (self.config.period, &self.config.watch);
@@ -282,6 +289,8 @@ impl Pilot {
             self.law.reset();
             self.speeds.reset();
             self.sideslip.reset();
+            self.steering.reset();
+            self.start.reset();
             self.innovations.reset();
             let unproved = self.config.supervisor.prove && !self.proved;
             self.proving = unproved.then(Proving::default);
@@ -347,6 +356,9 @@ impl Pilot {
                 Mode::Disconnected | Mode::Idle | Mode::Ready | Mode::Arming | Mode::Fault => {}
             }
         }
+        self.commanded_steering = output
+            .command
+            .map_or(output.actuation.steering, |command| command.steering);
         output
     }
 
@@ -380,35 +392,35 @@ impl Pilot {
         } else {
             actuation
         };
-        let (actuation, coast) = self.prove(now, estimate, actuation, output);
+        let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
         output.drive_time = Some(time);
         output.reference = Some(reference);
         output.point_velocity = Some(velocity);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
-        let command = command(estimate, &actuation, false);
-        output.command = Some(if coast {
-            DriveCommand {
-                rear_speed: 0.0,
-                ..command
-            }
-        } else {
-            command
-        });
+        let mut command = command(estimate, &actuation, false);
+        if coast {
+            command.rear_speed = 0.0;
+        }
+        if wave != 0.0 {
+            let most = self.config.limits.max_steering;
+            command.steering = (command.steering + wave).clamp(-most, most);
+        }
+        output.command = Some(command);
         Ok(())
     }
 
-    /// A tick of the proving run: limits the speed, and says whether the car is to roll at
-    /// neutral. Without one, nothing changes.
+    /// A tick of the proving run: limits the speed, and returns whether the car is to roll at
+    /// neutral and what to add to the steering. Without one, nothing changes.
     fn prove(
         &mut self,
         now: Time,
         estimate: &Estimate,
         actuation: Actuation,
         output: &mut Output,
-    ) -> (Actuation, bool) {
+    ) -> (Actuation, bool, f64) {
         let Some(proving) = &mut self.proving else {
-            return (actuation, false);
+            return (actuation, false, 0.0);
         };
         let tick = proving.tick(now, estimate.speed, self.config.braking);
         if tick.coast {
@@ -427,7 +439,7 @@ impl Pilot {
             self.proving = None;
             output.proved = true;
         }
-        (self.law.actuation(), tick.coast)
+        (self.law.actuation(), tick.coast, tick.steering)
     }
 
     /// What forbids to arm, by the watches.
@@ -459,9 +471,13 @@ impl Pilot {
         let [forward, left] = self.estimator.acceleration_bias();
         if self.sideslip.is_exceeded() {
             Some(Reason::SideslipImplausible)
-        } else if fabs(forward).max(fabs(left)) > watch.max_acceleration_bias {
+        } else if self.steering.is_exceeded() {
+            Some(Reason::SteeringDiffers)
+        } else if self.start.differs()
+            || fabs(forward).max(fabs(left)) > watch.max_acceleration_bias
+        {
             Some(Reason::AccelerometerDiffers)
-        } else if self.innovations.is_inconsistent(watch) {
+        } else if self.innovations.is_inconsistent() {
             Some(Reason::EstimateInconsistent)
         } else {
             None
@@ -526,7 +542,8 @@ impl Pilot {
         self.frozen.pose(pose, &self.config.watch);
         let accepted = self.estimator.handle_pose(pose) == PoseVerdict::Accepted;
         if accepted {
-            self.innovations.pose(self.estimator.innovation());
+            self.innovations
+                .pose(self.estimator.innovation(), &self.config.watch);
             self.pose_time = Some(pose.capture);
             self.supervisor.handle_pose();
             self.blind.seen(pose.capture);
@@ -544,9 +561,11 @@ impl Pilot {
                 .pose(pose.capture, centre.position, centre.yaw, rear_axle);
             if let Some(step) = step {
                 if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
+                    let wheelbase = config.estimator.wheelbase;
+                    self.start.step(&step);
                     self.sideslip.step(&step, &config.watch);
+                    self.steering.step(&step, wheelbase, &config.watch);
                     if let Some(proving) = &mut self.proving {
-                        let wheelbase = config.estimator.wheelbase;
                         proving.step(&step, wheelbase, config.watch.pulse_distance);
                     }
                 } else {

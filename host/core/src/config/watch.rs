@@ -36,6 +36,9 @@ section! {
     /// The rear axle may move at this angle to the yaw, plus 0.03 rad per m/s2 of lateral
     /// acceleration, as a mean over 0.25 m.
     max_sideslip_rad: f64 => max_sideslip, in up_to(1.5);
+    /// Over 0.4 m, the turn of the car may differ from that of its steering by 0.2 rad plus
+    /// this fraction.
+    steering_ratio: f64 => steering_ratio, in up_to(5.0);
     /// A higher estimate of the accelerometer's bias is implausible.
     max_acceleration_bias_m_s2: f64 => max_acceleration_bias, in up_to(50.0);
     /// A higher mean of the normalised innovation squared of the poses is inconsistent. Its

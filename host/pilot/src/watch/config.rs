@@ -34,6 +34,8 @@ pub struct WatchConfig {
     pub height: [f64; 2],
     /// The largest angle between the motion of the rear axle and the yaw, rad.
     pub max_sideslip: f64,
+    /// The turn of the car may differ from that of its steering by this share.
+    pub steering_ratio: f64,
     /// The largest bias of the accelerometer, m/s².
     pub max_acceleration_bias: f64,
     /// The largest normalised innovation squared of the poses, as a mean over 0.5 s.
@@ -65,8 +67,9 @@ impl WatchConfig {
             max_tilt_difference: 0.15,
             height: [f64::NEG_INFINITY, f64::INFINITY],
             max_sideslip: 0.14,
+            steering_ratio: 0.5,
             max_acceleration_bias: 2.5,
-            max_innovation: 100.0,
+            max_innovation: 200.0,
             max_capture_uncertainty: 0.02,
             max_gap: 0.08,
             max_missed: 20,

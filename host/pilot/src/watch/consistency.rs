@@ -1,6 +1,6 @@
 //! Consistency of poses, estimate and clock during every drive.
 
-use libm::{atan2, fabs};
+use libm::{atan2, copysign, fabs, tan};
 use singletrack_control::{PoseSample, Time};
 
 use super::{config::WatchConfig, steps::Step};
@@ -94,32 +94,84 @@ impl SideslipWatch {
     }
 }
 
+/// Turn and steering, as sums over a way.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SteeringWatch {
+    wanted: f64,
+    made: f64,
+    way: f64,
+    exceeded: u32,
+}
+
+/// The way of one comparison, m.
+const STEERED_WAY: f64 = 0.4;
+/// The turns may differ by this, rad: a bent course has lags, and a floor has bumps.
+const STEERED_MARGIN: f64 = 0.2;
+/// The number of comparisons in a row beyond the limit.
+const STEERED_TIMES: u32 = 2;
+
+impl SteeringWatch {
+    /// A step of a drive; `wheelbase` in m.
+    pub(crate) fn step(&mut self, step: &Step, wheelbase: f64, config: &WatchConfig) {
+        let way = step.rear.norm();
+        self.wanted += copysign(way, step.motor_way) * tan(step.steering) / wheelbase;
+        self.made += step.turn;
+        self.way += way;
+        if self.way >= STEERED_WAY {
+            let allowed = STEERED_MARGIN + config.steering_ratio * fabs(self.wanted);
+            // A NaN exceeds it.
+            let fits = fabs(self.made - self.wanted) <= allowed;
+            *self = Self {
+                exceeded: if fits {
+                    0
+                } else {
+                    self.exceeded.saturating_add(1)
+                },
+                ..Self::default()
+            };
+        }
+    }
+
+    /// Whether the car turns otherwise than it is steered.
+    pub(crate) const fn is_exceeded(&self) -> bool {
+        self.exceeded >= STEERED_TIMES
+    }
+
+    /// Forgets the last drive.
+    pub(crate) fn reset(&mut self) {
+        *self = Self::default();
+    }
+}
+
 /// The normalised innovation squared of the poses, as a running mean.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct InnovationWatch {
     mean: f64,
-    poses: u32,
+    /// Poses in a row with too high a mean.
+    exceeded: u32,
 }
 
 /// The share of a new pose in the mean: 0.5 s at 100 Hz.
 const SHARE: f64 = 0.02;
+/// The number of poses for which the mean must exceed its limit, 0.5 s at 100 Hz: other
+/// watches name the cause by then.
+const POSES: u32 = 50;
 
 impl InnovationWatch {
     /// An accepted pose with this innovation.
-    pub(crate) fn pose(&mut self, innovation: f64) {
-        self.poses = self.poses.saturating_add(1);
+    pub(crate) fn pose(&mut self, innovation: f64, config: &WatchConfig) {
         self.mean += SHARE * (innovation - self.mean);
+        // A NaN exceeds it.
+        self.exceeded = if self.mean <= config.max_innovation {
+            0
+        } else {
+            self.exceeded.saturating_add(1)
+        };
     }
 
     /// Whether the innovations exceed their limit.
-    pub(crate) fn is_inconsistent(&self, config: &WatchConfig) -> bool {
-        self.poses >= 25 && !(self.mean <= config.max_innovation)
-    }
-
-    /// The running mean.
-    #[cfg(test)]
-    pub(crate) const fn mean(&self) -> f64 {
-        self.mean
+    pub(crate) const fn is_inconsistent(&self) -> bool {
+        self.exceeded >= POSES
     }
 
     /// Forgets the last drive.

@@ -1,9 +1,11 @@
 //! The first metre of an unproved configuration: every sensor against every other.
 
-use libm::{atan2, copysign, fabs, tan};
+use core::f64::consts::TAU;
+
+use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::steps::Step;
+use super::{start::StartWatch, steps::Step, stop::deceleration};
 use crate::supervisor::Reason;
 
 /// The highest speed of the first metre, m/s.
@@ -13,43 +15,43 @@ const METRE: f64 = 1.0;
 
 /// Steering angles below this prove nothing, rad: trim and backlash.
 const LEAST_STEERING: f64 = 0.04;
-/// A step must turn by this much to count for the gyro, rad: the noise of the cameras' yaw.
-const LEAST_TURN: f64 = 0.006;
+/// The span of the comparison of the gyro, s, and the least turn in it, rad: the cameras' yaw
+/// has noise.
+const GYRO_SPAN: f64 = 0.2;
+const LEAST_TURN: f64 = 0.015;
 /// The turn that the steering should have made by which a reversed servo shows, rad.
-const SIGN_AFTER: f64 = 0.12;
+const SIGN_AFTER: f64 = 0.09;
 /// The turn by which a servo with a wrong gain shows, rad.
-const SIZE_AFTER: f64 = 0.35;
+const SIZE_AFTER: f64 = 0.25;
 /// The turn by which the steering is proved, rad.
-const PROVED_AFTER: f64 = 0.5;
+const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
-const STEERING_RATIO: (f64, f64) = (0.6, 1.6);
+const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
 /// Turn of the gyro per turn of the cameras.
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
 const YAW_AFTER: f64 = 0.15;
+/// The way after which a yaw that is wrong by a right angle or more shows, m.
+const CROSSWISE_AFTER: f64 = 0.04;
 /// The largest angle between the motion of the rear axle and the yaw, rad.
 const YAW_ERROR: f64 = 0.115;
-/// The change of speed by which the accelerometer is judged, m/s; if it does not come in
-/// time, a lower one will do...
-const ACCELERATED: f64 = 0.18;
-const JUDGED_FROM: f64 = 0.08;
-/// ...its tolerance, in m/s and as a share...
-const ACCELERATION_TOLERANCE: (f64, f64) = (0.05, 0.5);
-/// ...and that time, s: later the bias counts for more.
-const ACCELERATES_WITHIN: f64 = 1.2;
 /// The way by which the motor and the cameras are compared, m...
 const MOTOR_AFTER: f64 = 0.2;
 /// ...and how much they may differ: in m, beyond the two pulses that a speed takes, and as
 /// a share.
-const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.2);
+const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
+
+/// The steering follows a wave during the first metre: its amplitude, rad, and its length, m.
+const WAVE: f64 = 0.12;
+const WAVE_LENGTH: f64 = 0.5;
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest
 /// speed at which that says anything, m/s.
 const COAST_AT: f64 = 0.7;
-const COAST_FOR: f64 = 0.25;
+const COAST_FOR: f64 = 0.4;
 const COAST_FROM: f64 = 0.22;
-/// When the deceleration of the roll begins to be measured, s.
-const COAST_MEASURED_AFTER: f64 = 0.08;
+/// The roll ends below this speed, m/s.
+const COAST_UNTIL: f64 = 0.08;
 /// A roll that loses less than this share of the configured deceleration is too weak.
 const COAST_SHARE: f64 = 0.7;
 
@@ -58,6 +60,8 @@ const COAST_SHARE: f64 = 0.7;
 pub(crate) struct ProvingTick {
     /// The car is to roll at neutral.
     pub(crate) coast: bool,
+    /// What to add to the steering, rad: a straight reference shows no sign of the servo.
+    pub(crate) steering: f64,
     /// Everything has been compared, and nothing contradicts.
     pub(crate) passed: bool,
     /// The deceleration of the roll that ended in this tick, m/s².
@@ -77,21 +81,21 @@ pub(crate) struct Proving {
     /// Turn of the cameras, without its signs, and of the gyro with it.
     seen: f64,
     felt: f64,
+    span: GyroSpan,
     /// Way along and to the left of the yaw.
     along: f64,
     across: f64,
     motor_way: f64,
-    start: Start,
+    start: StartWatch,
     coast: Coast,
 }
 
-/// The comparison of the accelerometer with the speed, while the car starts off.
+/// The turn of some steps, by the cameras and by the gyro.
 #[derive(Clone, Copy, Debug, Default)]
-struct Start {
+struct GyroSpan {
     time: f64,
-    forward: f64,
-    left: f64,
-    judged: bool,
+    turn: f64,
+    gyro_turn: f64,
 }
 
 /// The roll at neutral.
@@ -101,8 +105,10 @@ enum Coast {
     Ahead,
     Begun {
         since: Time,
-        /// Time and speed when the measurement began.
-        from: Option<(Time, f64)>,
+        /// The speed then, m/s.
+        speed: f64,
+        /// The driven way then, m.
+        way: f64,
     },
     Over,
 }
@@ -123,7 +129,10 @@ impl Proving {
         if self.found.is_some() {
             return;
         }
-        self.compare_acceleration(step);
+        self.start.step(step);
+        if self.start.differs() {
+            self.found = Some(Reason::AccelerometerDiffers);
+        }
         let along = step.along();
         // A body whose yaw is wrong by more than a right angle moves backward.
         let way = step.rear.norm();
@@ -137,9 +146,15 @@ impl Proving {
             self.wanted += fabs(wanted);
             self.made += copysign(1.0, wanted) * step.turn;
         }
-        if fabs(step.turn) > LEAST_TURN {
-            self.seen += fabs(step.turn);
-            self.felt += copysign(1.0, step.turn) * step.gyro_turn;
+        self.span.time += step.time;
+        self.span.turn += step.turn;
+        self.span.gyro_turn += step.gyro_turn;
+        if self.span.time >= GYRO_SPAN {
+            let span = core::mem::take(&mut self.span);
+            if fabs(span.turn) > LEAST_TURN {
+                self.seen += fabs(span.turn);
+                self.felt += copysign(1.0, span.turn) * span.gyro_turn;
+            }
         }
         self.found = self.found.or(self.contradiction(pulse_distance));
     }
@@ -160,7 +175,8 @@ impl Proving {
             return Some(Reason::SteeringReversed);
         }
         let way = fabs(self.along) + fabs(self.across);
-        if way > YAW_AFTER && fabs(atan2(self.across, self.along)) > YAW_ERROR {
+        let angle = fabs(atan2(self.across, self.along));
+        if (way > YAW_AFTER && angle > YAW_ERROR) || (way > CROSSWISE_AFTER && angle > 1.0) {
             return Some(Reason::BodyYawWrong);
         }
         if self.wanted > SIZE_AFTER && outside(self.made, self.wanted, STEERING_RATIO) {
@@ -175,31 +191,6 @@ impl Proving {
         None
     }
 
-    fn compare_acceleration(&mut self, step: &Step) {
-        let start = &mut self.start;
-        if start.judged {
-            return;
-        }
-        let speed = step.rear.norm() / step.time;
-        start.time += step.time;
-        start.forward += step.forward;
-        start.left += step.left;
-        let late = start.time > ACCELERATES_WITHIN;
-        if late || speed >= ACCELERATED {
-            start.judged = true;
-            if speed < JUDGED_FROM {
-                return;
-            }
-            let (margin, share) = ACCELERATION_TOLERANCE;
-            // Over a step the speed is that of its middle; the integral is that of its end.
-            let middle = start.forward - 0.5 * step.forward;
-            let off = libm::hypot(middle - speed, start.left - 0.5 * step.left);
-            if off > margin + share * speed {
-                self.found = Some(Reason::AccelerometerDiffers);
-            }
-        }
-    }
-
     /// A tick of the drive with the estimated speed (m/s) and the configured deceleration
     /// (m/s²).
     pub(crate) fn tick(&mut self, now: Time, speed: f64, braking: f64) -> ProvingTick {
@@ -210,35 +201,35 @@ impl Proving {
             Coast::Ahead if self.way >= COAST_AT && speed > COAST_FROM => {
                 self.coast = Coast::Begun {
                     since: now,
-                    from: None,
+                    speed,
+                    way: self.way,
                 };
                 tick.coast = true;
             }
-            Coast::Begun { since, from } => {
-                let rolled = now.seconds_since(*since);
-                if rolled >= COAST_MEASURED_AFTER && from.is_none() {
-                    *from = Some((now, speed));
-                }
-                tick.coast = rolled < COAST_FOR && speed > 0.1;
+            Coast::Begun {
+                since,
+                speed: first,
+                way,
+            } => {
+                tick.coast = now.seconds_since(*since) < COAST_FOR && speed > COAST_UNTIL;
                 if !tick.coast {
-                    if let Some((begin, first)) = *from
-                        && now.seconds_since(begin) >= 0.03
-                    {
-                        let measured = (first - speed) / now.seconds_since(begin);
-                        tick.coasted = Some(measured.max(0.0));
-                        if measured < COAST_SHARE * braking && self.found.is_none() {
-                            self.found = Some(Reason::BrakesLessThanConfigured);
-                        }
+                    let measured = deceleration(*first, fabs(speed), self.way - *way);
+                    tick.coasted = Some(measured);
+                    if measured < COAST_SHARE * braking && self.found.is_none() {
+                        self.found = Some(Reason::BrakesLessThanConfigured);
                     }
                     self.coast = Coast::Over;
                 }
             }
             Coast::Ahead | Coast::Over => {}
         }
+        if self.is_slow() {
+            tick.steering = WAVE * sin(TAU * self.way / WAVE_LENGTH);
+        }
         tick.passed = self.found.is_none()
             && !self.is_slow()
             && self.wanted > PROVED_AFTER
-            && self.start.judged
+            && self.start.is_judged()
             && !matches!(self.coast, Coast::Begun { .. });
         tick
     }

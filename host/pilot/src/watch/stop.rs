@@ -25,12 +25,34 @@ struct Run {
     speed: f64,
     /// Way since, m.
     way: f64,
-    /// The speed when the reaction time had passed, m/s, and that time.
-    after_reaction: Option<(f64, Time)>,
-    /// Ticks in a row with too high a speed.
-    too_fast: u32,
+    /// The fall of the speed by motor and by cameras.
+    falls: [Fall; 2],
     /// Since when the car has stood.
     standing: Option<Time>,
+}
+
+/// The fall of a measured speed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fall {
+    /// The first speed after the reaction time, m/s, and its time.
+    from: Option<(f64, Time)>,
+    /// Ticks in a row with too high a speed.
+    too_fast: u32,
+}
+
+impl Fall {
+    /// A tick after the reaction time, with the least deceleration (m/s²). A sensor that
+    /// returns is judged from then on.
+    fn tick(&mut self, now: Time, speed: Option<f64>, least: f64) {
+        let Some(speed) = speed.map(fabs) else {
+            *self = Self::default();
+            return;
+        };
+        let (from, since) = *self.from.get_or_insert((speed, now));
+        let allowed = from - least * now.seconds_since(since) + TOLERANCE;
+        let too_fast = speed > allowed.max(SLOW);
+        self.too_fast = if too_fast { self.too_fast + 1 } else { 0 };
+    }
 }
 
 /// The speeds of a tick, in m/s; `None` where there is no recent measurement.
@@ -114,8 +136,7 @@ impl StopWatch {
             last: now,
             speed: speed.unwrap_or(0.0),
             way: 0.0,
-            after_reaction: None,
-            too_fast: 0,
+            falls: [Fall::default(); 2],
             standing: None,
         });
     }
@@ -155,20 +176,17 @@ impl StopWatch {
         run.way += pace * now.seconds_since(run.last);
         run.last = now;
         let least = LEAST_SHARE * limits.braking;
-        if elapsed >= REACTION
-            && let Some(speed) = worst
-        {
-            let (from, since) = *run.after_reaction.get_or_insert((speed, now));
-            let allowed = from - least * now.seconds_since(since) + TOLERANCE;
-            let too_fast = speed > allowed.max(SLOW);
-            run.too_fast = if too_fast { run.too_fast + 1 } else { 0 };
+        if elapsed >= REACTION {
+            let [motor, cameras] = &mut run.falls;
+            motor.tick(now, speeds.motor, least);
+            cameras.tick(now, speeds.cameras, least);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
             let most = if in_place {
                 TOO_FAST_IN_PLACE
             } else {
                 TOO_FAST
             };
-            verdict.disobeyed = run.too_fast >= most;
+            verdict.disobeyed = motor.too_fast >= most || cameras.too_fast >= TOO_FAST;
         }
         // Without any measurement the car may still move.
         let stands = worst.is_some_and(|speed| speed < limits.standing);
@@ -184,7 +202,8 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            verdict.measured = deceleration(&ended, left);
+            verdict.measured =
+                (ended.speed >= MEASURED_FROM).then(|| deceleration(ended.speed, left, ended.way));
             if let Some(measured) = verdict.measured {
                 self.judge(measured, limits.braking);
             }
@@ -208,15 +227,16 @@ impl StopWatch {
     }
 }
 
-/// The deceleration of a stop from its way, in m/s²: the speed falls after [`UNBRAKED`].
-fn deceleration(run: &Run, left: f64) -> Option<f64> {
-    if run.speed < MEASURED_FROM {
-        return None;
+/// The deceleration of a car that has slowed down from `speed` to `left` (m/s) on this way
+/// (m), in m/s²: the speed falls after [`UNBRAKED`], as the geofence has it.
+pub(super) fn deceleration(speed: f64, left: f64, way: f64) -> f64 {
+    let fallen = (speed * speed - left * left).max(0.0);
+    let braked = way - UNBRAKED * speed;
+    if braked <= fallen / (2.0 * MOST) {
+        MOST
+    } else {
+        fallen / (2.0 * braked)
     }
-    let fallen = (run.speed * run.speed - left * left).max(0.0);
-    let way = run.way - UNBRAKED * run.speed;
-    let most = way <= fallen / (2.0 * MOST);
-    Some(if most { MOST } else { fallen / (2.0 * way) })
 }
 
 #[cfg(test)]

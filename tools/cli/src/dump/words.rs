@@ -75,7 +75,8 @@ mod tests {
                 "armed",
                 "driving",
                 "failsafe",
-                "emergency-stopped"
+                "emergency-stopped",
+                "powering-up"
             ]
         );
         for (topic, field, word) in [
