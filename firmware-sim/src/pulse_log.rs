@@ -22,6 +22,11 @@ pub trait PulseFilter {
     /// Changes a servo frame of a native board before car and log get it. The image's
     /// frames are not changed.
     fn frame(&mut self, frame: &mut PulseRecord);
+
+    /// Changes the kill output of a native board.
+    fn power(&mut self, on: &mut bool) {
+        let _ = on;
+    }
 }
 
 /// No change.

@@ -155,7 +155,9 @@ impl Native {
                 );
             }
         }
-        car.set_kill_output(self.power_on(board_time_us));
+        let mut power_on = self.power_on(board_time_us);
+        filter.power(&mut power_on);
+        car.set_kill_output(power_on);
         if self.frames * SERVO_FRAME_US <= elapsed {
             self.frames = elapsed / SERVO_FRAME_US + 1;
             let (servo_us, esc_us) = self.pulses(board_time_us);

@@ -136,6 +136,8 @@ struct Drive<'a> {
     was_running: bool,
     resets: u64,
     pulses: u64,
+    /// Whether the running daemon has proved its configuration, or need not.
+    is_proved: bool,
     pins: Pins,
     stops: Stops,
     written: Decoder,
@@ -159,7 +161,7 @@ impl<'a> Drive<'a> {
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            spec: Spec::new(&schedule.situation, world.config(), &config).map_err(SetupError::Config)?,
+            spec: Spec::new(schedule, world.config(), &config).map_err(SetupError::Config)?,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -194,6 +196,7 @@ impl<'a> Drive<'a> {
             was_running: false,
             resets: 0,
             pulses: 0,
+            is_proved: schedule.situation.proved,
             pins: Pins::default(),
             stops: Stops::default(),
             written: Decoder::new(),
@@ -478,7 +481,8 @@ impl<'a> Drive<'a> {
         if let Some((number, mut config)) = self.changed.take() {
             tamper.configuration(number, &mut config);
             let world = self.world.config();
-            self.spec = Spec::new(&self.schedule.situation, world, &config).map_err(SetupError::Config)?;
+            self.spec = Spec::new(self.schedule, world, &config).map_err(SetupError::Config)?;
+            self.is_proved = self.schedule.situation.proved;
             let pilot = config.pilot().map_err(SetupError::Config)?;
             configuration = Some((number, pilot));
         }
@@ -515,7 +519,10 @@ impl<'a> Drive<'a> {
         let truth = self.world.truth();
         let board_mode = self.world.board().telemetry().map(|record| record.mode);
         let board_is_armed = is_running
-            && matches!(board_mode, Some(BoardMode::Armed | BoardMode::Driving));
+            && matches!(
+                board_mode,
+                Some(BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving)
+            );
         let moved_by_hand = self.schedule.faults.iter().any(|fault| {
             let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
             let rolls_us = (2e6 / self.spec.braking) as u64;
@@ -541,6 +548,8 @@ impl<'a> Drive<'a> {
             board_since_us: self.board_since_us,
             board_mode,
             board_is_armed,
+            is_proved: self.is_proved,
+            esc_has_power: self.world.car().esc_has_power(),
             moved_by_hand,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),
@@ -575,6 +584,8 @@ impl<'a> Drive<'a> {
                     false
                 }
             });
+        // From the next tick on.
+        self.is_proved |= tick.as_ref().is_some_and(|tick| tick.output.proved);
         if has_ticked {
             self.pending_requests.clear();
         }

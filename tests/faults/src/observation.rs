@@ -10,7 +10,7 @@ use singletrack_sim::{ReceivedMessage, SimulationConfig, Truth};
 use crate::{
     network::Exposure,
     pins::Pulse,
-    schedule::{Fault, FaultKind, FaultTarget, Situation},
+    schedule::{Fault, FaultKind, FaultTarget, Schedule, Situation},
     stop::Stop,
 };
 
@@ -18,6 +18,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct Spec {
     pub(crate) situation: Situation,
+    /// Whether the true car is calibrated well enough that it must drive.
+    pub(crate) is_tolerable: bool,
     pub(crate) board: Configuration,
     pub(crate) hold_us: u64,
     /// Pose age that ends even a controlled stop.
@@ -52,15 +54,17 @@ pub(crate) struct Spec {
 
 impl Spec {
     pub(crate) fn new(
-        situation: &Situation,
+        schedule: &Schedule,
         world: &SimulationConfig,
         config: &Config,
     ) -> Result<Self, ConfigError> {
         let us = |ms: u32| u64::from(ms) * 1_000;
+        let situation = &schedule.situation;
         let limits = &config.limits;
         let board = config.board_configuration();
         Ok(Self {
             situation: *situation,
+            is_tolerable: schedule.is_tolerable(),
             board,
             hold_us: us(config.supervisor.hold_ms),
             blind_us: us(config.supervisor.blind_ms),
@@ -157,6 +161,10 @@ pub(crate) struct Observation<'a> {
     pub(crate) board_mode: Option<BoardMode>,
     /// Whether the running board was armed at that time.
     pub(crate) board_is_armed: bool,
+    /// Whether the configuration in force is proved.
+    pub(crate) is_proved: bool,
+    /// Whether the ESC has its supply.
+    pub(crate) esc_has_power: bool,
     /// Whether somebody pushes the car, or it still rolls from that.
     pub(crate) moved_by_hand: bool,
     /// The daemon's tick in this step, if any.
@@ -226,7 +234,7 @@ pub(crate) mod scene {
     use singletrack_sim::PulseRecord;
 
     use super::{
-        Exposure, Observation, Pulse, ReceivedPose, SimulationConfig, Situation, Spec, Truth,
+        Exposure, Observation, Pulse, ReceivedPose, Schedule, SimulationConfig, Spec, Truth,
     };
     use crate::{
         pins::Effect,
@@ -242,10 +250,10 @@ pub(crate) mod scene {
 
     impl Scene {
         pub(crate) fn new() -> Self {
-            let situation = Situation::default();
-            let config = setting::config(&situation, ConfigurationFile::default()).unwrap();
+            let schedule: Schedule = "seed 1; end_ms 9000".parse().unwrap();
+            let config = setting::config(&schedule.situation, ConfigurationFile::default()).unwrap();
             Self {
-                spec: Spec::new(&situation, &SimulationConfig::default(), &config).unwrap(),
+                spec: Spec::new(&schedule, &SimulationConfig::default(), &config).unwrap(),
                 pulses: vec![Pulse {
                     record: PulseRecord {
                         time_us: 5_000_000,
@@ -273,6 +281,8 @@ pub(crate) mod scene {
                 board_since_us: Some(65_000),
                 board_mode: None,
                 board_is_armed: true,
+                is_proved: true,
+                esc_has_power: true,
                 moved_by_hand: false,
                 tick: None,
                 is_replayed: true,

@@ -13,7 +13,7 @@ use std::{
 
 use singletrack_control::Time;
 use singletrack_core::config::Config;
-use singletrack_pilot::{Event, Mode};
+use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_protocol::{Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord};
@@ -268,6 +268,23 @@ bugs! {
                 tick.output.mode = Mode::Idle;
             }
         });
+    Board "holds the kill output", "kill-output", "kill_output true; ask disarm at 8000",
+        |_| Power;
+    Host "does not prove its configuration", "proving-speed", "proved false",
+        |_| Host(|config: &mut Config| config.supervisor.prove_first_metre = false);
+    Host "neither proves nor watches", "steering-sign",
+        "proved false; truth servo-gain-permille -2000; fence_mm 4000", |_| Host(unwatched);
+    Host "neither proves nor watches, with the IMU upside down", "gyro-sign",
+        "proved false; truth imu-roll-ddeg 1800", |_| Host(unwatched);
+    Host "arms after a contradiction", "acknowledged",
+        "proved false; truth servo-gain-permille -2000; ask arm at 8000", |_| arms_at_once();
+    Host "forgets a stop that was not obeyed", "fault-clears",
+        "fault esc-stuck at 6000 for 1 severity 1; ask disarm at 6100", |_| forgets();
+    Host "takes a calibrated car for a wrong one", "false-alarm", "", |_| commanding(|tick| {
+        if tick.index.is_multiple_of(50) {
+            tick.output.reason = Some(Reason::SteeringDiffers);
+        }
+    });
     Allowance "a configuration taken over by halves", "command-rate",
         "ask reload at 2000; ask disarm at 6000",
         |_| Configurations(|number: u32, config: &mut Config| {
@@ -542,6 +559,52 @@ impl Tamper for Brakes {
             Some(us) => pulse.esc_us = us,
         }
     }
+}
+
+/// A board that holds the ESC's supply for good.
+struct Power;
+
+impl Tamper for Power {
+    fn power(&mut self, on: &mut bool) {
+        *on = true;
+    }
+}
+
+/// A host without its watches.
+fn unwatched(config: &mut Config) {
+    config.supervisor.prove_first_metre = false;
+    let watch = &mut config.watch;
+    watch.speed_margin_m_s = 2.0;
+    watch.speed_ratio = 0.9;
+    watch.max_tilt_rad = 1.5;
+    watch.max_tilt_difference_rad = 1.5;
+    watch.max_sideslip_rad = 1.5;
+    watch.max_acceleration_bias_m_s2 = 50.0;
+    watch.max_innovation = 1e6;
+    watch.max_gyro_bias_rad_s = 1.0;
+}
+
+/// A pilot that arms again after whatever ended a drive.
+fn arms_at_once() -> impl Tamper {
+    Ticks(|tick: &mut TickRecord| {
+        if tick.events.contains(&Event::Request(PilotRequest::Arm)) && tick.output.mode == Mode::Idle
+        {
+            tick.output.mode = Mode::Arming;
+        }
+    })
+}
+
+/// A pilot whose fault lasts for half a second.
+fn forgets() -> impl Tamper {
+    let mut ticks = 0;
+    Ticks(move |tick: &mut TickRecord| {
+        if tick.output.mode == Mode::Fault {
+            ticks += 1;
+            if ticks > 50 {
+                tick.output.mode = Mode::Idle;
+            }
+        }
+    })
 }
 
 /// A board that is never silent.

@@ -34,6 +34,11 @@ pub trait Tamper {
         let _ = pulse;
     }
 
+    /// Changes the kill output of a native board.
+    fn power(&mut self, on: &mut bool) {
+        let _ = on;
+    }
+
     /// Changes a tick before the invariants see it.
     fn tick(&mut self, tick: &mut TickRecord) {
         let _ = tick;
@@ -52,6 +57,10 @@ pub(crate) struct TamperedPins<'a>(pub(crate) &'a mut dyn Tamper);
 impl PulseFilter for TamperedPins<'_> {
     fn frame(&mut self, frame: &mut PulseRecord) {
         self.0.pulse(frame);
+    }
+
+    fn power(&mut self, on: &mut bool) {
+        self.0.power(on);
     }
 }
 

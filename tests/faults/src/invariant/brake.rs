@@ -1,4 +1,4 @@
-//! Brake pulses, and the silence after an emergency stop.
+//! Brake pulses, the silence after an emergency stop, and the kill output.
 
 use singletrack_protocol::BoardMode;
 
@@ -117,5 +117,35 @@ impl Invariant for SilentStop {
             )),
             None => Ok(()),
         }
+    }
+}
+
+/// `kill-output`: the ESC has no power while a board with a kill output is not armed, from
+/// 100 ms on: telemetry every 10 ms, a round of the main loop, and the relay.
+#[derive(Default)]
+pub(super) struct KillOutput {
+    since_us: Option<u64>,
+}
+
+const CUT_US: u64 = 100_000;
+
+impl Invariant for KillOutput {
+    fn name(&self) -> &'static str {
+        "kill-output"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if !observation.spec.situation.kill_output
+            || observation.board_is_armed
+            || !observation.esc_has_power
+        {
+            self.since_us = None;
+            return Ok(());
+        }
+        let since_us = *self.since_us.get_or_insert(observation.now_us);
+        if observation.now_us - since_us <= CUT_US {
+            return Ok(());
+        }
+        Err("the ESC has power while the board is not armed".to_owned())
     }
 }

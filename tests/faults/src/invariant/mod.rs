@@ -8,6 +8,7 @@ mod configuration;
 mod fence;
 mod grid;
 mod host;
+mod proving;
 mod pulse;
 mod replayed;
 mod sign;
@@ -85,6 +86,11 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<stand::Backward>::default(),
         Box::<brake::BrakePulse>::default(),
         Box::<brake::SilentStop>::default(),
+        Box::<brake::KillOutput>::default(),
+        Box::<proving::ProvingSpeed>::default(),
+        Box::<proving::Acknowledged>::default(),
+        Box::<proving::FaultClears>::default(),
+        Box::<proving::FalseAlarm>::default(),
         Box::<sign::SteeringSign>::default(),
         Box::<sign::GyroSign>::default(),
         Box::<host::CommandLimits>::default(),

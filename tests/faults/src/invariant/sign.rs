@@ -6,7 +6,10 @@ use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
 /// The way that a contradiction may last, in m.
-const CONTRADICTED_M: f64 = 2.0;
+const CONTRADICTED_M: f64 = 0.5;
+
+/// The same once the configuration has been proved: the servo has broken since.
+const BROKEN_M: f64 = 1.0;
 
 /// The way driven while something is contradicted.
 #[derive(Default)]
@@ -32,7 +35,7 @@ fn is_driving(mode: Mode) -> bool {
 }
 
 /// `steering-sign`: a car that turns against its steering command does not drive on for
-/// half a metre.
+/// half a metre; if its configuration has been proved, for a metre.
 ///
 /// Bends of less than 0.2/m and commands of less than 0.1 rad show no sign; the command is
 /// that of 0.3 s ago, which servo and car need.
@@ -78,7 +81,12 @@ impl Invariant for SteeringSign {
         let way = self
             .way
             .tick(contradicted, truth.speed * observation.spec.period_s);
-        if way > CONTRADICTED_M {
+        let limit = if observation.is_proved {
+            BROKEN_M
+        } else {
+            CONTRADICTED_M
+        };
+        if way > limit {
             return Err(format!("{way:.2} m driven against the steering"));
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! The true car stands after every stop, or is not armed again.
 
-use singletrack_pilot::Mode;
+use singletrack_pilot::{Mode, Reason};
 
 use super::{Invariant, Verdict};
 use crate::{
@@ -161,9 +161,12 @@ impl Invariant for StopNotObeyed {
             return Ok(());
         }
         let since_us = *self.since_us.get_or_insert(observation.now_us);
-        let is_fault = observation
-            .tick
-            .is_none_or(|tick| tick.output.mode == Mode::Fault);
+        let is_fault = observation.tick.is_none_or(|tick| {
+            tick.output.mode == Mode::Fault
+                && (tick.output.reason == Some(Reason::StopNotObeyed)
+                    || tick.output.reason == Some(Reason::EmergencyStop)
+                    || tick.output.reason == Some(Reason::RunsAtNeutral))
+        });
         if is_fault || observation.now_us < since_us + DECLARED_US {
             return Ok(());
         }

@@ -186,10 +186,7 @@ const MAX_BRAKING_MM_S2: u32 = 2_400;
 
 /// What the operator has configured for this car.
 fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
-    let rolling = truth.get(Deviation::Rolling).unwrap_or(800);
-    // On the slope, downwards: 9.81 m/s² for 57.3 degrees.
-    let downhill = truth.get(Deviation::Slope).unwrap_or(0) * 171 / 100;
-    let rolling = u32::try_from(rolling - downhill).unwrap_or(0).max(100);
+    let rolling = truth.deceleration_mm_s2().max(100);
     situation.braking_mm_s2 = if random.happens(850) {
         // As measured, less a fifth.
         rolling * 4 / 5
@@ -200,7 +197,8 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
         situation.neutral_us = random.choose(1_550, &[1_560, 1_570, 1_440]);
     }
     // A car that fits its configuration may have been proved.
-    situation.proved = truth.is_tolerable() && random.happens(500);
+    let proved = random.happens(500);
+    situation.proved = proved && truth.is_tolerable();
     situation.pulse_distance_um = match random.between(0, 2) {
         0 => 3_000,
         1 => random.between(3_000, 12_000),

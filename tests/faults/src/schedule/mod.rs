@@ -128,7 +128,10 @@ impl Schedule {
     /// Whether the car is calibrated well enough that it must drive.
     #[must_use]
     pub fn is_tolerable(&self) -> bool {
-        self.truth.is_tolerable() && self.situation.neutral_us.abs_diff(1_500) <= 10
+        let braking = i64::from(self.situation.braking_mm_s2);
+        self.truth.is_tolerable()
+            && self.situation.neutral_us.abs_diff(1_500) <= 10
+            && braking * 10 <= i64::from(self.truth.deceleration_mm_s2()) * 9
     }
 }
 

@@ -117,6 +117,10 @@ impl Deviation {
     }
 }
 
+/// [`Deviation::Rolling`] of the default car, and what its viscous friction adds at the
+/// lowest speed that is of interest.
+const ROLLING_MM_S2: i32 = 800 + 800;
+
 /// The true car. What is not stated is as the simulated car's default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrueCar {
@@ -131,6 +135,15 @@ impl TrueCar {
     #[must_use]
     pub fn get(&self, deviation: Deviation) -> Option<i32> {
         self.deviations.get(&deviation).copied()
+    }
+
+    /// The least deceleration of the car at neutral, rolling downhill, in mm/s².
+    #[must_use]
+    pub fn deceleration_mm_s2(&self) -> u32 {
+        // A slope of v/100 degrees: 9.81 m/s² over 57.3 degrees.
+        let downhill = self.get(Deviation::Slope).unwrap_or(0) * 171 / 100;
+        let rolling = self.get(Deviation::Rolling).unwrap_or(ROLLING_MM_S2);
+        u32::try_from(rolling - downhill).unwrap_or(0)
     }
 
     /// Whether a calibrated car may be so, which must drive.
