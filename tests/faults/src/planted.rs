@@ -166,7 +166,8 @@ bugs! {
         |_| prolonged(61_000);
     Board "drives on without motor pulses", "motor-pulses",
         "fault pulses-gone at 6000 for 900 severity 1", |_| prolonged(800_000);
-    Board "creeps after a stop", "stands", "ask disarm at 6000", |_| creeping_after_a_stop();
+    Board "creeps after a stop", "stands",
+        "esc_kind forward-reverse; ask disarm at 6000", |_| creeping_after_a_stop();
     Board "holds its last pulse for a second after a stop", "stands",
         "speed_mm_s 1000; fault daemon-paused at 6000 for 2500 severity 500",
         |_| prolonged(1_000_000);
@@ -187,7 +188,7 @@ bugs! {
         |_| drives_at_neutral();
     Line "repeats the last command as a new one", "host-silence",
         "fault daemon-killed at 6000 for 1500 severity 1", |_| Repeats::default();
-    Line "repeats the last command and loses disarms", "pose-age",
+    Line "repeats the last command and loses requests to stop", "pose-age",
         "fault camera-silent at 5000 for 3000 severity 1000", |_| Repeats::without_disarm();
     Line "loses emergency stops", "emergency-stop", "ask stop at 6000", |_| LosesStops;
     Line "repeats the last command after a disarm", "disarm", "ask disarm at 5000",
@@ -249,12 +250,13 @@ bugs! {
         }
     });
     Host "follows a false estimate", "estimate", "", |_| wandering();
-    Host "assumes that it brakes ten times as well", "fence", "speed_mm_s 1200; fence_mm -300",
+    Host "assumes that it brakes ten times as well", "fence",
+        "esc_kind forward-reverse; reference steps; speed_mm_s 1500; fence_mm -1500",
         |_| Host(|config: &mut Config| {
             config.fence.braking_m_s2 *= 10.0;
             config.control.stop_deceleration_m_s2 *= 10.0;
         });
-    Host "has another fence", "fence", "speed_mm_s 800; fence_mm -300",
+    Host "has another fence", "fence", "reference steps; speed_mm_s 1000; fence_mm -1000",
         |_| Host(|config: &mut Config| {
             for [x, y] in &mut config.fence.corners_m {
                 *x *= 3.0;
@@ -274,8 +276,15 @@ bugs! {
         |_| Host(|config: &mut Config| config.supervisor.prove_first_metre = false);
     Host "neither proves nor watches", "steering-sign",
         "proved false; truth servo-gain-permille -2000; fence_mm 4000", |_| Host(unwatched);
-    Host "neither proves nor watches, with the IMU upside down", "gyro-sign",
-        "proved false; truth imu-roll-ddeg 1800", |_| Host(unwatched);
+    Host "turns the gyroscope's sign", "gyro-sign", "", |_| commanding(|tick| {
+        for event in &mut tick.events {
+            if let Event::Board(sample) = event
+                && let Some(inertial) = &mut sample.inertial
+            {
+                inertial.yaw_rate = -inertial.yaw_rate;
+            }
+        }
+    });
     Host "arms after a contradiction", "acknowledged",
         "proved false; truth servo-gain-permille -2000; ask arm at 8000", |_| arms_at_once();
     Host "forgets a stop that was not obeyed", "fault-clears",
@@ -300,14 +309,15 @@ bugs! {
                 config.board.speed.max_forward_mm_s += 1;
             }
         });
-    Allowance "a fence half a metre smaller", "fence", "fence_mm 100",
+    Allowance "a fence half a metre smaller", "fence",
+        "reference steps; speed_mm_s 800; fence_mm -500",
         |_| Configurations(|_: u32, config: &mut Config| {
             for corner in config.fence.corners_m.iter_mut().flatten() {
                 *corner -= corner.signum() * 0.5;
             }
         });
     Allowance "three times the braking", "weak-brakes",
-        "speed_mm_s 1000; end_ms 12000; ask disarm at 6000; ask arm at 9000",
+        "esc_kind forward-reverse; speed_mm_s 1000; end_ms 12000; ask disarm at 6000; ask arm at 9000",
         |_| Configurations(|_: u32, config: &mut Config| config.fence.braking_m_s2 *= 3.0);
 }
 
@@ -475,12 +485,13 @@ pub fn prolonged(longer_us: u64) -> impl Tamper {
     })
 }
 
-/// A board whose neutral after a drive is beyond the deadband.
+/// A board whose neutral after a drive is beyond the deadband, and which does not notice.
 fn creeping_after_a_stop() -> impl Tamper {
     let mut driven = false;
     Pulses(move |pulse: &mut PulseRecord| {
         driven |= pulse.esc_us > NEUTRAL_US + DEADBAND_US;
-        if driven && pulse.esc_us.abs_diff(NEUTRAL_US) <= DEADBAND_US {
+        let rests = pulse.esc_us == 0 || pulse.esc_us.abs_diff(NEUTRAL_US) <= DEADBAND_US;
+        if driven && rests {
             pulse.esc_us = NEUTRAL_US + DEADBAND_US + 25;
         }
     })
@@ -627,7 +638,7 @@ struct Repeats {
 }
 
 impl Repeats {
-    /// ... and loses disarm requests.
+    /// ... and loses requests to stop.
     fn without_disarm() -> Self {
         Self {
             loses_disarm: true,
@@ -641,7 +652,9 @@ impl Tamper for Repeats {
         let mut kept = Vec::new();
         for (frame, message) in frames(bytes) {
             match message {
-                Some(ToBoard::Disarm(_)) if self.loses_disarm => continue,
+                Some(ToBoard::Disarm(_) | ToBoard::EmergencyStop(_)) if self.loses_disarm => {
+                    continue;
+                }
                 // The command to stand is lost too.
                 Some(ToBoard::Drive(drive)) if self.loses_disarm && drive.speed_mm_s < 300 => {
                     if self.last.is_some() {

@@ -104,7 +104,10 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
         !situation.proved
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
-    let brakes = situation.brake && situation.esc_kind != EscKind::ForwardReverse;
+    // A kill output takes the supply, without which nothing brakes.
+    let brakes = situation.brake
+        && situation.esc_kind != EscKind::ForwardReverse
+        && !situation.kill_output;
     config.board = BoardSection {
         failsafe: if brakes {
             FailsafeKind::Brake

@@ -6,14 +6,20 @@ use singletrack_protocol::ToBoard;
 use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
-/// `proving-speed`: until its configuration has been proved, the car is commanded at most
-/// 0.3 m/s, and drives at most a third and 0.1 m/s faster: the tolerance of its motor
+/// `proving-speed`: on the first metre after an arm of an unproved configuration, the car is
+/// commanded at most 0.3 m/s, and drives at most a third and 0.1 m/s faster: the tolerance of its motor
 /// sensor, and the overshoot of the board's speed loop.
 ///
 /// Faults of the motor sensor and interference make the loop drive faster; then only the
-/// command is judged.
+/// command is judged. The host measures the metre with a fifth of
+/// tolerance: the body's pivot may be wrong.
 #[derive(Default)]
-pub(super) struct ProvingSpeed;
+pub(super) struct ProvingSpeed {
+    /// True way at the arm, in m.
+    from: f64,
+}
+
+const METRE: f64 = 0.8;
 
 const PROVING_MM_S: i16 = 300;
 const PROVING_M_S: f64 = 0.3 * 1.34 + 0.1;
@@ -24,7 +30,14 @@ impl Invariant for ProvingSpeed {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        if observation.is_proved {
+        let arms = observation
+            .tick
+            .is_some_and(|tick| tick.output.mode == Mode::Arming);
+        let way = observation.truth.way;
+        if arms || observation.configuration.is_some() {
+            self.from = way;
+        }
+        if observation.is_proved || way - self.from > METRE {
             return Ok(());
         }
         for message in observation.written {

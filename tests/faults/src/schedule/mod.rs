@@ -41,7 +41,7 @@ pub struct Situation {
     /// Whether the estimator dead-reckons on the IMU while the markers are lost;
     /// otherwise it holds the last pose.
     pub coast: bool,
-    /// Whether the board's failsafe brakes.
+    /// Whether the board's failsafe brakes, if the ESC has a brake and its supply stays on.
     pub brake: bool,
     /// Whether a stop switch is wired.
     pub stop_input: bool,

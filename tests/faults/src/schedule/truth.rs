@@ -83,8 +83,8 @@ deviations! {
     ImuPitch = "imu-pitch-ddeg", -20..=20, of -1_800..=1_800;
     /// The IMU is turned by v/10 degrees about its forward axis.
     ImuRoll = "imu-roll-ddeg", -20..=20, of -1_800..=1_800;
-    /// The gyroscope measures v/1000 more.
-    GyroScale = "gyro-scale-permille", -15..=15, of -900..=900;
+    /// The gyroscope measures v/1000 more; -2000 reverses it.
+    GyroScale = "gyro-scale-permille", -15..=15, of -2_500..=900;
     /// The accelerometer measures v/1000 more.
     AccelerationScale = "acceleration-scale-permille", -20..=20, of -900..=900;
     /// A lasting acceleration leaks away with a time constant of v ms.
