@@ -14,7 +14,8 @@ use std::{
 use singletrack_sim::BoardKind;
 
 use crate::{
-    DriveOutcome, SetupError, Until, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper,
+    DriveOutcome, SetupError, Untampered, Until, Violation, drive, schedule::Schedule,
+    tamper::Tamper,
 };
 
 /// The schedules to run.

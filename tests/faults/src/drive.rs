@@ -138,6 +138,9 @@ struct Drive<'a> {
     pulses: u64,
     /// Whether the running daemon has proved its configuration, or need not.
     is_proved: bool,
+    /// The configuration in force, and those that have been proved.
+    toml: String,
+    proved: BTreeSet<String>,
     pins: Pins,
     stops: Stops,
     written: Decoder,
@@ -197,6 +200,8 @@ impl<'a> Drive<'a> {
             resets: 0,
             pulses: 0,
             is_proved: schedule.situation.proved,
+            toml: String::new(),
+            proved: BTreeSet::new(),
             pins: Pins::default(),
             stops: Stops::default(),
             written: Decoder::new(),
@@ -482,7 +487,12 @@ impl<'a> Drive<'a> {
             tamper.configuration(number, &mut config);
             let world = self.world.config();
             self.spec = Spec::new(self.schedule, world, &config).map_err(SetupError::Config)?;
-            self.is_proved = self.schedule.situation.proved;
+            let toml = config.to_toml().map_err(|error| SetupError::Other {
+                part: "the daemon's configuration",
+                reason: error.to_string(),
+            })?;
+            self.is_proved = self.schedule.situation.proved || self.proved.contains(&toml);
+            self.toml = toml;
             let pilot = config.pilot().map_err(SetupError::Config)?;
             configuration = Some((number, pilot));
         }
@@ -585,7 +595,10 @@ impl<'a> Drive<'a> {
                 }
             });
         // From the next tick on.
-        self.is_proved |= tick.as_ref().is_some_and(|tick| tick.output.proved);
+        if tick.as_ref().is_some_and(|tick| tick.output.proved) {
+            self.is_proved = true;
+            self.proved.insert(self.toml.clone());
+        }
         if has_ticked {
             self.pending_requests.clear();
         }
@@ -598,7 +611,7 @@ impl<'a> Drive<'a> {
         bytes.clear();
         written.clear();
         self.port.take_written(bytes);
-        tamper.from_host(self.now_us, bytes);
+        tamper.written(self.now_us, bytes);
         for &byte in &*bytes {
             if let Some(Ok(packet)) = self.written.push(byte)
                 && let Ok(message) = ToBoard::decode(packet)

@@ -60,9 +60,9 @@ mod stage;
 mod stop;
 mod tamper;
 
-pub use invariant::names;
 pub use campaign::{Campaign, CampaignOutcome, Failure, attempt};
 pub use drive::{DriveOutcome, Until, Violation, drive};
+pub use invariant::names;
 pub use recording::{Recording, RecordingError};
 pub use shrink::shrink;
 pub use tamper::{Tamper, Untampered};

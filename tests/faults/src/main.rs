@@ -10,7 +10,8 @@ use std::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Until, Untampered, attempt, planted,
+    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, Until,
+    attempt, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };

@@ -251,7 +251,8 @@ pub(crate) mod scene {
     impl Scene {
         pub(crate) fn new() -> Self {
             let schedule: Schedule = "seed 1; end_ms 9000".parse().unwrap();
-            let config = setting::config(&schedule.situation, ConfigurationFile::default()).unwrap();
+            let config =
+                setting::config(&schedule.situation, ConfigurationFile::default()).unwrap();
             Self {
                 spec: Spec::new(&schedule, &SimulationConfig::default(), &config).unwrap(),
                 pulses: vec![Pulse {

@@ -107,6 +107,8 @@ impl Pins {
 
 #[cfg(test)]
 mod tests {
+    use singletrack_protocol::EscKind;
+
     use super::*;
     use crate::observation::scene::Scene;
 
@@ -126,13 +128,20 @@ mod tests {
             pulses.iter().map(effect).collect::<Vec<_>>()
         };
         use Effect::{Absent, Brake, Drive, Neutral};
-        let drive = [(0, 1_500), (20, 1_560), (40, 1_350), (500, 1_350), (560, 1_350)];
+        let drive = [
+            (0, 1_500),
+            (20, 1_560),
+            (40, 1_350),
+            (500, 1_350),
+            (560, 1_350),
+        ];
+        scene.spec.board.esc.kind = EscKind::ForwardReverse;
         assert_eq!(
             effects(&scene.spec, &drive),
             [Neutral, Drive, Drive, Drive, Drive],
-            "a board that coasts"
+            "an ESC without a brake"
         );
-        scene.spec.situation.brake = true;
+        scene.spec.board.esc.kind = EscKind::Car;
         assert_eq!(
             effects(&scene.spec, &drive),
             [Neutral, Drive, Brake, Brake, Brake]

@@ -183,7 +183,7 @@ bugs! {
         |_| Brakes::after_driving(100, 15);
     Board "brakes without a drive before", "brake-pulse", "", |_| Brakes::at_once();
     Board "gives neutral instead of silence after an emergency stop", "silent-stop",
-        "ask stop at 6000", |_| NeutralForSilence::default();
+        "ask stop at 6000", |_| NeutralForSilence;
     Board "takes a pulse that drives for neutral", "unarmed-motion", "end_ms 16000",
         |_| drives_at_neutral();
     Line "repeats the last command as a new one", "host-silence",
@@ -251,7 +251,7 @@ bugs! {
     });
     Host "follows a false estimate", "estimate", "", |_| wandering();
     Host "assumes that it brakes ten times as well", "fence",
-        "esc_kind forward-reverse; reference steps; speed_mm_s 1500; fence_mm -1500",
+        "esc_kind forward-reverse; reference steps; speed_mm_s 1500; fence_mm -2200",
         |_| Host(|config: &mut Config| {
             config.fence.braking_m_s2 *= 10.0;
             config.control.stop_deceleration_m_s2 *= 10.0;
@@ -382,7 +382,7 @@ impl<F: FnMut(&mut Config)> Tamper for Host<F> {
 struct Commands<F>(F);
 
 impl<F: FnMut(&mut Drive)> Tamper for Commands<F> {
-    fn from_host(&mut self, _: u64, bytes: &mut Vec<u8>) {
+    fn written(&mut self, _: u64, bytes: &mut Vec<u8>) {
         *bytes = frames(bytes)
             .flat_map(|(frame, message)| match message {
                 Some(ToBoard::Drive(mut drive)) => {
@@ -598,7 +598,8 @@ fn unwatched(config: &mut Config) {
 /// A pilot that arms again after whatever ended a drive.
 fn arms_at_once() -> impl Tamper {
     Ticks(|tick: &mut TickRecord| {
-        if tick.events.contains(&Event::Request(PilotRequest::Arm)) && tick.output.mode == Mode::Idle
+        if tick.events.contains(&Event::Request(PilotRequest::Arm))
+            && tick.output.mode == Mode::Idle
         {
             tick.output.mode = Mode::Arming;
         }
@@ -619,7 +620,6 @@ fn forgets() -> impl Tamper {
 }
 
 /// A board that is never silent.
-#[derive(Default)]
 struct NeutralForSilence;
 
 impl Tamper for NeutralForSilence {
@@ -656,10 +656,10 @@ impl Tamper for Repeats {
                     continue;
                 }
                 // The command to stand is lost too.
-                Some(ToBoard::Drive(drive)) if self.loses_disarm && drive.speed_mm_s < 300 => {
-                    if self.last.is_some() {
-                        continue;
-                    }
+                Some(ToBoard::Drive(drive))
+                    if self.loses_disarm && drive.speed_mm_s < 300 && self.last.is_some() =>
+                {
+                    continue;
                 }
                 Some(ToBoard::Drive(drive)) => self.last = Some((now_us, drive)),
                 _ => {}
@@ -698,7 +698,7 @@ struct WritesOn {
 }
 
 impl Tamper for WritesOn {
-    fn from_host(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+    fn written(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         for (_, message) in frames(bytes) {
             if let Some(ToBoard::Drive(drive)) = message {
                 self.last = Some((now_us, drive));

@@ -2,8 +2,8 @@
 
 use singletrack_core::config::{BoardSection, Config, EscKindName, FailsafeKind};
 use singletrack_sim::{
-    BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig, StartPose, WireFaults,
-    WireParameters, default_board_configuration,
+    BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig,
+    StartPose, WireFaults, WireParameters, default_board_configuration,
 };
 
 use crate::{
@@ -105,9 +105,8 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
     // A kill output takes the supply, without which nothing brakes.
-    let brakes = situation.brake
-        && situation.esc_kind != EscKind::ForwardReverse
-        && !situation.kill_output;
+    let brakes =
+        situation.brake && situation.esc_kind != EscKind::ForwardReverse && !situation.kill_output;
     config.board = BoardSection {
         failsafe: if brakes {
             FailsafeKind::Brake
@@ -220,9 +219,8 @@ fn true_car(schedule: &Schedule) -> CarParameters {
     motor.kill_relay = situation.kill_output;
     motor.slope_deg = 1e-2 * value(Deviation::Slope);
     motor.slope_heading_deg = value(Deviation::SlopeHeading);
-    let longer = |us: u16, deviation| {
-        us.saturating_add_signed(truth.get(deviation).unwrap_or(0) as i16)
-    };
+    let longer =
+        |us: u16, deviation| us.saturating_add_signed(truth.get(deviation).unwrap_or(0) as i16);
     motor.neutral_us = longer(motor.neutral_us, Deviation::EscNeutral);
     motor.deadband_us = longer(motor.deadband_us, Deviation::EscDeadband);
     if let Some(ms) = stated(Deviation::SignalLoss) {

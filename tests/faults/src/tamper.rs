@@ -13,7 +13,7 @@ pub trait Tamper {
     }
 
     /// Changes the bytes that the host writes at `now_us`.
-    fn from_host(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+    fn written(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
         let _ = (now_us, bytes);
     }
 

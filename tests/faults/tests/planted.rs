@@ -9,7 +9,7 @@
 use std::collections::BTreeSet;
 
 use singletrack_faults::{
-    Tamper, Until, Untampered, Violation, attempt, drive, names,
+    Tamper, Untampered, Until, Violation, attempt, drive, names,
     planted::{BUGS, prolonged},
     schedule::Schedule,
     shrink,

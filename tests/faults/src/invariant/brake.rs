@@ -42,9 +42,8 @@ impl Invariant for BrakePulse {
             self.stood_us.get_or_insert(observation.now_us);
         }
         for pulse in observation.pulses {
-            let below = pulse.esc_us != 0
-                && !pulse.cut
-                && pulse.esc_us < esc.neutral_us - esc.deadband_us;
+            let below =
+                pulse.esc_us != 0 && !pulse.cut && pulse.esc_us < esc.neutral_us - esc.deadband_us;
             if !below {
                 if self.since_us.take().is_some() {
                     self.driven_forward = false;
@@ -60,9 +59,11 @@ impl Invariant for BrakePulse {
                 "without a drive forward before it"
             } else if pulse.time_us - since_us > BRAKE_US {
                 "for over half a second"
-            } else if !spec.has_interference && self.stood_us.is_some_and(|stood_us| {
-                pulse.time_us > stood_us + standstill_us(spec.board.speed.pulse_distance_um)
-            }) {
+            } else if !spec.has_interference
+                && self.stood_us.is_some_and(|stood_us| {
+                    pulse.time_us > stood_us + standstill_us(spec.board.speed.pulse_distance_um)
+                })
+            {
                 "although the wheels stand"
             } else {
                 continue;

@@ -196,7 +196,10 @@ impl Invariant for UnarmedMotion {
         let spec = observation.spec;
         let speed = observation.truth.wheel_speed.abs();
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
-        if observation.board_is_armed || stopping || speed < STANDING || observation.is_moved_by_hand()
+        if observation.board_is_armed
+            || stopping
+            || speed < STANDING
+            || observation.is_moved_by_hand()
         {
             self.since_us = None;
             return Ok(());

@@ -3,8 +3,8 @@
 use singletrack_sim::{BoardKind, EscKind};
 
 use super::{
-    Deviation, Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
-    TrueCar,
+    Deviation, Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest,
+    Situation, TrueCar,
 };
 use crate::random::{Random, Stream};
 
@@ -133,8 +133,10 @@ fn true_car(random: &mut Random, situation: &Situation) -> TrueCar {
     let mut car = TrueCar::default();
     for &deviation in Deviation::ALL {
         let tolerable = deviation.tolerable();
-        car.deviations
-            .insert(deviation, random.signed(*tolerable.start(), *tolerable.end()));
+        car.deviations.insert(
+            deviation,
+            random.signed(*tolerable.start(), *tolerable.end()),
+        );
     }
     if situation.esc_kind == EscKind::Car && random.happens(200) {
         car.esc = Some(EscKind::LearnsNeutral);
@@ -207,8 +209,7 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
     if random.happens(850) {
         // Room for a drive that can stop.
         let speed = situation.speed_mm_s;
-        situation.fence_mm +=
-            (speed * speed / (2 * situation.braking_mm_s2) + speed / 5) as i32;
+        situation.fence_mm += (speed * speed / (2 * situation.braking_mm_s2) + speed / 5) as i32;
     }
     if random.happens(150) {
         // By mistake.

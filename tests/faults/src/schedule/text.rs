@@ -148,7 +148,9 @@ impl Draft {
             ["reset_on_open", yes] => s.reset_on_open = yes.parse().ok()?,
             ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
-            ["esc_kind", name] => s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?,
+            ["esc_kind", name] => {
+                s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;
+            }
             ["neutral_us", n] => s.neutral_us = n.parse().ok()?,
             ["proved", yes] => s.proved = yes.parse().ok()?,
             ["kill_output", yes] => s.kill_output = yes.parse().ok()?,
