@@ -655,13 +655,16 @@ impl Tamper for Repeats {
                 Some(ToBoard::Disarm(_) | ToBoard::EmergencyStop(_)) if self.loses_disarm => {
                     continue;
                 }
-                // The command to stand is lost too.
-                Some(ToBoard::Drive(drive))
-                    if self.loses_disarm && drive.speed_mm_s < 300 && self.last.is_some() =>
-                {
-                    continue;
+                Some(ToBoard::Drive(drive)) => {
+                    // The command to stand is lost too.
+                    let stands = self.loses_disarm && drive.speed_mm_s < 300;
+                    if stands && self.last.is_some() {
+                        continue;
+                    }
+                    if !stands {
+                        self.last = Some((now_us, drive));
+                    }
                 }
-                Some(ToBoard::Drive(drive)) => self.last = Some((now_us, drive)),
                 _ => {}
             }
             kept.extend_from_slice(frame);
