@@ -182,6 +182,7 @@ fn a_section_of_the_daemon_may_be_given_in_part() {
             stuck_samples = 40
             "#,
         ),
+<<<<<<< HEAD
         Path::new("test.toml"),
     )
     .unwrap();
@@ -214,6 +215,10 @@ fn unknown_keys_and_bad_values_are_named() {
         ("[truth]\ncolour = 1", ["drive_train", "colour"]),
         ("[truth.esc]\ncolour = 1", ["signal_loss_ms", "colour"]),
         ("[truth.esc]\nkind = \"boat\"", ["boat", "forward-reverse"]),
+=======
+        ("[truth.servo]\nstuck_from_s = 0.0\n", "steering-differs"),
+        ("[truth.imu]\ngyro_scale = -1.0\n", "gyro-differs"),
+>>>>>>> d452463652b820615c47f6c1fae9b208bbcf5caa
         (
             "[truth.esc]\nneutral_us = 300",
             ["truth.esc.neutral_us", "300"],
@@ -239,6 +244,7 @@ fn unknown_keys_and_bad_values_are_named() {
 }
 
 #[test]
+<<<<<<< HEAD
 fn the_ideal_plant_has_none_of_it() {
     for adds in [
         "[truth]",
@@ -249,6 +255,38 @@ fn the_ideal_plant_has_none_of_it() {
         "[estimator]",
         "[watch]",
         "stop_deceleration_m_s2 = 2.0",
+=======
+fn a_servo_whose_trim_is_wrong_shows_on_a_straight() {
+    let summary = drive(STRAIGHT, "[truth.servo]\ncentre_us = 1612\n");
+    assert_eq!(summary.reason, Some("steering-differs"), "{summary:?}");
+    assert!(
+        summary.way_m + summary.way_after_m <= MOST_WAY,
+        "{summary:?}"
+    );
+}
+
+#[test]
+fn what_shows_before_arming_refuses_it() {
+    for (differs, reason) in [
+        (
+            "[truth.imu]\nmounting_deg = [180.0, 0.0, 0.0]\n",
+            "imu-tilted",
+        ),
+        (
+            "[truth.imu]\nmounting_deg = [0.0, 12.0, 0.0]\n",
+            "imu-tilted",
+        ),
+        (
+            "[motion_capture.pose]\nheight_m = [0.05, 0.2]\n[truth.cameras]\nheight_m = 0.4\n",
+            "pose-height",
+        ),
+        (
+            "[truth.cameras]\nfrozen_from_s = 0.0\nfrozen_ms = 60000\n[operator]\narm = false\n",
+            "pose-frozen",
+        ),
+        ("[truth.imu]\nself_test = 11\n", "imu-fault"),
+        ("[truth.battery]\ndivider_open = true\n", "battery-open"),
+>>>>>>> d452463652b820615c47f6c1fae9b208bbcf5caa
     ] {
         let text = text(adds).replace("\"car\"", "\"ideal\"");
         let error = Scenario::from_toml(&text, Path::new("test.toml")).unwrap_err();
@@ -336,6 +374,7 @@ fn nobody_arms_and_time_counts_from_the_start() {
 }
 
 #[test]
+<<<<<<< HEAD
 fn a_drive_that_does_not_start_is_a_result_only_if_one_is_asked_for() {
     let outside = "[fence]\ncorners_m = [[4.0, 4.0], [5.0, 4.0], [5.0, 5.0], [4.0, 5.0]]\n";
     let scenario = scenario(outside);
@@ -352,6 +391,15 @@ fn a_drive_that_does_not_start_is_a_result_only_if_one_is_asked_for() {
     assert_eq!(refused.rows.len(), 80);
     let operated = simulate(&self::scenario(&format!("{outside}[operator]\n"))).unwrap();
     assert!(!operated.summary.unwrap().armed);
+=======
+fn a_throttle_that_is_stuck_is_a_stop_that_is_not_obeyed() {
+    for end in ["disarm_at_s = 4.0\n", "emergency_stop_at_s = 4.0\n"] {
+        let differs = format!("[truth.esc]\nstuck_from_s = 3.0\n[operator]\n{end}");
+        let summary = drive(STRAIGHT, &differs);
+        assert_eq!(summary.reason, Some("stop-not-obeyed"), "{summary:?}");
+        assert_eq!(summary.mode, "fault", "{summary:?}");
+    }
+>>>>>>> d452463652b820615c47f6c1fae9b208bbcf5caa
 }
 
 #[test]

@@ -20,9 +20,9 @@ const LEAST_STEERING: f64 = 0.04;
 const GYRO_SPAN: f64 = 0.2;
 const LEAST_TURN: f64 = 0.015;
 /// The turn that the steering should have made by which a reversed servo shows, rad.
-const SIGN_AFTER: f64 = 0.09;
+const SIGN_AFTER: f64 = 0.08;
 /// The turn by which a servo with a wrong gain shows, rad.
-const SIZE_AFTER: f64 = 0.25;
+const SIZE_AFTER: f64 = 0.17;
 /// The turn by which the steering is proved, rad.
 const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
@@ -42,7 +42,7 @@ const MOTOR_AFTER: f64 = 0.2;
 const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
 /// The steering follows a wave during the first metre: its amplitude, rad, and its length, m.
-const WAVE: f64 = 0.12;
+const WAVE: f64 = 0.18;
 const WAVE_LENGTH: f64 = 0.5;
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest

@@ -8,11 +8,9 @@ use super::steps::Step;
 /// and as a share.
 const ACCELERATED: f64 = 0.18;
 const TOLERANCE: (f64, f64) = (0.05, 0.5);
-/// If the change does not come within this time, s, a lower one is judged with a larger
-/// tolerance: a bias counts for more, and the linear acceleration of some sensors leaks away.
+/// The change must come within this time, s, or it says nothing: a bias counts for more, and
+/// the linear acceleration of some sensors leaks away.
 const WITHIN: f64 = 0.8;
-const ACCELERATED_SLOWLY: f64 = 0.1;
-const TOLERANCE_SLOWLY: (f64, f64) = (0.05, 0.8);
 
 /// Compares both at the start of every drive.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,14 +35,10 @@ impl StartWatch {
         self.time += step.time;
         self.forward += step.forward;
         self.left += step.left;
-        let late = self.time > WITHIN;
-        self.judged = speed >= ACCELERATED || late;
-        let (least, (margin, share)) = if speed >= ACCELERATED {
-            (ACCELERATED, TOLERANCE)
-        } else {
-            (ACCELERATED_SLOWLY, TOLERANCE_SLOWLY)
-        };
-        if self.judged && speed >= least {
+        let fast = speed >= ACCELERATED;
+        self.judged = fast || self.time > WITHIN;
+        if fast {
+            let (margin, share) = TOLERANCE;
             // A NaN differs.
             let fits = hypot(forward - speed, left) <= margin + share * speed;
             self.differs = !fits;
