@@ -6,7 +6,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
     LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
-    ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
+    ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
+    WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -58,6 +59,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         board: BoardSection::from(&default_board_configuration()),
         control: ControlSection::default(),
         record: RecordSection::default(),
+        state: StateSection::default(),
         socket: SocketSection::default(),
         live: LiveSection::default(),
     }
