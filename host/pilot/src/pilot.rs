@@ -389,7 +389,10 @@ impl Pilot {
                 &velocity,
                 self.config.period,
             )
-            .map_err(|_| Reason::LawSingular)?;
+            .map_err(|_| match &self.proving {
+                Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
+                _ => Reason::LawSingular,
+            })?;
         // Without a fresh pose the car must not accelerate.
         let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));

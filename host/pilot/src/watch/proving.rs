@@ -31,6 +31,8 @@ const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
 const YAW_AFTER: f64 = 0.15;
+/// The way across the yaw that is more than noise, m.
+const LEAST_ACROSS: f64 = 0.004;
 /// The way after which a yaw that is wrong by a right angle or more shows, m.
 const CROSSWISE_AFTER: f64 = 0.04;
 /// The largest angle between the motion of the rear axle and the yaw, rad.
@@ -117,6 +119,12 @@ impl Proving {
     /// What contradicts, if anything does.
     pub(crate) const fn found(&self) -> Option<Reason> {
         self.found
+    }
+
+    /// Whether the car moves across the yaw of the body rather than along it: at that angle
+    /// the law is singular, before the way proves it.
+    pub(crate) fn moves_across(&self) -> bool {
+        fabs(self.across) > fabs(self.along) && fabs(self.across) > LEAST_ACROSS
     }
 
     /// Whether the speed is still limited.
