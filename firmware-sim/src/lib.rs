@@ -66,7 +66,7 @@ pub use natnet_server::{
 };
 pub use parameters::{ConfigError, SimulationConfig, SimulationFileError};
 pub use pty::{Pty, PtyError};
-pub use pulse_log::{PulseLog, PulseRecord};
+pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
 pub use real_time::{
     Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
 };

@@ -17,6 +17,25 @@ pub struct PulseRecord {
     pub cut: bool,
 }
 
+/// A change of the pulses between the board's pins and the car, to plant a bug.
+pub trait PulseFilter {
+    /// Changes a servo frame of a native board before car and log get it. The image's
+    /// frames are not changed.
+    fn frame(&mut self, frame: &mut PulseRecord);
+
+    /// Changes the kill output of a native board.
+    fn power(&mut self, on: &mut bool) {
+        let _ = on;
+    }
+}
+
+/// No change.
+pub(crate) struct Unfiltered;
+
+impl PulseFilter for Unfiltered {
+    fn frame(&mut self, _: &mut PulseRecord) {}
+}
+
 /// The most recent servo frames.
 #[derive(Clone, Debug, Default)]
 pub struct PulseLog {

@@ -11,6 +11,7 @@ use crate::{
     car::{Car, Imu, ImuFault, ImuReading, Truth},
     natnet_server::{Datagram, NatNetServer},
     parameters::{ConfigError, SimulationConfig},
+    pulse_log::{PulseFilter, Unfiltered},
     wire::SerialWire,
 };
 
@@ -109,6 +110,11 @@ impl World {
     /// Advances to `until_us`, including the events at that time. An earlier time
     /// has no effect.
     pub fn advance_to(&mut self, until_us: u64) {
+        self.advance_filtered(until_us, &mut Unfiltered);
+    }
+
+    /// Like [`advance_to`](Self::advance_to), with a filter of the pulses.
+    pub fn advance_filtered(&mut self, until_us: u64, filter: &mut dyn PulseFilter) {
         loop {
             let next_us = self.next_event_us();
             if next_us > until_us {
@@ -116,7 +122,7 @@ impl World {
             }
             self.now_us = next_us;
             self.car.advance_to(next_us);
-            self.events_at(next_us);
+            self.events_at(next_us, filter);
         }
         self.now_us = self.now_us.max(until_us);
     }
@@ -142,7 +148,7 @@ impl World {
     }
 
     /// Processes simultaneous events in this order.
-    fn events_at(&mut self, now_us: u64) {
+    fn events_at(&mut self, now_us: u64, filter: &mut dyn PulseFilter) {
         if self.next_step_us <= now_us {
             self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
         }
@@ -175,7 +181,8 @@ impl World {
         while let Some(frame) = self.cameras.take_frame(now_us) {
             self.send_frame(frame);
         }
-        self.board.events_at(now_us, &mut self.car, &mut self.wire);
+        self.board
+            .events_at(now_us, &mut self.car, &mut self.wire, filter);
     }
 
     /// A dip of its supply restarts the IMU; the board finds it absent, then without its

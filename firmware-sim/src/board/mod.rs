@@ -21,7 +21,7 @@ use self::{image::Image, monitor::Monitor, native::Native};
 use crate::{
     car::{BatteryParameters, Car, ImuReading},
     clock::SkewedClock,
-    pulse_log::{PulseLog, PulseRecord},
+    pulse_log::{PulseFilter, PulseLog, PulseRecord},
     random::{Random, Stream},
     wire::SerialWire,
 };
@@ -142,6 +142,7 @@ struct Environment<'a> {
     car: &'a mut Car,
     wire: &'a mut SerialWire,
     pulses: &'a mut PulseLog,
+    filter: &'a mut dyn PulseFilter,
     monitor: &'a mut Monitor,
 }
 
@@ -383,7 +384,13 @@ impl SimulatedBoard {
         }
     }
 
-    pub(crate) fn events_at(&mut self, now_us: u64, car: &mut Car, wire: &mut SerialWire) {
+    pub(crate) fn events_at(
+        &mut self,
+        now_us: u64,
+        car: &mut Car,
+        wire: &mut SerialWire,
+        filter: &mut dyn PulseFilter,
+    ) {
         if let PowerState::Starting { until_us, cause } = self.phase
             && until_us <= now_us
         {
@@ -408,6 +415,7 @@ impl SimulatedBoard {
             car,
             wire,
             pulses: &mut self.pulses,
+            filter,
             monitor: &mut self.monitor,
         };
         let watchdog_reset = match &mut self.machine {

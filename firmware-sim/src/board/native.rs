@@ -103,6 +103,7 @@ impl Native {
             car,
             wire,
             pulses,
+            filter,
             monitor,
         } = environment;
         let board_time_us = local_time(&clock, started_us, now_us);
@@ -154,18 +155,22 @@ impl Native {
                 );
             }
         }
-        car.set_kill_output(self.power_on(board_time_us));
+        let mut power_on = self.power_on(board_time_us);
+        filter.power(&mut power_on);
+        car.set_kill_output(power_on);
         if self.frames * SERVO_FRAME_US <= elapsed {
             self.frames = elapsed / SERVO_FRAME_US + 1;
             let (servo_us, esc_us) = self.pulses(board_time_us);
-            car.apply_pulses(servo_us, esc_us);
-            pulses.push(PulseRecord {
+            let mut frame = PulseRecord {
                 time_us: now_us,
                 board_time_us,
                 servo_us,
                 esc_us,
                 cut: false,
-            });
+            };
+            filter.frame(&mut frame);
+            car.apply_pulses(frame.servo_us, frame.esc_us);
+            pulses.push(frame);
         }
     }
 

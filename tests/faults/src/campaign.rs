@@ -14,7 +14,8 @@ use std::{
 use singletrack_sim::BoardKind;
 
 use crate::{
-    DriveOutcome, SetupError, Untampered, Violation, drive, schedule::Schedule, tamper::Tamper,
+    DriveOutcome, SetupError, Untampered, Until, Violation, drive, schedule::Schedule,
+    tamper::Tamper,
 };
 
 /// The schedules to run.
@@ -28,6 +29,8 @@ pub struct Campaign {
     pub board: BoardKind,
     /// Number of threads. It does not affect the outcome.
     pub threads: usize,
+    /// Where a drive ends.
+    pub until: Until,
 }
 
 /// A schedule that violated an invariant.
@@ -44,6 +47,8 @@ pub struct Failure {
 pub struct CampaignOutcome {
     /// The failures, in order of seeds.
     pub failures: Vec<Failure>,
+    /// Number of schedules in which each invariant was violated.
+    pub violated: BTreeMap<&'static str, u64>,
     /// Total time with a driving ESC pulse, in s.
     pub driven_s: f64,
     /// Total simulated time, in s.
@@ -99,10 +104,11 @@ impl Campaign {
 
     fn run_seed(&self, seed: u64) -> Result<(Schedule, DriveOutcome), SetupError> {
         let schedule = Schedule::generate(seed, self.board);
-        let mut drive_outcome = attempt(&schedule, &mut Untampered)?;
+        let mut drive_outcome = attempt_until(&schedule, &mut Untampered, self.until)?;
         if drive_outcome.violation.is_none() && seed.is_multiple_of(REPEAT_INTERVAL) {
-            let again = attempt(&schedule, &mut Untampered)?;
+            let again = attempt_until(&schedule, &mut Untampered, self.until)?;
             if again.digest != drive_outcome.digest {
+                drive_outcome.violated.insert("repeatable");
                 drive_outcome.violation = Some(Violation {
                     invariant: "repeatable",
                     time_us: u64::from(schedule.end_ms) * 1_000,
@@ -119,6 +125,9 @@ impl CampaignOutcome {
     pub fn add(&mut self, schedule: Schedule, drive_outcome: DriveOutcome) {
         self.driven_s += f64::from(drive_outcome.driven_ms) * 1e-3;
         self.simulated_s += f64::from(schedule.end_ms) * 1e-3;
+        for invariant in drive_outcome.violated {
+            *self.violated.entry(invariant).or_default() += 1;
+        }
         for reason in drive_outcome.reasons {
             *self.reasons.entry(reason).or_default() += 1;
         }
@@ -136,10 +145,21 @@ impl CampaignOutcome {
 ///
 /// Fails if a schedule cannot be set up.
 pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
-    panic::catch_unwind(AssertUnwindSafe(|| drive(schedule, tamper))).unwrap_or_else(|payload| {
+    attempt_until(schedule, tamper, Until::Violation)
+}
+
+/// Like [`attempt`], to the end that is given.
+pub(crate) fn attempt_until(
+    schedule: &Schedule,
+    tamper: &mut dyn Tamper,
+    until: Until,
+) -> Result<DriveOutcome, SetupError> {
+    let drive = AssertUnwindSafe(|| drive(schedule, tamper, until));
+    panic::catch_unwind(drive).unwrap_or_else(|payload| {
         Ok(DriveOutcome {
             digest: 0,
             reasons: BTreeSet::new(),
+            violated: BTreeSet::from(["panic"]),
             violation: Some(Violation {
                 invariant: "panic",
                 time_us: 0,

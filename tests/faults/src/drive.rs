@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
 use singletrack_pilot::{PilotRequest, Reason};
-use singletrack_protocol::{Decoder, ResetCause, ToBoard};
+use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{BoardKind, PulseRecord, ReceivedMessage, World};
+use singletrack_sim::{BoardKind, ReceivedMessage, World};
 
 use crate::{
     SetupError,
@@ -16,13 +16,15 @@ use crate::{
     invariant::{self, Invariant},
     network::{HostSockets, Network},
     observation::{Observation, ReceivedPose, Spec},
+    pins::{Pins, Pulse},
     port::Port,
     program::Program,
     random::{Random, Stream},
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
     stage,
-    tamper::Tamper,
+    stop::{Step, Stops},
+    tamper::{Tamper, TamperedPins},
 };
 
 /// Interval at which the host reads bytes and packets, in µs: that of USB.
@@ -39,6 +41,8 @@ pub struct DriveOutcome {
     pub digest: u64,
     /// The first violation, if there was one.
     pub violation: Option<Violation>,
+    /// The violated invariants: more than one only if the drive went on.
+    pub violated: BTreeSet<&'static str>,
     /// How long the motor was driven, in ms.
     pub driven_ms: u32,
     /// The names of the reasons for which the host did not drive.
@@ -56,21 +60,35 @@ pub struct Violation {
     pub details: String,
 }
 
+/// Where a drive ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Until {
+    /// At the first violation.
+    #[default]
+    Violation,
+    /// At the end of its schedule; an invariant is no longer checked once it is violated.
+    End,
+}
+
 /// Drives a schedule to its end, or to the first violation.
 ///
 /// # Errors
 ///
 /// The part that can't be set up.
-pub fn drive(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
-    let mut drive = Drive::new(schedule)?;
+pub fn drive(
+    schedule: &Schedule,
+    tamper: &mut dyn Tamper,
+    until: Until,
+) -> Result<DriveOutcome, SetupError> {
+    let mut drive = Drive::new(schedule, tamper)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
     while drive.now_us < end_us {
         drive.step(end_us, tamper)?;
-        if let Some(violation) = drive.violation.take() {
-            return Ok(drive.outcome(Some(violation)));
+        if drive.violation.is_some() && until == Until::Violation {
+            break;
         }
     }
-    Ok(drive.outcome(None))
+    Ok(drive.outcome())
 }
 
 struct Drive<'a> {
@@ -110,6 +128,7 @@ struct Drive<'a> {
     newest_pose: Option<ReceivedPose>,
     invariants: Vec<Box<dyn Invariant>>,
     violation: Option<Violation>,
+    violated: BTreeSet<&'static str>,
     digest: Digest,
     driven_ms: u32,
     reasons: BTreeSet<&'static str>,
@@ -117,6 +136,13 @@ struct Drive<'a> {
     was_running: bool,
     resets: u64,
     pulses: u64,
+    /// Whether the running daemon has proved its configuration, or need not.
+    is_proved: bool,
+    /// The configuration in force, and those that have been proved.
+    toml: String,
+    proved: BTreeSet<String>,
+    pins: Pins,
+    stops: Stops,
     written: Decoder,
     buffers: Buffers,
 }
@@ -125,12 +151,12 @@ struct Drive<'a> {
 struct Buffers {
     bytes: Vec<u8>,
     heard: Vec<ReceivedMessage>,
-    pulses: Vec<PulseRecord>,
+    pulses: Vec<Pulse>,
     written: Vec<ToBoard>,
 }
 
 impl<'a> Drive<'a> {
-    fn new(schedule: &'a Schedule) -> Result<Self, SetupError> {
+    fn new(schedule: &'a Schedule, tamper: &mut dyn Tamper) -> Result<Self, SetupError> {
         let config = setting::config(&schedule.situation, ConfigurationFile::default())?;
         let world =
             World::new(setting::simulation(schedule)).map_err(|error| SetupError::Other {
@@ -138,7 +164,7 @@ impl<'a> Drive<'a> {
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            spec: Spec::new(&schedule.situation, &config).map_err(SetupError::Config)?,
+            spec: Spec::new(schedule, world.config(), &config).map_err(SetupError::Config)?,
             now_us: 0,
             world,
             network: Network::new(schedule.seed),
@@ -165,6 +191,7 @@ impl<'a> Drive<'a> {
             drive_time_s: None,
             newest_setpoint_ns: None,
             violation: None,
+            violated: BTreeSet::new(),
             digest: Digest::default(),
             driven_ms: 0,
             reasons: BTreeSet::new(),
@@ -172,20 +199,26 @@ impl<'a> Drive<'a> {
             was_running: false,
             resets: 0,
             pulses: 0,
+            is_proved: schedule.situation.proved,
+            toml: String::new(),
+            proved: BTreeSet::new(),
+            pins: Pins::default(),
+            stops: Stops::default(),
             written: Decoder::new(),
             buffers: Buffers::default(),
             schedule,
         };
-        drive.start_daemon()?;
+        drive.start_daemon(tamper)?;
         Ok(drive)
     }
 
-    fn outcome(&self, violation: Option<Violation>) -> DriveOutcome {
+    fn outcome(self) -> DriveOutcome {
         DriveOutcome {
             digest: self.digest.value(),
-            violation,
+            violation: self.violation,
+            violated: self.violated,
             driven_ms: self.driven_ms,
-            reasons: self.reasons.clone(),
+            reasons: self.reasons,
         }
     }
 
@@ -196,8 +229,9 @@ impl<'a> Drive<'a> {
             next_us = next_us.min(self.tick_us.max(self.now_us + 1));
         }
         self.now_us = next_us.min(end_us);
-        self.world.advance_to(self.now_us);
-        self.change_faults()?;
+        self.world
+            .advance_filtered(self.now_us, &mut TamperedPins(tamper));
+        self.change_faults(tamper)?;
         self.send_requests()?;
         let first = core::mem::take(&mut self.ticks_first).then(|| self.tick());
         let has_read = self.receive();
@@ -215,14 +249,14 @@ impl<'a> Drive<'a> {
     }
 
     /// Ends and begins faults, with their effects.
-    fn change_faults(&mut self) -> Result<(), SetupError> {
+    fn change_faults(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         self.new_faults.clear();
         let now_us = self.now_us;
         let us = |ms: u32| u64::from(ms) * 1_000;
         let mut changed = false;
         let mut index = 0;
         while let Some(fault) = self.faults.get(index).copied() {
-            if us(fault.end_ms()) > now_us {
+            if us(fault.end_ms()) > now_us || fault.kind.is_lasting() {
                 index += 1;
                 continue;
             }
@@ -251,7 +285,7 @@ impl<'a> Drive<'a> {
         }
         if changed {
             stage::hold(&mut self.world, &self.schedule.situation, &self.faults);
-            self.host_faults()?;
+            self.host_faults(tamper)?;
         }
         if self.schedule.situation.board == BoardKind::Native
             && self.bites_us.is_some_and(|us| us <= now_us)
@@ -262,7 +296,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    fn host_faults(&mut self) -> Result<(), SetupError> {
+    fn host_faults(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         let unplugged = self.is_active(FaultKind::LineUnplugged);
         self.port.set_plugged(!unplugged);
         let killed = self.is_active(FaultKind::DaemonKilled);
@@ -272,7 +306,7 @@ impl<'a> Drive<'a> {
             self.newest_pose = None;
             self.pending_requests.clear();
         } else if !killed && self.daemon.is_none() {
-            self.start_daemon()?;
+            self.start_daemon(tamper)?;
         }
         let was_paused = self.paused;
         self.paused = self.is_active(FaultKind::DaemonPaused);
@@ -282,7 +316,7 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    fn start_daemon(&mut self) -> Result<(), SetupError> {
+    fn start_daemon(&mut self, tamper: &mut dyn Tamper) -> Result<(), SetupError> {
         self.daemons += 1;
         let step_ns: u64 = self
             .faults
@@ -293,7 +327,9 @@ impl<'a> Drive<'a> {
         let wall_ns = self.wall_ns + self.now_us * 1_000 + step_ns;
         let process = u64::from(self.random.between(300, 32_767));
         let config = setting::config(&self.schedule.situation, self.file)?;
-        let daemon = Daemon::start(&config, wall_ns ^ process, self.daemons, self.now_us)?;
+        let mut run = config.clone();
+        tamper.host(&mut run);
+        let daemon = Daemon::start(&run, wall_ns ^ process, self.daemons, self.now_us)?;
         self.program = Program::default();
         self.drive_time_s = None;
         self.newest_setpoint_ns = None;
@@ -449,7 +485,14 @@ impl<'a> Drive<'a> {
         let mut configuration = None;
         if let Some((number, mut config)) = self.changed.take() {
             tamper.configuration(number, &mut config);
-            self.spec = Spec::new(&self.schedule.situation, &config).map_err(SetupError::Config)?;
+            let world = self.world.config();
+            self.spec = Spec::new(self.schedule, world, &config).map_err(SetupError::Config)?;
+            let toml = config.to_toml().map_err(|error| SetupError::Other {
+                part: "the daemon's configuration",
+                reason: error.to_string(),
+            })?;
+            self.is_proved = self.schedule.situation.proved || self.proved.contains(&toml);
+            self.toml = toml;
             let pilot = config.pilot().map_err(SetupError::Config)?;
             configuration = Some((number, pilot));
         }
@@ -474,22 +517,50 @@ impl<'a> Drive<'a> {
         let new = log.total() - self.pulses;
         self.pulses = log.total();
         pulses.clear();
-        pulses.extend(log.iter().rev().take(new as usize));
-        pulses.reverse();
-        for pulse in &mut *pulses {
-            tamper.pulse(pulse);
+        // Oldest first.
+        let newest = || log.iter().rev().take(new as usize);
+        for index in (0..newest().count()).rev() {
+            let record = newest().nth(index);
+            pulses.extend(record.map(|record| self.pins.observe(&self.spec, *record)));
         }
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
         }
+        let truth = self.world.truth();
+        let board_mode = self.world.board().telemetry().map(|record| record.mode);
+        let board_is_armed = is_running
+            && matches!(
+                board_mode,
+                Some(BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving)
+            );
+        let moved_by_hand = self.schedule.faults.iter().any(|fault| {
+            let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
+            let rolls_us = (2e6 / self.spec.braking) as u64;
+            fault.kind == FaultKind::Push && (from..to + rolls_us + 500_000).contains(&now_us)
+        });
+        self.stops.step(&Step {
+            now_us,
+            spec: &self.spec,
+            speed: truth.speed,
+            position: [truth.x, truth.y],
+            pulses,
+            board_is_armed,
+            moved_by_hand,
+            mode: tick.as_ref().map(|tick| tick.output.mode),
+        });
         let observation = Observation {
             now_us,
             spec: &self.spec,
-            truth: self.world.truth(),
+            truth,
             pulses,
+            stop: self.stops.stop(),
             board_received: heard,
             board_since_us: self.board_since_us,
-            board_mode: self.world.board().telemetry().map(|record| record.mode),
+            board_mode,
+            board_is_armed,
+            is_proved: self.is_proved,
+            esc_has_power: self.world.car().esc_has_power(),
+            moved_by_hand,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),
             written,
@@ -507,17 +578,26 @@ impl<'a> Drive<'a> {
         self.reasons.extend(reason.map(Reason::name));
         self.digest.add(&observation);
         for pulse in observation.pulses {
-            self.driven_ms += 20 * u32::from(self.spec.drives(pulse));
+            self.driven_ms += 20 * u32::from(pulse.drives());
         }
-        for invariant in &mut self.invariants {
-            if let Err(details) = invariant.check(&observation) {
-                self.violation = Some(Violation {
-                    invariant: invariant.name(),
-                    time_us: now_us,
-                    details,
-                });
-                return Ok(());
-            }
+        let (first, violated) = (&mut self.violation, &mut self.violated);
+        self.invariants
+            .retain_mut(|invariant| match invariant.check(&observation) {
+                Ok(()) => true,
+                Err(details) => {
+                    violated.insert(invariant.name());
+                    first.get_or_insert(Violation {
+                        invariant: invariant.name(),
+                        time_us: now_us,
+                        details,
+                    });
+                    false
+                }
+            });
+        // From the next tick on.
+        if tick.as_ref().is_some_and(|tick| tick.output.proved) {
+            self.is_proved = true;
+            self.proved.insert(self.toml.clone());
         }
         if has_ticked {
             self.pending_requests.clear();
@@ -531,6 +611,7 @@ impl<'a> Drive<'a> {
         bytes.clear();
         written.clear();
         self.port.take_written(bytes);
+        tamper.written(self.now_us, bytes);
         for &byte in &*bytes {
             if let Some(Ok(packet)) = self.written.push(byte)
                 && let Ok(message) = ToBoard::decode(packet)

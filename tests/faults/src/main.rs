@@ -10,7 +10,8 @@ use std::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, attempt,
+    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, Until,
+    attempt, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -45,9 +46,18 @@ struct Options {
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
 
+    /// Plant every known bug in each schedule, and count in how many it is found
+    #[arg(long)]
+    planted: bool,
+
     /// Print the schedules without running them
     #[arg(long)]
     print: bool,
+
+    /// Count in how many schedules each invariant is violated: drives go on after a
+    /// violation
+    #[arg(long)]
+    by_invariant: bool,
 
     /// Do not shrink failing schedules
     #[arg(long)]
@@ -93,6 +103,9 @@ fn run(options: &Options) -> Result<bool, Error> {
     }
     // The report of a violation contains the panic message.
     std::panic::set_hook(Box::new(|_| {}));
+    if options.planted {
+        return count_planted(options, out);
+    }
     let (count, outcome) = match &options.replay {
         Some(text) => {
             let mut outcome = CampaignOutcome::default();
@@ -102,7 +115,13 @@ fn run(options: &Options) -> Result<bool, Error> {
         None if options.record.is_some() => (options.count, record_all(options)?),
         None => (options.count, campaign(options)?),
     };
-    for (index, failure) in outcome.failures.iter().enumerate() {
+    if options.by_invariant {
+        for (invariant, count) in &outcome.violated {
+            writeln!(out, "{count:>6}  {invariant}")?;
+        }
+    }
+    let failures = outcome.failures.iter().filter(|_| !options.by_invariant);
+    for (index, failure) in failures.enumerate() {
         print_failure(out, failure)?;
         if index < MAX_SHRUNK && !options.no_shrink && options.replay.is_none() {
             let (schedule, violation) =
@@ -163,20 +182,57 @@ fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
     )
 }
 
-fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
-    let threads = options
+/// Prints the planted bugs and in how many schedules each is found; false if one never is.
+fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool, Error> {
+    let bar = progress_bar(options.count * planted::BUGS.len() as u64);
+    let found = planted::count(options.first_seed, options.count, threads(options), &|| {
+        bar.inc(1);
+    })?;
+    bar.finish_and_clear();
+    writeln!(out, "| found in | invariant | planted in | bug |")?;
+    writeln!(out, "|---|---|---|---|")?;
+    for (bug, count) in &found {
+        let (invariant, part, name) = (bug.invariant, bug.part.name(), bug.name);
+        writeln!(out, "| {count} | `{invariant}` | {part} | {name} |")?;
+    }
+    let missed = found.iter().filter(|(_, count)| *count == 0).count();
+    writeln!(
+        out,
+        "{} schedules, {} planted bugs, {missed} never found",
+        options.count,
+        found.len()
+    )?;
+    Ok(missed == 0)
+}
+
+fn threads(options: &Options) -> usize {
+    options
         .threads
-        .or_else(|| thread::available_parallelism().ok().map(usize::from));
-    // Hidden unless standard error is a terminal.
-    let bar = ProgressBar::new(options.count);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} schedules, {eta} left") {
+        .or_else(|| thread::available_parallelism().ok().map(usize::from))
+        .unwrap_or(1)
+}
+
+/// Hidden unless standard error is a terminal.
+fn progress_bar(length: u64) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} drives, {eta} left") {
         bar.set_style(style);
     }
+    bar
+}
+
+fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
+    let bar = progress_bar(options.count);
     let outcome = Campaign {
         first_seed: options.first_seed,
         count: options.count,
         board: options.board,
-        threads: threads.unwrap_or(1),
+        threads: threads(options),
+        until: if options.by_invariant {
+            Until::End
+        } else {
+            Until::Violation
+        },
     }
     .run(&|| bar.inc(1));
     bar.finish_and_clear();

@@ -28,6 +28,9 @@ const SERVER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1_51
 /// An address that is not the server's.
 const STRANGER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(127, 0, 0, 66)), 1_510);
 
+/// Half of the time between two frames, in µs.
+const HALF_FRAME_US: u64 = 5_000;
+
 /// Capacity of the socket's queue: 208 KiB, in which a small datagram takes about a
 /// kilobyte. What exceeds it is lost.
 const MAX_UNREAD: usize = 208;
@@ -149,10 +152,15 @@ impl Network {
                 self.frame(now_us, &datagram, faults);
             } else {
                 let bytes = self.answer(world, &datagram, faults);
+                let source = if is_active(faults, FaultKind::CameraSecondCard) {
+                    STRANGER
+                } else {
+                    SERVER
+                };
                 self.send(
                     now_us,
                     Packet {
-                        source: SERVER,
+                        source,
                         bytes,
                         exposure: None,
                     },
@@ -397,14 +405,29 @@ impl Network {
                 content.bodies.extend(other);
             }
             FaultKind::CameraSpoofed => {
-                let mut spoofed = content.car;
-                core::mem::swap(&mut spoofed, &mut content.car);
+                // Half a frame later, in content and in time.
+                let (car, ticks) = (content.car, content.ticks);
                 move_by(&mut content.car, metres);
-                let bytes = self.encode(content);
-                content.car = spoofed;
-                if let Some(bytes) = bytes {
-                    self.send_as(STRANGER, now_us, bytes, None);
+                let later = HALF_FRAME_US * (TICKS_PER_SECOND / 1_000_000);
+                content.ticks.mid_exposure += later;
+                content.ticks.received += later;
+                content.ticks.transmit += later;
+                if let Some(bytes) = self.encode(content) {
+                    let exposure = self.shows_a_car(content).then_some(Exposure {
+                        exposed_us: content.exposure.exposed_us + HALF_FRAME_US,
+                        falsified: true,
+                        ..content.exposure
+                    });
+                    let due_us = now_us + content.delay_us + HALF_FRAME_US;
+                    self.send_as(SERVER, due_us, bytes, exposure);
                 }
+                content.car = car;
+                content.ticks = ticks;
+            }
+            FaultKind::CameraDrift => {
+                let since_s = (now_us / 1_000).saturating_sub(fault.at_ms.into()) as f32 * 1e-3;
+                move_by(&mut content.car, metres * since_s);
+                content.exposure.falsified = true;
             }
             _ => {}
         }
@@ -430,6 +453,13 @@ impl Network {
 
     fn send_frame(&mut self, now_us: u64, content: &Content, mut bytes: Vec<u8>, faults: &[Fault]) {
         let mut exposure = self.shows_a_car(content).then_some(content.exposure);
+        let source = if is_active(faults, FaultKind::CameraSecondCard) {
+            // Dropped.
+            exposure = None;
+            STRANGER
+        } else {
+            SERVER
+        };
         for fault in faults {
             if fault.kind == FaultKind::CameraMalformed && self.random.happens(fault.severity) {
                 self.damage(&mut bytes);
@@ -441,7 +471,7 @@ impl Network {
                 });
             }
         }
-        self.send_as(SERVER, now_us + content.delay_us, bytes, exposure);
+        self.send_as(source, now_us + content.delay_us, bytes, exposure);
     }
 
     fn send_as(

@@ -3,23 +3,29 @@
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
-use singletrack_protocol::{BoardMode, Configuration, ToBoard};
+use singletrack_protocol::{BoardMode, Configuration, EscKind, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{PulseRecord, ReceivedMessage, Truth};
+use singletrack_sim::{ReceivedMessage, SimulationConfig, Truth};
 
 use crate::{
     network::Exposure,
-    schedule::{Fault, FaultKind, Situation},
+    pins::Pulse,
+    schedule::{Fault, FaultKind, FaultTarget, Schedule, Situation},
+    stop::Stop,
 };
 
 /// The limits that the configuration promises, in the units of the invariants.
 #[derive(Clone, Debug)]
 pub(crate) struct Spec {
     pub(crate) situation: Situation,
+    /// Whether the true car is calibrated well enough that it must drive.
+    pub(crate) is_tolerable: bool,
     pub(crate) board: Configuration,
     pub(crate) hold_us: u64,
     /// Pose age that ends even a controlled stop.
     pub(crate) blind_us: u64,
+    /// Distance without a pose that ends a drive, in m.
+    pub(crate) blind_m: f64,
     pub(crate) imu_silence_us: u64,
     pub(crate) stuck_samples: u32,
     pub(crate) stop_timeout_us: u64,
@@ -29,6 +35,15 @@ pub(crate) struct Spec {
     pub(crate) stop_deceleration: f64,
     /// Deceleration that the geofence assumes, in m/s².
     pub(crate) braking: f64,
+    /// The longest roll-out from the highest speed, in µs.
+    pub(crate) max_roll_out_us: u64,
+    /// Time without pulses after which the true ESC releases the motor.
+    pub(crate) true_signal_loss_us: u64,
+    /// How much younger than they are the server's stamps make poses: in µs, and its
+    /// growth per µs.
+    true_stamp_error: [f64; 2],
+    /// Whether interference makes edges on the motor sensor's wire.
+    pub(crate) has_interference: bool,
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
     pub(crate) period_s: f64,
@@ -38,14 +53,22 @@ pub(crate) struct Spec {
 }
 
 impl Spec {
-    pub(crate) fn new(situation: &Situation, config: &Config) -> Result<Self, ConfigError> {
+    pub(crate) fn new(
+        schedule: &Schedule,
+        world: &SimulationConfig,
+        config: &Config,
+    ) -> Result<Self, ConfigError> {
         let us = |ms: u32| u64::from(ms) * 1_000;
+        let situation = &schedule.situation;
         let limits = &config.limits;
+        let board = config.board_configuration();
         Ok(Self {
             situation: *situation,
-            board: config.board_configuration(),
+            is_tolerable: schedule.is_tolerable(),
+            board,
             hold_us: us(config.supervisor.hold_ms),
             blind_us: us(config.supervisor.blind_ms),
+            blind_m: config.supervisor.blind_distance_m,
             imu_silence_us: us(config.supervisor.imu_silence_ms),
             stuck_samples: config.watch.stuck_samples,
             stop_timeout_us: us(config.supervisor.stop_timeout_ms),
@@ -54,6 +77,16 @@ impl Spec {
             max_acceleration: limits.max_acceleration_m_s2,
             stop_deceleration: config.control.stop_deceleration_m_s2,
             braking: config.fence.braking_m_s2,
+            max_roll_out_us: us(board.max_roll_out_ms.into()),
+            true_signal_loss_us: world.car.motor.signal_loss_us,
+            true_stamp_error: [
+                1e3 * world.cameras.stamp_bias_ms,
+                1e-6 * world.cameras.stamp_drift_ppm,
+            ],
+            has_interference: {
+                let sensor = &world.car.motor_sensor;
+                sensor.emi_driven_hz + sensor.emi_standstill_hz > 0.0 || sensor.ringing_edges > 0
+            },
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
             setpoint_timeout_ns: match config.reference {
@@ -68,17 +101,21 @@ impl Spec {
         })
     }
 
-    /// Whether the ESC pulse drives the motor: not neutral, not absent, and not the
-    /// brake pulse of a board that brakes by itself. A pulse cut by a reset drives
-    /// only if it is longer than neutral.
-    pub(crate) fn drives(&self, pulse: &PulseRecord) -> bool {
-        let esc = &self.board.esc;
-        let brakes = self.situation.brake && pulse.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US;
-        let short = pulse.cut && pulse.esc_us < esc.neutral_us;
-        pulse.esc_us != 0
-            && pulse.esc_us.abs_diff(esc.neutral_us) > TOLERANCE_US
-            && !brakes
-            && !short
+    /// How much younger than it is a pose may look to the host, in µs.
+    pub(crate) fn stamp_error_us(&self, now_us: u64) -> u64 {
+        let [bias_us, growth] = self.true_stamp_error;
+        (bias_us + growth * now_us as f64).max(0.0) as u64
+    }
+
+    /// Whether the stamps leave the frames by more than 0.5 ms a second.
+    pub(crate) const fn stamps_drift(&self) -> bool {
+        let [_, growth] = self.true_stamp_error;
+        growth.abs() > 5e-4
+    }
+
+    /// Whether the board may brake.
+    pub(crate) const fn brakes(&self) -> bool {
+        !matches!(self.board.esc.kind, EscKind::ForwardReverse)
     }
 }
 
@@ -113,13 +150,23 @@ pub(crate) struct Observation<'a> {
     /// Ground truth of the vehicle.
     pub(crate) truth: Truth,
     /// Pulses since the last step.
-    pub(crate) pulses: &'a [PulseRecord],
+    pub(crate) pulses: &'a [Pulse],
+    /// The stop of the drive that has ended, or is about to.
+    pub(crate) stop: Option<&'a Stop>,
     /// Messages that reached the board in this step.
     pub(crate) board_received: &'a [ReceivedMessage],
     /// Start time of the board's code; none while the board is not running.
     pub(crate) board_since_us: Option<u64>,
     /// Mode in the board's last telemetry.
     pub(crate) board_mode: Option<BoardMode>,
+    /// Whether the running board was armed at that time.
+    pub(crate) board_is_armed: bool,
+    /// Whether the configuration in force is proved.
+    pub(crate) is_proved: bool,
+    /// Whether the ESC has its supply.
+    pub(crate) esc_has_power: bool,
+    /// Whether somebody pushes the car, or it still rolls from that.
+    pub(crate) moved_by_hand: bool,
     /// The daemon's tick in this step, if any.
     pub(crate) tick: Option<&'a TickRecord>,
     /// Whether the tick's output must follow from its inputs; see
@@ -152,6 +199,23 @@ impl Observation<'_> {
         self.faults.iter().any(|fault| fault.kind == kind)
     }
 
+    /// Whether a person moves the car.
+    pub(crate) const fn is_moved_by_hand(&self) -> bool {
+        self.moved_by_hand
+    }
+
+    /// Whether the board gets no motor pulses.
+    pub(crate) fn is_without_motor_pulses(&self) -> bool {
+        self.is_effective(FaultKind::PulsesGone)
+    }
+
+    /// Whether line, sensors, cameras, board or host have a fault: they may not see what
+    /// the car does.
+    pub(crate) fn is_blinded(&self) -> bool {
+        let blinds = |fault: &Fault| !matches!(fault.kind.target(), FaultTarget::Car);
+        self.faults.iter().any(blinds) || self.new_faults.iter().any(blinds)
+    }
+
     /// Whether the fault is in effect: of several faults with the same subject,
     /// only the latest is.
     pub(crate) fn is_effective(&self, kind: FaultKind) -> bool {
@@ -169,28 +233,37 @@ impl Observation<'_> {
 pub(crate) mod scene {
     use singletrack_sim::PulseRecord;
 
-    use super::{Exposure, Observation, ReceivedPose, Situation, Spec, Truth};
-    use crate::setting::{self, ConfigurationFile};
+    use super::{
+        Exposure, Observation, Pulse, ReceivedPose, Schedule, SimulationConfig, Spec, Truth,
+    };
+    use crate::{
+        pins::Effect,
+        setting::{self, ConfigurationFile},
+    };
 
     /// A step in which a car drives without faults.
     pub(crate) struct Scene {
         pub(crate) spec: Spec,
-        pub(crate) pulses: Vec<PulseRecord>,
+        pub(crate) pulses: Vec<Pulse>,
         pub(crate) truth: Truth,
     }
 
     impl Scene {
         pub(crate) fn new() -> Self {
-            let situation = Situation::default();
-            let config = setting::config(&situation, ConfigurationFile::default()).unwrap();
+            let schedule: Schedule = "seed 1; end_ms 9000".parse().unwrap();
+            let config =
+                setting::config(&schedule.situation, ConfigurationFile::default()).unwrap();
             Self {
-                spec: Spec::new(&situation, &config).unwrap(),
-                pulses: vec![PulseRecord {
-                    time_us: 5_000_000,
-                    board_time_us: 5_000_000,
-                    servo_us: 1_500,
-                    esc_us: 1_560,
-                    cut: false,
+                spec: Spec::new(&schedule, &SimulationConfig::default(), &config).unwrap(),
+                pulses: vec![Pulse {
+                    record: PulseRecord {
+                        time_us: 5_000_000,
+                        board_time_us: 5_000_000,
+                        servo_us: 1_500,
+                        esc_us: 1_560,
+                        cut: false,
+                    },
+                    effect: Effect::Drive,
                 }],
                 truth: Truth::default(),
             }
@@ -204,9 +277,14 @@ pub(crate) mod scene {
                 spec: &self.spec,
                 truth: self.truth,
                 pulses: &self.pulses,
+                stop: None,
                 board_received: &[],
                 board_since_us: Some(65_000),
                 board_mode: None,
+                board_is_armed: true,
+                is_proved: true,
+                esc_has_power: true,
+                moved_by_hand: false,
                 tick: None,
                 is_replayed: true,
                 written: &[],

@@ -37,6 +37,12 @@ impl Random {
         least + (((self.next() >> 32) * span) >> 32) as u32
     }
 
+    /// A uniform integer from `least` to `most`, inclusive.
+    pub(crate) fn signed(&mut self, least: i32, most: i32) -> i32 {
+        let offset = self.between(0, most.abs_diff(least));
+        least.saturating_add_unsigned(offset)
+    }
+
     /// An integer from `least` to `most`, with equal probability per octave.
     pub(crate) fn spread(&mut self, least: u32, most: u32) -> u32 {
         let least = least.max(1);

@@ -1,14 +1,14 @@
 //! Converts a situation to the world's and the daemon's configuration.
 
-use singletrack_core::config::{BoardSection, Config, FailsafeKind};
+use singletrack_core::config::{BoardSection, Config, EscKindName, FailsafeKind};
 use singletrack_sim::{
-    BoardParameters, CameraParameters, CarParameters, SimulationConfig, StartPose, WireFaults,
-    WireParameters, default_board_configuration,
+    BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig,
+    StartPose, WireFaults, WireParameters, default_board_configuration,
 };
 
 use crate::{
     SetupError,
-    schedule::{ReferenceKind, Schedule, Situation},
+    schedule::{Deviation, Fault, FaultKind, ReferenceKind, Schedule, Situation, TrueCar},
 };
 
 /// The content of the daemon's configuration file. Each reload finds the other one.
@@ -88,7 +88,7 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
             ),
         ),
     };
-    let h = reach(situation) + f64::from(situation.fence_mm) * 1e-3;
+    let h = (reach(situation) + f64::from(situation.fence_mm) * 1e-3).max(0.3);
     let text = format!(
         "[serial]\nport = \"simulated\"\n\
          [motion_capture]\nserver = \"127.0.0.1\"\nrigid_body = \"car\"\nup_axis = \"y\"\n\
@@ -96,21 +96,37 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          [outer_loop]\n{outer_loop}\n\
          [reference]\n{reference}\n\
          [fence]\ncorners_m = [[-{h}, -{h}], [{h}, -{h}], [{h}, {h}], [-{h}, {h}]]\n\
-         margin_m = 0.0\nbraking_m_s2 = {BRAKING_M_S2}\n\
-         [supervisor]\nprove_first_metre = false\n\
+         margin_m = 0.0\nbraking_m_s2 = {}\n\
+         [supervisor]\nprove_first_metre = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
-         {BOARD}"
+         {BOARD}",
+        f64::from(situation.braking_mm_s2) * 1e-3,
+        !situation.proved
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
+    // A kill output takes the supply, without which nothing brakes.
+    let brakes =
+        situation.brake && situation.esc_kind != EscKind::ForwardReverse && !situation.kill_output;
     config.board = BoardSection {
-        failsafe: if situation.brake {
+        failsafe: if brakes {
             FailsafeKind::Brake
         } else {
             FailsafeKind::Coast
         },
         stop_input: situation.stop_input,
+        kill_output: situation.kill_output,
         ..BoardSection::from(&default_board_configuration())
     };
+    config.board.esc.kind = Some(match situation.esc_kind {
+        EscKind::Car | EscKind::LearnsNeutral => EscKindName::Car,
+        EscKind::ForwardReverse => EscKindName::ForwardReverse,
+        EscKind::Vesc => EscKindName::Vesc,
+    });
+    let esc = &mut config.board.esc;
+    esc.neutral_us = situation.neutral_us;
+    esc.deadband_us = esc.deadband_us.max(situation.neutral_us.abs_diff(1_500));
+    config.board.speed.pulse_distance_um =
+        u16::try_from(situation.pulse_distance_um).unwrap_or(u16::MAX);
     if file == ConfigurationFile::Slower {
         config.limits.max_speed_m_s *= file.speed_share();
         config.limits.max_acceleration_m_s2 *= file.speed_share();
@@ -119,9 +135,6 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     config.validate().map_err(SetupError::Config)?;
     Ok(config)
 }
-
-/// A lower bound of the simulated car's deceleration at neutral, in m/s².
-const BRAKING_M_S2: f64 = 1.4;
 
 /// Mandatory keys of the board; the simulated car's calibration replaces their values.
 const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\
@@ -155,7 +168,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         seed: schedule.seed,
         car: CarParameters {
             start: start(situation),
-            ..CarParameters::default()
+            ..true_car(schedule)
         },
         board: BoardParameters {
             kind: situation.board,
@@ -169,9 +182,116 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         },
         cameras: CameraParameters {
             latency_us: u64::from(situation.camera_latency_ms) * 1_000,
+            car: true_body(&schedule.truth),
+            stamp_bias_ms: 1e-3 * f64::from(schedule.truth.get(Deviation::StampBias).unwrap_or(0)),
+            stamp_drift_ppm: f64::from(schedule.truth.get(Deviation::StampDrift).unwrap_or(0)),
             ..CameraParameters::default()
         },
         ..SimulationConfig::default()
+    }
+}
+
+fn true_car(schedule: &Schedule) -> CarParameters {
+    let Schedule {
+        situation, truth, ..
+    } = schedule;
+    let mut car = CarParameters::default();
+    let value = |deviation| f64::from(truth.get(deviation).unwrap_or(0));
+    let stated = |deviation| truth.get(deviation).map(f64::from);
+    let factor = |deviation| 1.0 + 1e-3 * value(deviation);
+    car.servo.centre_us += value(Deviation::ServoTrim);
+    car.servo.gain_us_per_rad *= factor(Deviation::ServoGain);
+    if let Some(rate) = stated(Deviation::ServoRate) {
+        car.servo.max_rate_rad_s = 1e-3 * rate;
+    }
+    car.motor_sensor.pulse_distance_um =
+        f64::from(situation.pulse_distance_um) * factor(Deviation::PulseDistance);
+    let motor = &mut car.motor;
+    motor.gain_m_s_per_us *= factor(Deviation::MotorGain);
+    if let Some(rolling) = stated(Deviation::Rolling) {
+        motor.coasting_m_s2 = 1e-3 * rolling;
+    }
+    if let Some(viscous) = stated(Deviation::Viscous) {
+        motor.viscous_per_s = 1e-3 * viscous;
+    }
+    motor.kind = truth.esc.unwrap_or(situation.esc_kind);
+    motor.signal_loss_us = motor.kind.signal_loss_us();
+    motor.kill_relay = situation.kill_output;
+    motor.slope_deg = 1e-2 * value(Deviation::Slope);
+    motor.slope_heading_deg = value(Deviation::SlopeHeading);
+    let longer =
+        |us: u16, deviation| us.saturating_add_signed(truth.get(deviation).unwrap_or(0) as i16);
+    motor.neutral_us = longer(motor.neutral_us, Deviation::EscNeutral);
+    motor.deadband_us = longer(motor.deadband_us, Deviation::EscDeadband);
+    if let Some(ms) = stated(Deviation::SignalLoss) {
+        motor.signal_loss_us = (1e3 * ms) as u64;
+    }
+    car.servo.backlash_us = value(Deviation::ServoBacklash);
+    let sensor = &mut car.motor_sensor;
+    sensor.emi_driven_hz = value(Deviation::EmiDriven);
+    sensor.emi_standstill_hz = value(Deviation::EmiStanding);
+    sensor.ringing_edges = value(Deviation::Ringing) as u16;
+    let imu = &mut car.imu;
+    imu.mounting_deg = [Deviation::ImuRoll, Deviation::ImuPitch, Deviation::ImuYaw]
+        .map(|deviation| 0.1 * value(deviation));
+    imu.gyro_scale = factor(Deviation::GyroScale);
+    imu.acceleration_scale = factor(Deviation::AccelerationScale);
+    imu.vibration_m_s2 = 1e-3 * value(Deviation::Vibration);
+    imu.leak_s = stated(Deviation::ImuLeak).map(|ms| 1e-3 * ms);
+    if let Some(mv) = stated(Deviation::Supply) {
+        car.battery.supply_v = 1e-3 * mv;
+    }
+    for fault in schedule.faults.iter().rev() {
+        happen(&mut car, fault);
+    }
+    car.battery.start_v -= 1e-3 * value(Deviation::Drained) * car.battery.fall_v_per_ah;
+    car
+}
+
+/// Enters a fault of the car that happens once. The earliest is entered last.
+fn happen(car: &mut CarParameters, fault: &Fault) {
+    let at_s = 1e-3 * f64::from(fault.at_ms);
+    let severity = f64::from(fault.severity);
+    match fault.kind {
+        FaultKind::ServoStuck => car.servo.stuck_from_s = Some(at_s),
+        FaultKind::EscStuck => car.motor.stuck_from_s = Some(at_s),
+        FaultKind::EscReboot => {
+            car.motor.reboot_at_s = Some(at_s);
+            car.motor.reboot_ms = f64::from(fault.for_ms);
+        }
+        FaultKind::BecDip => {
+            car.battery.dip_at_s = Some(at_s);
+            car.battery.dip_ms = f64::from(fault.for_ms);
+        }
+        FaultKind::Push => {
+            car.motor.push = Some(Push {
+                at_s,
+                speed_m_s: (severity - 500.0) / 500.0,
+                for_s: 1e-3 * f64::from(fault.for_ms),
+            });
+        }
+        FaultKind::WheelSlip => {
+            car.motor.slip = severity / 2_000.0;
+            car.motor.slip_from_s = Some(at_s);
+        }
+        _ => {}
+    }
+}
+
+fn true_body(truth: &TrueCar) -> CarBody {
+    let value = |deviation| f64::from(truth.get(deviation).unwrap_or(0));
+    let body = CarBody::default();
+    let [forward, left] = body.to_centre_of_mass_m;
+    CarBody {
+        to_centre_of_mass_m: [
+            forward - 1e-3 * value(Deviation::PivotForward),
+            left - 1e-3 * value(Deviation::PivotLeft),
+        ],
+        height_m: truth
+            .get(Deviation::BodyHeight)
+            .map_or(body.height_m, |mm| 1e-3 * f64::from(mm)),
+        yaw_rad: body.yaw_rad + 1e-3 * value(Deviation::BodyYaw),
+        ..body
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::{
     SetupError, Violation,
     campaign::attempt,
-    schedule::{Fault, Schedule, Situation},
+    schedule::{Deviation, Fault, Schedule, Situation},
     tamper::Tamper,
 };
 
@@ -77,6 +77,14 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     }
 
     fn drop_entries(&mut self) -> Result<(), SetupError> {
+        let mut smaller = self.best.clone();
+        smaller.truth.esc = None;
+        self.attempt(smaller)?;
+        for deviation in Deviation::ALL {
+            let mut smaller = self.best.clone();
+            smaller.truth.deviations.remove(deviation);
+            self.attempt(smaller)?;
+        }
         let mut index = 0;
         while index < self.best.faults.len() {
             let mut smaller = self.best.clone();
@@ -99,10 +107,16 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 10] = [
+        let changes: [fn(&mut Situation, &Situation); 16] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,
+            |s, default| s.kill_output = default.kill_output,
+            |s, default| s.esc_kind = default.esc_kind,
+            |s, default| s.proved = default.proved,
+            |s, default| s.neutral_us = default.neutral_us,
+            |s, default| s.braking_mm_s2 = default.braking_mm_s2,
+            |s, default| s.pulse_distance_um = default.pulse_distance_um,
             |s, default| s.coast = default.coast,
             |s, default| s.brake = default.brake,
             |s, default| s.stop_input = default.stop_input,

@@ -4,8 +4,8 @@
 
 use proptest::prelude::*;
 use singletrack_faults::{
-    Campaign, Untampered, drive,
-    schedule::{FaultKind, OperatorRequest, Schedule},
+    Campaign, Untampered, Until, drive,
+    schedule::{Deviation, FaultKind, OperatorRequest, Schedule},
 };
 use singletrack_sim::BoardKind;
 
@@ -44,6 +44,31 @@ fn every_kind_of_fault_occurs_within_a_thousand_seeds() {
 }
 
 #[test]
+fn no_car_is_quite_as_configured_and_some_are_not_at_all() {
+    let seeds = 0..1_000;
+    let schedules: Vec<_> = seeds
+        .map(|seed| Schedule::generate(seed, BoardKind::Native))
+        .collect();
+    for &deviation in Deviation::ALL {
+        let values = schedules.iter().map(|schedule| {
+            let value = schedule.truth.get(deviation).unwrap();
+            assert!(
+                deviation.possible().contains(&value),
+                "{}",
+                deviation.name()
+            );
+            value
+        });
+        let least = *deviation.tolerable().start();
+        let varies = deviation.tolerable().count() > 1;
+        assert!(values.filter(|&value| value != least).count() > 0 || !varies);
+    }
+    let tolerable = schedules.iter().filter(|schedule| schedule.is_tolerable());
+    let tolerable = tolerable.count();
+    assert!((300..700).contains(&tolerable), "{tolerable}");
+}
+
+#[test]
 fn an_invalid_entry_is_reported_with_the_accepted_forms() {
     let error = |text: &str| text.parse::<Schedule>().unwrap_err().to_string();
     for bad in [
@@ -52,6 +77,9 @@ fn an_invalid_entry_is_reported_with_the_accepted_forms() {
         "ask arm 5",
         "speed_mm_s fast",
         "speed 5",
+        "truth servo-trim-us 2000",
+        "truth servo-trim 20",
+        "esc_kind learns-neutral",
     ] {
         let message = error(bad);
         assert!(message.contains(bad), "{message}");
@@ -66,7 +94,7 @@ fn the_same_schedule_gives_the_same_bits_and_another_seed_differs() {
     let digest = |seed| {
         let mut schedule = Schedule::generate(seed, BoardKind::Native);
         schedule.end_ms = schedule.end_ms.min(6_000);
-        drive(&schedule, &mut Untampered).unwrap()
+        drive(&schedule, &mut Untampered, Until::Violation).unwrap()
     };
     for seed in [3, 4] {
         assert_eq!(digest(seed), digest(seed));
@@ -80,9 +108,12 @@ fn the_wall_clock_has_no_effect() {
     let plain: Schedule = text.parse().unwrap();
     let stepped = format!("{text}; fault wall-clock-step at 4000 for 2000 severity 1000");
     let stepped: Schedule = stepped.parse().unwrap();
-    let outcome = drive(&plain, &mut Untampered).unwrap();
+    let outcome = drive(&plain, &mut Untampered, Until::Violation).unwrap();
     assert!(outcome.driven_ms > 4_000, "{outcome:?}");
-    assert_eq!(outcome, drive(&stepped, &mut Untampered).unwrap());
+    assert_eq!(
+        outcome,
+        drive(&stepped, &mut Untampered, Until::Violation).unwrap()
+    );
 }
 
 #[test]
@@ -92,6 +123,7 @@ fn the_number_of_threads_has_no_effect_and_nothing_is_violated() {
         count: 6,
         board: BoardKind::Native,
         threads,
+        until: Until::Violation,
     };
     let one = campaign(1).run(&|| ()).unwrap();
     assert_eq!(one, campaign(3).run(&|| ()).unwrap());

@@ -46,7 +46,7 @@ impl Invariant for CommandAge {
         }
         let limit_us = u64::from(COMMAND_TIME_TO_LIVE_US) + SERVO_US + SUPERVISOR_US;
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) || observation.board_since_us.is_none() {
+            if !pulse.drives() || observation.board_since_us.is_none() {
                 continue;
             }
             let Some(newest_us) = self.newest_us else {
@@ -89,7 +89,7 @@ impl Invariant for HostSilence {
             self.written_us = Some(observation.now_us);
         }
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) {
+            if !pulse.drives() {
                 continue;
             }
             let after_us = pulse.time_us.saturating_sub(self.written_us.unwrap_or(0));
@@ -112,7 +112,8 @@ const CLOCKS_US: u64 = 4_000;
 /// `pose-age`: no pulse drives if the newest pose received by the host was exposed
 /// longer ago than the configured limit of the board plus one servo period.
 ///
-/// After a step of the server's clock, the age of a pose counts from its arrival:
+/// The true error of the stamps is allowed: the host can't know it. After a step of the
+/// server's clock, the age of a pose counts from its arrival:
 /// the host cannot know the exposure time.
 #[derive(Default)]
 pub(super) struct PoseAge {
@@ -131,9 +132,10 @@ impl Invariant for PoseAge {
             + SERVO_US
             + SUPERVISOR_US
             + CLOCKS_US
-            + 10 * SKEW_US;
+            + 10 * SKEW_US
+            + observation.spec.stamp_error_us(observation.now_us);
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) {
+            if !pulse.drives() {
                 continue;
             }
             let since_us = self.newest.map_or(0, |pose| pose.since_us());
@@ -171,7 +173,8 @@ impl Invariant for HostHold {
             Mode::Driving => observation.spec.hold_us,
             Mode::Slowing => observation.spec.blind_us,
             _ => return Ok(()),
-        } + CLOCKS_US;
+        } + CLOCKS_US
+            + observation.spec.stamp_error_us(observation.now_us);
         let since_us = observation.newest_pose.map_or(0, |pose| pose.since_us());
         let age_us = observation.now_us.saturating_sub(since_us);
         if age_us > limit_us {

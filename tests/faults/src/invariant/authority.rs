@@ -88,7 +88,7 @@ impl Invariant for Unarmed {
                     self.withdraw(pulse.time_us, "the last command expired");
                 }
             }
-            if !observation.spec.drives(pulse) || (self.armed && self.command_us.is_some()) {
+            if !pulse.drives() || (self.armed && self.command_us.is_some()) {
                 continue;
             }
             let (since_us, cause) = self.withdrawn.unwrap_or((0, "power-on, never armed"));
@@ -182,7 +182,7 @@ impl Invariant for Latched {
         };
         for pulse in observation.pulses {
             // The telemetry may arrive before the pulse that it describes.
-            if observation.spec.drives(pulse) && pulse.time_us > latched_us + SERVO_US + 1_000 {
+            if pulse.drives() && pulse.time_us > latched_us + SERVO_US + 1_000 {
                 return Err(format!(
                     "ESC pulse {} µs with a latched emergency stop",
                     pulse.esc_us

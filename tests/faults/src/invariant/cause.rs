@@ -1,6 +1,7 @@
 //! Neutral within the specified time of each stop cause.
 
 use singletrack_pilot::{Event, Mode, PilotRequest};
+use singletrack_protocol::ToBoard;
 use singletrack_sim::BoardKind;
 
 use super::{Invariant, SERVO_US, Verdict};
@@ -59,7 +60,7 @@ impl Invariant for EmergencyStop {
         };
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(requested_us);
-            if observation.spec.drives(pulse) && after_us > limit_us {
+            if pulse.drives() && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after an emergency stop request, {} allowed",
                     pulse.esc_us,
@@ -100,7 +101,7 @@ impl Invariant for Disarm {
         let limit_us = observation.spec.stop_timeout_us + 10_000 + HOST_SILENCE_US;
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(requested_us);
-            if observation.spec.drives(pulse) && after_us > limit_us {
+            if pulse.drives() && after_us > limit_us {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after a disarm request, {} allowed",
                     pulse.esc_us,
@@ -146,7 +147,7 @@ impl Invariant for MainLoop {
         };
         for pulse in observation.pulses {
             let after_us = pulse.time_us.saturating_sub(hung_us);
-            if observation.spec.drives(pulse) && after_us > MAIN_LOOP_US {
+            if pulse.drives() && after_us > MAIN_LOOP_US {
                 return Err(format!(
                     "ESC pulse {} µs {} ms after the main loop hung",
                     pulse.esc_us,
@@ -158,17 +159,21 @@ impl Invariant for MainLoop {
     }
 }
 
-/// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for
-/// at most 150 ms, one servo period and one round of the main loop. Pauses shorter
-/// than 150 ms do not restart this time.
+/// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for at most
+/// 150 ms, or over 2.5 pulse distances at the commanded speed if that takes longer, and for
+/// at most 600 ms; then one servo period and one round of the main loop. Pauses shorter
+/// than 150 ms do not restart this.
 #[derive(Default)]
 pub(super) struct MotorPulses {
     driven_us: u64,
+    commanded_um: u64,
+    speed_mm_s: u64,
     last_driven_us: u64,
 }
 
-/// Time after which the board detects a dead motor sensor.
-const SENSOR_TIMEOUT_US: u64 = 150_000;
+/// Time before and after which the board detects a dead motor sensor.
+const SENSOR_PATIENCE_US: u64 = 150_000;
+const SENSOR_TIMEOUT_US: u64 = 600_000;
 
 impl Invariant for MotorPulses {
     fn name(&self) -> &'static str {
@@ -176,26 +181,40 @@ impl Invariant for MotorPulses {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        let esc = &observation.spec.board.esc;
-        if !observation.is_effective(FaultKind::PulsesGone) {
+        let board = &observation.spec.board;
+        for received in observation.board_received {
+            if let ToBoard::Drive(drive) = received.message {
+                self.speed_mm_s = drive.speed_mm_s.unsigned_abs().into();
+            }
+        }
+        if !observation.is_effective(FaultKind::PulsesGone) || observation.spec.has_interference {
             self.driven_us = 0;
+            self.commanded_um = 0;
             return Ok(());
         }
+        let patience_um = u64::from(board.speed.pulse_distance_um) * 5 / 2;
         for pulse in observation.pulses {
-            if pulse.time_us.saturating_sub(self.last_driven_us) >= SENSOR_TIMEOUT_US {
+            if pulse.time_us.saturating_sub(self.last_driven_us) >= SENSOR_PATIENCE_US {
                 self.driven_us = 0;
-            }
-            if pulse.esc_us > esc.neutral_us + esc.deadband_us {
-                self.last_driven_us = pulse.time_us;
-                self.driven_us += SERVO_US;
+                self.commanded_um = 0;
             }
             // 10 ms: a round of the main loop; 20 ms: the current frame.
-            if self.driven_us > SENSOR_TIMEOUT_US + 2 * SERVO_US + 10_000 {
-                return Err(format!(
-                    "ESC pulse {} µs, driven for {} ms without a motor pulse",
-                    pulse.esc_us,
-                    self.driven_us / 1_000
-                ));
+            let late_us = 2 * SERVO_US + 10_000;
+            let is_late = (self.driven_us > SENSOR_PATIENCE_US + late_us
+                && self.commanded_um > patience_um + self.speed_mm_s * late_us / 1_000)
+                || self.driven_us > SENSOR_TIMEOUT_US + late_us;
+            if pulse.esc_us > board.esc.neutral_us + board.esc.deadband_us {
+                if is_late {
+                    return Err(format!(
+                        "ESC pulse {} µs, driven for {} ms and {} mm without a motor pulse",
+                        pulse.esc_us,
+                        self.driven_us / 1_000,
+                        self.commanded_um / 1_000
+                    ));
+                }
+                self.last_driven_us = pulse.time_us;
+                self.driven_us += SERVO_US;
+                self.commanded_um += self.speed_mm_s * SERVO_US / 1_000;
             }
         }
         Ok(())

@@ -62,7 +62,7 @@ impl Invariant for TickGrid {
 
 /// `camera-alignment`: after 6 s without disturbance, a tick of a drive, from its second
 /// second on, begins 0.5 to 4.5 ms after the arrival of a frame: the target of 2 ms, the host's polling interval of
-/// 1 ms, and the jitter of the cameras. (While the car stands, the grid slides by 0.5 ms
+/// 1 ms, and the jitter of the cameras. Stamps that leave the frames can't be followed. (While the car stands, the grid slides by 0.5 ms
 /// a tick and overshoots now and then.)
 #[derive(Default)]
 pub(super) struct CameraAlignment {
@@ -87,6 +87,7 @@ impl Invariant for CameraAlignment {
                 .new_faults
                 .iter()
                 .any(|fault| disturbs(fault.kind))
+            || observation.spec.stamps_drift()
             || observation.daemon_since_us.is_none();
         if is_disturbed {
             self.calm_from_us = observation.now_us + CALM_US;

@@ -41,10 +41,12 @@ impl Invariant for CommandLimits {
 
 /// `command-rate`: between two commands, the speed of G changes by no more than the
 /// configured acceleration (or stop deceleration) allows in a period, and the
-/// steering angle by no more than its rate does. A drive starts at zero speed.
+/// steering angle by no more than its rate does. A drive starts at zero speed. While the
+/// car is told to roll out, the speed falls with it.
 #[derive(Default)]
 pub(super) struct CommandRate {
     last: Option<(f64, f64)>,
+    rolled: bool,
 }
 
 impl Invariant for CommandRate {
@@ -65,7 +67,14 @@ impl Invariant for CommandRate {
         let (speed, steering) = self.last.unwrap_or((0.0, actuation.steering));
         let most = spec.max_acceleration.max(spec.stop_deceleration) * spec.period_s;
         let change = (actuation.speed - speed).abs();
-        if change > most + 1e-9 {
+        // A car that is told to roll out is commanded the speed to which it has rolled.
+        let rolls = tick
+            .output
+            .command
+            .is_some_and(|command| command.rear_speed == 0.0);
+        let falls = actuation.speed < speed && (rolls || self.rolled);
+        self.rolled = rolls;
+        if change > most + 1e-9 && !falls {
             return Err(format!(
                 "speed commanded from {speed} to {} m/s in a period, {most} allowed",
                 actuation.speed

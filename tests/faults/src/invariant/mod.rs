@@ -2,17 +2,26 @@
 
 mod age;
 mod authority;
+mod brake;
 mod cause;
 mod configuration;
 mod fence;
 mod grid;
 mod host;
+mod proving;
 mod pulse;
 mod replayed;
+mod sign;
+mod stand;
 
 use singletrack_pilot::PilotConfig;
 
-use crate::observation::Observation;
+use crate::{
+    SetupError,
+    observation::Observation,
+    schedule::Situation,
+    setting::{self, ConfigurationFile},
+};
 
 /// Result of a check; the error describes the violation, with values.
 pub(crate) type Verdict = Result<(), String>;
@@ -29,6 +38,19 @@ pub(crate) trait Invariant {
 /// One servo period on the board's clock, in µs: the longest time from a decision
 /// to its pulse.
 const SERVO_US: u64 = 20_000;
+
+/// The names of all invariants, and of the two that the campaign itself checks.
+///
+/// # Errors
+///
+/// The default configuration is invalid.
+pub fn names() -> Result<Vec<&'static str>, SetupError> {
+    let config = setting::config(&Situation::default(), ConfigurationFile::default())?;
+    let pilot = config.pilot().map_err(SetupError::Config)?;
+    let invariants = all(pilot);
+    let names = invariants.iter().map(|invariant| invariant.name());
+    Ok(names.chain(["repeatable", "panic"]).collect())
+}
 
 /// All invariants, for one drive with this pilot.
 pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
@@ -56,6 +78,21 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<grid::TickGrid>::default(),
         Box::<grid::CameraAlignment>::default(),
         Box::<fence::Fence>::default(),
+        Box::<fence::EstimateError>::default(),
+        Box::<stand::Stands>::default(),
+        Box::<stand::WeakBrakes>::default(),
+        Box::<stand::StopNotObeyed>::default(),
+        Box::<stand::UnarmedMotion>::default(),
+        Box::<stand::Backward>::default(),
+        Box::<brake::BrakePulse>::default(),
+        Box::<brake::SilentStop>::default(),
+        Box::<brake::KillOutput>::default(),
+        Box::<proving::ProvingSpeed>::default(),
+        Box::<proving::Acknowledged>::default(),
+        Box::<proving::FaultClears>::default(),
+        Box::<proving::FalseAlarm>::default(),
+        Box::<sign::SteeringSign>::default(),
+        Box::<sign::GyroSign>::default(),
         Box::<host::CommandLimits>::default(),
         Box::<host::CommandRate>::default(),
         Box::<host::ModeAndReason>::default(),

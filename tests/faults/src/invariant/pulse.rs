@@ -29,7 +29,7 @@ impl Invariant for Limits {
                     return Err(format!("{name} pulse {us} µs, allowed {least} to {most}"));
                 }
             }
-            if pulse.esc_us < esc.neutral_us && observation.spec.drives(pulse) {
+            if pulse.esc_us < esc.neutral_us && pulse.drives() {
                 return Err(format!("ESC pulse {} µs drives in reverse", pulse.esc_us));
             }
         }
@@ -65,7 +65,7 @@ impl Invariant for ServoSlew {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         for pulse in observation.pulses {
-            let last = self.last.replace(*pulse);
+            let last = self.last.replace(pulse.record);
             let Some(last) = last.filter(|last| last.servo_us != 0 && pulse.servo_us != 0) else {
                 continue;
             };
@@ -102,7 +102,7 @@ impl Invariant for EscSlew {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         for pulse in observation.pulses {
-            let last = self.last.replace(*pulse);
+            let last = self.last.replace(pulse.record);
             let Some(last) = last else { continue };
             let (from, to) = (
                 Self::above_neutral(observation.spec, &last),
@@ -134,7 +134,7 @@ impl Invariant for NeutralFirst {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         for pulse in observation.pulses {
-            if !observation.spec.drives(pulse) {
+            if !pulse.drives() {
                 continue;
             }
             // A board that is not running makes no pulses.

@@ -1,9 +1,10 @@
 //! Generates schedules from seeds.
 
-use singletrack_sim::BoardKind;
+use singletrack_sim::{BoardKind, EscKind};
 
 use super::{
-    Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+    Deviation, Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest,
+    Situation, TrueCar,
 };
 use crate::random::{Random, Stream};
 
@@ -30,7 +31,13 @@ impl Default for Situation {
             stop_input: false,
             reset_on_open: false,
             queue_shows: false,
+            kill_output: false,
+            proved: true,
+            esc_kind: EscKind::Car,
+            neutral_us: 1_500,
             fence_mm: 2_000,
+            braking_mm_s2: 1_400,
+            pulse_distance_um: 3_000,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -44,7 +51,9 @@ impl Schedule {
     #[must_use]
     pub fn generate(seed: u64, board: BoardKind) -> Self {
         let random = &mut Random::new(seed, Stream::Schedule);
-        let situation = situation(random, board);
+        let mut situation = situation(random, board);
+        let truth = true_car(random, &situation);
+        believe(random, &mut situation, &truth);
         let [shortest, longest] = match board {
             BoardKind::Native => NATIVE_MS,
             BoardKind::Uno => UNO_MS,
@@ -61,10 +70,17 @@ impl Schedule {
             });
         }
         faults.sort_by_key(|fault| fault.at_ms);
+        let mut once = Vec::new();
+        faults.retain(|fault| {
+            let again = once.contains(&fault.kind);
+            once.push(fault.kind);
+            !(again && fault.kind.happens_once())
+        });
         let requests = requests(random, end_ms, &faults);
         Self {
             seed,
             situation,
+            truth,
             end_ms,
             requests,
             faults,
@@ -89,7 +105,16 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         stop_input: random.happens(500),
         reset_on_open: random.happens(250),
         queue_shows: random.happens(500),
-        fence_mm: random.spread(300, 3_000),
+        proved: false,
+        kill_output: random.happens(300),
+        esc_kind: random.choose(
+            EscKind::Car,
+            &[EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc],
+        ),
+        neutral_us: 1_500,
+        fence_mm: random.spread(300, 3_000) as i32,
+        braking_mm_s2: 1_400,
+        pulse_distance_um: 3_000,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
@@ -100,6 +125,95 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
             // The image's clock starts at zero.
             BoardKind::Uno => 0,
         },
+    }
+}
+
+/// A car of which nothing is quite as configured, and sometimes one thing not at all.
+fn true_car(random: &mut Random, situation: &Situation) -> TrueCar {
+    let mut car = TrueCar::default();
+    for &deviation in Deviation::ALL {
+        let tolerable = deviation.tolerable();
+        car.deviations.insert(
+            deviation,
+            random.signed(*tolerable.start(), *tolerable.end()),
+        );
+    }
+    if situation.esc_kind == EscKind::Car && random.happens(200) {
+        car.esc = Some(EscKind::LearnsNeutral);
+    }
+    if random.happens(250) {
+        let (deviation, value) = gross(random);
+        car.deviations.insert(deviation, value);
+    }
+    if random.happens(100) {
+        let kinds = [EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc];
+        let [first, second] = kinds
+            .iter()
+            .copied()
+            .filter(|kind| *kind != situation.esc_kind)
+            .collect::<Vec<_>>()
+            .try_into()
+            .unwrap_or([EscKind::ForwardReverse; 2]);
+        car.esc = Some(random.choose(first, &[second]));
+    }
+    car
+}
+
+/// A property as no calibrated car has it.
+fn gross(random: &mut Random) -> (Deviation, i32) {
+    use Deviation as D;
+    let sign = if random.happens(500) { 1 } else { -1 };
+    match random.between(0, 17) {
+        0 | 1 => (D::ServoGain, -2_000 + random.signed(-80, 80)),
+        2 => (D::ServoTrim, sign * random.signed(60, 120)),
+        3 => (D::ServoRate, random.signed(300, 1_500)),
+        4 => (D::BodyYaw, sign * random.signed(175, 3_142)),
+        5 => (D::EscNeutral, -random.signed(40, 80)),
+        6 => (D::PulseDistance, random.choose(-500, &[1_000, -300, 300])),
+        7 => (D::SignalLoss, random.signed(1_000, 2_000)),
+        8 => (D::PivotForward, sign * random.signed(60, 150)),
+        9 | 10 => (D::ImuYaw, random.choose(900, &[-900, 1_800])),
+        11 => (D::ImuRoll, random.choose(1_800, &[900, -900])),
+        12 => (D::StampBias, sign * random.signed(15_000, 60_000)),
+        13 => (D::StampDrift, sign * random.signed(1_000, 5_000)),
+        14 => (D::ServoBacklash, random.signed(40, 120)),
+        15 => (D::EmiDriven, random.signed(20, 2_000)),
+        16 => (D::EmiStanding, random.signed(5, 500)),
+        _ => (D::Ringing, random.signed(1, 3)),
+    }
+}
+
+/// `control.stop_deceleration_m_s2`, which a configuration must not exceed.
+const MAX_BRAKING_MM_S2: u32 = 2_400;
+
+/// What the operator has configured for this car.
+fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
+    let rolling = truth.deceleration_mm_s2().max(100);
+    situation.braking_mm_s2 = if random.happens(850) {
+        // As measured, less a fifth.
+        rolling * 4 / 5
+    } else {
+        (rolling * random.between(12, 40) / 10).min(MAX_BRAKING_MM_S2)
+    };
+    if random.happens(40) {
+        situation.neutral_us = random.choose(1_550, &[1_560, 1_570, 1_440]);
+    }
+    // A car that fits its configuration may have been proved.
+    let proved = random.happens(500);
+    situation.proved = proved && truth.is_tolerable();
+    situation.pulse_distance_um = match random.between(0, 2) {
+        0 => 3_000,
+        1 => random.between(3_000, 12_000),
+        _ => random.between(3_000, 30_000),
+    };
+    if random.happens(850) {
+        // Room for a drive that can stop.
+        let speed = situation.speed_mm_s;
+        situation.fence_mm += (speed * speed / (2 * situation.braking_mm_s2) + speed / 5) as i32;
+    }
+    if random.happens(150) {
+        // By mistake.
+        situation.fence_mm = random.signed(-300, 200);
     }
 }
 
@@ -116,6 +230,11 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
     };
     let for_ms = match kind {
         _ if kind.is_momentary() => 0,
+        FaultKind::Push => random.choose(0, &[500, 2_000]),
+        FaultKind::BecDip | FaultKind::EscReboot => random.spread(20, 1_000),
+        // A body that stays turned.
+        FaultKind::CameraFlip if random.happens(300) => end_ms,
+        _ if kind.is_lasting() => end_ms,
         FaultKind::DaemonPaused => random.spread(20, 6_000),
         FaultKind::DaemonKilled => random.spread(300, 3_000),
         _ => random.spread(20, 4_000),

@@ -9,6 +9,8 @@ pub enum FaultTarget {
     Line,
     /// The board with its sensors and actuators.
     Board,
+    /// The car: servo, ESC, drive train.
+    Car,
     /// The daemon and its computer.
     Host,
 }
@@ -87,8 +89,13 @@ kinds! {
     CameraServerRestart = "camera-server-restart", Cameras;
     /// s in 1000 frames are truncated or corrupted.
     CameraMalformed = "camera-malformed", Cameras;
-    /// Another host sends frames too, with the car off by s mm.
+    /// Somebody sends frames between the server's, from its own address, with the car off
+    /// by s mm.
     CameraSpoofed = "camera-spoofed", Cameras;
+    /// All packets come from another address: the server has a second network card.
+    CameraSecondCard = "camera-second-card", Cameras;
+    /// The car's pose drifts away by s mm/s.
+    CameraDrift = "camera-drift", Cameras;
 
     /// s in 5000 bytes are lost, both ways.
     LineDrop = "line-drop", Line;
@@ -138,6 +145,19 @@ kinds! {
     /// The battery voltage drops by s/250 V.
     BatteryLow = "battery-low", Board;
 
+    /// The wheels keep their steering angle, until the end of the drive.
+    ServoStuck = "servo-stuck", Car;
+    /// The throttle stays as it is, until the end of the drive; only a kill output ends it.
+    EscStuck = "esc-stuck", Car;
+    /// The ESC restarts and has no power meanwhile.
+    EscReboot = "esc-reboot", Car;
+    /// The supply of servo and IMU fails: the wheels keep their angle, the IMU restarts.
+    BecDip = "bec-dip", Car;
+    /// Somebody moves the car at (s - 500)/500 m/s.
+    Push = "push", Car;
+    /// s/2000 of the wheels' rotation slips, until the end of the drive.
+    WheelSlip = "wheel-slip", Car;
+
     /// The daemon is suspended (SIGSTOP) and continued.
     DaemonPaused = "daemon-paused", Host;
     /// The daemon is killed (SIGKILL); another one starts at the end.
@@ -164,6 +184,7 @@ impl FaultKind {
                 | Self::CameraSwapped
                 | Self::CameraRenamed
                 | Self::CameraFlip
+                | Self::CameraDrift
         )
     }
 
@@ -187,6 +208,18 @@ impl FaultKind {
             self,
             Self::DaemonPaused | Self::DaemonKilled | Self::TicksLate
         )
+    }
+
+    /// Whether it happens once in a drive: only the first one counts.
+    #[must_use]
+    pub const fn happens_once(self) -> bool {
+        matches!(self.target(), FaultTarget::Car)
+    }
+
+    /// Whether it lasts until the end of the drive, whatever its duration.
+    #[must_use]
+    pub const fn is_lasting(self) -> bool {
+        matches!(self, Self::ServoStuck | Self::EscStuck | Self::WheelSlip)
     }
 
     /// Whether the fault is instantaneous.

@@ -3,11 +3,13 @@
 mod generate;
 mod kind;
 mod text;
+mod truth;
 
-use singletrack_sim::BoardKind;
+use singletrack_sim::{BoardKind, EscKind};
 
 pub use kind::{FaultKind, FaultTarget};
 pub use text::ScheduleError;
+pub use truth::{Deviation, TrueCar};
 
 /// Complete input of a drive: the same schedule gives the same bits. Times are
 /// milliseconds since power-on.
@@ -17,6 +19,8 @@ pub struct Schedule {
     pub seed: u64,
     /// Initial conditions and wiring.
     pub situation: Situation,
+    /// The true car, where it differs from the configured one.
+    pub truth: TrueCar,
     /// Duration.
     pub end_ms: u32,
     /// Operator requests, in order of time.
@@ -37,7 +41,7 @@ pub struct Situation {
     /// Whether the estimator dead-reckons on the IMU while the markers are lost;
     /// otherwise it holds the last pose.
     pub coast: bool,
-    /// Whether the board's failsafe brakes.
+    /// Whether the board's failsafe brakes, if the ESC has a brake and its supply stays on.
     pub brake: bool,
     /// Whether a stop switch is wired.
     pub stop_input: bool,
@@ -46,8 +50,22 @@ pub struct Situation {
     /// Whether the length of the port's queue can be read, which reveals a stuck
     /// line; a pseudo-terminal's cannot.
     pub queue_shows: bool,
-    /// Distance of the geofence from the reference, in mm.
-    pub fence_mm: u32,
+    /// Whether the board switches the ESC's supply.
+    pub kill_output: bool,
+    /// Whether the configuration has been proved: its first metre is not driven slowly.
+    pub proved: bool,
+    /// `board.esc.kind` of the configuration.
+    pub esc_kind: EscKind,
+    /// `board.esc.neutral_us` of the configuration; its deadband reaches to 1500 µs.
+    pub neutral_us: u16,
+    /// Distance of the geofence from the reference, in mm; negative if the reference leaves
+    /// it.
+    pub fence_mm: i32,
+    /// `fence.braking_m_s2` of the configuration, in mm/s².
+    pub braking_mm_s2: u32,
+    /// `board.speed.pulse_distance_um` of the configuration; the true distance deviates
+    /// from it by [`Deviation::PulseDistance`].
+    pub pulse_distance_um: u32,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.
@@ -104,6 +122,17 @@ pub struct Fault {
     pub for_ms: u32,
     /// Severity, 1 to 1000; see [`FaultKind`] for the meaning.
     pub severity: u32,
+}
+
+impl Schedule {
+    /// Whether the car is calibrated well enough that it must drive.
+    #[must_use]
+    pub fn is_tolerable(&self) -> bool {
+        let braking = i64::from(self.situation.braking_mm_s2);
+        self.truth.is_tolerable()
+            && self.situation.neutral_us.abs_diff(1_500) <= 10
+            && braking * 10 <= i64::from(self.truth.deceleration_mm_s2()) * 9
+    }
 }
 
 impl Fault {

@@ -3,8 +3,11 @@
 use core::fmt;
 use std::str::FromStr;
 
+use singletrack_sim::EscKind;
+
 use super::{
-    Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest, Situation,
+    Deviation, Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule, ScheduledRequest,
+    Situation, TrueCar,
 };
 
 /// Error while parsing a schedule.
@@ -24,7 +27,7 @@ pub enum ScheduleError {
 }
 
 const EXPECTED: &str = "seed N, board native|uno, reference circle|eight|steps|external, a key of the \
-                        situation and its value, end_ms N, ask arm|disarm|stop|reload at MS, or fault \
+                        situation and its value, truth PROPERTY N, end_ms N, ask arm|disarm|stop|reload at MS, or fault \
                         KIND at MS for MS severity 1..1000";
 
 impl fmt::Display for Schedule {
@@ -38,16 +41,28 @@ impl fmt::Display for Schedule {
             ("coast", s.coast),
             ("brake", s.brake),
             ("stop_input", s.stop_input),
+            ("kill_output", s.kill_output),
+            ("proved", s.proved),
             ("reset_on_open", s.reset_on_open),
             ("queue_shows", s.queue_shows),
         ] {
             writeln!(out, "{key} {value}")?;
         }
+        writeln!(out, "esc_kind {}", esc_name(s.esc_kind))?;
+        writeln!(out, "neutral_us {}", s.neutral_us)?;
         writeln!(out, "fence_mm {}", s.fence_mm)?;
+        writeln!(out, "braking_mm_s2 {}", s.braking_mm_s2)?;
+        writeln!(out, "pulse_distance_um {}", s.pulse_distance_um)?;
         writeln!(out, "camera_latency_ms {}", s.camera_latency_ms)?;
         writeln!(out, "serial_delay_us {}", s.serial_delay_us)?;
         writeln!(out, "board_skew_ppm {}", s.board_skew_ppm)?;
         writeln!(out, "board_clock_ms {}", s.board_clock_ms)?;
+        if let Some(esc) = self.truth.esc {
+            writeln!(out, "truth esc-kind {}", esc_name(esc))?;
+        }
+        for (deviation, value) in &self.truth.deviations {
+            writeln!(out, "truth {} {value}", deviation.name())?;
+        }
         writeln!(out, "end_ms {}", self.end_ms)?;
         for ask in &self.requests {
             writeln!(out, "{ask}")?;
@@ -112,6 +127,7 @@ struct Draft {
     seed: Option<u64>,
     end_ms: Option<u32>,
     situation: Situation,
+    truth: TrueCar,
     requests: Vec<ScheduledRequest>,
     faults: Vec<Fault>,
 }
@@ -132,6 +148,21 @@ impl Draft {
             ["reset_on_open", yes] => s.reset_on_open = yes.parse().ok()?,
             ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
+            ["esc_kind", name] => {
+                s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;
+            }
+            ["neutral_us", n] => s.neutral_us = n.parse().ok()?,
+            ["proved", yes] => s.proved = yes.parse().ok()?,
+            ["kill_output", yes] => s.kill_output = yes.parse().ok()?,
+            ["braking_mm_s2", n] => s.braking_mm_s2 = n.parse().ok().filter(|n| *n > 0)?,
+            ["pulse_distance_um", n] => s.pulse_distance_um = n.parse().ok()?,
+            ["truth", "esc-kind", name] => self.truth.esc = Some(esc_named(name)?),
+            ["truth", name, value] => {
+                let deviation = Deviation::named(name)?;
+                let value = value.parse().ok();
+                let value = value.filter(|value| deviation.possible().contains(value))?;
+                self.truth.deviations.insert(deviation, value);
+            }
             ["camera_latency_ms", n] => s.camera_latency_ms = n.parse().ok()?,
             ["serial_delay_us", n] => s.serial_delay_us = n.parse().ok()?,
             ["board_skew_ppm", n] => s.board_skew_ppm = n.parse().ok()?,
@@ -165,11 +196,31 @@ impl Draft {
         Ok(Schedule {
             seed: self.seed.ok_or(ScheduleError::Missing("seed"))?,
             situation: self.situation,
+            truth: self.truth,
             end_ms: self.end_ms.ok_or(ScheduleError::Missing("end_ms"))?,
             requests: self.requests,
             faults: self.faults,
         })
     }
+}
+
+const ESC_KINDS: [(EscKind, &str); 4] = [
+    (EscKind::Car, "car"),
+    (EscKind::ForwardReverse, "forward-reverse"),
+    (EscKind::Vesc, "vesc"),
+    (EscKind::LearnsNeutral, "learns-neutral"),
+];
+
+fn esc_name(kind: EscKind) -> &'static str {
+    let mut kinds = ESC_KINDS.iter();
+    kinds
+        .find(|(known, _)| *known == kind)
+        .map_or("", |(_, name)| name)
+}
+
+fn esc_named(name: &str) -> Option<EscKind> {
+    let mut kinds = ESC_KINDS.iter();
+    Some(kinds.find(|(_, known)| *known == name)?.0)
 }
 
 impl ReferenceKind {

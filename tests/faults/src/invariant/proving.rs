@@ -1,0 +1,211 @@
+//! The first metre of an unproved configuration, and what a contradiction entails.
+
+use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
+use singletrack_protocol::ToBoard;
+
+use super::{Invariant, Verdict};
+use crate::observation::Observation;
+
+/// `proving-speed`: on the first metre after an arm of an unproved configuration, the car is
+/// commanded at most 0.3 m/s, and drives at most a third and 0.1 m/s faster: the tolerance of its motor
+/// sensor, and the overshoot of the board's speed loop.
+///
+/// Faults of the motor sensor and interference make the loop drive faster; then only the
+/// command is judged. The host measures the metre with a fifth of
+/// tolerance: the body's pivot may be wrong.
+#[derive(Default)]
+pub(super) struct ProvingSpeed {
+    /// True way at the arm, in m.
+    from: f64,
+}
+
+const METRE: f64 = 0.8;
+
+const PROVING_MM_S: i16 = 300;
+const PROVING_M_S: f64 = 0.3 * 1.34 + 0.1;
+
+impl Invariant for ProvingSpeed {
+    fn name(&self) -> &'static str {
+        "proving-speed"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let arms = observation
+            .tick
+            .is_some_and(|tick| tick.output.mode == Mode::Arming);
+        let way = observation.truth.way;
+        if arms || observation.configuration.is_some() {
+            self.from = way;
+        }
+        if observation.is_proved || way - self.from > METRE {
+            return Ok(());
+        }
+        for message in observation.written {
+            if let ToBoard::Drive(drive) = message
+                && drive.speed_mm_s > PROVING_MM_S
+            {
+                return Err(format!(
+                    "a speed command of {} mm/s before the configuration is proved",
+                    drive.speed_mm_s
+                ));
+            }
+        }
+        let speed = observation.truth.speed.abs();
+        let judged = observation.spec.is_tolerable
+            && observation.board_is_armed
+            && !observation.moved_by_hand
+            && !observation.is_blinded();
+        if judged && speed > PROVING_M_S {
+            return Err(format!("{speed:.2} m/s before the configuration is proved"));
+        }
+        Ok(())
+    }
+}
+
+/// Words of sensors, actuators and configuration that contradict each other.
+const CONTRADICTIONS: &[Reason] = &[
+    Reason::SteeringReversed,
+    Reason::SteeringDiffers,
+    Reason::GyroDiffers,
+    Reason::BodyYawWrong,
+    Reason::AccelerometerDiffers,
+];
+
+/// Further words that a calibrated car without a fault must not hear.
+const ALARMS: &[Reason] = &[
+    Reason::MotorSpeedMismatch,
+    Reason::SideslipImplausible,
+    Reason::EstimateInconsistent,
+    Reason::CaptureTimeUncertain,
+    Reason::ImuTilted,
+    Reason::TiltDiffers,
+    Reason::PoseFrozen,
+    Reason::PoseHeight,
+    Reason::ImuImplausible,
+    Reason::ImuStuck,
+    Reason::ImuFault,
+    Reason::Overspeed,
+    Reason::BatteryOpen,
+    Reason::RunsAtNeutral,
+    Reason::StopNotObeyed,
+    Reason::BrakesLessThanConfigured,
+];
+
+/// `acknowledged`: after a contradiction has ended a drive, nothing is armed until somebody
+/// has asked for a disarm.
+#[derive(Default)]
+pub(super) struct Acknowledged {
+    contradiction: Option<Reason>,
+    mode: Option<Mode>,
+    daemon_since_us: Option<u64>,
+}
+
+impl Invariant for Acknowledged {
+    fn name(&self) -> &'static str {
+        "acknowledged"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.daemon_since_us != self.daemon_since_us
+            || observation.configuration.is_some()
+        {
+            *self = Self {
+                daemon_since_us: observation.daemon_since_us,
+                ..Self::default()
+            };
+        }
+        let Some(tick) = observation.tick else {
+            return Ok(());
+        };
+        let mode = tick.output.mode;
+        let before = self.mode.replace(mode);
+        let disarm = Event::Request(PilotRequest::Disarm);
+        let stop = Event::Request(PilotRequest::EmergencyStop);
+        if tick.events.contains(&disarm) || tick.events.contains(&stop) {
+            self.contradiction = None;
+        }
+        if mode == Mode::Arming
+            && let Some(reason) = self.contradiction
+        {
+            return Err(format!("armed after {reason}, which nobody acknowledged"));
+        }
+        let ends = matches!(before, Some(Mode::Driving | Mode::Slowing))
+            && !matches!(mode, Mode::Driving | Mode::Slowing);
+        if ends {
+            self.contradiction = tick
+                .output
+                .reason
+                .filter(|reason| CONTRADICTIONS.contains(reason));
+        }
+        Ok(())
+    }
+}
+
+/// `fault-clears`: the fault of a stop that was not obeyed is left by a disarm
+/// request only.
+#[derive(Default)]
+pub(super) struct FaultClears {
+    declared: bool,
+    daemon_since_us: Option<u64>,
+}
+
+impl Invariant for FaultClears {
+    fn name(&self) -> &'static str {
+        "fault-clears"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.daemon_since_us != self.daemon_since_us {
+            self.daemon_since_us = observation.daemon_since_us;
+            self.declared = false;
+        }
+        let Some(tick) = observation.tick else {
+            return Ok(());
+        };
+        let output = &tick.output;
+        let requested = |request| tick.events.contains(&Event::Request(request));
+        if output.mode == Mode::Fault {
+            self.declared |= output.reason == Some(Reason::StopNotObeyed);
+            if requested(PilotRequest::EmergencyStop) {
+                // Another fault, which ends otherwise.
+                self.declared = false;
+            }
+            return Ok(());
+        }
+        let declared = core::mem::replace(&mut self.declared, false);
+        if declared && !requested(PilotRequest::Disarm) {
+            return Err(format!(
+                "mode {} after a stop that was not obeyed, without a disarm request",
+                output.mode
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `false-alarm`: a calibrated car hears no word of a contradiction or of an implausible
+/// sensor before the first fault of its schedule.
+#[derive(Default)]
+pub(super) struct FalseAlarm {
+    disturbed: bool,
+}
+
+impl Invariant for FalseAlarm {
+    fn name(&self) -> &'static str {
+        "false-alarm"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        self.disturbed |= !observation.faults.is_empty() || !observation.new_faults.is_empty();
+        if self.disturbed || !observation.spec.is_tolerable {
+            return Ok(());
+        }
+        let reason = observation.tick.and_then(|tick| tick.output.reason);
+        match reason {
+            Some(reason) if CONTRADICTIONS.contains(&reason) || ALARMS.contains(&reason) => {
+                Err(format!("{reason}, with a calibrated car and no fault"))
+            }
+            _ => Ok(()),
+        }
+    }
+}

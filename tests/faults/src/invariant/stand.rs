@@ -1,0 +1,286 @@
+//! The true car stands after every stop, or is not armed again.
+
+use singletrack_pilot::{Mode, Reason};
+
+use super::{Invariant, Verdict};
+use crate::{
+    observation::Observation,
+    stop::{STANDING, Stop},
+};
+
+/// `stands`: after a stop the true car stands within the time and the way that the
+/// configuration promises: a reaction time, then `fence.braking_m_s2`. (See
+/// [`Stop::allowed_way`].) The ESC of a dead board holds the last pulse for its true time
+/// of signal loss, which is added.
+///
+/// A car whose motor is free and that brakes less than configured may take longer: what
+/// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`.
+#[derive(Default)]
+pub(super) struct Stands;
+
+impl Invariant for Stands {
+    fn name(&self) -> &'static str {
+        "stands"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(stop) = observation.stop.filter(|stop| !stop.stood) else {
+            return Ok(());
+        };
+        let spec = observation.spec;
+        let after_us = observation.now_us - stop.began_us;
+        let (allowed_way, allowed_us) = (stop.allowed_way(spec), stop.allowed_us(spec));
+        if (stop.way <= allowed_way && after_us <= allowed_us) || stop.is_weak(spec) {
+            return Ok(());
+        }
+        Err(format!(
+            "{:.2} m/s {} ms and {:.3} m after a stop from {:.2} m/s, {} ms and {allowed_way:.3} m allowed",
+            observation.truth.speed,
+            after_us / 1_000,
+            stop.way,
+            stop.speed,
+            allowed_us / 1_000,
+        ))
+    }
+}
+
+/// `weak-brakes`: a car that has braked clearly less than configured in one stop, or less
+/// than configured in two, does not drive again under that configuration.
+///
+/// Stops with a fault, a false pose or a restart of daemon or board do not count: the
+/// host may not have seen them.
+#[derive(Default)]
+pub(super) struct WeakBrakes {
+    judged_us: u64,
+    daemon_since_us: Option<u64>,
+    board_since_us: Option<u64>,
+    disturbed: bool,
+    clear: u32,
+    doubtful: u32,
+}
+
+/// Lowest speed of a stop that counts, in m/s, and its least way, in m.
+const COUNTS_FROM: f64 = 0.3;
+const COUNTS_WAY: f64 = 0.1;
+
+/// Shares of the configured deceleration below which a stop is weak: clearly, or maybe by
+/// an error of the measurement.
+const CLEARLY: f64 = 0.5;
+const MAYBE: f64 = 0.75;
+
+impl WeakBrakes {
+    fn is_disturbed(observation: &Observation<'_>) -> bool {
+        observation.is_blinded()
+            || observation
+                .newest_pose
+                .is_none_or(|pose| pose.exposure.falsified)
+    }
+
+    fn judge(&mut self, stop: &Stop, observation: &Observation<'_>) {
+        let Some((deceleration, speed)) = stop.deceleration() else {
+            return;
+        };
+        if self.disturbed || speed < COUNTS_FROM || stop.way < COUNTS_WAY {
+            return;
+        }
+        let share = deceleration / observation.spec.braking;
+        self.clear += u32::from(share < CLEARLY);
+        self.doubtful += u32::from(share < MAYBE);
+    }
+}
+
+impl Invariant for WeakBrakes {
+    fn name(&self) -> &'static str {
+        "weak-brakes"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let restarted = observation.daemon_since_us != self.daemon_since_us
+            || observation.board_since_us != self.board_since_us;
+        if restarted || observation.configuration.is_some() {
+            *self = Self {
+                judged_us: self.judged_us,
+                daemon_since_us: observation.daemon_since_us,
+                board_since_us: observation.board_since_us,
+                disturbed: true,
+                ..Self::default()
+            };
+        }
+        match observation.stop {
+            Some(stop) if stop.began_us > self.judged_us => {
+                self.disturbed |= Self::is_disturbed(observation);
+                if stop.stood {
+                    self.judge(stop, observation);
+                    self.judged_us = stop.began_us;
+                }
+            }
+            _ => self.disturbed = Self::is_disturbed(observation),
+        }
+        let drives = observation
+            .tick
+            .is_some_and(|tick| tick.output.mode == Mode::Driving);
+        if drives && observation.stop.is_none() && (self.clear >= 1 || self.doubtful >= 2) {
+            return Err(format!(
+                "driving after {} stops with less than {} m/s², {} of them clearly",
+                self.doubtful, observation.spec.braking, self.clear
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `stop-not-obeyed`: a car whose speed does not fall after neutral is a fault that the
+/// host declares within a second and a half.
+///
+/// Only where the host can see it: no other fault, no false pose.
+#[derive(Default)]
+pub(super) struct StopNotObeyed {
+    since_us: Option<u64>,
+}
+
+/// A car that has kept this share of its speed for this time does not slow down, in µs.
+const KEPT: f64 = 0.9;
+const KEPT_US: u64 = 1_000_000;
+const DECLARED_US: u64 = 500_000;
+
+impl Invariant for StopNotObeyed {
+    fn name(&self) -> &'static str {
+        "stop-not-obeyed"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let speed = observation.truth.speed.abs();
+        let keeps = observation.stop.is_some_and(|stop| {
+            stop.free_us() > KEPT_US
+                && stop
+                    .deceleration()
+                    .is_some_and(|(_, from)| from > COUNTS_FROM && speed > KEPT * from)
+        });
+        if !keeps || WeakBrakes::is_disturbed(observation) {
+            self.since_us = None;
+            return Ok(());
+        }
+        let since_us = *self.since_us.get_or_insert(observation.now_us);
+        let is_fault = observation.tick.is_none_or(|tick| {
+            tick.output.mode == Mode::Fault
+                && (tick.output.reason == Some(Reason::StopNotObeyed)
+                    || tick.output.reason == Some(Reason::EmergencyStop)
+                    || tick.output.reason == Some(Reason::RunsAtNeutral))
+        });
+        if is_fault || observation.now_us < since_us + DECLARED_US {
+            return Ok(());
+        }
+        Err(format!("{speed:.2} m/s, and the host declares no fault"))
+    }
+}
+
+/// `unarmed-motion`: while the board is not armed, the true car moves no longer than a
+/// roll-out, half a second to notice it, the true time of signal loss and another
+/// roll-out.
+///
+/// A car that has not stood since its last stop is judged by `stands`. Without a motor
+/// sensor the board can't notice anything.
+#[derive(Default)]
+pub(super) struct UnarmedMotion {
+    since_us: Option<u64>,
+}
+
+const NOTICED_US: u64 = 500_000;
+
+impl Invariant for UnarmedMotion {
+    fn name(&self) -> &'static str {
+        "unarmed-motion"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let spec = observation.spec;
+        let speed = observation.truth.wheel_speed.abs();
+        let stopping = observation.stop.is_some_and(|stop| !stop.stood);
+        if observation.board_is_armed
+            || stopping
+            || speed < STANDING
+            || observation.is_moved_by_hand()
+        {
+            self.since_us = None;
+            return Ok(());
+        }
+        let since_us = *self.since_us.get_or_insert(observation.now_us);
+        let after_us = observation.now_us - since_us;
+        let rolls_us = (2e6 * speed / spec.braking) as u64;
+        let limit_us = spec.max_roll_out_us + NOTICED_US + spec.true_signal_loss_us + rolls_us;
+        if after_us <= limit_us || observation.is_without_motor_pulses() {
+            return Ok(());
+        }
+        Err(format!(
+            "{:.2} m/s for {} ms while not armed, {} allowed",
+            observation.truth.wheel_speed,
+            after_us / 1_000,
+            limit_us / 1_000
+        ))
+    }
+}
+
+/// `backward`: while reverse is disabled, the true car moves backward no farther than it
+/// takes to notice that the motor turns the wrong way: half a metre and the roll-out from
+/// there, or 0.25 m if it began with a pulse below neutral, which no car has asked for.
+#[derive(Default)]
+pub(super) struct Backward {
+    way: f64,
+    fastest: f64,
+    by_brake: bool,
+    braked_us: u64,
+    position: Option<[f64; 2]>,
+}
+
+const BACKWARD_M: f64 = 0.5;
+const BACKWARD_BY_BRAKE_M: f64 = 0.25;
+/// Time in which a pulse below neutral still acts, in µs.
+const BRAKE_ACTS_US: u64 = 100_000;
+
+impl Invariant for Backward {
+    fn name(&self) -> &'static str {
+        "backward"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let spec = observation.spec;
+        let esc = &spec.board.esc;
+        for pulse in observation.pulses {
+            if pulse.esc_us != 0 && pulse.esc_us < esc.neutral_us - esc.deadband_us {
+                self.braked_us = pulse.time_us;
+            }
+        }
+        let truth = &observation.truth;
+        let [last_x, last_y] = self
+            .position
+            .replace([truth.x, truth.y])
+            .unwrap_or([truth.x, truth.y]);
+        let may_reverse = spec.board.speed.max_reverse_mm_s != 0;
+        if truth.speed > -STANDING || may_reverse || observation.is_moved_by_hand() {
+            self.way = 0.0;
+            self.fastest = 0.0;
+            return Ok(());
+        }
+        if self.way == 0.0 {
+            self.by_brake =
+                self.braked_us > 0 && observation.now_us < self.braked_us + BRAKE_ACTS_US;
+        }
+        self.way += libm::hypot(truth.x - last_x, truth.y - last_y);
+        self.fastest = self.fastest.max(-truth.speed);
+        let noticed = if self.by_brake {
+            BACKWARD_BY_BRAKE_M
+        } else {
+            BACKWARD_M
+        };
+        let rolls = 0.5 * self.fastest * self.fastest / spec.braking + 0.27 * self.fastest;
+        if self.way <= noticed + rolls {
+            return Ok(());
+        }
+        Err(format!(
+            "{:.2} m backward at {:.2} m/s, {:.2} allowed",
+            self.way,
+            truth.speed,
+            noticed + rolls
+        ))
+    }
+}

@@ -1,0 +1,169 @@
+//! Which of the pulses on the pins drive the car.
+
+use singletrack_sim::PulseRecord;
+
+use crate::observation::{Spec, TOLERANCE_US};
+
+/// What an ESC pulse does, by the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Effect {
+    /// No pulse.
+    Absent,
+    /// The configured neutral, or the one before any configuration and after an emergency
+    /// stop, which a configuration must have in its deadband.
+    Neutral,
+    /// The brake pulse of a board that may brake, after driving forward, for at most
+    /// [`BRAKE_US`].
+    Brake,
+    /// Everything else: the ESC may drive the car.
+    Drive,
+}
+
+/// A servo frame on the pins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Pulse {
+    pub(crate) record: PulseRecord,
+    pub(crate) effect: Effect,
+}
+
+impl core::ops::Deref for Pulse {
+    type Target = PulseRecord;
+
+    fn deref(&self) -> &PulseRecord {
+        &self.record
+    }
+}
+
+impl Pulse {
+    /// Whether the ESC may drive the car.
+    pub(crate) fn drives(&self) -> bool {
+        self.effect == Effect::Drive
+    }
+
+    /// Whether the motor is free or brakes, by the configured deadband: a car that is too
+    /// fast is given the edge of the deadband.
+    pub(crate) fn releases(&self, spec: &Spec) -> bool {
+        let esc = &spec.board.esc;
+        !self.drives() || self.esc_us.abs_diff(esc.neutral_us) <= esc.deadband_us + TOLERANCE_US
+    }
+}
+
+/// The longest brake pulse: half a second, begun a servo period and a round of the main
+/// loop apart, on a clock that may be 0.5 % slow.
+pub(crate) const BRAKE_US: u64 = 500_000 + 20_000 + 10_000 + 2_500;
+
+/// Neutral before any configuration.
+const NEUTRAL_US: u16 = 1_500;
+
+/// Follows the pulses.
+#[derive(Debug, Default)]
+pub(crate) struct Pins {
+    /// Driven forward since the last brake pulse.
+    driven_forward: bool,
+    /// Start of the present brake pulse.
+    brake_since_us: Option<u64>,
+}
+
+impl Pins {
+    pub(crate) fn observe(&mut self, spec: &Spec, record: PulseRecord) -> Pulse {
+        let effect = self.effect(spec, &record);
+        if effect != Effect::Brake {
+            if self.brake_since_us.take().is_some() {
+                self.driven_forward = false;
+            }
+            let forward = record.esc_us > spec.board.esc.neutral_us + TOLERANCE_US;
+            self.driven_forward |= forward && !record.cut;
+        }
+        Pulse { record, effect }
+    }
+
+    fn effect(&mut self, spec: &Spec, record: &PulseRecord) -> Effect {
+        let esc = &spec.board.esc;
+        if record.esc_us == 0 {
+            return Effect::Absent;
+        }
+        // A pulse cut by a reset drives only if it is longer than neutral.
+        let short = record.cut && record.esc_us < esc.neutral_us;
+        let is = |us: u16| record.esc_us.abs_diff(us) <= TOLERANCE_US;
+        if short || is(esc.neutral_us) || is(NEUTRAL_US) {
+            return Effect::Neutral;
+        }
+        if !(spec.brakes() && record.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US) {
+            return Effect::Drive;
+        }
+        let since_us = self.brake_since_us.or_else(|| {
+            // Without a drive forward before it, the pulse is reverse.
+            self.driven_forward.then_some(record.time_us)
+        });
+        match since_us {
+            Some(since_us) if record.time_us - since_us <= BRAKE_US => {
+                self.brake_since_us = Some(since_us);
+                Effect::Brake
+            }
+            _ => Effect::Drive,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::EscKind;
+
+    use super::*;
+    use crate::observation::scene::Scene;
+
+    #[test]
+    fn a_brake_pulse_counts_once_per_drive_forward_and_for_half_a_second() {
+        let mut scene = Scene::new();
+        let effects = |spec: &Spec, pulses: &[(u64, u16)]| {
+            let mut pins = Pins::default();
+            let effect = |&(ms, esc_us): &(u64, u16)| {
+                let record = PulseRecord {
+                    time_us: ms * 1_000,
+                    esc_us,
+                    ..scene_pulse()
+                };
+                pins.observe(spec, record).effect
+            };
+            pulses.iter().map(effect).collect::<Vec<_>>()
+        };
+        use Effect::{Absent, Brake, Drive, Neutral};
+        let drive = [
+            (0, 1_500),
+            (20, 1_560),
+            (40, 1_350),
+            (500, 1_350),
+            (560, 1_350),
+        ];
+        scene.spec.board.esc.kind = EscKind::ForwardReverse;
+        assert_eq!(
+            effects(&scene.spec, &drive),
+            [Neutral, Drive, Drive, Drive, Drive],
+            "an ESC without a brake"
+        );
+        scene.spec.board.esc.kind = EscKind::Car;
+        assert_eq!(
+            effects(&scene.spec, &drive),
+            [Neutral, Drive, Brake, Brake, Brake]
+        );
+        assert_eq!(
+            effects(&scene.spec, &[(20, 1_560), (40, 1_350), (580, 1_350)]),
+            [Drive, Brake, Drive],
+            "too long"
+        );
+        assert_eq!(
+            effects(&scene.spec, &[(0, 1_500), (20, 1_350)]),
+            [Neutral, Drive],
+            "never driven"
+        );
+        let twice = [(0, 1_560), (20, 1_350), (40, 1_500), (60, 1_350), (80, 0)];
+        assert_eq!(
+            effects(&scene.spec, &twice),
+            [Drive, Brake, Neutral, Drive, Absent]
+        );
+    }
+
+    fn scene_pulse() -> PulseRecord {
+        Scene::new().pulses[0].record
+    }
+}
