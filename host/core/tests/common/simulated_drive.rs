@@ -109,10 +109,10 @@ impl SimulatedDrive {
         let mut config =
             Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
         config.motion_capture.server = Ipv4Addr::LOCALHOST;
-        // The circle of the example is as large as the example's carpet.
         // These drives are not about the first metre of an unproved car.
         config.supervisor.prove_first_metre = false;
         config.fence.braking_m_s2 = BRAKING_M_S2;
+        // The circle of the example is as large as the example's carpet.
         config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
         let simulation = SimulationConfig::default();
         config
