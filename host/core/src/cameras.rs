@@ -11,6 +11,8 @@ use singletrack_mocap::planar::{
     Observation, PlanarCounters, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
 };
 
+use crate::diagnosis::{CameraWatch, Diagnosis};
+
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_535;
 
@@ -43,12 +45,14 @@ pub trait Sockets {
 }
 
 /// A report of the receiver.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub enum CameraReport {
     /// An observation of the car.
     Observation(Observation),
     /// The counters so far.
     Counters(PlanarCounters),
+    /// What is wrong with the cameras, or that nothing is any more.
+    Diagnosis(Diagnosis),
 }
 
 /// The session with the cameras, which passes observations to the control loop.
@@ -58,6 +62,7 @@ pub struct CameraReceiver {
     observations: Producer<Observation>,
     reports: Producer<CameraReport>,
     buffer: Vec<u8>,
+    watch: CameraWatch,
     is_stale: bool,
     last_frame: i32,
     counters_at_ns: u64,
@@ -78,6 +83,7 @@ impl CameraReceiver {
             observations,
             reports,
             buffer: vec![0; LONGEST],
+            watch: CameraWatch::default(),
             is_stale: false,
             last_frame: 0,
             counters_at_ns: 0,
@@ -106,6 +112,11 @@ impl CameraReceiver {
         on_event: &mut impl FnMut(&PlanarEvent),
     ) -> u64 {
         let mut are_left = false;
+        let mut watch = core::mem::take(&mut self.watch);
+        let mut on_event = |event: &PlanarEvent| {
+            watch.handle(event);
+            on_event(event);
+        };
         for channel in [Channel::Command, Channel::Data] {
             for taken in 1..=DATAGRAMS {
                 let Some((length, source)) = sockets.receive(channel, &mut self.buffer) else {
@@ -137,8 +148,13 @@ impl CameraReceiver {
                 state,
             });
         }
+        self.watch = watch;
         if now_ns >= self.counters_at_ns {
             self.counters_at_ns = now_ns.saturating_add(COUNTERS_NS);
+            if let Some(diagnosis) = self.watch.look(now_ns, &self.session) {
+                // A lost report: the log lacks it, and the next cause is reported again.
+                let _ = self.reports.push(CameraReport::Diagnosis(diagnosis));
+            }
             // A lost report is superseded by the next.
             let _ = self
                 .reports

@@ -9,6 +9,8 @@ pub mod cameras;
 pub mod config;
 pub mod control_loop;
 pub mod controller;
+pub mod diagnosis;
+pub mod feasibility;
 pub mod grid;
 pub mod host;
 pub mod line;

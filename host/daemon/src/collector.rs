@@ -12,7 +12,7 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{Report, cameras::CameraReport};
+use singletrack_core::{Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
@@ -21,6 +21,7 @@ use crate::{
     clock::{monotonic_ns, wall_ns},
     shared_status::SharedStatus,
     snapshot::TickView,
+    state_file::StateFile,
     wall_watch::WallWatch,
 };
 
@@ -44,6 +45,8 @@ pub(crate) struct Collector {
     pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
+    /// Where newly proved configurations are kept.
+    pub(crate) state: StateFile,
     /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
@@ -81,6 +84,7 @@ impl Collector {
             match report {
                 CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
                 CameraReport::Counters(counters) => self.status.latest().tally.mocap(&counters),
+                CameraReport::Diagnosis(diagnosis) => self.diagnosed(diagnosis),
             }
         }
         while let Some(tick) = self.ticks.pop() {
@@ -117,8 +121,26 @@ impl Collector {
             Report::Proved { time_ns, proof } => {
                 let text = format!("the configuration is proved on car {}", proof.car_id);
                 self.log(time_ns, Level::Info, text);
+                if let Err(error) = self.state.add(proof) {
+                    let text = format!(
+                        "the proof can't be kept in state.directory: {error}; after a restart the \
+                         first drive begins slowly again"
+                    );
+                    self.log(time_ns, Level::Warning, text);
+                }
             }
         }
+    }
+
+    /// Logs and publishes what is wrong with the cameras, or that nothing is any more.
+    fn diagnosed(&mut self, diagnosis: Diagnosis) {
+        let level = if diagnosis.is_trouble() {
+            Level::Warning
+        } else {
+            Level::Info
+        };
+        self.log(monotonic_ns(), level, diagnosis.to_string());
+        self.status.latest().cameras = diagnosis;
     }
 
     /// Logs a change of mode or reason.

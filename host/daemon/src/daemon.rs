@@ -39,7 +39,8 @@ use crate::{
     serial_reader,
     shared_status::SharedStatus,
     snapshot::Snapshot,
-    socket::{BoundSocket, SocketError, SocketThread},
+    socket::{BoundSocket, Drives, SocketError, SocketThread},
+    state_file::StateFile,
     summary::Summary,
     wake::StopFlag,
     wall_watch::WallWatch,
@@ -132,12 +133,14 @@ impl Daemon {
     ///
     /// [`StartError`], with what to do about it. No thread runs then.
     pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
+        let state = StateFile::load(&config.state.directory);
         let seed = wall_ns() ^ u64::from(std::process::id());
         let host = Host::new(
             config,
             HostOptions {
                 nonce_seed: seed,
                 arm_when_ready: options.arm,
+                proofs: state.proofs(),
                 ..HostOptions::default()
             },
         )?;
@@ -195,6 +198,7 @@ impl Daemon {
                     idle_bounded: idle_bound.is_some(),
                     refusals,
                 },
+                drives: Drives::default(),
                 live: live_thread.as_ref().map(|thread| thread.view.clone()),
             },
             control: None,
@@ -222,6 +226,7 @@ impl Daemon {
             live,
             record_dropped: 0,
             logged_mode: None,
+            state,
             stop: Arc::clone(&daemon.collector_stop),
         };
         let collector = spawn("collector", move || collector.run())?;

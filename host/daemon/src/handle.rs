@@ -6,7 +6,7 @@ use singletrack_core::{Requests, setpoint_slot::SetpointSender};
 
 use crate::{
     live::LiveView, realtime::RealTimeStatus, reconfigure::Reconfigurer,
-    shared_status::SharedStatus, snapshot::Snapshot,
+    shared_status::SharedStatus, snapshot::Snapshot, socket::Drives,
 };
 
 /// Reads the daemon's status and passes requests to the control thread.
@@ -17,6 +17,8 @@ pub(crate) struct DaemonHandle {
     pub(crate) setpoints: SetpointSender,
     pub(crate) reconfigurer: Reconfigurer,
     pub(crate) realtime: RealTimeStatus,
+    /// Numbers the drives that clients arm.
+    pub(crate) drives: Drives,
     pub(crate) live: Option<LiveView>,
 }
 
@@ -28,6 +30,7 @@ impl DaemonHandle {
             tick: latest.tick,
             board: latest.board,
             board_status: latest.board_status,
+            cameras: latest.cameras.clone(),
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),

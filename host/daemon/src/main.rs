@@ -1,5 +1,6 @@
 //! `singletrackd`: drives the car.
 
+mod check;
 mod log;
 mod service;
 mod signals;
@@ -11,6 +12,7 @@ use singletrack_core::Config;
 use singletrackd::{Daemon, StartOptions, notify::ServiceManager};
 use tracing::{error, info, warn};
 
+use check::StandArgument;
 use log::{LogFormat, start_log};
 use service::Service;
 use signals::Signals;
@@ -30,9 +32,21 @@ struct Arguments {
     /// Arm once, as soon as every arming check passes: the car then moves by itself
     #[arg(long)]
     arm: bool,
-    /// Check the configuration, and end
+    /// Judge the configuration, and end: mistakes, values left as in the example, and whether
+    /// the car can drive its reference inside the geofence
+    ///
+    /// Warnings go to stderr. The exit status is 1 if the car can't do what is asked, and 2 if
+    /// the configuration is invalid.
     #[arg(long)]
     check: bool,
+    /// With --check: judge the geofence from where the car stands, in m and degrees
+    #[arg(
+        long,
+        value_name = "X,Y,YAW",
+        requires = "check",
+        allow_hyphen_values = true
+    )]
+    start: Option<StandArgument>,
     /// The format of the log on stderr. `RUST_LOG` filters it; `NO_COLOR` turns colours off
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
@@ -68,11 +82,12 @@ fn main() -> ExitCode {
         }
     };
     if arguments.check {
-        println!("{}: good", path.display());
-        return ExitCode::SUCCESS;
+        let stand = arguments.start.map(|StandArgument(stand)| stand);
+        return check::run(path, &config, stand);
     }
     let _log = start_log(arguments.log_format);
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
+    check::log(&config);
     let options = StartOptions {
         arm: arguments.arm,
         lock_memory: true,

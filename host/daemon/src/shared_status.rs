@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::Topic;
 use tokio::sync::broadcast;
@@ -17,6 +18,8 @@ pub(crate) struct Latest {
     pub(crate) tick: Option<TickView>,
     pub(crate) board: Option<(BoardMode, StopCause)>,
     pub(crate) board_status: Option<Status>,
+    /// What is wrong with the cameras.
+    pub(crate) cameras: Diagnosis,
     pub(crate) tally: Tally,
     /// Why the record ended before the daemon.
     pub(crate) record_error: Option<String>,

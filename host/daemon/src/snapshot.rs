@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_core::diagnosis::Diagnosis;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
@@ -20,6 +21,8 @@ pub struct Snapshot {
     pub board: Option<(BoardMode, StopCause)>,
     /// The last status message of the board.
     pub board_status: Option<Status>,
+    /// What is wrong with the cameras, or that nothing is.
+    pub cameras: Diagnosis,
     /// The figures so far.
     pub figures: Figures,
     /// What the system granted the control thread.
@@ -43,6 +46,8 @@ pub struct TickView {
     pub mode: Mode,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Reason>,
+    /// Why an arm request would be refused now; `None` if it would not.
+    pub preflight: Option<Reason>,
     /// The phase of the session with the board.
     pub link: LinkPhase,
     /// Whether no pose was accepted since the last tick.
@@ -69,6 +74,7 @@ impl From<&TickRecord> for TickView {
             start_ns: tick.start_ns,
             mode: output.mode,
             reason: output.reason,
+            preflight: output.preflight,
             link: tick.link,
             held: output.held,
             drive_time_s: output.drive_time,
@@ -100,6 +106,7 @@ impl Snapshot {
         json!({
             "mode": self.mode().name(),
             "reason": self.reason().map(Reason::name),
+            "preflight": tick.and_then(|tick| tick.preflight).map(Reason::name),
             "link": tick.map(|tick| tick.link.name()),
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
@@ -126,6 +133,7 @@ impl Snapshot {
                 "battery_mv": self.board_status.map(|status| status.battery_mv),
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),
+            "cameras": self.cameras,
             "figures": self.figures,
             "realtime": self.realtime,
             "configuration": self.configuration,

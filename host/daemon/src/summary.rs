@@ -104,6 +104,8 @@ pub struct MocapFigures {
     pub malformed: u64,
     /// Datagrams from another address.
     pub wrong_source: u64,
+    /// Frames that contradict the stream: two senders use the server's address.
+    pub contradictions: u64,
     /// Times that the stream stopped.
     pub stale: u64,
     /// Times that the session restarted.
@@ -152,7 +154,7 @@ impl fmt::Display for MocapFigures {
             formatter,
             "{} frames received, {} lost, {} late, {} duplicate; poses: {} valid, {} untracked, \
              {} absent, {} rejected; while driving: {} ticks without a new pose, {} frames without \
-             a pose; datagrams: {} malformed, {} from another address; stream stopped {}, session \
+             a pose; datagrams: {} malformed, {} from another address, {} contradict the others; stream stopped {}, session \
              restarted {}",
             self.frames,
             self.lost,
@@ -166,6 +168,7 @@ impl fmt::Display for MocapFigures {
             self.missing_while_driving,
             self.malformed,
             self.wrong_source,
+            self.contradictions,
             times(self.stale),
             times(self.restarts),
         )
@@ -257,6 +260,7 @@ impl Tally {
             duplicates: session.duplicates,
             malformed: session.malformed,
             wrong_source: session.wrong_source,
+            contradictions: session.contradictions,
             stale: session.stale,
             restarts: session.restarts,
         };

@@ -73,9 +73,9 @@ fn the_status_has_mode_reason_and_figures() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let status = loop {
-        let answer = client.ask(r#"{"version":1,"command":"status"}"#);
+        let answer = client.ask(r#"{"version":2,"command":"status"}"#);
         assert_eq!(answer["ok"], true);
-        assert_eq!(answer["version"], 1);
+        assert_eq!(answer["version"], 2);
         if answer["status"]["figures"]["ticks"].as_u64() > Some(3) {
             break answer["status"].clone();
         }
@@ -94,7 +94,7 @@ fn the_status_has_mode_reason_and_figures() {
 fn an_arm_without_a_board_is_refused_with_the_reason() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let answer = client.ask(r#"{"version":1,"command":"arm"}"#);
+    let answer = client.ask(r#"{"version":2,"command":"arm","attendance":"hold"}"#);
     assert_eq!(answer["ok"], false);
     assert!(
         answer["error"]
@@ -104,14 +104,14 @@ fn an_arm_without_a_board_is_refused_with_the_reason() {
         "{answer}"
     );
     for command in ["disarm", "stop"] {
-        let answer = client.ask(&json!({"version": 1, "command": command}).to_string());
+        let answer = client.ask(&json!({"version": 2, "command": command}).to_string());
         // No mode: it would be the one before the request.
-        assert_eq!(answer, json!({"version": 1, "ok": true}), "{command}");
+        assert_eq!(answer, json!({"version": 2, "ok": true}), "{command}");
     }
     while daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
     }
-    let answer = client.ask(r#"{"version":1,"command":"disarm"}"#);
+    let answer = client.ask(r#"{"version":2,"command":"disarm"}"#);
     assert_eq!(answer["ok"], true);
     let note = answer["note"].as_str().unwrap();
     assert!(note.contains("stays stopped until it is reset"), "{note}");
@@ -138,7 +138,7 @@ fn an_invalid_line_is_answered_and_the_connection_stays_open() {
         assert!(answer["error"].as_str().unwrap().contains("4096"));
     }
     assert_eq!(
-        client.ask(r#"{"version":1,"command":"status"}"#)["ok"],
+        client.ask(r#"{"version":2,"command":"status"}"#)["ok"],
         true
     );
     daemon.stop().unwrap();
@@ -148,7 +148,7 @@ fn an_invalid_line_is_answered_and_the_connection_stays_open() {
 fn a_watcher_gets_every_tick() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let answer = client.ask(r#"{"version":1,"command":"watch","topics":["tick"]}"#);
+    let answer = client.ask(r#"{"version":2,"command":"watch","topics":["tick"]}"#);
     assert_eq!(answer["ok"], true);
     let first = client.line();
     assert_eq!(first["topic"], "tick");
@@ -166,7 +166,7 @@ fn watchers_that_disconnect_free_their_slots() {
     for _ in 0..200 {
         let mut client = Client::connect(&path);
         // The topic has no entries: the daemon must detect the end of the connection.
-        let answer = client.ask(r#"{"version":1,"command":"watch","topics":["drops"]}"#);
+        let answer = client.ask(r#"{"version":2,"command":"watch","topics":["drops"]}"#);
         assert_eq!(answer["ok"], true, "{answer}");
     }
 }
@@ -177,13 +177,13 @@ fn a_stop_is_obeyed_when_every_slot_is_taken() {
     let watchers: Vec<_> = (0..32)
         .map(|_| {
             let mut client = Client::connect(&path);
-            client.ask(r#"{"version":1,"command":"watch","topics":["drops"]}"#);
+            client.ask(r#"{"version":2,"command":"watch","topics":["drops"]}"#);
             client
         })
         .collect();
-    let refused = Client::connect(&path).ask(r#"{"version":1,"command":"status"}"#);
+    let refused = Client::connect(&path).ask(r#"{"version":2,"command":"status"}"#);
     assert_eq!(refused["ok"], false, "{refused}");
-    let stopped = Client::connect(&path).ask(r#"{"version":1,"command":"stop"}"#);
+    let stopped = Client::connect(&path).ask(r#"{"version":2,"command":"stop"}"#);
     assert_eq!(stopped["ok"], true, "{stopped}");
     while daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
@@ -218,9 +218,9 @@ fn the_record_of_a_run_can_be_read() {
     assert_eq!(ticks as u64, summary.figures.ticks);
 }
 
-const CIRCLE: &str = r#"{"version":1,"command":"set-reference","reference":
+const CIRCLE: &str = r#"{"version":2,"command":"set-reference","reference":
     {"kind":"circle","radius_m":0.8,"angular_velocity_rad_s":0.4}}"#;
-const EXTERNAL: &str = r#"{"version":1,"command":"set-reference","reference":
+const EXTERNAL: &str = r#"{"version":2,"command":"set-reference","reference":
     {"kind":"external"}}"#;
 
 /// The text on one line.
@@ -229,7 +229,7 @@ fn line(text: &str) -> String {
 }
 
 fn status(client: &mut Client) -> Value {
-    client.ask(r#"{"version":1,"command":"status"}"#)["status"].clone()
+    client.ask(r#"{"version":2,"command":"status"}"#)["status"].clone()
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn a_reference_is_set_while_the_car_stands_and_is_recorded() {
     let answer = client.ask(&line(CIRCLE));
     assert_eq!(
         answer,
-        json!({"version": 1, "ok": true, "configuration": 2})
+        json!({"version": 2, "ok": true, "configuration": 2})
     );
     assert_eq!(
         status(&mut client)["configuration"],
@@ -294,7 +294,7 @@ fn an_invalid_reference_changes_nothing() {
             "/nowhere/way.csv",
         ),
     ] {
-        let command = json!({"version": 1, "command": "set-reference", "reference": reference});
+        let command = json!({"version": 2, "command": "set-reference", "reference": reference});
         let answer = client.ask(&command.to_string());
         assert_eq!(answer["ok"], false, "{reference}");
         let error = answer["error"].as_str().unwrap();
@@ -307,8 +307,8 @@ fn an_invalid_reference_changes_nothing() {
 fn set_points_are_answered_only_when_they_have_no_effect() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let good = r#"{"version":1,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
-    let wrong = r#"{"version":1,"command":"setpoint","velocity_m_s":[0.3,1000.0]}"#;
+    let good = r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
+    let wrong = r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,1000.0]}"#;
 
     let answer = client.ask(good);
     let error = answer["error"].as_str().unwrap();

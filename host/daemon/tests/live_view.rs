@@ -9,8 +9,9 @@
 
 use std::{
     collections::BTreeMap,
+    io::Read as _,
     net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
@@ -67,6 +68,15 @@ impl Viewer {
     }
 
     fn on(stream: TcpStream, address: SocketAddr) -> Self {
+        Self::try_on(stream, address).unwrap()
+    }
+
+    /// A viewer, unless the server turns it away.
+    fn try_connect(address: SocketAddr) -> Option<Self> {
+        Self::try_on(TcpStream::connect(address).unwrap(), address)
+    }
+
+    fn try_on(stream: TcpStream, address: SocketAddr) -> Option<Self> {
         stream
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
@@ -74,7 +84,7 @@ impl Viewer {
         request
             .headers_mut()
             .insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
-        let (socket, _) = tungstenite::client(request, stream).unwrap();
+        let (socket, _) = tungstenite::client(request, stream).ok()?;
         let mut viewer = Self {
             socket,
             info: Value::Null,
@@ -86,7 +96,7 @@ impl Viewer {
             let topic = channel["topic"].as_str().unwrap().to_owned();
             viewer.channels.insert(topic, channel.clone());
         }
-        viewer
+        Some(viewer)
     }
 
     /// The next text message with this `op`.
@@ -197,7 +207,7 @@ fn a_viewer_can_only_subscribe() {
 #[test]
 fn viewers_that_never_read_delay_no_other() {
     let (daemon, address, _folder) = start();
-    let _idle: Vec<_> = (0..20)
+    let _idle: Vec<_> = (0..7)
         .map(|_| {
             let mut viewer = Viewer::connect_slowly(address);
             let topics: Vec<_> = viewer.channels.keys().cloned().collect();
@@ -231,4 +241,45 @@ fn a_port_in_use_is_named_and_leaves_no_record() {
         assert!(text.contains(part), "{text}");
     }
     assert!(!config.record.directory.exists());
+}
+
+#[test]
+fn eight_viewers_are_served_a_ninth_is_turned_away_and_a_free_place_is_taken() {
+    let (daemon, address, _folder) = start();
+    let mut viewers: Vec<_> = (0..8).map(|_| Viewer::connect(address)).collect();
+    let mut ninth = TcpStream::connect(address).unwrap();
+    ninth
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    assert_eq!(ninth.read(&mut [0]).unwrap_or(0), 0, "closed");
+    for viewer in &mut viewers {
+        viewer.subscribe(&["/singletrack/tick"]);
+        viewer.message();
+    }
+    assert_eq!(daemon.snapshot().live.unwrap().viewers, 8);
+    viewers.pop();
+    // The relay needs a moment to see that the place is free.
+    let begin = Instant::now();
+    let mut taken = None;
+    while taken.is_none() && begin.elapsed() < Duration::from_secs(20) {
+        taken = Viewer::try_connect(address);
+    }
+    let mut taken = taken.unwrap();
+    taken.subscribe(&["/singletrack/tick"]);
+    taken.message();
+}
+
+#[test]
+fn a_client_that_says_nothing_does_not_keep_its_place() {
+    let (_daemon, address, _folder) = start();
+    let silent: Vec<_> = (0..8)
+        .map(|_| TcpStream::connect(address).unwrap())
+        .collect();
+    for mut client in silent {
+        client
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        assert_eq!(client.read(&mut [0]).unwrap(), 0, "closed");
+    }
+    Viewer::connect(address).subscribe(&["/singletrack/tick"]);
 }

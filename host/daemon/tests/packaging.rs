@@ -16,6 +16,7 @@ use singletrack_core::Config;
 const UNIT: &str = include_str!("../../../packaging/singletrackd.service");
 const XU4: &str = include_str!("../../../packaging/singletrackd.service.d/xu4.conf");
 const RULES: &str = include_str!("../../../packaging/99-singletrack.rules");
+const SYSUSERS: &str = include_str!("../../../packaging/sysusers.d/singletrack.conf");
 const MODULES: &str = include_str!("../../../packaging/modules-load.d/singletrack.conf");
 const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
 
@@ -78,7 +79,9 @@ fn the_default_folders_of_the_configuration_are_those_of_the_unit() {
     assert_eq!(config.socket.path.parent(), Some(&*runtime));
     let logs = Path::new("/var/log").join(value(UNIT, "LogsDirectory"));
     assert_eq!(config.record.directory, logs);
-    for key in ["socket.path", "record.directory"] {
+    let state = Path::new("/var/lib").join(value(UNIT, "StateDirectory"));
+    assert_eq!(config.state.directory, state);
+    for key in ["socket.path", "record.directory", "state.directory"] {
         let (_, name) = key.split_once('.').unwrap();
         assert!(EXAMPLE.contains(&format!("#{name} = ")), "{key}");
     }
@@ -132,6 +135,40 @@ fn the_driver_of_every_device_is_loaded_before_the_unit_starts() {
         ]
     );
     assert_eq!(modules, ["cdc_acm", "usbserial"]);
+}
+
+#[test]
+fn the_socket_has_a_group_of_its_own_which_sysusers_makes() {
+    let group = value(UNIT, "Group");
+    assert_eq!(group, "singletrack");
+    let made: Vec<_> = lines(SYSUSERS)
+        .filter_map(|line| line.strip_prefix("g "))
+        .filter_map(|rest| rest.split_whitespace().next())
+        .collect();
+    assert_eq!(made, [group]);
+    // The serial ports are another matter.
+    assert_eq!(value(UNIT, "SupplementaryGroups"), "dialout");
+    for page in [
+        include_str!("../../../docs/odroid.md"),
+        include_str!("../../../docs/troubleshooting.md"),
+    ] {
+        assert!(page.contains("the group `singletrack`"));
+    }
+}
+
+/// A rule for any UNO would bind another car's board.
+#[test]
+fn the_boards_name_is_given_by_serial_number_or_port_only() {
+    let named = RULES
+        .lines()
+        .map(|line| line.trim_start_matches('#'))
+        .filter(|line| line.contains("SYMLINK+="));
+    for rule in named {
+        assert!(
+            rule.contains("ATTRS{serial}==") || rule.contains("KERNELS=="),
+            "{rule}"
+        );
+    }
 }
 
 #[test]

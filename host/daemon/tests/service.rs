@@ -55,6 +55,22 @@ impl Manager {
         address: impl FnOnce(&Path) -> (SocketAddr, String),
         prepare: impl FnOnce(&mut Command),
     ) -> Self {
+        Self::start_changed(address, prepare, |text| text)
+    }
+
+    /// With both, and a changed configuration.
+    fn start_configured(
+        prepare: impl FnOnce(&mut Command),
+        change: impl FnOnce(String) -> String,
+    ) -> Self {
+        Self::start_changed(path, prepare, change)
+    }
+
+    fn start_changed(
+        address: impl FnOnce(&Path) -> (SocketAddr, String),
+        prepare: impl FnOnce(&mut Command),
+        change: impl FnOnce(String) -> String,
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (address, name) = address(folder.path());
         let socket = UnixDatagram::bind_addr(&address).unwrap();
@@ -62,7 +78,7 @@ impl Manager {
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
         let config = folder.path().join("singletrackd.toml");
-        fs::write(&config, configuration(folder.path())).unwrap();
+        fs::write(&config, change(configuration(folder.path()))).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_singletrackd"));
         command
             .arg("--config")
@@ -129,12 +145,17 @@ impl Manager {
 
     /// The state of the configuration, from the control socket.
     fn configuration(&self) -> serde_json::Value {
+        self.status()["configuration"].clone()
+    }
+
+    /// The status, from the control socket.
+    fn status(&self) -> serde_json::Value {
         let mut stream = UnixStream::connect(self.folder.path().join("control.sock")).unwrap();
-        writeln!(stream, r#"{{"version":1,"command":"status"}}"#).unwrap();
+        writeln!(stream, r#"{{"version":2,"command":"status"}}"#).unwrap();
         let mut line = String::new();
         BufReader::new(stream).read_line(&mut line).unwrap();
         let answer: serde_json::Value = serde_json::from_str(&line).unwrap();
-        answer["status"]["configuration"].clone()
+        answer["status"].clone()
     }
 
     fn signal(&self, signal: libc::c_int) {
@@ -196,6 +217,10 @@ fn configuration(folder: &Path) -> String {
     set("control", "realtime_priority", 0.into());
     set("record", "directory", path("records").into());
     set("socket", "path", path("control.sock").into());
+    let state: toml::Table = [("directory".to_owned(), path("state").into())]
+        .into_iter()
+        .collect();
+    table.insert("state".to_owned(), state.into());
     toml::to_string(&table).unwrap()
 }
 
@@ -303,11 +328,74 @@ fn a_full_disk_ends_the_record_and_not_the_daemon_and_is_reported() {
 }
 
 #[test]
+fn the_live_view_accepts_viewers_again_after_the_process_was_out_of_files() {
+    // The daemon has about 30 of its own.
+    const FILES: libc::rlim_t = 64;
+    let manager = Manager::start_configured(
+        |command| {
+            let limit = || {
+                let limit = libc::rlimit {
+                    rlim_cur: FILES,
+                    rlim_max: FILES,
+                };
+                // SAFETY: the call is allowed between fork and exec, and the limit outlives it.
+                unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
+                Ok(())
+            };
+            // SAFETY: see the call.
+            unsafe { command.pre_exec(limit) };
+        },
+        |text| text.replace("[live]", "[live]\nenabled = true\nport = 0"),
+    );
+    manager.wait_for("READY=1");
+    let files = || {
+        let folder = format!("/proc/{}/fd", manager.daemon.id());
+        fs::read_dir(folder).unwrap().count() as libc::rlim_t
+    };
+    let address: std::net::SocketAddr = manager.status()["live"]["address"]
+        .as_str()
+        .unwrap()
+        .parse()
+        .unwrap();
+    let greet = |address| -> std::io::Result<String> {
+        let mut viewer = std::net::TcpStream::connect(address)?;
+        viewer.set_read_timeout(Some(Duration::from_secs(2)))?;
+        write!(
+            viewer,
+            "GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+             Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+        )?;
+        let mut line = String::new();
+        BufReader::new(viewer).read_line(&mut line)?;
+        Ok(line)
+    };
+    assert!(greet(address).unwrap().contains("101"), "before");
+    // Control clients take the files, up to the last one.
+    let path = manager.folder.path().join("control.sock");
+    let mut clients = Vec::new();
+    wait_for("the limit", || {
+        clients.extend((0..8).filter_map(|_| UnixStream::connect(&path).ok()));
+        let viewers: Vec<_> = (0..8).map(|_| greet(address)).collect();
+        files() >= FILES || viewers.iter().any(Result::is_err)
+    });
+    for _ in 0..16 {
+        let _ = greet(address);
+    }
+    drop(clients);
+    let mut greeted = false;
+    wait_for("a viewer", || {
+        greeted |= greet(address).is_ok_and(|line| line.contains("101"));
+        greeted
+    });
+}
+
+#[test]
 fn a_reloaded_configuration_comes_into_force() {
     let manager = Manager::by_path();
     manager.wait_for("READY=1");
     let before_us = monotonic_ns() / 1_000;
-    let changed = configuration(manager.folder.path()).replace("radius_m = 0.6", "radius_m = 0.9");
+    let changed = configuration(manager.folder.path()).replace("radius_m = 0.85", "radius_m = 0.9");
     let (reloading, ready) = manager.reload(&changed);
     let time_us: u64 = reloading
         .strip_prefix("RELOADING=1\nMONOTONIC_USEC=")
@@ -325,7 +413,7 @@ fn a_refused_configuration_changes_nothing_and_the_reason_is_in_the_status() {
     manager.wait_for("READY=1");
     let good = configuration(manager.folder.path());
     for (changed, why) in [
-        (good.replace("radius_m = 0.6", "radius_m = -1.0"), "radius"),
+        (good.replace("radius_m = 0.85", "radius_m = -1.0"), "radius"),
         (
             good.replace("[reference]", "[reference"),
             "singletrackd.toml",

@@ -1,5 +1,7 @@
 //! Which streaming id a rigid body's name has.
 
+use core::fmt::{self, Write as _};
+
 use crate::codec::ModelDefinitions;
 
 /// What the model definitions say of a rigid body's name.
@@ -21,6 +23,51 @@ pub enum Binding {
         /// How many.
         count: usize,
     },
+}
+
+/// The names of a server's rigid bodies, for messages.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BodyNames {
+    /// The first names, each quoted, after commas.
+    listed: heapless::String<240>,
+    /// How many are not listed for want of room.
+    omitted: usize,
+}
+
+impl BodyNames {
+    pub(crate) fn of(definitions: &ModelDefinitions<'_>) -> Self {
+        let mut names = Self::default();
+        for definition in definitions.rigid_bodies() {
+            let separator = if names.listed.is_empty() { "" } else { ", " };
+            let room = names.listed.capacity() - names.listed.len();
+            // Debug escapes what a terminal would obey.
+            let mut text = heapless::String::<320>::new();
+            let fits = write!(text, "{separator}{:?}", definition.name).is_ok();
+            if names.omitted == 0 && fits && text.len() <= room {
+                // It has room: see above.
+                let _ = names.listed.push_str(&text);
+            } else {
+                names.omitted += 1;
+            }
+        }
+        names
+    }
+
+    /// Whether the server has no rigid body.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.listed.is_empty() && self.omitted == 0
+    }
+}
+
+impl fmt::Display for BodyNames {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.listed)?;
+        match self.omitted {
+            0 => Ok(()),
+            omitted => write!(formatter, " and {omitted} more"),
+        }
+    }
 }
 
 impl Binding {

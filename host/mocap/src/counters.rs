@@ -18,6 +18,11 @@ pub struct SessionCounters {
     pub malformed: u64,
     /// Datagrams from another address.
     pub wrong_source: u64,
+    /// Frames that contradict the stream: another port, other content for the same number, a
+    /// clock ahead of time. Two senders use the server's address.
+    pub contradictions: u64,
+    /// Frames without a capture time because of contradictions just before.
+    pub distrusted: u64,
     /// Frames before the bitstream was known: dropped.
     pub early: u64,
     /// Messages that answer no request.

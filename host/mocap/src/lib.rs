@@ -80,12 +80,13 @@ mod body;
 mod capture;
 mod clock;
 mod config;
+mod consistency;
 mod counters;
 mod order;
 mod session;
 
 pub use axes::UpAxis;
-pub use binding::Binding;
+pub use binding::{Binding, BodyNames};
 pub use body::{Bodies, Body, BodyPose, BodyState, InvalidBody};
 pub use capture::{CaptureTime, CaptureTimeSource};
 pub use config::{

@@ -61,6 +61,13 @@ impl Sequence {
             self.accept(mark);
             return Order::Renumbered;
         }
+        self.suspect(number, clock)
+    }
+
+    /// A frame that can't continue the stream. Many that follow each other mean that the
+    /// server started again.
+    pub(crate) fn suspect(&mut self, number: i32, clock: u64) -> Order {
+        let mark = Mark { number, clock };
         let follows = self
             .suspect
             .is_some_and(|last| mark.ahead_of(last) > 0 && clock >= last.clock);

@@ -11,20 +11,22 @@ const NOW_NS: u64 = 1_000_000_000_000;
 const MAX_ANSWER: usize = 1_024;
 
 /// Keys of a line, and an unknown one.
-const KEYS: [&str; 9] = [
+const KEYS: [&str; 11] = [
     "version",
     "command",
     "topics",
     "reference",
     "velocity_m_s",
     "position_m",
+    "attendance",
+    "for_s",
     "time_ns",
     "kind",
     "surplus",
 ];
 
 /// Values that are valid for some keys.
-const VALUES: [&str; 24] = [
+const VALUES: [&str; 27] = [
     "1",
     "2",
     "0",
@@ -33,6 +35,9 @@ const VALUES: [&str; 24] = [
     "true",
     "\"status\"",
     "\"arm\"",
+    "\"hold\"",
+    "\"timed\"",
+    "\"unattended\"",
     "\"disarm\"",
     "\"stop\"",
     "\"watch\"",
@@ -76,7 +81,7 @@ pub fn control_line(data: &[u8]) -> u64 {
 fn object(choices: &mut Choices<'_>) -> String {
     let mut entries = Vec::new();
     if choices.flag() {
-        entries.push("\"version\":1".to_owned());
+        entries.push("\"version\":2".to_owned());
     }
     while !choices.is_empty() && entries.len() < 16 {
         let key = choices.one_of(KEYS);
@@ -109,14 +114,15 @@ fn check(line: &[u8]) {
 fn check_accepted(command: &Command, line: &[u8]) {
     // No command by accident: the line must contain its word. (Or escapes of it.)
     let text = core::str::from_utf8(line).expect("JSON is UTF-8");
-    assert!(text.contains('1'), "another version is accepted: {text}");
+    assert!(text.contains('2'), "another version is accepted: {text}");
     let word = match command {
         Command::Ask(question) => match question {
             singletrackd::Question::Status => "status",
-            singletrackd::Question::Arm => "arm",
             singletrackd::Question::Disarm => "disarm",
             singletrackd::Question::Stop => "stop",
         },
+        Command::Arm(_) => "arm",
+        Command::Hold => "hold",
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",
         Command::Watch { .. } => "watch",

@@ -422,29 +422,37 @@ fn configuration() -> Vec<Seed> {
 /// The lines of the protocol's description, and objects that resemble them.
 fn control_line() -> Vec<Seed> {
     let lines = [
-        ("status", r#"{"version":1,"command":"status"}"#),
-        ("arm", r#"{"version":1,"command":"arm"}"#),
-        ("disarm", r#"{"version":1,"command":"disarm"}"#),
-        ("stop", r#"{"command":"stop","version":1}"#),
+        ("status", r#"{"version":2,"command":"status"}"#),
+        (
+            "arm",
+            r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+        ),
+        (
+            "arm-timed",
+            r#"{"version":2,"command":"arm","attendance":"timed","for_s":60}"#,
+        ),
+        ("hold", r#"{"version":2,"command":"hold"}"#),
+        ("disarm", r#"{"version":2,"command":"disarm"}"#),
+        ("stop", r#"{"command":"stop","version":2}"#),
         (
             "watch",
-            r#"{"version":1,"command":"watch","topics":["tick","log"]}"#,
+            r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
         ),
         (
             "set-reference",
-            r#"{"version":1,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
+            r#"{"version":2,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
         ),
         (
             "setpoint",
-            r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
         ),
         (
             "setpoint-too-large",
-            r#"{"version":1,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
         ),
         ("version", r#"{"version":2,"command":"status"}"#),
-        ("escape", r#"{"version":1,"command":"\u0073tatus"}"#),
-        ("twice", r#"{"version":1,"version":1,"command":"arm"}"#),
+        ("escape", r#"{"version":2,"command":"\u0073tatus"}"#),
+        ("twice", r#"{"version":2,"version":2,"command":"arm"}"#),
         ("nested", "[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[["),
         ("empty", ""),
         ("no-object", "arm"),

@@ -23,7 +23,7 @@ pub struct Client {
 const TIMEOUT: Duration = Duration::from_secs(4);
 
 /// The version of the socket's protocol.
-const VERSION: u32 = 1;
+const VERSION: u32 = singletrackd::SOCKET_VERSION;
 
 impl Client {
     /// Connects.
@@ -64,7 +64,11 @@ impl Client {
     }
 
     fn ask(&mut self, command: &str) -> Outcome<Answer> {
-        self.send(&json!({ "version": VERSION, "command": command }))?;
+        self.request(&json!({ "version": VERSION, "command": command }))
+    }
+
+    fn request(&mut self, request: &Value) -> Outcome<Answer> {
+        self.send(request)?;
         let answer = self.receive()?;
         if answer["version"] == VERSION && answer["ok"].is_boolean() {
             Ok(Answer(answer))
@@ -93,7 +97,39 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn arm(&mut self) -> Outcome<Answer> {
-        self.ask("arm")
+        self.arm_attended(&json!({ "attendance": "unattended" }))
+    }
+
+    /// Requests arming with other attendance; for `"hold"` the connection holds the drive.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn arm_attended(&mut self, attendance: &Value) -> Outcome<Answer> {
+        let mut request = json!({ "version": VERSION, "command": "arm" });
+        if let (Some(request), Some(attendance)) = (request.as_object_mut(), attendance.as_object())
+        {
+            request.extend(attendance.clone());
+        }
+        self.request(&request)
+    }
+
+    /// Renews a drive that this connection holds; there is no answer.
+    ///
+    /// # Errors
+    ///
+    /// Fails if it can't be sent.
+    pub fn hold(&mut self) -> Outcome {
+        self.send(&json!({ "version": VERSION, "command": "hold" }))
+    }
+
+    /// The next line of the daemon, such as a report about a held drive.
+    ///
+    /// # Errors
+    ///
+    /// Fails without a line.
+    pub fn line(&mut self) -> Outcome<Value> {
+        self.receive()
     }
 
     /// Requests a controlled stop.

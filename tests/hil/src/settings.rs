@@ -9,7 +9,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, FenceSection, LawKind,
     LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
-    ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
+    ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
+    WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -58,6 +59,9 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         record: RecordSection {
             enabled: true,
             directory: folder.join("records"),
+        },
+        state: StateSection {
+            directory: folder.join("state"),
         },
         socket: SocketSection {
             enabled: true,

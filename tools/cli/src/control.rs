@@ -1,4 +1,4 @@
-//! `singletrack status|arm|disarm|stop`: requests to the running daemon.
+//! `singletrack status|disarm|stop`: requests to the running daemon.
 
 use std::{
     io::{self, BufRead, BufReader, Write},
@@ -24,8 +24,6 @@ pub struct ControlArgs {
 pub enum ControlCommand {
     /// Its status.
     Status,
-    /// Start driving along the reference.
-    Arm,
     /// Slow down, stop and disarm.
     Disarm,
     /// Neutral at once, until the board is reset.
@@ -36,7 +34,6 @@ impl ControlCommand {
     const fn name(self) -> &'static str {
         match self {
             Self::Status => "status",
-            Self::Arm => "arm",
             Self::Disarm => "disarm",
             Self::Stop => "stop",
         }
@@ -86,7 +83,6 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
         ControlCommand::Status => {
             serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
         }
-        ControlCommand::Arm => "driving".to_owned(),
         // An emergency stop stays in force: the daemon then answers with a note.
         ControlCommand::Disarm => match answer.get("note").and_then(Value::as_str) {
             Some(note) => note.to_owned(),

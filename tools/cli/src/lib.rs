@@ -1,5 +1,6 @@
 //! The command line of Singletrack, as a library for its tests.
 
+pub mod arm;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;

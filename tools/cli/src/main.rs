@@ -10,6 +10,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
+    arm,
     control::{self, ControlCommand},
     dump, recover, replay, set_reference, setpoint,
 };
@@ -64,8 +65,12 @@ enum Command {
     Identify(identify::IdentifyArgs),
     /// Print the daemon's status.
     Status(control::ControlArgs),
-    /// Arm the car and start driving.
-    Arm(control::ControlArgs),
+    /// Arm the car and start driving; the drive ends when this command does.
+    ///
+    /// With --for the drive ends after a time, with --unattended it does not end by itself. The
+    /// exit status is 0 if the drive ended as wanted, 1 if the car was not armed or the
+    /// connection was lost, and 3 if something else stopped the car.
+    Arm(arm::ArmArgs),
     /// Slow down, stop and disarm.
     Disarm(control::ControlArgs),
     /// Emergency stop: neutral at once, until the board is reset.
@@ -90,7 +95,7 @@ enum SummaryFormat {
 
 fn main() -> ExitCode {
     match run(&Cli::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(status) => status,
         Err(error) => {
             eprintln!("singletrack: {error}");
             ExitCode::FAILURE
@@ -98,8 +103,8 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
-    match &cli.command {
+fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
+    let done: Result<(), Box<dyn std::error::Error>> = match &cli.command {
         #[cfg(feature = "desk")]
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
@@ -113,7 +118,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
         #[cfg(feature = "paper")]
         Command::Identify(args) => Ok(identify::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
-        Command::Arm(args) => Ok(control::run(ControlCommand::Arm, args)?),
+        Command::Arm(args) => return Ok(arm::run(args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::SetReference(args) => Ok(set_reference::run(args)?),
@@ -135,7 +140,7 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
             }
             if let Some(SummaryFormat::Json) = summary {
                 println!("{}", serde_json::to_string(&simulation.summary)?);
-                return Ok(());
+                return Ok(ExitCode::SUCCESS);
             }
             match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
                 // The reader of a pipe may close it at any time.
@@ -144,7 +149,8 @@ fn run(cli: &Cli) -> Result<(), Box<dyn std::error::Error>> {
             }
             Ok(io::stdout().flush()?)
         }
-    }
+    };
+    done.map(|()| ExitCode::SUCCESS)
 }
 
 #[cfg(test)]

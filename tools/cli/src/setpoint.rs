@@ -224,14 +224,14 @@ mod tests {
     #[test]
     fn a_line_of_numbers_and_one_of_json_are_the_same_set_point() {
         let both = json!({
-            "version": 1, "command": "setpoint", "time_ns": 7,
+            "version": 2, "command": "setpoint", "time_ns": 7,
             "velocity_m_s": [0.5, -1.0], "position_m": [2.0, 3.0],
         });
         assert_eq!(setpoint(" 0.5 -1\t2 3 ", 7), Ok(both.clone()));
         let line = r#"{"velocity_m_s":[0.5,-1.0],"position_m":[2.0,3.0]}"#;
         assert_eq!(setpoint(line, 7), Ok(both));
         let velocity = json!({
-            "version": 1, "command": "setpoint", "time_ns": 8, "velocity_m_s": [0.0, 0.25],
+            "version": 2, "command": "setpoint", "time_ns": 8, "velocity_m_s": [0.0, 0.25],
         });
         assert_eq!(setpoint("0 0.25", 8), Ok(velocity));
     }

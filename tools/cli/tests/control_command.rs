@@ -1,4 +1,4 @@
-//! `singletrack status|arm|disarm|stop` against a socket that answers as told.
+//! `singletrack status|disarm|stop` against a socket that answers as told.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -40,11 +40,11 @@ fn ask_into(command: &str, answer: &'static str, stdout: Stdio) -> (Output, Stri
 
 #[test]
 fn each_command_is_one_line_of_the_sockets_protocol() {
-    for command in ["status", "arm", "disarm", "stop"] {
-        let (output, asked) = ask(command, r#"{"version":1,"ok":true}"#);
+    for command in ["status", "disarm", "stop"] {
+        let (output, asked) = ask(command, r#"{"version":2,"ok":true}"#);
         assert!(output.status.success());
         let asked: serde_json::Value = serde_json::from_str(&asked).unwrap();
-        assert_eq!(asked, serde_json::json!({"version": 1, "command": command}));
+        assert_eq!(asked, serde_json::json!({"version": 2, "command": command}));
     }
 }
 
@@ -52,7 +52,7 @@ fn each_command_is_one_line_of_the_sockets_protocol() {
 fn the_status_is_printed() {
     let (output, _) = ask(
         "status",
-        r#"{"version":1,"ok":true,"status":{"mode":"idle","reason":"no-pose"}}"#,
+        r#"{"version":2,"ok":true,"status":{"mode":"idle","reason":"no-pose"}}"#,
     );
     let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(printed["reason"], "no-pose");
@@ -61,11 +61,10 @@ fn the_status_is_printed() {
 #[test]
 fn what_was_done_is_said_in_words() {
     for (command, words) in [
-        ("arm", "driving\n"),
         ("disarm", "disarming: the car slows down and stops\n"),
         ("stop", "stopped: neutral until the board is reset\n"),
     ] {
-        let (output, _) = ask(command, r#"{"version":1,"ok":true}"#);
+        let (output, _) = ask(command, r#"{"version":2,"ok":true}"#);
         assert_eq!(String::from_utf8(output.stdout).unwrap(), words);
     }
 }
@@ -74,14 +73,14 @@ fn what_was_done_is_said_in_words() {
 fn a_disarm_prints_the_note_of_the_daemon() {
     let (output, _) = ask(
         "disarm",
-        r#"{"version":1,"ok":true,"note":"still stopped"}"#,
+        r#"{"version":2,"ok":true,"note":"still stopped"}"#,
     );
     assert_eq!(String::from_utf8(output.stdout).unwrap(), "still stopped\n");
 }
 
 #[test]
 fn a_reader_that_has_gone_is_success() {
-    let answer = r#"{"version":1,"ok":true,"status":{"mode":"idle"}}"#;
+    let answer = r#"{"version":2,"ok":true,"status":{"mode":"idle"}}"#;
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let (output, _) = ask_into("status", answer, writer.into());
@@ -93,7 +92,7 @@ fn a_reader_that_has_gone_is_success() {
 fn a_refusal_is_an_error_in_the_daemons_words() {
     let (output, _) = ask(
         "arm",
-        r#"{"version":1,"ok":false,"error":"not ready: no-pose"}"#,
+        r#"{"version":2,"ok":false,"error":"not ready: no-pose"}"#,
     );
     assert!(!output.status.success());
     assert!(

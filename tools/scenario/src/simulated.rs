@@ -6,9 +6,10 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
     LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
-    ReferenceSection, SerialSection, SocketSection, SupervisorSection, UpAxisKind, WatchSection,
+    ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
+    WatchSection,
 };
-use singletrack_sim::default_board_configuration;
+use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
@@ -58,7 +59,26 @@ pub fn daemon_config(drive: Drive) -> Config {
         board: BoardSection::from(&default_board_configuration()),
         control: ControlSection::default(),
         record: RecordSection::default(),
+        state: StateSection::default(),
         socket: SocketSection::default(),
         live: LiveSection::default(),
     }
+}
+
+/// Makes the simulated car and its cameras as the daemon's configuration says.
+pub fn follow(believed: &Config, simulation: &mut SimulationConfig) {
+    simulation.follow(&believed.board.configuration());
+    let cameras = &believed.motion_capture;
+    let body = &mut simulation.cameras.car;
+    body.name.clone_from(&cameras.rigid_body);
+    if cameras.marker_yaw_rad != 0.0 {
+        body.set_yaw(cameras.marker_yaw_rad);
+    }
+    if cameras.marker_offset_m != [0.0; 2] {
+        body.set_pivot(cameras.marker_offset_m);
+    }
+    simulation.cameras.up_axis = match cameras.up_axis {
+        UpAxisKind::Y => UpAxis::Y,
+        UpAxisKind::Z => UpAxis::Z,
+    };
 }

@@ -49,11 +49,12 @@ pub use estimator::{EstimatorSection, MarkerLossKind};
 pub use fence::FenceSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
+pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
 };
 pub use outer_loop::OuterLoopSection;
-pub use output::{LiveSection, RecordSection, SocketSection};
+pub use output::{LiveSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use section::{Key, Section};
 pub use sections::SECTIONS;
@@ -101,6 +102,9 @@ pub struct Config {
     /// The record of every tick.
     #[serde(default)]
     pub record: RecordSection,
+    /// What the daemon remembers.
+    #[serde(default)]
+    pub state: StateSection,
     /// The control socket.
     #[serde(default)]
     pub socket: SocketSection,
@@ -184,6 +188,7 @@ impl Config {
         self.control.check()?;
         self.board.validate()?;
         self.record.validate()?;
+        self.state.validate()?;
         self.socket.validate()?;
         together::validate(self)
     }

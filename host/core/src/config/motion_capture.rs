@@ -20,13 +20,16 @@ use super::{
     value::{Convert as _, Typed},
 };
 
+/// The address in the example file: a place for the real one.
+pub(crate) const EXAMPLE_SERVER: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 10);
+
 section! {
     /// The cameras: a NatNet server, such as OptiTrack Motive, 2.7 to 4.4.
     "motion_capture", restart => pub MotionCaptureSection;
     [new];
 
     /// Address of the computer that runs the server.
-    server: Ipv4Addr, example Ipv4Addr::new(192, 168, 1, 10);
+    server: Ipv4Addr, example EXAMPLE_SERVER;
     /// Name of the car's rigid body in the server's asset list. Its x axis points forward, or
     /// see `marker_yaw_rad`.
     rigid_body: String, example "car";

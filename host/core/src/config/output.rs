@@ -1,4 +1,4 @@
-//! `[record]`, `[socket]` and `[live]`: where the daemon writes and listens.
+//! `[record]`, `[state]`, `[socket]` and `[live]`: where the daemon writes and listens.
 
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -16,6 +16,17 @@ section! {
     enabled: bool = true;
     /// Folder of the records; it is created if it does not exist.
     directory: PathBuf = PathBuf::from("/var/log/singletrackd");
+}
+
+section! {
+    /// What the daemon remembers from one start to the next: the configurations that a car has
+    /// proved on its first metre.
+    "state", restart => pub StateSection: Eq;
+    [default];
+
+    /// Folder of the state file. If it can't be written, the daemon forgets what was proved,
+    /// and the next drive begins slowly.
+    directory: PathBuf = PathBuf::from("/var/lib/singletrackd");
 }
 
 section! {
@@ -55,6 +66,19 @@ impl RecordSection {
                 "record.directory",
                 "empty",
                 "name a folder for the records, or set record.enabled = false",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl StateSection {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        if self.directory.as_os_str().is_empty() {
+            return Err(ConfigError::value(
+                "state.directory",
+                "empty",
+                "name a folder for the state file",
             ));
         }
         Ok(())

@@ -3,8 +3,8 @@
 use super::{
     BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, ImuSection,
     LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection,
-    SerialSection, ServoSection, SocketSection, SpeedSection, SupervisorSection, TimingSection,
-    WatchSection,
+    SerialSection, ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection,
+    TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -33,6 +33,7 @@ pub const SECTIONS: &[Section] = &[
     ImuSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
+    StateSection::SECTION,
     SocketSection::SECTION,
     LiveSection::SECTION,
 ];

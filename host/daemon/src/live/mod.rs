@@ -5,12 +5,14 @@
 //! nothing else. Commands go through the control socket.
 //!
 //! The server has its own thread and its own ring; viewers cannot delay the other
-//! threads. For a slow viewer the kernel queues up to some MB, and then messages are
-//! dropped. Connections are not limited: a client that reaches the port can open as many
-//! as the process may have files.
+//! threads. For a slow viewer a bounded number of messages waits, and then messages are
+//! dropped. At most eight viewers are connected; others are turned away, and so is a
+//! client that connects and says nothing.
 
 #[cfg(not(feature = "live"))]
 mod not_built;
+#[cfg(feature = "live")]
+mod relay;
 #[cfg(feature = "live")]
 mod server;
 mod status;

@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    net::SocketAddr,
+    net::{Ipv4Addr, SocketAddr},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -18,9 +18,15 @@ use foxglove::{
 };
 use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping, Encoder, FeedInput, FeedOutput, feed};
-use tokio::runtime::{self, Runtime};
+use tokio::{
+    net::TcpListener,
+    runtime::{self, Runtime},
+};
 
-use super::status::{LiveError, LiveView};
+use super::{
+    relay::{Inner, relay},
+    status::{LiveError, LiveView},
+};
 
 /// Entries that may wait to be encoded: most of a second.
 const CAPACITY: usize = 256;
@@ -74,7 +80,7 @@ impl LiveThread {
                             return;
                         }
                     };
-                    let _ = port_in.send(Ok(server.handle.port()));
+                    let _ = port_in.send(Ok(server.port));
                     server.run(&runtime, Encoder::new(start), output, &viewers, &stop);
                 }
             })
@@ -106,18 +112,23 @@ impl Drop for LiveThread {
 
 struct Server {
     /// The channels and the server hold it weakly.
-    _context: Arc<Context>,
+    context: Arc<Context>,
     /// Indexed by [`Channel::index`].
     channels: Vec<Arc<RawChannel>>,
     handle: WebSocketServerHandle,
+    /// The relay's end of the server, and the port that the relay listens on.
+    inner: Inner,
+    port: u16,
 }
 
 impl Server {
     fn start(runtime: &Runtime, address: SocketAddr) -> Result<Self, LiveError> {
-        let failed = |error: FoxgloveError| match error {
-            FoxgloveError::Bind(source) => LiveError::Listen { address, source },
-            error => LiveError::Server(error.to_string()),
-        };
+        let failed = |error: FoxgloveError| LiveError::Server(error.to_string());
+        let listen = |source| LiveError::Listen { address, source };
+        let listener = runtime
+            .block_on(TcpListener::bind(address))
+            .map_err(listen)?;
+        let port = listener.local_addr().map_err(listen)?.port();
         let context = Context::new();
         let channels = Channel::all()
             .map(|channel| {
@@ -134,18 +145,16 @@ impl Server {
             })
             .collect::<Result<_, _>>()
             .map_err(failed)?;
-        let server = WebSocketServer::new()
-            .name(concat!("singletrackd ", env!("CARGO_PKG_VERSION")))
-            .context(&context)
-            // Viewers can only subscribe.
-            .capabilities([])
-            .message_backlog_size(BACKLOG)
-            .bind(address.ip().to_string(), address.port());
-        let handle = runtime.block_on(server.start()).map_err(failed)?;
+        let handle = runtime.block_on(listen_inside(&context)).map_err(failed)?;
+        let inner = Inner::default();
+        inner.listens(handle.port());
+        runtime.spawn(relay(listener, inner.clone()));
         Ok(Self {
-            _context: context,
+            context,
             channels,
             handle,
+            inner,
+            port,
         })
     }
 
@@ -159,12 +168,24 @@ impl Server {
         stop: &AtomicBool,
     ) {
         let Self {
-            _context,
+            context,
             channels,
-            handle,
+            mut handle,
+            inner,
+            ..
         } = self;
         runtime.block_on(async {
             while !stop.load(Ordering::Acquire) {
+                if inner.take_ended() {
+                    match listen_inside(&context).await {
+                        Ok(new) => {
+                            inner.listens(new.port());
+                            // Its viewers connect again.
+                            drop(core::mem::replace(&mut handle, new).stop());
+                        }
+                        Err(error) => tracing::warn!(%error, "the live view does not listen"),
+                    }
+                }
                 let count = handle.client_count();
                 viewers.store(count as u64, Ordering::Relaxed);
                 while let Some(entry) = entries.pop() {
@@ -189,4 +210,17 @@ impl Server {
             let _ = tokio::time::timeout(CLOSE_TIMEOUT, handle.stop().wait()).await;
         });
     }
+}
+
+/// Starts a WebSocket server on loopback, for the relay.
+async fn listen_inside(context: &Arc<Context>) -> Result<WebSocketServerHandle, FoxgloveError> {
+    WebSocketServer::new()
+        .name(concat!("singletrackd ", env!("CARGO_PKG_VERSION")))
+        .context(context)
+        // Viewers can only subscribe.
+        .capabilities([])
+        .message_backlog_size(BACKLOG)
+        .bind(Ipv4Addr::LOCALHOST.to_string(), 0)
+        .start()
+        .await
 }

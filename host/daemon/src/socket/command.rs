@@ -1,6 +1,6 @@
 //! Parses a client's line into a command.
 
-use core::str::FromStr;
+use core::{str::FromStr, time::Duration};
 
 use serde::Deserialize;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
@@ -8,13 +8,17 @@ use singletrack_core::config::ReferenceSection;
 use singletrack_record::Topic;
 
 /// The version of the protocol. Client and daemon must have the same one.
-pub const SOCKET_VERSION: u32 = 1;
+pub const SOCKET_VERSION: u32 = 2;
 
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
     /// A question or request, answered by one line.
     Ask(Question),
+    /// Arm, and follow the reference; answered when the car drives or can't be armed.
+    Arm(Attendance),
+    /// Renews the drive that this connection holds; not answered.
+    Hold,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
@@ -26,13 +30,22 @@ pub enum Command {
     },
 }
 
+/// Who attends a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Attendance {
+    /// The client: the drive ends when it stops to renew it, or when its connection ends.
+    Hold,
+    /// Nobody, and the drive ends after this time.
+    Timed(Duration),
+    /// Nobody: the drive goes on until something stops it.
+    Unattended,
+}
+
 /// A command without arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
     /// The status of daemon, board and figures.
     Status,
-    /// Arm, and follow the reference.
-    Arm,
     /// Slow down, stop and disarm.
     Disarm,
     /// Emergency stop: neutral at once, until the board is reset.
@@ -45,12 +58,18 @@ pub enum Question {
 struct Line {
     version: u32,
     command: String,
+    attendance: Option<String>,
+    for_s: Option<f64>,
     topics: Option<Vec<String>>,
     reference: Option<ReferenceSection>,
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
     time_ns: Option<u64>,
 }
+
+/// The shortest and the longest time of a timed drive, s.
+const MIN_TIME: f64 = 0.5;
+const MAX_TIME: f64 = 86_400.0;
 
 /// The largest velocity of a set-point, m/s: beyond it the set-point is a mistake for any
 /// car.
@@ -76,7 +95,8 @@ impl Command {
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
-            "arm" => Self::Ask(Question::Arm),
+            "arm" => Self::Arm(line.take_attendance()?),
+            "hold" => Self::Hold,
             "disarm" => Self::Ask(Question::Disarm),
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {
@@ -96,7 +116,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, disarm, stop, set-reference, setpoint or watch"
+                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint or watch"
                 ));
             }
         };
@@ -106,6 +126,36 @@ impl Command {
 }
 
 impl Line {
+    fn take_attendance(&mut self) -> Result<Attendance, String> {
+        let time = self.for_s.take();
+        let attendance = self.attendance.take();
+        match (attendance.as_deref(), time) {
+            (Some("hold"), None) => Ok(Attendance::Hold),
+            (Some("unattended"), None) => Ok(Attendance::Unattended),
+            (Some("timed"), Some(seconds)) if (MIN_TIME..=MAX_TIME).contains(&seconds) => {
+                Ok(Attendance::Timed(Duration::from_secs_f64(seconds)))
+            }
+            (Some("timed"), Some(seconds)) => Err(format!(
+                "for_s is {seconds}: it must lie between {MIN_TIME} and {MAX_TIME}"
+            )),
+            (Some("timed"), None) => {
+                Err("attendance \"timed\" needs for_s, such as \"for_s\":60".to_owned())
+            }
+            (Some("hold" | "unattended"), Some(_)) => {
+                Err("only attendance \"timed\" takes for_s".to_owned())
+            }
+            (Some(other), _) => Err(format!(
+                "attendance is {other:?}: use \"hold\", \"timed\" or \"unattended\""
+            )),
+            (None, _) => Err(
+                "arm needs an attendance: \"hold\" (send {\"command\":\"hold\"} every 100 ms on \
+                 this connection; the drive ends when it does), \"timed\" with for_s, or \
+                 \"unattended\" (the drive goes on until something stops it)"
+                    .to_owned(),
+            ),
+        }
+    }
+
     fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
         let velocity = self
             .velocity_m_s
@@ -132,6 +182,8 @@ impl Line {
     /// Refuses the keys that the command does not have.
     fn refuse_other_keys(&self) -> Result<(), String> {
         for (key, is_there, owner) in [
+            ("attendance", self.attendance.is_some(), "arm"),
+            ("for_s", self.for_s.is_some(), "arm"),
             ("topics", self.topics.is_some(), "watch"),
             ("reference", self.reference.is_some(), "set-reference"),
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
@@ -169,61 +221,85 @@ mod tests {
         for (line, part) in [
             (r#""#, "write {"),
             (r#"status"#, "write {"),
-            (r#"{"version":1}"#, "command"),
+            (r#"{"version":2}"#, "command"),
             (r#"{"command":"status"}"#, "version"),
-            (r#"{"version":2,"command":"status"}"#, "version is 2"),
-            (r#"{"version":1,"command":"fly"}"#, "use status, arm"),
-            (r#"{"version":1,"command":"arm","now":true}"#, "now"),
+            (r#"{"version":3,"command":"status"}"#, "version is 3"),
+            (r#"{"version":2,"command":"fly"}"#, "use status, arm"),
+            (r#"{"version":2,"command":"arm","now":true}"#, "now"),
             (
-                r#"{"version":1,"command":"arm","topics":["tick"]}"#,
+                r#"{"version":2,"command":"arm"}"#,
+                "arm needs an attendance: \"hold\" (send",
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"me"}"#,
+                "attendance is \"me\": use \"hold\"",
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"timed"}"#,
+                "needs for_s",
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"timed","for_s":0}"#,
+                "for_s is 0: it must lie between 0.5 and 86400",
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","for_s":60}"#,
+                "only attendance \"timed\"",
+            ),
+            (
+                r#"{"version":2,"command":"disarm","attendance":"hold"}"#,
+                "disarm takes no attendance; only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","topics":["tick"]}"#,
                 "arm takes no topics; only watch does",
             ),
             (
-                r#"{"version":1,"command":"watch","topics":["ticks"]}"#,
+                r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
                 "ticks",
             ),
             (
-                r#"{"version":1,"command":"watch","velocity_m_s":[0,0]}"#,
+                r#"{"version":2,"command":"watch","velocity_m_s":[0,0]}"#,
                 "only setpoint does",
             ),
             (
-                r#"{"version":1,"command":"set-reference"}"#,
+                r#"{"version":2,"command":"set-reference"}"#,
                 "needs a reference",
             ),
             (
-                r#"{"version":1,"command":"set-reference","reference":{"kind":"circle"}}"#,
+                r#"{"version":2,"command":"set-reference","reference":{"kind":"circle"}}"#,
                 "radius_m",
             ),
             (
-                r#"{"version":1,"command":"set-reference","reference":{"kind":"square"}}"#,
+                r#"{"version":2,"command":"set-reference","reference":{"kind":"square"}}"#,
                 "square",
             ),
             (
-                r#"{"version":1,"command":"setpoint"}"#,
+                r#"{"version":2,"command":"setpoint"}"#,
                 "needs velocity_m_s",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[1]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[1]}"#,
                 "length",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[1,null]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[1,null]}"#,
                 "null",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[1,1e999]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[1,1e999]}"#,
                 "number out of range",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
                 "velocity_m_s is [0.0, -100.1]: both must lie between -100 and 100",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
                 "position_m",
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
                 "CLOCK_MONOTONIC of this computer says 1000",
             ),
         ] {
@@ -243,21 +319,34 @@ mod tests {
         };
         for (line, command) in [
             (
-                r#"{"version":1,"command":"status"}"#,
+                r#"{"version":2,"command":"status"}"#,
                 Command::Ask(Question::Status),
             ),
             (
-                "{\"command\":\"stop\",\"version\":1}\r\n",
+                r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+                Command::Arm(Attendance::Hold),
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"timed","for_s":1.5}"#,
+                Command::Arm(Attendance::Timed(Duration::from_millis(1_500))),
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
+                Command::Arm(Attendance::Unattended),
+            ),
+            (r#"{"version":2,"command":"hold"}"#, Command::Hold),
+            (
+                "{\"command\":\"stop\",\"version\":2}\r\n",
                 Command::Ask(Question::Stop),
             ),
             (
-                r#"{"version":1,"command":"watch","topics":["tick","log"]}"#,
+                r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
                 Command::Watch {
                     topics: vec![Topic::Tick, Topic::Log],
                 },
             ),
             (
-                r#"{"version":1,"command":"set-reference","reference":
+                r#"{"version":2,"command":"set-reference","reference":
                     {"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
                 Command::SetReference(ReferenceSection::Circle {
                     radius_m: 1.0,
@@ -266,11 +355,11 @@ mod tests {
                 }),
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
                 setpoint(None, NOW),
             ),
             (
-                r#"{"version":1,"command":"setpoint","velocity_m_s":[0.5,-1],
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],
                     "position_m":[2,3],"time_ns":400}"#,
                 setpoint(Some(Position::new(2.0, 3.0)), 400),
             ),

@@ -1,18 +1,26 @@
-//! The control socket: one JSON object per line, in both directions. Version 1.
+//! The control socket: one JSON object per line, in both directions. Version 2.
 //!
 //! | to the daemon | from the daemon |
 //! |---|---|
-//! | `{"version":1,"command":"status"}` | `{"version":1,"ok":true,"status":{...}}` |
-//! | `{"version":1,"command":"arm"}` | when the car drives, or why it does not |
-//! | `{"version":1,"command":"disarm"}` | at once; the car slows down and stops. After an emergency stop the board stays stopped until it is reset: the answer has a `note` that says so |
-//! | `{"version":1,"command":"stop"}` | at once; neutral until the board is reset |
-//! | `{"version":1,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":1,"ok":true,"configuration":2}`, or why it is not |
-//! | `{"version":1,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is invalid or not in use |
-//! | `{"version":1,"command":"watch","topics":["tick"]}` | `{"version":1,"ok":true}`, then every entry of the record as it is made, with a `topic` |
+//! | `{"version":2,"command":"status"}` | `{"version":2,"ok":true,"status":{...}}` |
+//! | `{"version":2,"command":"arm","attendance":"hold"}` | when the car drives, or why it does not; then how the drive goes on, and how it ended |
+//! | `{"version":2,"command":"hold"}` | nothing: it renews the drive that the connection holds |
+//! | `{"version":2,"command":"disarm"}` | at once; the car slows down and stops. After an emergency stop the board stays stopped until it is reset: the answer has a `note` that says so |
+//! | `{"version":2,"command":"stop"}` | at once; neutral until the board is reset |
+//! | `{"version":2,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":2,"ok":true,"configuration":2}`, or why it is not |
+//! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is invalid or not in use |
+//! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
 //!
-//! A failure is answered with `{"version":1,"ok":false,"error":"..."}`. A watcher that is
-//! too slow gets `{"version":1,"missed":N}`. Within version 1, commands and keys are added
+//! A failure is answered with `{"version":2,"ok":false,"error":"..."}`. A watcher that is
+//! too slow gets `{"version":2,"missed":N}`. Within version 2, commands and keys are added
 //! and never changed or removed.
+//!
+//! **Attendance.** An `arm` says who attends the drive. With `"hold"` it is the client: it
+//! sends `{"version":2,"command":"hold"}` every 100 ms on the same connection. The drive ends
+//! after 0.5 s without one, and at once when the connection ends. The daemon reports
+//! `{"version":2,"drive":{...}}` every 0.2 s, and at last `{"version":2,"ended":{...}}`. With
+//! `"timed"` and `"for_s":60` the drive ends by itself after that time; with `"unattended"` it
+//! does not. Without an attendance, `arm` is refused.
 //!
 //! **References.** `reference` has the keys of `[reference]` in the configuration; `file`
 //! is an absolute path that the daemon may read. A reference is refused while the car
@@ -27,12 +35,14 @@
 //! that sends invalid set-points without reading the answers is not read any more once the
 //! answers fill its connection.
 
+mod attend;
 mod bind;
 mod command;
 mod serve;
 mod thread;
 
+pub(crate) use attend::Drives;
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
-pub use command::{Command, Question, SOCKET_VERSION};
+pub use command::{Attendance, Command, Question, SOCKET_VERSION};
 pub(crate) use thread::SocketThread;

@@ -17,23 +17,20 @@ use tokio::{
     task::spawn_blocking,
 };
 
-use super::command::{Command, Question, SOCKET_VERSION};
+use super::{
+    attend::{arm, hold},
+    command::{Attendance, Command, Question, SOCKET_VERSION},
+};
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
 
 /// The largest number of clients at a time.
 pub(super) const CLIENTS: usize = 32;
 
 /// The longest line, in bytes.
-const LONGEST_LINE: u64 = 4_096;
+pub(super) const LONGEST_LINE: u64 = 4_096;
 
 /// The longest wait for the first line of a client beyond [`CLIENTS`].
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
-
-/// The longest wait of an arm command for its outcome.
-const ARM_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// Interval at which an arm command polls for its outcome.
-const ARM_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Serves a client beyond [`CLIENTS`]: only a stop or a disarm is obeyed.
 pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Result<()> {
@@ -81,6 +78,23 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                     closed = read.read(&mut rest) => closed.map(drop),
                 };
             }
+            Ok(Command::Arm(Attendance::Hold)) => {
+                if !hold(&mut read, &mut write, daemon).await? {
+                    return Ok(());
+                }
+            }
+            Ok(Command::Arm(attendance)) => {
+                let answer = match arm(daemon, attendance).await {
+                    Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
+                    Err(error) => failure(error),
+                };
+                send(&mut write, &answer).await?;
+            }
+            Ok(Command::Hold) => {
+                let error = "hold renews a drive that this connection armed with the attendance \
+                             \"hold\"; there is none";
+                send(&mut write, &failure(error)).await?;
+            }
             Ok(Command::Ask(question)) => {
                 send(&mut write, &answer(question, daemon).await).await?;
             }
@@ -102,7 +116,7 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
 }
 
 /// Reads and discards up to the end of the line or of the stream.
-async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
+pub(super) async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
     loop {
         let bytes = read.fill_buf().await?;
         let end = bytes.iter().position(|&byte| byte == b'\n');
@@ -114,15 +128,15 @@ async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
     }
 }
 
-async fn send(write: &mut OwnedWriteHalf, answer: &Value) -> io::Result<()> {
+pub(super) async fn send(write: &mut OwnedWriteHalf, answer: &Value) -> io::Result<()> {
     write.write_all(format!("{answer}\n").as_bytes()).await
 }
 
-fn failure(error: impl fmt::Display) -> Value {
+pub(super) fn failure(error: impl fmt::Display) -> Value {
     json!({ "version": SOCKET_VERSION, "ok": false, "error": error.to_string() })
 }
 
-async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
+pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
     let push = |request| {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
@@ -136,7 +150,6 @@ async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
                 "status": daemon.snapshot().to_json(),
             });
         }
-        Question::Arm => arm(daemon).await,
         Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
             (Ok(()), Some(note)) => {
                 return json!({ "version": SOCKET_VERSION, "ok": true, "note": note });
@@ -174,33 +187,8 @@ async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Va
     }
 }
 
-/// Requests to arm and waits for the outcome.
-async fn arm(daemon: &DaemonHandle) -> Result<(), String> {
-    let before = daemon.snapshot();
-    if before.mode() != Mode::Ready {
-        return Err(not_ready(before.mode(), before.reason()));
-    }
-    daemon
-        .requests
-        .push(ControlRequest::Pilot(PilotRequest::Arm))
-        .map_err(|error| error.to_string())?;
-    let asked_ns = monotonic_ns();
-    let polls = ARM_TIMEOUT.as_millis() / ARM_POLL_INTERVAL.as_millis();
-    for _ in 0..polls {
-        tokio::time::sleep(ARM_POLL_INTERVAL).await;
-        if let Some(outcome) = daemon
-            .snapshot()
-            .tick
-            .and_then(|tick| arm_outcome(asked_ns, tick.start_ns, tick.mode, tick.reason))
-        {
-            return outcome;
-        }
-    }
-    Err("can't arm: the control thread does not answer".to_owned())
-}
-
 /// The outcome of a request to arm by a tick; `None` while it is open.
-fn arm_outcome(
+pub(super) fn arm_outcome(
     asked_ns: u64,
     tick_start_ns: u64,
     mode: Mode,
@@ -218,33 +206,22 @@ fn arm_outcome(
     }
 }
 
-/// Why a pilot that is not ready can't be armed.
-///
-/// A pilot that settles after a drive still shows the reason of its end, which is not what
-/// an arm request fails on.
-fn not_ready(mode: Mode, reason: Option<Reason>) -> String {
-    match (mode, reason) {
-        (
-            Mode::Idle,
-            Some(
-                Reason::Requested
-                | Reason::ReferenceFinished
-                | Reason::BoardRefused
-                | Reason::BoardTimeout
-                | Reason::MotorSpeedMismatch
-                | Reason::Overspeed
-                | Reason::BlindTooFar
-                | Reason::LawSingular,
-            ),
-        ) => format!(
-            "{}: car and estimate are settling; try again in a second",
-            cannot_arm(mode, None)
-        ),
-        _ => cannot_arm(mode, reason),
+/// Why a pilot that is not ready can't be armed: the reason of now, and not the one for which
+/// the last drive ended. If the cameras give no pose, the cause is added.
+pub(super) fn not_ready(snapshot: &Snapshot) -> String {
+    let now = snapshot.tick.and_then(|tick| tick.preflight);
+    let error = cannot_arm(snapshot.mode(), now.or(snapshot.reason()));
+    let is_about_poses = matches!(
+        now,
+        Some(Reason::NoPose | Reason::PoseTooOld | Reason::PoseImplausible)
+    );
+    if is_about_poses && snapshot.cameras.is_trouble() {
+        return format!("{error}; {}", snapshot.cameras);
     }
+    error
 }
 
-fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
+pub(super) fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
     match reason {
         Some(reason) => format!("can't arm: mode {mode}: {reason}"),
         None => format!("can't arm: mode {mode}"),
@@ -295,24 +272,6 @@ mod tests {
         ] {
             let error = outcome(101, mode, Some(reason)).unwrap().unwrap_err();
             assert!(error.contains(part), "{error}");
-        }
-    }
-
-    #[test]
-    fn an_arm_of_a_settling_pilot_does_not_name_the_reason_of_the_last_stop() {
-        let error = not_ready(Mode::Idle, Some(Reason::Requested));
-        assert!(
-            error.starts_with("can't arm: mode idle: ") && error.contains("settling"),
-            "{error}"
-        );
-        for (mode, reason) in [
-            (Mode::Idle, Reason::NoPose),
-            (Mode::Stopping, Reason::Requested),
-        ] {
-            assert_eq!(
-                not_ready(mode, Some(reason)),
-                cannot_arm(mode, Some(reason))
-            );
         }
     }
 }

@@ -16,12 +16,14 @@
 mod config;
 mod counters;
 mod gate;
+mod level;
 mod observation;
 mod session;
 mod tracker;
 
 pub use config::{PlanarConfig, PlanarConfigError, PoseLimits, RigidBodyName};
 pub use counters::{PlanarCounters, RejectedCounts};
+pub use level::Level;
 pub use observation::{Observation, PlanarPose, PoseState, RejectReason};
 pub use session::{PlanarEvent, PlanarOutcome, PlanarSession};
 pub use tracker::PlanarTracker;

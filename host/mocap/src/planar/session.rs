@@ -1,15 +1,16 @@
 //! A camera session and a tracker in one.
 
-use core::net::SocketAddr;
+use core::net::{IpAddr, SocketAddr};
 
 use super::{
     config::{PlanarConfig, PlanarConfigError},
     counters::PlanarCounters,
+    level::Level,
     observation::{Observation, PoseState},
     tracker::PlanarTracker,
 };
 use crate::{
-    binding::Binding,
+    binding::{Binding, BodyNames},
     codec::DecodeError,
     session::{DatagramOutcome, Phase, Session, SessionEvent, Transmit},
 };
@@ -175,6 +176,30 @@ impl PlanarSession {
     #[must_use]
     pub const fn binding(&self) -> Binding {
         self.tracker.binding()
+    }
+
+    /// As [`PlanarTracker::names`].
+    #[must_use]
+    pub const fn names(&self) -> &BodyNames {
+        self.tracker.names()
+    }
+
+    /// As [`PlanarTracker::level`].
+    #[must_use]
+    pub const fn level(&self) -> Option<Level> {
+        self.tracker.level()
+    }
+
+    /// As [`Session::other_source`].
+    #[must_use]
+    pub const fn other_source(&self) -> Option<IpAddr> {
+        self.session.other_source()
+    }
+
+    /// As [`Session::is_contradicted`].
+    #[must_use]
+    pub fn is_contradicted(&self, now_ns: u64) -> bool {
+        self.session.is_contradicted(now_ns)
     }
 
     /// What was counted so far.

@@ -4,10 +4,11 @@ use super::{
     config::{PlanarConfigError, PoseLimits, RigidBodyName},
     counters::PlanarCounters,
     gate::{Gate, Verdict},
+    level::Level,
     observation::{Observation, PlanarPose, PoseState, RejectReason},
 };
 use crate::{
-    binding::Binding,
+    binding::{Binding, BodyNames},
     body::{BodyState, InvalidBody},
     codec::ModelDefinitions,
     session::PoseFrame,
@@ -31,7 +32,10 @@ pub struct PlanarTracker {
     rigid_body: RigidBodyName,
     limits: PoseLimits,
     binding: Binding,
+    /// The names of the definitions read last.
+    names: BodyNames,
     gate: Gate,
+    level: Option<Level>,
     state: PoseState,
     counters: PlanarCounters,
 }
@@ -50,6 +54,8 @@ impl PlanarTracker {
             rigid_body,
             limits,
             binding: Binding::Unresolved,
+            names: BodyNames::default(),
+            level: None,
             gate: Gate::new(limits),
             state: PoseState::NoFrames,
             counters: PlanarCounters::default(),
@@ -59,6 +65,7 @@ impl PlanarTracker {
     /// Looks the body's name up in new definitions. Returns the binding if it
     /// changed.
     pub fn resolve(&mut self, definitions: &ModelDefinitions<'_>) -> Option<Binding> {
+        self.names = BodyNames::of(definitions);
         self.set_binding(Binding::resolve(definitions, &self.rigid_body))
     }
 
@@ -95,6 +102,9 @@ impl PlanarTracker {
             self.counters.absent += 1;
             return PoseState::Absent;
         };
+        if let BodyState::Tracked(pose) = &body.state {
+            self.level = Some(Level::of(pose, frame.up_axis()));
+        }
         let candidate = match body.state {
             BodyState::Untracked => {
                 self.counters.untracked += 1;
@@ -146,6 +156,18 @@ impl PlanarTracker {
             return Err(RejectReason::Flip);
         }
         Ok(pose)
+    }
+
+    /// The names of the server's rigid bodies, as read last.
+    #[must_use]
+    pub const fn names(&self) -> &BodyNames {
+        &self.names
+    }
+
+    /// How the body lies by its last pose, accepted or not, with either up axis.
+    #[must_use]
+    pub const fn level(&self) -> Option<Level> {
+        self.level
     }
 
     /// The state of the body in the newest frame.

@@ -1,5 +1,7 @@
 //! What a session reports to its owner.
 
+use core::net::IpAddr;
+
 use crate::codec::{BitstreamVersion, DecodeError, UnsupportedVersion};
 
 /// How far a session is.
@@ -47,6 +49,12 @@ pub enum SessionEvent {
     /// the definitions have been read
     /// ([`DatagramOutcome::Definitions`](super::DatagramOutcome::Definitions)).
     DefinitionsOutdated,
+    /// Datagrams arrive from another address than the server's, for the first time. They are
+    /// counted and dropped.
+    OtherSource(IpAddr),
+    /// Frames contradict each other: two senders use the server's address. No frame has a
+    /// capture time until a second without contradictions.
+    Contradicted,
     /// No frame arrived for longer than [`Timing::stale_after_ns`](crate::Timing).
     Stale,
     /// The session starts over.

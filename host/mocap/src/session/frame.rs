@@ -1,6 +1,7 @@
 //! What became of a datagram, and the frame that it may have held.
 
 use crate::{
+    axes::UpAxis,
     body::{Bodies, Body},
     capture::CaptureTime,
     codec::{DecodeError, FrameFlags, ModelDefinitions},
@@ -53,6 +54,12 @@ impl<'a> PoseFrame<'a> {
     #[must_use]
     pub fn bodies(&self) -> Bodies<'a> {
         self.bodies.clone()
+    }
+
+    /// The up axis that the poses were read with.
+    #[must_use]
+    pub const fn up_axis(&self) -> UpAxis {
+        self.bodies.reading.up_axis
     }
 
     /// The rigid body with this streaming id; `None` when the frame does not list

@@ -9,6 +9,7 @@ use crate::{
     clock::CaptureClock,
     codec::{BitstreamVersion, ServerInfo},
     config::Transport,
+    consistency::Consistency,
     order::Sequence,
 };
 
@@ -64,6 +65,7 @@ impl Session {
             .and_then(|connection| connection.ticks_per_second);
         self.clock = CaptureClock::new(frequency, &self.config.timing);
         self.sequence = Sequence::default();
+        self.consistency = Consistency::new(frequency);
         let multicast = matches!(self.config.transport, Transport::Multicast);
         if let Some(connection) = info.connection
             && connection.data_channel.multicast != multicast

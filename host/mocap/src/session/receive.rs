@@ -15,6 +15,7 @@ use crate::{
         BitstreamVersion, DecodeError, Echo, Frame, FrameFlags, MessageId, Packet, Response,
         ServerMessage,
     },
+    consistency::{Arrival, Evidence, digest},
     order::Order,
 };
 
@@ -38,9 +39,16 @@ impl Session {
         on_event: &mut impl FnMut(SessionEvent),
     ) -> DatagramOutcome<'a> {
         // Frames come from the command port or the data port, replies from the
-        // command port, multicast from any port: only the address is checked.
+        // command port, multicast from any port: only the address is checked here, and
+        // that frames do not come from two ports at a time below.
         if source.ip() != self.config.server {
             self.counters.wrong_source += 1;
+            self.other_source = Some(source.ip());
+            if !self.other_sources.contains(&source.ip())
+                && self.other_sources.push(source.ip()).is_ok()
+            {
+                on_event(SessionEvent::OtherSource(source.ip()));
+            }
             return DatagramOutcome::WrongSource;
         }
         let is_frame = Packet::parse(datagram)
@@ -57,7 +65,14 @@ impl Session {
         match ServerMessage::decode(datagram, version) {
             Ok(ServerMessage::Frame(frame)) => {
                 self.undecodable = 0;
-                self.handle_frame(now_ns, &frame, on_event)
+                let arrival = Arrival {
+                    now_ns,
+                    port: source.port(),
+                    number: frame.number,
+                    ticks: frame.ticks.unwrap_or_default().transmit,
+                    digest: digest(datagram),
+                };
+                self.handle_frame(&arrival, &frame, on_event)
             }
             Ok(reply) => self.handle_reply(now_ns, reply, on_event),
             Err(error) => {
@@ -166,14 +181,25 @@ impl Session {
 
     fn handle_frame<'a>(
         &mut self,
-        now_ns: u64,
+        arrival: &Arrival,
         frame: &Frame<'a>,
         on_event: &mut impl FnMut(SessionEvent),
     ) -> DatagramOutcome<'a> {
-        match self
-            .sequence
-            .place(frame.number, CaptureClock::order_key(frame))
-        {
+        let now_ns = arrival.now_ns;
+        let key = CaptureClock::order_key(frame);
+        let stale_after_ns = self.config.timing.stale_after_ns;
+        let order = match self.consistency.judge(arrival, stale_after_ns) {
+            Evidence::Agrees => self.sequence.place(frame.number, key),
+            Evidence::OtherSender => {
+                self.contradicted(now_ns, on_event);
+                return DatagramOutcome::Late;
+            }
+            Evidence::AheadOfTime => {
+                self.contradicted(now_ns, on_event);
+                self.sequence.suspect(frame.number, key)
+            }
+        };
+        match order {
             Order::Newest { lost } => self.counters.lost += lost,
             Order::Renumbered => self.counters.renumbered += 1,
             Order::Duplicate => {
@@ -190,6 +216,7 @@ impl Session {
                 return DatagramOutcome::Late;
             }
         }
+        self.consistency.taken(*arrival);
         self.counters.frames += 1;
         self.last_frame_ns = Some(now_ns);
         self.stale = false;
@@ -208,6 +235,13 @@ impl Session {
                 },
             },
         })
+    }
+
+    fn contradicted(&mut self, now_ns: u64, on_event: &mut impl FnMut(SessionEvent)) {
+        self.counters.contradictions += 1;
+        if self.consistency.contradicted(now_ns) {
+            on_event(SessionEvent::Contradicted);
+        }
     }
 
     /// When the models change, an id may mean another body from this frame on: the
@@ -232,6 +266,10 @@ impl Session {
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, frame: &Frame<'_>, now_ns: u64) -> Option<CaptureTime> {
         let mut capture = self.clock.capture(frame, now_ns)?;
+        if self.consistency.is_distrusted(now_ns) {
+            self.counters.distrusted += 1;
+            return None;
+        }
         if capture.time_ns > now_ns {
             if capture.time_ns - now_ns > capture.uncertainty_ns {
                 return None;

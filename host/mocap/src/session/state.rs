@@ -1,5 +1,7 @@
 //! What a session knows, and what its owner may ask of it.
 
+use core::net::IpAddr;
+
 use super::{
     event::{Phase, SessionEvent},
     schedule::Schedule,
@@ -8,6 +10,7 @@ use crate::{
     clock::CaptureClock,
     codec::{BitstreamVersion, Connection, UnsupportedVersion},
     config::{SessionConfig, SessionConfigError, Transport},
+    consistency::Consistency,
     counters::SessionCounters,
     order::Sequence,
 };
@@ -54,6 +57,10 @@ pub struct Session {
     /// Stamp of the echo request that waits for its answer.
     pub(super) echo_stamp: Option<u64>,
     pub(super) sequence: Sequence,
+    pub(super) consistency: Consistency,
+    /// Other addresses that datagrams came from: the first ones, and the latest.
+    pub(super) other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
+    pub(super) other_source: Option<IpAddr>,
     pub(super) definitions_current: bool,
     /// The newest frame had the flag "models changed".
     pub(super) models_changed: bool,
@@ -63,6 +70,9 @@ pub struct Session {
     pub(super) undecodable: u32,
     pub(super) counters: SessionCounters,
 }
+
+/// Other addresses that are reported: each once.
+pub(super) const OTHER_SOURCES: usize = 4;
 
 /// What a server said of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +96,9 @@ impl Session {
             clock: CaptureClock::new(None, &config.timing),
             echo_stamp: None,
             sequence: Sequence::default(),
+            consistency: Consistency::default(),
+            other_sources: heapless::Vec::new(),
+            other_source: None,
             definitions_current: false,
             models_changed: false,
             last_frame_ns: None,
@@ -136,6 +149,20 @@ impl Session {
         self.last_frame_ns
             .map(|last_ns| now_ns.saturating_sub(last_ns))
             .filter(|silent_ns| *silent_ns > self.config.timing.stale_after_ns)
+    }
+
+    /// The address of the last datagram that was dropped because it did not come from the
+    /// server's.
+    #[must_use]
+    pub const fn other_source(&self) -> Option<IpAddr> {
+        self.other_source
+    }
+
+    /// Whether the frames are distrusted at `now_ns`, because two senders use the server's
+    /// address.
+    #[must_use]
+    pub fn is_contradicted(&self, now_ns: u64) -> bool {
+        self.consistency.is_distrusted(now_ns)
     }
 
     /// What was counted so far.

@@ -7,7 +7,7 @@ use singletrack_mocap::{
     planar::{PlanarPose, PoseState, RejectReason},
 };
 
-use crate::world::{Frame, MS, S, UNICAST, World, config, jitter};
+use crate::world::{Frame, MS, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
 
 #[track_caller]
 fn valid(state: PoseState) -> PlanarPose {
@@ -178,13 +178,28 @@ fn an_echo_that_goes_backward_restarts_the_session() {
 fn an_echo_that_contradicts_the_others_replaces_them() {
     let mut world = World::connected(config(UNICAST));
     stream(&mut world, 0..100);
-    world.server.ticks_at_zero += 1_000_000_000;
+    // Frames of a clock that is farther ahead are not taken: see the next test.
+    world.server.ticks_at_zero += 4 * TICKS_PER_SECOND / 10;
     for number in 100..200 {
         world.run(10 * MS);
         world.frame(&Frame::at_rest(number));
     }
     assert_eq!(world.session.counters().session.clock_steps, 1);
     let pose = valid(world.next_state(&Frame::at_rest(200)));
+    assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
+}
+
+#[test]
+fn a_server_whose_clock_jumps_far_ahead_is_followed_by_a_new_session() {
+    let mut world = World::connected(config(UNICAST));
+    stream(&mut world, 0..100);
+    world.server.ticks_at_zero += 100 * TICKS_PER_SECOND;
+    for number in 100..400 {
+        world.run(10 * MS);
+        world.frame(&Frame::at_rest(number));
+    }
+    assert_eq!(world.session.counters().session.restarts, 1);
+    let pose = valid(world.next_state(&Frame::at_rest(400)));
     assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
 }
 

@@ -5,7 +5,9 @@ use std::net::SocketAddr;
 use singletrack_mocap::{
     Binding, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
     codec::{BitstreamVersion, UnsupportedVersion},
-    planar::{PlanarConfig, PlanarConfigError, PlanarOutcome, PlanarSession, PoseState},
+    planar::{
+        PlanarConfig, PlanarConfigError, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
+    },
 };
 
 use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};
@@ -215,6 +217,7 @@ fn a_datagram_from_another_address_is_counted_and_changes_nothing() {
     );
     assert_eq!(world.session.counters().session.wrong_source, 1);
     assert_eq!(world.session.counters().session.frames, 0);
+    assert_eq!(world.session.other_source(), Some(stranger.ip()));
     // The data port belongs to the server as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
@@ -282,4 +285,27 @@ fn an_invalid_configuration_is_refused_with_the_fields_name() {
         PlanarSession::new(bad).map(drop).unwrap_err(),
         PlanarConfigError::Session(SessionConfigError::Zero { key: "echo_ns" })
     );
+}
+
+#[test]
+fn another_address_is_reported_once_for_each_and_its_datagrams_are_counted() {
+    let mut world = World::connected(config(UNICAST));
+    let bytes = world.encode(&Frame::at_rest(1));
+    let mut reported = vec![];
+    for _ in 0..3 {
+        for host in [66, 67, 68, 69, 70, 71] {
+            let stranger = SocketAddr::from(([192, 168, 1, host], 1510));
+            world
+                .session
+                .handle_datagram(world.now_ns, stranger, &bytes, &mut |event| {
+                    reported.push(event);
+                });
+        }
+    }
+    assert_eq!(world.session.counters().session.wrong_source, 18);
+    // Someone who changes the address with every datagram does not fill the log.
+    let expected: Vec<_> = [66, 67, 68, 69]
+        .map(|host| PlanarEvent::Session(SessionEvent::OtherSource([192, 168, 1, host].into())))
+        .into();
+    assert_eq!(reported, expected);
 }

@@ -8,6 +8,7 @@
 mod bits;
 mod bodies;
 mod clock;
+mod contradictions;
 mod deadlines;
 mod handshake;
 mod models;

@@ -14,6 +14,7 @@ fn a_missing_name_is_a_state_until_the_name_appears() {
     world.server.models = vec![("other", 3), ("Car", CAR)];
     world.run(20 * MS);
     assert_eq!(world.session.binding(), Binding::Missing);
+    assert_eq!(world.session.names().to_string(), r#""other", "Car""#);
     assert_eq!(
         world.next_state(&Frame::at_rest(1)),
         PoseState::Unbound(Binding::Missing)
@@ -105,4 +106,23 @@ fn a_damaged_definition_is_counted_and_leaves_the_binding() {
         world.next_state(&Frame::new(1, &[body])),
         PoseState::Valid(_)
     ));
+}
+
+#[test]
+fn of_many_names_the_first_are_listed_and_the_others_counted() {
+    let mut world = World::new(config(UNICAST));
+    assert!(world.session.names().is_empty());
+    world.server.models = vec![("a\u{1b}[2J", 1); 1];
+    world
+        .server
+        .models
+        .extend([("twenty-five-bytes-of-name", 2); 20]);
+    world.run(20 * MS);
+    let names = world.session.names().to_string();
+    // What a terminal would obey is escaped.
+    assert!(
+        names.starts_with(r#""a\u{1b}[2J", "twenty-five"#),
+        "{names}"
+    );
+    assert!(names.ends_with("\" and 13 more"), "{names}");
 }

@@ -243,3 +243,41 @@ fn a_silent_stream_is_stale_and_its_last_pose_is_not_passed_on() {
         &[RigidBody::tracked(CAR, [0.0, 0.0, 0.05], LEVEL)],
     )));
 }
+
+#[test]
+fn a_wrong_up_axis_shows_in_height_and_tilt() {
+    // Stream: a car that stands on the floor at (1, 2), height 0.1 m, yaw 60 degrees.
+    let (half_sin, half_cos) = (30.0_f32.to_radians().sin(), 30.0_f32.to_radians().cos());
+    let y_up = RigidBody::tracked(CAR, [1.0, 0.1, -2.0], [0.0, half_sin, 0.0, half_cos]);
+    let z_up = RigidBody::tracked(CAR, [1.0, 2.0, 0.1], [0.0, 0.0, half_sin, half_cos]);
+    for (axis, right, wrong) in [(UpAxis::Y, y_up, z_up), (UpAxis::Z, z_up, y_up)] {
+        for (body, suggests) in [(right, false), (wrong, true)] {
+            let mut config = config(UNICAST);
+            config.session.up_axis = axis;
+            let mut world = World::connected(config);
+            world.next_state(&Frame::new(1, &[body]));
+            let level = world.session.level().unwrap();
+            assert_eq!(level.suggests_other_axis(), suggests, "{axis:?} {level:?}");
+            let (height_m, tilt_rad) = if suggests {
+                (level.other_height_m, level.other_tilt_rad)
+            } else {
+                (level.height_m, level.tilt_rad)
+            };
+            assert!((height_m - 0.1).abs() < 1e-6 && tilt_rad < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn a_wrong_up_axis_shows_in_the_height_alone_while_the_yaw_is_zero() {
+    let mut y_up = config(UNICAST);
+    y_up.session.up_axis = UpAxis::Y;
+    let mut world = World::connected(y_up);
+    let body = RigidBody::tracked(CAR, [1.0, 2.0, 0.1], [0.0, 0.0, 0.0, 1.0]);
+    world.next_state(&Frame::new(1, &[body]));
+    // Within the floor's height both are possible.
+    assert!(world.session.level().unwrap().suggests_other_axis());
+    let body = RigidBody::tracked(CAR, [1.0, 0.3, 0.1], [0.0, 0.0, 0.0, 1.0]);
+    world.next_state(&Frame::new(2, &[body]));
+    assert!(!world.session.level().unwrap().suggests_other_axis());
+}

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use serde_json::json;
 use singletrack_hil::{Outcome, bench::Bench, ensure, rig::Need};
 use singletrack_protocol::{ResetCause, StopCause};
 
@@ -11,6 +12,10 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("a_reset_of_the_board_clears_a_latched_stop", stop_and_reset)
         .needing(&[Need::Reset]),
     Scenario::new("an_open_stop_switch_stops_the_car", stop_switch).needing(&[Need::StopSwitch]),
+    Scenario::new(
+        "an_operator_whose_connection_ends_stops_the_car",
+        operator_gone,
+    ),
     // The last one, because a physical board then needs its reset button.
     Scenario::new("an_emergency_stop_is_immediate_and_latched", stop_command),
 ];
@@ -18,6 +23,38 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
 /// Limit from the request on the socket: the socket's thread, a tick of 10 ms, 2 ms
 /// on the line, a poll, a servo period; the rest is for a busy machine.
 const REQUEST_LIMIT_MS: f64 = 80.0;
+
+/// Limit from the end of the connection to the neutral pulse: as for a request, and the ramp
+/// from the circle's speed of 0.5 m/s.
+const GONE_LIMIT_MS: f64 = REQUEST_LIMIT_MS + 700.0;
+
+fn operator_gone(bench: &mut Bench) -> Outcome {
+    bench.start_daemon()?;
+    bench.wait_until_ready()?;
+    let mut operator = bench.client()?;
+    operator
+        .arm_attended(&json!({ "attendance": "hold" }))?
+        .accepted()?;
+    for _ in 0..10 {
+        operator.hold()?;
+        bench.keep_driving(Duration::from_millis(100))?;
+    }
+    let gone_us = bench.board_time_us()?;
+    drop(operator);
+    bench.neutral_within(
+        "after the end of the operator's connection",
+        gone_us,
+        GONE_LIMIT_MS,
+    )?;
+    bench.wait_until_standing()?;
+    let status = bench.status()?;
+    ensure!(
+        status.reason() == "operator-gone",
+        "the reason for the stop: {}",
+        status.text()
+    );
+    Ok(())
+}
 
 fn stop_command(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;

@@ -77,6 +77,7 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
     config.motion_capture.command_port = simulator.command_address().port();
     config.motion_capture.data_port = simulator.data_address().port();
     config.record.directory.clone_from(&args.out);
+    config.state.directory = private.join("state");
     config.socket.path = private.join("control.sock");
     if let Some(port) = args.live {
         config.live.enabled = true;

@@ -1,0 +1,321 @@
+//! Why the cameras give no pose: the cause, and what to do about it.
+//!
+//! Counters show what arrives. A [`Diagnosis`] names the likely cause in one word, which is the
+//! same in status, log and documentation, and in a sentence with addresses and names.
+
+use core::{fmt, net::IpAddr};
+
+use serde::Serialize;
+use singletrack_mocap::{
+    Binding, Phase, RejectReason, SessionEvent, UpAxis,
+    planar::{PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
+};
+
+/// What is wrong with the cameras, or that nothing is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Diagnosis {
+    /// The cause, one of [`Cause::WORDS`].
+    #[serde(rename = "diagnosis")]
+    pub word: &'static str,
+    /// The same as a sentence, with addresses, names and what to do.
+    pub text: String,
+}
+
+impl Default for Diagnosis {
+    fn default() -> Self {
+        Self {
+            word: Cause::Starting.word(),
+            text: "waiting for the server".to_owned(),
+        }
+    }
+}
+
+impl Diagnosis {
+    /// Whether something is wrong.
+    #[must_use]
+    pub fn is_trouble(&self) -> bool {
+        !matches!(self.word, "good" | "starting")
+    }
+}
+
+impl fmt::Display for Diagnosis {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "motion capture: {}: {}", self.word, self.text)
+    }
+}
+
+/// The cause by itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cause {
+    Starting,
+    Good,
+    NoServer,
+    OtherAddress(IpAddr),
+    UnsupportedVersion,
+    OtherTransport,
+    NoFrames,
+    TwoSenders,
+    NoSuchBody,
+    AmbiguousBody(usize),
+    BodyAbsent,
+    Untracked,
+    UpAxis,
+    Rejected(RejectReason),
+}
+
+impl Cause {
+    /// The words, in the order of the checks.
+    const WORDS: [&'static str; 14] = [
+        "starting",
+        "good",
+        "no-server",
+        "other-address",
+        "unsupported-version",
+        "other-transport",
+        "no-frames",
+        "two-senders",
+        "no-such-body",
+        "ambiguous-body",
+        "body-absent",
+        "untracked",
+        "up-axis",
+        "rejected",
+    ];
+
+    const fn word(self) -> &'static str {
+        let [
+            starting,
+            good,
+            no_server,
+            other_address,
+            unsupported_version,
+            other_transport,
+            no_frames,
+            two_senders,
+            no_such_body,
+            ambiguous_body,
+            body_absent,
+            untracked,
+            up_axis,
+            rejected,
+        ] = Self::WORDS;
+        match self {
+            Self::Starting => starting,
+            Self::Good => good,
+            Self::NoServer => no_server,
+            Self::OtherAddress(_) => other_address,
+            Self::UnsupportedVersion => unsupported_version,
+            Self::OtherTransport => other_transport,
+            Self::NoFrames => no_frames,
+            Self::TwoSenders => two_senders,
+            Self::NoSuchBody => no_such_body,
+            Self::AmbiguousBody(_) => ambiguous_body,
+            Self::BodyAbsent => body_absent,
+            Self::Untracked => untracked,
+            Self::UpAxis => up_axis,
+            Self::Rejected(_) => rejected,
+        }
+    }
+
+    /// How long it must last before it is reported, ns: frames may pause, and a session
+    /// negotiates for up to 2.5 s.
+    const fn patience_ns(self) -> u64 {
+        match self {
+            Self::Starting | Self::Good | Self::TwoSenders => 0,
+            Self::NoServer | Self::NoFrames | Self::OtherTransport => 3_000_000_000,
+            _ => 1_000_000_000,
+        }
+    }
+}
+
+/// Every word that a diagnosis can have, for the documentation.
+pub const DIAGNOSES: [&str; 14] = Cause::WORDS;
+
+/// Reports over which the counters are compared: a second.
+const WINDOW: usize = 5;
+
+/// Watches a session, and says what is wrong with it.
+#[derive(Debug, Default)]
+pub(crate) struct CameraWatch {
+    /// The counters at the last reports, oldest first.
+    past: heapless::Deque<PlanarCounters, WINDOW>,
+    /// The cause found last, and since when.
+    found: Option<(Cause, u64)>,
+    reported: Option<Cause>,
+    wrong_transport: bool,
+}
+
+impl CameraWatch {
+    pub(crate) fn handle(&mut self, event: &PlanarEvent) {
+        match event {
+            PlanarEvent::Session(SessionEvent::TransportMismatch { .. }) => {
+                self.wrong_transport = true;
+            }
+            PlanarEvent::Session(SessionEvent::Restarted(_)) => self.wrong_transport = false,
+            _ => {}
+        }
+    }
+
+    /// Looks at the session, about five times a second. Returns a diagnosis when it changes.
+    pub(crate) fn look(&mut self, now_ns: u64, session: &PlanarSession) -> Option<Diagnosis> {
+        let counters = session.counters();
+        let before = *self.past.front().unwrap_or(&PlanarCounters::default());
+        if self.past.is_full() {
+            self.past.pop_front();
+        }
+        // There is room: see above.
+        let _ = self.past.push_back(counters);
+        let cause = self.cause(now_ns, session, &before, &counters);
+        let since_ns = match self.found {
+            Some((found, since_ns)) if found == cause => since_ns,
+            _ => now_ns,
+        };
+        self.found = Some((cause, since_ns));
+        let is_due = now_ns.saturating_sub(since_ns) >= cause.patience_ns();
+        if !is_due || self.reported == Some(cause) {
+            return None;
+        }
+        self.reported = Some(cause);
+        Some(Diagnosis {
+            word: cause.word(),
+            text: describe(cause, session),
+        })
+    }
+
+    fn cause(
+        &self,
+        now_ns: u64,
+        session: &PlanarSession,
+        before: &PlanarCounters,
+        counters: &PlanarCounters,
+    ) -> Cause {
+        let grew = |count: fn(&PlanarCounters) -> u64| count(counters) > count(before);
+        if session.is_contradicted(now_ns) {
+            return Cause::TwoSenders;
+        }
+        if !grew(|counters| counters.session.frames) {
+            return match (session.phase(), session.other_source()) {
+                (Phase::Refused(_), _) => Cause::UnsupportedVersion,
+                (_, Some(address)) if grew(|counters| counters.session.wrong_source) => {
+                    Cause::OtherAddress(address)
+                }
+                (Phase::Streaming(_), _) if self.wrong_transport => Cause::OtherTransport,
+                (Phase::Streaming(_), _) => Cause::NoFrames,
+                _ => Cause::NoServer,
+            };
+        }
+        match session.binding() {
+            Binding::Missing => return Cause::NoSuchBody,
+            Binding::Ambiguous { count } => return Cause::AmbiguousBody(count),
+            // The definitions are on their way.
+            Binding::Unresolved => return Cause::Starting,
+            Binding::Bound { .. } => {}
+        }
+        let is_seen = grew(|counters| counters.valid + counters.rejected.total());
+        if is_seen
+            && session
+                .level()
+                .is_some_and(|level| level.suggests_other_axis())
+        {
+            return Cause::UpAxis;
+        }
+        if grew(|counters| counters.valid) {
+            return Cause::Good;
+        }
+        match session.pose_state(now_ns) {
+            PoseState::Rejected(reason) | PoseState::LockedOut(reason) => Cause::Rejected(reason),
+            PoseState::Untracked => Cause::Untracked,
+            PoseState::Absent => Cause::BodyAbsent,
+            _ => Cause::Starting,
+        }
+    }
+}
+
+fn describe(cause: Cause, session: &PlanarSession) -> String {
+    let PlanarConfig {
+        session: config,
+        rigid_body,
+        ..
+    } = session.config();
+    let server = config.server;
+    match cause {
+        Cause::Starting => "waiting for the rigid bodies of the server".to_owned(),
+        Cause::Good => "poses arrive".to_owned(),
+        Cause::NoServer => format!(
+            "nothing comes from motion_capture.server = {server}: is the address right, the \
+             program running there with streaming on, the cable plugged in, UDP port {} open in \
+             both firewalls?",
+            config.command_port
+        ),
+        Cause::OtherAddress(address) => format!(
+            "packets come from {address}, not from motion_capture.server = {server}: the server \
+             probably has a second network card; set motion_capture.server = \"{address}\" if \
+             that is its address, or choose the network in the server's streaming settings"
+        ),
+        Cause::UnsupportedVersion => {
+            "the server's bitstream is not supported; set motion_capture.bitstream = \"4.1\", or \
+             update the server"
+                .to_owned()
+        }
+        Cause::OtherTransport => {
+            "the server streams with the other transport, unicast or multicast; change \
+             motion_capture.transport or the server's setting"
+                .to_owned()
+        }
+        Cause::NoFrames => format!(
+            "the server at {server} answers and sends no frames: start streaming there, and open \
+             UDP port 1511 (motion_capture.data_port) if frames are multicast"
+        ),
+        Cause::TwoSenders => format!(
+            "frames from {server} contradict each other: another program sends with the server's \
+             address, and no pose is used; give the cameras a network of their own"
+        ),
+        Cause::NoSuchBody => {
+            let names = session.names();
+            if names.is_empty() {
+                format!(
+                    "the server has no rigid body; define one named {rigid_body:?} and stream it"
+                )
+            } else {
+                format!(
+                    "motion_capture.rigid_body = {rigid_body:?} is not among the server's rigid \
+                     bodies {names}; check spelling and case, and that it is streamed"
+                )
+            }
+        }
+        Cause::AmbiguousBody(count) => format!(
+            "{count} rigid bodies of the server have the name {rigid_body:?}; rename all but one"
+        ),
+        Cause::BodyAbsent => format!(
+            "{rigid_body:?} is defined and is not in the frames; switch on that it is streamed"
+        ),
+        Cause::Untracked => format!(
+            "the cameras do not see {rigid_body:?}: more markers, a better view, or a new \
+             calibration"
+        ),
+        Cause::UpAxis => {
+            let (configured, other) = match config.up_axis {
+                UpAxis::Y => ("y", "z"),
+                UpAxis::Z => ("z", "y"),
+            };
+            let level = session.level().map_or_else(String::new, |level| {
+                format!(
+                    ": height {:.2} m and tilt {:.0} degrees; with {other:?} they are {:.2} m and \
+                     {:.0} degrees",
+                    level.height_m,
+                    level.tilt_rad.to_degrees(),
+                    level.other_height_m,
+                    level.other_tilt_rad.to_degrees()
+                )
+            });
+            format!(
+                "motion_capture.up_axis = {configured:?} makes no sense of the pose{level}; it is \
+                 probably {other:?}"
+            )
+        }
+        Cause::Rejected(reason) => format!(
+            "poses of {rigid_body:?} arrive and are rejected: {}; see docs/reasons.md",
+            reason.name()
+        ),
+    }
+}

@@ -1,0 +1,189 @@
+//! The car of the judgement: it follows the commands without slip, lag and noise.
+
+use singletrack_control::{
+    LimitedLaw, Limits, Motion, OuterLoop as _, Position, Reference, TrackingLoop,
+    VehicleParameters, Velocity, direction,
+};
+use singletrack_pilot::{Fence, PilotConfig};
+
+use super::{Stand, duration};
+
+/// The reaction of the geofence's watch, and the age of a pose, in s.
+const REACTION_S: f64 = 0.13;
+
+/// Where on the way of a stop the geofence is checked.
+const CHECKS: u8 = 2;
+
+/// A standing car, and what drives it.
+pub(super) struct Car<'a> {
+    law: LimitedLaw,
+    tracking: TrackingLoop,
+    reference: &'a Reference,
+    vehicle: VehicleParameters,
+    limits: Limits,
+    braking: f64,
+    period: f64,
+    time: f64,
+    position: Position,
+    yaw: f64,
+}
+
+/// How a drive ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Ended {
+    /// The car followed its reference to the end, inside the geofence.
+    Inside,
+    /// It could not stop inside the geofence any more.
+    Left {
+        /// When, s.
+        time: f64,
+        /// Where.
+        position: Position,
+    },
+    /// The law had no answer.
+    Singular {
+        /// When, s.
+        time: f64,
+    },
+}
+
+impl Ended {
+    /// For how long the car drove, s.
+    pub(super) const fn time(&self) -> f64 {
+        match self {
+            Self::Inside => f64::INFINITY,
+            Self::Left { time, .. } | Self::Singular { time } => *time,
+        }
+    }
+}
+
+/// The shares of a drive during which limits were reached, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Saturated {
+    pub(super) steering: f64,
+    pub(super) speed: f64,
+    pub(super) lateral: f64,
+}
+
+/// What a period wanted and got.
+struct Step {
+    reference_speed: f64,
+    speed: f64,
+    steering: f64,
+}
+
+impl<'a> Car<'a> {
+    pub(super) fn new(pilot: &'a PilotConfig, vehicle: &VehicleParameters, stand: Stand) -> Self {
+        Self {
+            law: LimitedLaw::new(pilot.law, pilot.limits),
+            tracking: pilot.tracking,
+            reference: &pilot.reference,
+            vehicle: *vehicle,
+            limits: pilot.limits,
+            braking: pilot.braking,
+            period: pilot.period,
+            time: 0.0,
+            position: Position::new(stand.x_m, stand.y_m),
+            yaw: stand.yaw_rad,
+        }
+    }
+
+    /// Follows the reference to its end, or until the car could not stop inside `fence`.
+    pub(super) fn drive(mut self, fence: &Fence) -> Ended {
+        let until = duration(self.reference);
+        while self.time < until {
+            if !self.stops_inside(fence) {
+                return Ended::Left {
+                    time: self.time,
+                    position: self.position,
+                };
+            }
+            if self.step().is_none() {
+                return Ended::Singular { time: self.time };
+            }
+        }
+        Ended::Inside
+    }
+
+    /// Follows the reference without a geofence, and measures for how long it is limited.
+    pub(super) fn saturated(mut self) -> Saturated {
+        let limits = self.limits;
+        let until = duration(self.reference);
+        let (mut steps, mut steering, mut speed, mut lateral) = (0.0, 0.0, 0.0, 0.0);
+        while self.time < until {
+            let Some(step) = self.step() else {
+                break;
+            };
+            steps += 1.0;
+            steering += f64::from(step.steering.abs() >= 0.999 * limits.max_steering);
+            speed += f64::from(step.reference_speed > 1.001 * limits.max_speed);
+            let in_bend = limits.speed_in_bend(step.steering);
+            lateral += f64::from(step.speed.abs() >= 0.999 * in_bend);
+        }
+        let share = |count: f64| if steps > 0.0 { count / steps } else { 0.0 };
+        Saturated {
+            steering: share(steering),
+            speed: share(speed),
+            lateral: share(lateral),
+        }
+    }
+
+    /// One period of the controller; `None` where the law is singular.
+    fn step(&mut self) -> Option<Step> {
+        let before = self.law.actuation();
+        let (sideslip, curvature) = self.rolls(before.steering);
+        let motion = Motion {
+            yaw: self.yaw,
+            yaw_rate: before.speed * curvature,
+            sideslip,
+        };
+        let point = self
+            .law
+            .law()
+            .point(self.position, self.yaw, before.steering);
+        let reference = self.reference.at(self.time);
+        let wanted = self.tracking.velocity(&reference, &point);
+        let actuation = self
+            .law
+            .step(&motion, before.speed, &wanted, self.period)
+            .ok()?;
+        let (sideslip, curvature) = self.rolls(actuation.steering);
+        let way = actuation.speed * self.period;
+        let turned = way * curvature;
+        self.position += way * direction(self.yaw + sideslip + 0.5 * turned);
+        self.yaw += turned;
+        self.time += self.period;
+        Some(Step {
+            reference_speed: reference.velocity.norm(),
+            speed: actuation.speed,
+            steering: actuation.steering,
+        })
+    }
+
+    /// Sideslip (rad) and curvature of the path of G (1/m) of a car that rolls without slip.
+    fn rolls(&self, steering: f64) -> (f64, f64) {
+        let wheelbase = self.vehicle.wheelbase_m();
+        let tangent = steering.tan();
+        let sideslip = (self.vehicle.rear_axle_distance_m / wheelbase * tangent).atan();
+        (sideslip, sideslip.cos() * tangent / wheelbase)
+    }
+
+    /// Whether the car is inside and stays inside if it stops now, with its wheels held.
+    fn stops_inside(&self, fence: &Fence) -> bool {
+        let actuation = self.law.actuation();
+        let (sideslip, curvature) = self.rolls(actuation.steering);
+        let pace = actuation.speed.abs();
+        let ahead = pace * REACTION_S + 0.5 * pace * pace / self.braking;
+        let part = ahead.copysign(actuation.speed) / f64::from(CHECKS);
+        let mut from = self.position;
+        let mut yaw = self.yaw;
+        (0..CHECKS).all(|_| {
+            let turned = part * curvature;
+            let way: Velocity = part * direction(yaw + sideslip + 0.5 * turned);
+            let stays = fence.contains_way(&from, &way);
+            from += way;
+            yaw += turned;
+            stays
+        })
+    }
+}

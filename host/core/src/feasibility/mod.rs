@@ -1,0 +1,547 @@
+//! Whether a car can do what its configuration asks for.
+//!
+//! [`Config::validate`] refuses values that contradict each other. A valid configuration may
+//! still ask for a circle that the wheels can't steer, or for one that leads out of the
+//! geofence. [`judge`] finds that before the car moves. It is a pure function: `singletrackd
+//! --check` prints what it returns, and other tools may call it.
+
+mod drive;
+
+use core::f64::consts::{FRAC_PI_4, PI};
+use core::fmt;
+
+use singletrack_control::{
+    Limits, Position, Reference, VehicleParameters, Velocity, direction, wrap,
+};
+use singletrack_pilot::{Fence, PilotConfig};
+
+use crate::config::{
+    Config, ConfigError, EXAMPLE_SERVER, OuterLoopSection, ReferenceSection, SECTIONS,
+};
+use drive::{Car, Ended, Saturated};
+
+/// Distance that the path must keep from the geofence beyond its margin, in m: the model of
+/// [`judge`] knows no noise, no lag and no slip.
+const RESERVE_M: f64 = 0.03;
+
+/// The share of a drive in which a limit may be reached before it is a warning, and before
+/// the reference counts as impossible.
+const SATURATED_WARNING: f64 = 0.1;
+const SATURATED_ERROR: f64 = 0.5;
+
+/// Below this share of its limit a steady steering angle leaves room for corrections.
+const STEERING_RESERVE: f64 = 0.97;
+
+/// Whether the car can drive in spite of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// It can drive; the value should be looked at.
+    Warning,
+    /// It can't do what is asked.
+    Impossible,
+}
+
+/// A value of the configuration that should be changed: key, value and fix.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// Whether the car can drive in spite of it.
+    pub severity: Severity,
+    /// The key, or the section.
+    pub key: &'static str,
+    /// Its value.
+    pub value: String,
+    /// What is wrong with it, and what to do.
+    pub fix: String,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            key, value, fix, ..
+        } = self;
+        write!(formatter, "{key} is {value}: {fix}")
+    }
+}
+
+/// Where a car stands with straight wheels: its centre of mass, and its heading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stand {
+    /// Position of the centre of mass, in m.
+    pub x_m: f64,
+    /// Position of the centre of mass, in m.
+    pub y_m: f64,
+    /// Heading, in rad.
+    pub yaw_rad: f64,
+}
+
+impl fmt::Display for Stand {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            formatter,
+            "centre of mass at ({:.2}, {:.2}) m, heading {:.0} degrees",
+            self.x_m,
+            self.y_m,
+            self.yaw_rad.to_degrees()
+        )
+    }
+}
+
+/// What [`judge`] found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Judgement {
+    /// The findings; empty if there is nothing to say.
+    pub findings: Vec<Finding>,
+    /// A place from which the car drives its reference inside the geofence; `None` if there is
+    /// none, or if the reference comes from outside.
+    pub start: Option<Stand>,
+}
+
+impl Judgement {
+    /// Whether the car can do what is asked.
+    #[must_use]
+    pub fn is_possible(&self) -> bool {
+        self.findings
+            .iter()
+            .all(|finding| finding.severity == Severity::Warning)
+    }
+}
+
+/// Judges a valid configuration. With `stand`, the geofence is judged from where the car
+/// stands, otherwise from where it could start.
+///
+/// The car of the judgement follows the law without slip, lag and noise: what it can't do,
+/// a real car can't do.
+///
+/// # Errors
+///
+/// The configuration is invalid, or its waypoints can't be read.
+pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigError> {
+    config.validate()?;
+    let pilot = config.pilot()?;
+    let mut judgement = Judgement::default();
+    let findings = &mut judgement.findings;
+    warn_of_examples(config, findings);
+    if matches!(config.reference, ReferenceSection::External { .. }) {
+        return Ok(judgement);
+    }
+    if let Some(circle) = SteadyCircle::of(config, &pilot.limits) {
+        circle.judge(config, findings);
+    } else {
+        judge_saturation(&pilot, &config.vehicle, findings);
+    }
+    // Where the reference can't be steered, the geofence is not the problem.
+    if judgement.is_possible() {
+        judge_fence(config, &pilot, stand, &mut judgement);
+    }
+    Ok(judgement)
+}
+
+/// Values that were left as they are in the example file.
+fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
+    let mut warn = |key, value: String, fix: &str| {
+        findings.push(Finding {
+            severity: Severity::Warning,
+            key,
+            value,
+            fix: fix.to_owned(),
+        });
+    };
+    if config.motion_capture.server == EXAMPLE_SERVER {
+        warn(
+            "motion_capture.server",
+            config.motion_capture.server.to_string(),
+            "this is the example's address; give that of the computer that runs the motion capture",
+        );
+    }
+    if config.vehicle == VehicleParameters::paper() {
+        warn(
+            "vehicle",
+            "the paper's car".to_owned(),
+            "the section is left out; give your car's mass, axles and tyres, at least its wheelbase",
+        );
+    }
+    if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
+        warn(
+            "fence.braking_m_s2",
+            config.fence.braking_m_s2.to_string(),
+            "this is the example's; let your car roll out and measure it: the fence and the watch \
+             of every stop rest on it",
+        );
+    }
+    let board = toml::Value::try_from(config.board).ok();
+    for (key, fix) in [
+        (
+            "board.servo",
+            "centre, gain and end stops are those of the simulated car; measure yours with the \
+             wheels off the ground: a wrong sign steers the wrong way",
+        ),
+        (
+            "board.esc",
+            "the pulses are those of the simulated car; measure yours with the wheels off the \
+             ground: with another neutral an unarmed car may drive",
+        ),
+        (
+            "board.speed",
+            "pulse distance and gains are those of the simulated car; roll yours over a known \
+             distance and count the pulses",
+        ),
+    ] {
+        let written = key
+            .split('.')
+            .skip(1)
+            .try_fold(board.as_ref(), |at, name| Some(at?.get(name)))
+            .flatten();
+        if is_example(key, &written.cloned()) {
+            warn(key, "the example's".to_owned(), fix);
+        }
+    }
+}
+
+/// Whether every value of the section that has an example is that example.
+fn is_example(section: &str, written: &Option<toml::Value>) -> bool {
+    let declared = SECTIONS.iter().find(|declared| declared.name == section);
+    declared
+        .zip(written.as_ref())
+        .is_some_and(|(declared, written)| {
+            let mut examples = declared
+                .keys
+                .iter()
+                .filter_map(|key| Some((key.name, (key.example)()?)))
+                .peekable();
+            examples.peek().is_some()
+                && examples.all(|(name, example)| written.get(name) == Some(&example))
+        })
+}
+
+/// The circle that P and car settle on, without slip.
+struct SteadyCircle {
+    /// Radius of the reference, m.
+    reference: f64,
+    /// Radius of P: smaller than that of the reference without feed-forward, m.
+    point: f64,
+    /// The same as a factor.
+    factor: f64,
+    /// Angular velocity, rad/s.
+    rate: f64,
+    /// The smallest circle of P at the largest steering angle, m.
+    least: f64,
+}
+
+impl SteadyCircle {
+    fn of(config: &Config, limits: &Limits) -> Option<Self> {
+        let ReferenceSection::Circle {
+            radius_m,
+            angular_velocity_rad_s,
+            ..
+        } = config.reference
+        else {
+            return None;
+        };
+        let rate = angular_velocity_rad_s.abs();
+        // P is an integrator per axis in a proportional loop: a first-order low pass.
+        let factor = match config.outer_loop {
+            OuterLoopSection::Proportional {
+                gain_per_s: [x, y],
+                feed_forward: false,
+            } => x.min(y) / x.min(y).hypot(rate),
+            _ => 1.0,
+        };
+        let wheelbase = config.vehicle.wheelbase_m();
+        let rear = wheelbase / limits.max_steering.tan();
+        let distance = config.law.point_distance_m;
+        Some(Self {
+            reference: radius_m,
+            point: factor * radius_m,
+            factor,
+            rate,
+            least: (rear * rear + wheelbase * wheelbase + distance * distance).sqrt(),
+        })
+    }
+
+    /// Radius of the rear axle's circle, m; `None` if P's circle is too small for any angle.
+    fn rear_axle(&self, config: &Config) -> Option<f64> {
+        let wheelbase = config.vehicle.wheelbase_m();
+        let distance = config.law.point_distance_m;
+        let squared = self.point * self.point - distance * distance - wheelbase * wheelbase;
+        (squared > 0.0).then(|| squared.sqrt())
+    }
+
+    fn judge(&self, config: &Config, findings: &mut Vec<Finding>) {
+        let limits = &config.limits;
+        let wheelbase = config.vehicle.wheelbase_m();
+        let lags = if self.factor < 1.0 {
+            format!(
+                ", and without outer_loop.feed_forward P settles on {:.2} m",
+                self.point
+            )
+        } else {
+            String::new()
+        };
+        let smallest = round_up(self.least / self.factor);
+        let rear = self.rear_axle(config).filter(|_| self.point >= self.least);
+        let Some(rear) = rear else {
+            findings.push(Finding {
+                severity: Severity::Impossible,
+                key: "reference.radius_m",
+                value: self.reference.to_string(),
+                fix: format!(
+                    "with limits.max_steering_rad = {} P can't drive a circle below {:.2} m{lags}; \
+                     give at least {smallest:.2}, or lower law.point_distance_m",
+                    limits.max_steering_rad, self.least
+                ),
+            });
+            return;
+        };
+        let steering = (wheelbase / rear).atan();
+        if steering > STEERING_RESERVE * limits.max_steering_rad {
+            findings.push(Finding {
+                severity: Severity::Warning,
+                key: "reference.radius_m",
+                value: self.reference.to_string(),
+                fix: format!(
+                    "the circle takes a steering angle of {steering:.3} rad of \
+                     limits.max_steering_rad = {}, which leaves nothing for corrections{lags}; \
+                     give {:.2} or more",
+                    limits.max_steering_rad,
+                    round_up(1.05 * self.least / self.factor),
+                ),
+            });
+        }
+        let speed = self.point * self.rate;
+        if speed > limits.max_speed_m_s {
+            findings.push(Finding {
+                severity: Severity::Impossible,
+                key: "reference.angular_velocity_rad_s",
+                value: self.rate.to_string(),
+                fix: format!(
+                    "P would drive {speed:.2} m/s; limits.max_speed_m_s is {}: lower the angular \
+                     velocity to {:.2} or less, or the radius",
+                    limits.max_speed_m_s,
+                    round_down(limits.max_speed_m_s / self.point),
+                ),
+            });
+        }
+        // The speed of the centre of mass, and the lateral acceleration as the limit is
+        // defined: v² tan δ/L.
+        let centre = rear.hypot(config.vehicle.rear_axle_distance_m);
+        let lateral = (self.rate * centre).powi(2) / rear;
+        if lateral > limits.max_lateral_acceleration_m_s2 {
+            let most = (limits.max_lateral_acceleration_m_s2 * rear).sqrt() / centre;
+            findings.push(Finding {
+                severity: Severity::Impossible,
+                key: "reference.angular_velocity_rad_s",
+                value: self.rate.to_string(),
+                fix: format!(
+                    "the circle takes {lateral:.2} m/s2 of lateral acceleration; \
+                     limits.max_lateral_acceleration_m_s2 is {}: lower the angular velocity to \
+                     {:.2} or less",
+                    limits.max_lateral_acceleration_m_s2,
+                    round_down(most),
+                ),
+            });
+        }
+    }
+}
+
+/// To two decimals, so that the advice is not below or above what is possible.
+fn round_up(value: f64) -> f64 {
+    (100.0 * value).ceil() / 100.0
+}
+
+fn round_down(value: f64) -> f64 {
+    (100.0 * value).floor() / 100.0
+}
+
+/// For how much of the drive a limit is in the way of the reference.
+fn judge_saturation(pilot: &PilotConfig, vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
+    let Some(start) = starts_on_reference(pilot, vehicle).next() else {
+        return;
+    };
+    let Saturated {
+        steering,
+        speed,
+        lateral,
+    } = Car::new(pilot, vehicle, start).saturated();
+    for (share, key, value, what) in [
+        (
+            steering,
+            "limits.max_steering_rad",
+            pilot.limits.max_steering,
+            "steering",
+        ),
+        (
+            speed,
+            "limits.max_speed_m_s",
+            pilot.limits.max_speed,
+            "speed",
+        ),
+        (
+            lateral,
+            "limits.max_lateral_acceleration_m_s2",
+            pilot.limits.max_lateral_acceleration,
+            "lateral acceleration",
+        ),
+    ] {
+        let severity = match share {
+            share if share > SATURATED_ERROR => Severity::Impossible,
+            share if share > SATURATED_WARNING => Severity::Warning,
+            _ => continue,
+        };
+        findings.push(Finding {
+            severity,
+            key,
+            value: value.to_string(),
+            fix: format!(
+                "the reference keeps the {what} at this limit for {:.0} % of the drive; give a \
+                 slower or wider reference",
+                100.0 * share
+            ),
+        });
+    }
+}
+
+fn judge_fence(
+    config: &Config,
+    pilot: &PilotConfig,
+    stand: Option<Stand>,
+    judgement: &mut Judgement,
+) {
+    let vehicle = &config.vehicle;
+    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence);
+    let with_reserve = Fence::new(
+        pilot.fence.corners(),
+        config.fence.margin_m(vehicle) + RESERVE_M,
+    );
+    if let Some(stand) = stand {
+        match ends(&pilot.fence, stand) {
+            Ended::Inside => judgement.start = Some(stand),
+            left => judgement.findings.push(leaves(config, &left, Some(stand))),
+        }
+        return;
+    }
+    let candidates = || {
+        starts_on_reference(pilot, vehicle)
+            .chain(starts_inside(&pilot.fence, heading(&pilot.reference)))
+    };
+    let find = |fence: &Fence| candidates().find(|start| ends(fence, *start) == Ended::Inside);
+    if let Some(start) = with_reserve.ok().as_ref().and_then(find) {
+        judgement.start = Some(start);
+        return;
+    }
+    if let Some(start) = find(&pilot.fence) {
+        judgement.start = Some(start);
+        judgement.findings.push(Finding {
+            severity: Severity::Warning,
+            key: "fence.corners_m",
+            value: format!("less than {RESERVE_M} m from the car's path"),
+            fix: "noise and lag of a real car take it out; widen the fence or choose a smaller \
+                  reference"
+                .to_owned(),
+        });
+        return;
+    }
+    // The attempt that lasted longest explains best where the fence is too narrow.
+    let longest = candidates()
+        .map(|start| ends(&pilot.fence, start))
+        .max_by(|a, b| a.time().total_cmp(&b.time()));
+    if let Some(left) = longest {
+        judgement.findings.push(leaves(config, &left, None));
+    }
+}
+
+fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
+    let from = match stand {
+        Some(stand) => format!("from here ({stand})"),
+        None => "from every start inside it".to_owned(),
+    };
+    let how = match ended {
+        Ended::Left { time, position } => format!(
+            "the car can't stop inside any more; at best it comes to ({:.2}, {:.2}) m after \
+             {time:.1} s",
+            position.x, position.y
+        ),
+        Ended::Singular { time } => format!("the law has no answer after {time:.1} s"),
+        Ended::Inside => String::new(),
+    };
+    let circle = match config.reference {
+        ReferenceSection::Circle { .. } => {
+            " (the smallest circle that the car can drive may \
+                                            still be too large)"
+        }
+        _ => "",
+    };
+    Finding {
+        severity: Severity::Impossible,
+        key: "fence.corners_m",
+        value: format!("{:?}", config.fence.corners_m),
+        fix: format!(
+            "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move \
+             or shrink the reference{circle}, or drive more slowly",
+            config.fence.margin_m(&config.vehicle)
+        ),
+    }
+}
+
+/// Stands with P at the start of the reference or a little behind it, looking along it.
+fn starts_on_reference(
+    pilot: &PilotConfig,
+    vehicle: &VehicleParameters,
+) -> impl Iterator<Item = Stand> + use<> {
+    let heading = heading(&pilot.reference);
+    // Without a position the car may start anywhere.
+    let first = pilot.reference.at(0.0).position.unwrap_or_default();
+    let ahead = vehicle.front_axle_distance_m + pilot.law.point_distance();
+    let turns = [0.0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75];
+    turns.into_iter().flat_map(move |turn| {
+        [0.0, 0.15, 0.3].into_iter().map(move |behind| {
+            let yaw = heading + turn;
+            let centre = first - (ahead + behind) * direction(yaw);
+            Stand {
+                x_m: centre.x,
+                y_m: centre.y,
+                yaw_rad: wrap(yaw),
+            }
+        })
+    })
+}
+
+/// The direction in which the reference begins, rad.
+fn heading(reference: &Reference) -> f64 {
+    let first = reference.at(0.0);
+    // It may stand at its very beginning.
+    let way = match (first.position, reference.at(0.5).position) {
+        (Some(first), Some(later)) => later - first,
+        _ => first.velocity,
+    };
+    way.y.atan2(way.x)
+}
+
+/// A grid of stands in the box around the geofence; [`Car::drive`] refuses those outside.
+fn starts_inside(fence: &Fence, heading: f64) -> impl Iterator<Item = Stand> + use<> {
+    const STEPS: usize = 7;
+    let corners = fence.corners();
+    let least = |part: fn(&Position) -> f64| corners.iter().map(part).fold(f64::MAX, f64::min);
+    let most = |part: fn(&Position) -> f64| corners.iter().map(part).fold(f64::MIN, f64::max);
+    let low = Velocity::new(least(|corner| corner.x), least(|corner| corner.y));
+    let high = Velocity::new(most(|corner| corner.x), most(|corner| corner.y));
+    let place = move |low: f64, high: f64, step: usize| {
+        low + (high - low) * (step as f64 + 0.5) / STEPS as f64
+    };
+    (0..STEPS * STEPS).flat_map(move |cell| {
+        (0..8_u8).map(move |turn| Stand {
+            x_m: place(low.x, high.x, cell % STEPS),
+            y_m: place(low.y, high.y, cell / STEPS),
+            yaw_rad: wrap(heading + f64::from(turn) * FRAC_PI_4),
+        })
+    })
+}
+
+/// How long a reference is followed, in s: two turns of one that never ends.
+fn duration(reference: &Reference) -> f64 {
+    const LONGEST_S: f64 = 60.0;
+    let period = match reference {
+        Reference::Circle(circle) => 2.0 * PI / circle.angular_velocity().abs().max(0.01),
+        _ => LONGEST_S / 2.0,
+    };
+    reference.duration().unwrap_or(2.0 * period).min(LONGEST_S)
+}

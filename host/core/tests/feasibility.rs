@@ -1,0 +1,297 @@
+//! The judgement of what a car can do: references, limits and the geofence.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+#[path = "common/simulated_drive.rs"]
+mod simulated_drive;
+
+use simulated_drive::SimulatedDrive;
+use singletrack_core::{
+    config::{Config, LimitsSection, ReferenceSection, SECTIONS},
+    feasibility::{Finding, Judgement, Severity, Stand, judge},
+};
+use singletrack_pilot::Mode;
+use singletrack_sim::{SimulationConfig, StartPose};
+
+const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
+
+/// What the simulated car brakes with at least, at neutral.
+const BRAKING_M_S2: f64 = 1.4;
+
+/// Half of a square fence, m.
+const HALF_M: f64 = 1.0;
+
+/// The example with values of a car, a server and a board that are not the example's.
+fn own() -> Config {
+    let mut config = Config::from_toml(EXAMPLE).unwrap();
+    config.motion_capture.server = [10, 0, 0, 2].into();
+    config.vehicle.mass_kg += 0.1;
+    config.board.servo.centre_us += 1;
+    config.board.esc.deadband_us += 1;
+    config.board.speed.pulse_distance_um += 1;
+    config.fence.corners_m = square(HALF_M);
+    config.fence.margin_m = Some(0.2);
+    config.fence.braking_m_s2 = BRAKING_M_S2;
+    config
+}
+
+fn square(half: f64) -> Vec<[f64; 2]> {
+    vec![[-half, -half], [half, -half], [half, half], [-half, half]]
+}
+
+fn circle(radius_m: f64, angular_velocity_rad_s: f64) -> ReferenceSection {
+    ReferenceSection::Circle {
+        radius_m,
+        angular_velocity_rad_s,
+        centre_m: [0.0, 0.0],
+    }
+}
+
+fn found(config: &Config) -> Judgement {
+    judge(config, None).unwrap()
+}
+
+/// The only finding.
+fn only(judgement: &Judgement) -> &Finding {
+    match &judgement.findings[..] {
+        [finding] => finding,
+        findings => panic!("{findings:?}"),
+    }
+}
+
+/// From the geometry: the rear axle, the front axle and P turn about one centre.
+fn least_radius(config: &Config) -> f64 {
+    let wheelbase = config.vehicle.front_axle_distance_m + config.vehicle.rear_axle_distance_m;
+    let rear = wheelbase / config.limits.max_steering_rad.tan();
+    (rear.powi(2) + wheelbase.powi(2) + config.law.point_distance_m.powi(2)).sqrt()
+}
+
+/// Drives the simulated car from `stand` for `seconds`; the modes after arming, and the share
+/// of the time with the steering at its limit.
+fn driven(config: &Config, stand: Stand, seconds: u64) -> (Vec<Mode>, f64) {
+    let mut simulation = SimulationConfig::default();
+    simulation.car.start = StartPose {
+        x_m: stand.x_m,
+        y_m: stand.y_m,
+        yaw_rad: stand.yaw_rad,
+    };
+    let mut drive = SimulatedDrive::with(config.clone(), simulation);
+    let (mut modes, mut ticks, mut limited) = (Vec::new(), 0.0, 0.0);
+    for index in 1..=100 * (seconds + 4) {
+        drive.run_until_tick(index);
+        drive.tick(index);
+        let output = drive.output().unwrap();
+        let mode = output.mode;
+        if mode == Mode::Driving || !modes.is_empty() {
+            if modes.last() != Some(&mode) {
+                modes.push(mode);
+            }
+            ticks += 1.0;
+            limited += f64::from(
+                output.actuation.steering.abs() >= 0.999 * config.limits.max_steering_rad,
+            );
+        }
+    }
+    assert!(ticks > 90.0 * seconds as f64, "driven for {ticks} ticks");
+    (modes, limited / ticks)
+}
+
+#[test]
+fn the_simulated_car_drives_the_example_from_the_place_that_is_named() {
+    let mut config = Config::from_toml(EXAMPLE).unwrap();
+    config.fence.braking_m_s2 = BRAKING_M_S2;
+    let judgement = found(&config);
+    assert!(judgement.is_possible(), "{judgement:?}");
+    let (modes, limited) = driven(&config, judgement.start.unwrap(), 30);
+    assert_eq!(modes, [Mode::Driving]);
+    assert!(limited < 0.05, "{limited}");
+}
+
+#[test]
+fn a_circle_below_the_least_radius_of_p_is_impossible_and_one_above_is_not() {
+    let mut config = own();
+    let least = least_radius(&config);
+    assert!((least - 0.69).abs() < 0.005, "{least}");
+    // Without feed-forward P settles on a smaller circle: k over hypot(k, w).
+    let factor = 1.0 / 1.0_f64.hypot(0.5);
+    for (radius, possible) in [
+        (0.6, false),
+        (0.99 * least / factor, false),
+        (1.01 * least / factor, true),
+    ] {
+        config.reference = circle(radius, 0.5);
+        let judgement = found(&config);
+        assert_eq!(judgement.is_possible(), possible, "{radius}: {judgement:?}");
+        let finding = only(&judgement).to_string();
+        assert!(finding.starts_with("reference.radius_m is"), "{finding}");
+        if !possible {
+            for part in ["0.69 m", "at least 0.78", "law.point_distance_m"] {
+                assert!(finding.contains(part), "{finding}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_simulated_car_has_its_wheels_at_the_limit_on_a_circle_that_is_called_impossible() {
+    let mut config = own();
+    config.board = Config::from_toml(EXAMPLE).unwrap().board;
+    config.fence.corners_m = square(3.0);
+    config.reference = circle(0.6, 0.5);
+    let start = Stand {
+        x_m: 0.42,
+        y_m: -0.45,
+        yaw_rad: 1.2,
+    };
+    let (_, limited) = driven(&config, start, 20);
+    assert!(limited > 0.8, "{limited}");
+}
+
+#[test]
+fn a_circle_that_takes_all_of_the_steering_is_a_warning() {
+    let mut config = own();
+    config.reference = circle(0.78, 0.5);
+    let judgement = found(&config);
+    let finding = only(&judgement);
+    assert_eq!(finding.severity, Severity::Warning);
+    assert!(finding.fix.contains("corrections"), "{finding}");
+    assert!(judgement.start.is_some());
+}
+
+#[test]
+fn what_is_too_fast_for_the_limits_is_impossible() {
+    for (limits, key, part) in [
+        (
+            LimitsSection {
+                max_speed_m_s: 0.3,
+                creep_speed_m_s: 0.2,
+                ..LimitsSection::default()
+            },
+            "reference.angular_velocity_rad_s",
+            "limits.max_speed_m_s is 0.3",
+        ),
+        (
+            LimitsSection {
+                max_lateral_acceleration_m_s2: 0.1,
+                ..LimitsSection::default()
+            },
+            "reference.angular_velocity_rad_s",
+            "limits.max_lateral_acceleration_m_s2 is 0.1",
+        ),
+    ] {
+        let config = Config { limits, ..own() };
+        let judgement = found(&config);
+        let finding = only(&judgement);
+        assert_eq!((finding.severity, finding.key), (Severity::Impossible, key));
+        assert!(finding.fix.contains(part), "{finding}");
+    }
+}
+
+#[test]
+fn a_fence_that_the_car_cannot_stay_inside_is_impossible_and_a_larger_one_is_not() {
+    let mut config = own();
+    assert_eq!(found(&config).findings, []);
+    // The centre of mass turns on at least 0.55 m; with the margin there is less.
+    config.fence.corners_m = square(0.7);
+    let judgement = found(&config);
+    let finding = only(&judgement);
+    assert_eq!(finding.key, "fence.corners_m");
+    assert_eq!(finding.severity, Severity::Impossible);
+    assert!(finding.fix.contains("fence.margin_m = 0.2"), "{finding}");
+    assert_eq!(judgement.start, None);
+}
+
+#[test]
+fn a_car_that_has_to_turn_round_first_is_told_so_from_where_it_stands() {
+    let config = own();
+    let good = found(&config).start.unwrap();
+    assert_eq!(judge(&config, Some(good)).unwrap().start, Some(good));
+    let turned = Stand {
+        yaw_rad: good.yaw_rad + 3.0,
+        ..good
+    };
+    for stand in [turned, Stand { x_m: 1.5, ..good }] {
+        let judgement = judge(&config, Some(stand)).unwrap();
+        assert!(!judgement.is_possible());
+        let finding = only(&judgement).to_string();
+        assert!(finding.contains("from here (centre of mass"), "{finding}");
+    }
+}
+
+#[test]
+fn a_figure_that_bends_too_much_is_told_by_the_share_of_the_drive() {
+    let mut config = own();
+    config.fence.corners_m = square(3.0);
+    let eight = |half_length_m, half_width_m, rate| ReferenceSection::FigureOfEight {
+        half_length_m,
+        half_width_m,
+        angular_velocity_rad_s: rate,
+        centre_m: [0.0, 0.0],
+    };
+    config.reference = eight(0.4, 0.2, 0.4);
+    let judgement = found(&config);
+    let finding = only(&judgement).to_string();
+    assert!(!judgement.is_possible());
+    assert!(finding.starts_with("limits.max_steering_rad is 0.45") && finding.contains('%'));
+    config.fence.corners_m = square(4.0);
+    config.reference = eight(3.0, 1.5, 0.25);
+    assert_eq!(found(&config).findings, []);
+}
+
+#[test]
+fn a_reference_from_outside_is_not_judged() {
+    let mut config = own();
+    config.reference = ReferenceSection::External {
+        setpoint_timeout_ms: 200,
+    };
+    assert_eq!(found(&config), Judgement::default());
+}
+
+#[test]
+fn velocity_steps_are_driven_from_anywhere_inside_the_fence() {
+    let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);
+    let steps = |seconds: f64| {
+        let mut config = own();
+        config.outer_loop = Config::from_toml(&text).unwrap().outer_loop;
+        let step = singletrack_core::config::StepSection {
+            duration_s: seconds,
+            v_x_m_s: 0.5,
+            v_y_m_s: 0.0,
+        };
+        config.reference = ReferenceSection::VelocitySteps { steps: vec![step] };
+        found(&config)
+    };
+    assert!(steps(1.0).start.is_some());
+    assert_eq!(only(&steps(10.0)).key, "fence.corners_m");
+}
+
+#[test]
+fn what_was_left_as_in_the_example_is_a_warning() {
+    let judgement = found(&Config::from_toml(EXAMPLE).unwrap());
+    let keys: Vec<_> = judgement
+        .findings
+        .iter()
+        .map(|finding| finding.key)
+        .collect();
+    assert_eq!(
+        keys,
+        [
+            "motion_capture.server",
+            "vehicle",
+            "fence.braking_m_s2",
+            "board.servo",
+            "board.esc",
+            "board.speed"
+        ]
+    );
+    assert!(judgement.is_possible());
+    // The sections that are compared have values without a default.
+    for key in ["board.servo", "board.esc", "board.speed"] {
+        let section = SECTIONS.iter().find(|section| section.name == key).unwrap();
+        assert!(section.keys.iter().any(|key| (key.example)().is_some()));
+    }
+}

@@ -1,0 +1,162 @@
+//! `singletrackd --check`: judges a configuration without driving.
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    str::FromStr,
+};
+
+use rustix::fs::{Access, access};
+use singletrack_core::{
+    Config,
+    feasibility::{Finding, Severity, Stand, judge},
+};
+
+use crate::BAD_CONFIGURATION;
+
+/// A place to stand, as an argument: X,Y,YAW in m and degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct StandArgument(pub(crate) Stand);
+
+impl FromStr for StandArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Vec<f64> = text
+            .split(',')
+            .map(|part| part.trim().parse())
+            .collect::<Result<_, _>>()
+            .map_err(|error| format!("{error}: write X,Y,YAW in m and degrees"))?;
+        match numbers[..] {
+            [x_m, y_m, yaw_deg] if numbers.iter().all(|number| number.is_finite()) => {
+                Ok(Self(Stand {
+                    x_m,
+                    y_m,
+                    yaw_rad: yaw_deg.to_radians(),
+                }))
+            }
+            _ => Err("write three numbers: X,Y,YAW in m and degrees".to_owned()),
+        }
+    }
+}
+
+/// Judges the configuration, and prints what it found: what is impossible and what should be
+/// looked at on stderr, the result on stdout.
+pub(crate) fn run(path: &Path, config: &Config, stand: Option<Stand>) -> ExitCode {
+    let judgement = match judge(config, stand) {
+        Ok(judgement) => judgement,
+        Err(error) => {
+            eprintln!("singletrackd: {}: {error}", path.display());
+            return ExitCode::from(BAD_CONFIGURATION);
+        }
+    };
+    for finding in judgement.findings.iter().chain(&directories(config)) {
+        let level = match finding.severity {
+            Severity::Warning => "warning",
+            Severity::Impossible => "impossible",
+        };
+        eprintln!("singletrackd: {level}: {finding}");
+    }
+    if !judgement.is_possible() {
+        return ExitCode::FAILURE;
+    }
+    println!("{}: good", path.display());
+    if let Some(start) = judgement.start {
+        println!("the car can drive its reference from: {start}");
+    }
+    ExitCode::SUCCESS
+}
+
+/// Logs what [`run`] would print: the daemon starts in any case, and the supervisor stops a car
+/// that leaves the geofence.
+pub(crate) fn log(config: &Config) {
+    // An error is reported by the start.
+    for finding in judge(config, None).unwrap_or_default().findings {
+        match finding.severity {
+            Severity::Warning => tracing::warn!("{finding}"),
+            Severity::Impossible => tracing::error!("{finding}"),
+        }
+    }
+}
+
+/// The folders that the daemon writes to, if this user can't.
+fn directories(config: &Config) -> Vec<Finding> {
+    let socket = config.socket.path.parent().map(Path::to_owned);
+    [
+        (
+            "record.directory",
+            config.record.enabled,
+            Some(config.record.directory.clone()),
+            "choose a folder that the daemon may write to, or set record.enabled = false",
+        ),
+        (
+            "state.directory",
+            true,
+            Some(config.state.directory.clone()),
+            "choose a folder that the daemon may write to; otherwise every drive after a restart \
+             begins slowly",
+        ),
+        (
+            "socket.path",
+            config.socket.enabled,
+            socket,
+            "choose a path in a folder that the daemon may write to, such as one in \
+             $XDG_RUNTIME_DIR, or set socket.enabled = false",
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(key, enabled, folder, fix)| {
+        let folder = folder.filter(|_| enabled)?;
+        let refusal = unwritable(&folder)?;
+        Some(Finding {
+            severity: Severity::Warning,
+            key,
+            value: folder.display().to_string(),
+            fix: format!("this user can't write there ({refusal}); {fix}"),
+        })
+    })
+    .collect()
+}
+
+/// Why files can't be made in `folder`, which the daemon creates if necessary.
+fn unwritable(folder: &Path) -> Option<String> {
+    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+    let existing: PathBuf = absolute
+        .ancestors()
+        .find(|ancestor| ancestor.symlink_metadata().is_ok())?
+        .to_owned();
+    if !existing.is_dir() {
+        return Some(format!("{} is no folder", existing.display()));
+    }
+    access(&existing, Access::WRITE_OK | Access::EXEC_OK)
+        .err()
+        .map(|error| {
+            let error = std::io::Error::from(error);
+            format!("{}: {error}", existing.display())
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stand_is_three_numbers() {
+        let StandArgument(stand) = "0.5, -1,90".parse().unwrap();
+        assert_eq!((stand.x_m, stand.y_m), (0.5, -1.0));
+        assert!((stand.yaw_rad - core::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
+            assert!(text.parse::<StandArgument>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_can_be_created_is_writable_and_one_below_a_file_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(unwritable(&folder.path().join("a/b")), None);
+        let file = folder.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let refusal = unwritable(&file.join("records")).unwrap();
+        assert!(refusal.contains("file is no folder"), "{refusal}");
+    }
+}

@@ -1,0 +1,330 @@
+//! A drive that somebody attends: the connection that armed it, or a time, holds it.
+//!
+//! The control loop wants a renewal at least every 0.5 s. For `hold` every renewal comes from
+//! the client; for `timed` a task of this thread renews until the time is over. If this thread
+//! dies, the renewals end too, and the car stops. A connection that ends, also because its
+//! process was killed, ends a held drive at once.
+
+use std::{
+    io,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use serde_json::{Value, json};
+use singletrack_core::ControlRequest;
+use singletrack_pilot::{Mode, PilotRequest, Reason};
+use tokio::{
+    io::{AsyncBufReadExt, AsyncReadExt, BufReader},
+    net::unix::{OwnedReadHalf, OwnedWriteHalf},
+    time::{Instant, MissedTickBehavior, interval, sleep},
+};
+
+use super::{
+    command::{Attendance, Command, SOCKET_VERSION},
+    serve::{LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, not_ready, send, skip_line},
+};
+use crate::{
+    clock::monotonic_ns,
+    handle::DaemonHandle,
+    snapshot::{Snapshot, TickView},
+};
+
+/// Interval of the renewals of a timed drive, and what a client of a held one should use.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// The most frequent renewals that are passed on: a flood must not fill the ring of requests.
+const LEAST_RENEWAL: Duration = Duration::from_millis(20);
+
+/// Interval at which the outcome of an arm request, and the end of a drive, are looked for.
+const POLL: Duration = Duration::from_millis(5);
+
+/// The longest wait for the outcome of an arm request: the supervisor's time-out, and the time
+/// in which a board switches on the ESC's supply.
+const ARM_TIMEOUT: Duration = Duration::from_secs(12);
+
+/// Interval of the reports about a drive to the client that attends it.
+const REPORT: Duration = Duration::from_millis(200);
+
+/// Numbers the drives, so that a client or task of an earlier one does not end a later one.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Drives(Arc<AtomicU64>);
+
+/// The right to renew and to end one drive.
+#[derive(Clone, Debug)]
+struct Ticket {
+    drives: Drives,
+    number: u64,
+}
+
+impl Drives {
+    fn next(&self) -> Ticket {
+        Ticket {
+            drives: self.clone(),
+            number: self.0.fetch_add(1, Ordering::AcqRel) + 1,
+        }
+    }
+}
+
+impl Ticket {
+    /// Passes a request on if the drive is still the latest one.
+    fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), String> {
+        if self.drives.0.load(Ordering::Acquire) != self.number {
+            return Ok(());
+        }
+        let pushed = daemon.requests.push(ControlRequest::Pilot(request));
+        pushed.map_err(|error| error.to_string())
+    }
+}
+
+/// How an attended drive went on.
+enum Progress {
+    /// It is still being armed, or drives.
+    Underway,
+    /// It did not begin.
+    Refused(String),
+    /// It has ended, and the car stands or is out of control.
+    Ended(Mode, Option<Reason>),
+}
+
+/// Watches one drive by the status.
+struct DriveWatch {
+    asked_ns: u64,
+    asked: Instant,
+    has_driven: bool,
+}
+
+impl DriveWatch {
+    fn new() -> Self {
+        Self {
+            asked_ns: monotonic_ns(),
+            asked: Instant::now(),
+            has_driven: false,
+        }
+    }
+
+    fn progress(&mut self, snapshot: &Snapshot) -> Progress {
+        let Some(tick) = snapshot.tick else {
+            return Progress::Underway;
+        };
+        if self.has_driven {
+            return match tick.mode {
+                Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault => {
+                    Progress::Ended(tick.mode, tick.reason)
+                }
+                _ => Progress::Underway,
+            };
+        }
+        match arm_outcome(self.asked_ns, tick.start_ns, tick.mode, tick.reason) {
+            Some(Ok(())) => self.has_driven = true,
+            Some(Err(error)) => return Progress::Refused(error),
+            None if self.asked.elapsed() > ARM_TIMEOUT => {
+                return Progress::Refused("can't arm: the control thread does not answer".into());
+            }
+            None => {}
+        }
+        Progress::Underway
+    }
+}
+
+/// Requests to arm an unattended or timed drive, and waits for the outcome.
+pub(super) async fn arm(daemon: &DaemonHandle, attendance: Attendance) -> Result<(), String> {
+    let (ticket, mut watch) = begin(daemon, attendance)?;
+    if let Attendance::Timed(time) = attendance {
+        // Renews also while the board arms.
+        tokio::spawn(renew(ticket, daemon.clone(), time));
+    }
+    loop {
+        sleep(POLL).await;
+        match watch.progress(&daemon.snapshot()) {
+            Progress::Underway if watch.has_driven => return Ok(()),
+            Progress::Underway => {}
+            Progress::Refused(error) => return Err(error),
+            Progress::Ended(mode, reason) => return Err(cannot_arm(mode, reason)),
+        }
+    }
+}
+
+fn begin(daemon: &DaemonHandle, attendance: Attendance) -> Result<(Ticket, DriveWatch), String> {
+    let before = daemon.snapshot();
+    if before.mode() != Mode::Ready {
+        return Err(not_ready(&before));
+    }
+    let ticket = daemon.drives.next();
+    let request = match attendance {
+        Attendance::Unattended => PilotRequest::Arm,
+        Attendance::Hold | Attendance::Timed(_) => PilotRequest::ArmHeld,
+    };
+    ticket.push(daemon, request)?;
+    Ok((ticket, DriveWatch::new()))
+}
+
+/// Renews a drive until `time` after it began to drive, then ends it.
+async fn renew(ticket: Ticket, daemon: DaemonHandle, time: Duration) {
+    let mut watch = DriveWatch::new();
+    let mut driving_since = None;
+    let mut renewals = interval(RENEWAL);
+    renewals.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        renewals.tick().await;
+        match watch.progress(&daemon.snapshot()) {
+            Progress::Underway => {}
+            Progress::Refused(_) | Progress::Ended(..) => return,
+        }
+        if watch.has_driven {
+            let since = *driving_since.get_or_insert_with(Instant::now);
+            if since.elapsed() >= time {
+                // A stalled control thread stops the car by itself.
+                let _ = ticket.push(&daemon, PilotRequest::TimeUp);
+                return;
+            }
+        }
+        if ticket.push(&daemon, PilotRequest::Hold).is_err() {
+            return;
+        }
+    }
+}
+
+/// Arms a drive and holds it for as long as the client renews it. Returns whether the
+/// connection is still open.
+pub(super) async fn hold(
+    read: &mut BufReader<OwnedReadHalf>,
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+) -> io::Result<bool> {
+    let (ticket, watch) = match begin(daemon, Attendance::Hold) {
+        Ok(begun) => begun,
+        Err(error) => {
+            send(write, &failure(error)).await?;
+            return Ok(true);
+        }
+    };
+    let result = attend(read, write, daemon, &ticket, watch).await;
+    if !matches!(result, Ok(true)) {
+        // The client is gone, and the drive is not over.
+        let _ = ticket.push(daemon, PilotRequest::OperatorGone);
+    }
+    result
+}
+
+/// Serves the client of a held drive until the drive has ended: true. False if the connection
+/// ended before.
+async fn attend(
+    read: &mut BufReader<OwnedReadHalf>,
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+    ticket: &Ticket,
+    mut watch: DriveWatch,
+) -> io::Result<bool> {
+    let mut line = Vec::new();
+    let mut polls = interval(POLL);
+    polls.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut was_driving = false;
+    let mut reported = Instant::now();
+    let mut renewed: Option<Instant> = None;
+    loop {
+        let room = LONGEST_LINE.saturating_sub(line.len() as u64);
+        let mut rest = (&mut *read).take(room);
+        // What was read of a line stays in `line` if the other branch is first.
+        let count = tokio::select! {
+            count = rest.read_until(b'\n', &mut line) => count?,
+            _ = polls.tick() => {
+                let snapshot = daemon.snapshot();
+                match watch.progress(&snapshot) {
+                    Progress::Underway => {}
+                    Progress::Refused(error) => {
+                        send(write, &failure(error)).await?;
+                        return Ok(true);
+                    }
+                    Progress::Ended(mode, reason) => {
+                        send(write, &ended(mode, reason)).await?;
+                        return Ok(true);
+                    }
+                }
+                if watch.has_driven && !was_driving {
+                    was_driving = true;
+                    send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+                }
+                if was_driving && reported.elapsed() >= REPORT {
+                    reported = Instant::now();
+                    if let Some(tick) = snapshot.tick {
+                        send(write, &report(&tick)).await?;
+                    }
+                }
+                continue;
+            }
+        };
+        if count == 0 {
+            return Ok(false);
+        }
+        if !line.ends_with(b"\n") {
+            if line.len() as u64 >= LONGEST_LINE {
+                skip_line(read).await?;
+                let error = format!("a line is at most {LONGEST_LINE} bytes long");
+                send(write, &failure(error)).await?;
+                line.clear();
+            }
+            continue;
+        }
+        match Command::parse(&line, monotonic_ns()) {
+            Ok(Command::Hold) => {
+                if renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL) {
+                    renewed = Some(Instant::now());
+                    if let Err(error) = ticket.push(daemon, PilotRequest::Hold) {
+                        send(write, &failure(error)).await?;
+                    }
+                }
+            }
+            Ok(Command::Ask(question)) => {
+                send(write, &answer(question, daemon).await).await?;
+            }
+            Ok(Command::Setpoint(setpoint)) if daemon.reconfigurer.takes_setpoints() => {
+                daemon.setpoints.send(&setpoint);
+            }
+            Ok(_) => {
+                let error = "this connection holds a drive: it takes hold, status, disarm, stop \
+                             and setpoint";
+                send(write, &failure(error)).await?;
+            }
+            Err(error) => send(write, &failure(error)).await?,
+        }
+        line.clear();
+    }
+}
+
+/// A drive as it goes on.
+fn report(tick: &TickView) -> Value {
+    json!({
+        "version": SOCKET_VERSION,
+        "drive": {
+            "mode": tick.mode.name(),
+            "reason": tick.reason.map(Reason::name),
+            "drive_time_s": tick.drive_time_s,
+            "speed_m_s": tick.estimate.map(|estimate| estimate.speed),
+        },
+    })
+}
+
+/// How a drive ended.
+fn ended(mode: Mode, reason: Option<Reason>) -> Value {
+    json!({
+        "version": SOCKET_VERSION,
+        "ended": { "mode": mode.name(), "reason": reason.map(Reason::name) },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ticket_of_an_earlier_drive_is_void() {
+        let drives = Drives::default();
+        let (first, second) = (drives.next(), drives.next());
+        let is_latest = |ticket: &Ticket| ticket.drives.0.load(Ordering::Acquire) == ticket.number;
+        assert!(!is_latest(&first) && is_latest(&second));
+    }
+}

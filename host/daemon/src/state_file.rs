@@ -1,0 +1,235 @@
+//! The state file: what the daemon remembers from one start to the next.
+//!
+//! It holds the configurations that a car has proved on its first metre. Without the file, or
+//! with one that can't be read, nothing is proved, and the next drive begins slowly: the file
+//! only saves time. It is replaced as a whole, so that a loss of power leaves the old one or the
+//! new one.
+
+use std::{
+    fs::{self, File},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use singletrack_core::{MAX_PROOFS, Proof, Proofs};
+
+/// The name of the file in `state.directory`.
+const NAME: &str = "proved.json";
+
+/// The version of the format. A file of another one counts as absent.
+const VERSION: u32 = 1;
+
+/// Longer than every valid file, in bytes.
+const LONGEST: u64 = 65_536;
+
+/// The content of the file.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Content {
+    version: u32,
+    proved: Vec<Entry>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    /// 16 hexadecimal digits: JSON numbers lose digits beyond 2^53.
+    configuration: String,
+    car_id: u16,
+}
+
+/// The proved configurations, and where they are kept.
+#[derive(Debug)]
+pub(crate) struct StateFile {
+    path: PathBuf,
+    proofs: Vec<Proof>,
+}
+
+impl StateFile {
+    /// Reads the file in `folder`. A missing file is empty; one that can't be read is reported,
+    /// and counts as empty.
+    pub(crate) fn load(folder: &Path) -> Self {
+        let path = folder.join(NAME);
+        let proofs = match read(&path) {
+            Ok(proofs) => proofs,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+            Err(error) => {
+                tracing::warn!(
+                    "{}: {error}; nothing counts as proved: the next drive begins slowly",
+                    path.display()
+                );
+                Vec::new()
+            }
+        };
+        Self { path, proofs }
+    }
+
+    /// For the control loop.
+    pub(crate) fn proofs(&self) -> Proofs {
+        Proofs::of(&self.proofs)
+    }
+
+    /// Adds a proof and replaces the file.
+    ///
+    /// # Errors
+    ///
+    /// The system's error: the proof is then forgotten at the end of the process.
+    pub(crate) fn add(&mut self, proof: Proof) -> io::Result<()> {
+        if self.proofs.contains(&proof) {
+            return Ok(());
+        }
+        self.proofs.push(proof);
+        let too_many = self.proofs.len().saturating_sub(MAX_PROOFS);
+        self.proofs.drain(..too_many);
+        self.write()
+    }
+
+    fn write(&self) -> io::Result<()> {
+        let content = Content {
+            version: VERSION,
+            proved: self
+                .proofs
+                .iter()
+                .map(|proof| Entry {
+                    configuration: format!("{:016x}", proof.configuration),
+                    car_id: proof.car_id,
+                })
+                .collect(),
+        };
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        fs::create_dir_all(folder)?;
+        let new = self.path.with_extension("json.new");
+        let mut file = File::create(&new)?;
+        serde_json::to_writer_pretty(&mut file, &content)?;
+        file.write_all(b"\n")?;
+        file.sync_all()?;
+        fs::rename(&new, &self.path)?;
+        // The rename itself must survive a loss of power too.
+        File::open(folder)?.sync_all()
+    }
+}
+
+fn read(path: &Path) -> io::Result<Vec<Proof>> {
+    let length = fs::metadata(path)?.len();
+    if length > LONGEST {
+        return Err(io::Error::other(format!(
+            "it is {length} bytes long, at most {LONGEST} are valid"
+        )));
+    }
+    let text = fs::read_to_string(path)?;
+    let content: Content = serde_json::from_str(&text)
+        .map_err(|error| io::Error::other(format!("it is damaged: {error}")))?;
+    if content.version != VERSION {
+        return Err(io::Error::other(format!(
+            "its version is {}, not {VERSION}",
+            content.version
+        )));
+    }
+    let proof = |entry: &Entry| {
+        let is_hash = entry.configuration.len() == 16;
+        let configuration = u64::from_str_radix(&entry.configuration, 16)
+            .ok()
+            .filter(|_| is_hash)
+            .ok_or_else(|| io::Error::other(format!("it is damaged: {:?}", entry.configuration)))?;
+        Ok(Proof {
+            configuration,
+            car_id: entry.car_id,
+        })
+    };
+    content.proved.iter().map(proof).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PROOFS: [Proof; 2] = [
+        Proof {
+            // Beyond what a number in JSON can hold.
+            configuration: u64::MAX - 1,
+            car_id: 7,
+        },
+        Proof {
+            configuration: 5,
+            car_id: 0,
+        },
+    ];
+
+    #[test]
+    fn what_was_proved_is_known_after_a_restart_and_nothing_else_is() {
+        let folder = tempfile::tempdir().unwrap();
+        // The folder is created.
+        let folder = folder.path().join("state");
+        let mut state = StateFile::load(&folder);
+        assert_eq!(state.proofs(), Proofs::default());
+        for proof in PROOFS {
+            state.add(proof).unwrap();
+        }
+        let proofs = StateFile::load(&folder).proofs();
+        assert!(PROOFS.iter().all(|proof| proofs.contains(*proof)));
+        assert!(!proofs.contains(Proof {
+            configuration: 5,
+            car_id: 7
+        }));
+        // Nothing is left of the replacement.
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_damaged_file_proves_nothing_and_is_replaced_by_the_next_proof() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(NAME);
+        let good = r#"{"version":1,"proved":[{"configuration":"0000000000000005","car_id":0}]}"#;
+        fs::write(&path, good).unwrap();
+        assert_eq!(read(&path).unwrap(), PROOFS[1..]);
+        for (text, why) in [
+            ("", "damaged"),
+            (&good[..40], "damaged"),
+            (
+                &good.replace("\"version\":1", "\"version\":2"),
+                "version is 2",
+            ),
+            (&good.replace("0005", "5"), "damaged"),
+            (&good.replace("0005", "000g"), "damaged"),
+            (&good.replace("car_id", "car"), "damaged"),
+            (&"x".repeat(70_000), "70000 bytes"),
+        ] {
+            fs::write(&path, text).unwrap();
+            let error = read(&path).unwrap_err().to_string();
+            assert!(error.contains(why), "{text}: {error}");
+            let mut state = StateFile::load(folder.path());
+            assert_eq!(state.proofs(), Proofs::default());
+            state.add(PROOFS[0]).unwrap();
+            assert_eq!(read(&path).unwrap(), PROOFS[..1]);
+        }
+    }
+
+    #[test]
+    fn the_oldest_of_too_many_proofs_are_forgotten() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut state = StateFile::load(folder.path());
+        let proof = |configuration| Proof {
+            configuration,
+            car_id: 1,
+        };
+        for configuration in 0..=MAX_PROOFS as u64 {
+            state.add(proof(configuration)).unwrap();
+        }
+        let proofs = StateFile::load(folder.path()).proofs();
+        assert!(!proofs.contains(proof(0)) && proofs.contains(proof(1)));
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_to_is_an_error_of_the_addition_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let mut state = StateFile::load(&file);
+        assert!(state.add(PROOFS[0]).is_err());
+        assert!(
+            state.proofs().contains(PROOFS[0]),
+            "until the end of the process"
+        );
+    }
+}

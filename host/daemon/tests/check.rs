@@ -1,0 +1,152 @@
+//! `singletrackd --check`: what it prints, where, and its exit status.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use std::{fs, path::Path, process::Command};
+
+const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
+
+/// Exit status, standard output and standard error of a check of the text.
+fn check(folder: &Path, text: &str, arguments: &[&str]) -> (i32, String, String) {
+    let path = folder.join("car.toml");
+    fs::write(&path, text).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+        .args(["--check", "--config"])
+        .arg(&path)
+        .args(arguments)
+        .output()
+        .unwrap();
+    (
+        output.status.code().unwrap(),
+        String::from_utf8(output.stdout).unwrap(),
+        String::from_utf8(output.stderr).unwrap(),
+    )
+}
+
+/// The example with folders that can be written to.
+fn example(folder: &Path) -> String {
+    let path = |name: &str| folder.join(name).display().to_string();
+    // The two folders, in the order of the file.
+    EXAMPLE
+        .replacen(
+            "#directory = \"/var/log/singletrackd\"",
+            &format!("directory = {:?}", path("records")),
+            1,
+        )
+        .replacen(
+            "#directory = \"/var/lib/singletrackd\"",
+            &format!("directory = {:?}", path("state")),
+            1,
+        )
+        .replacen(
+            "#path = \"/run/singletrackd/control.sock\"",
+            &format!("path = {:?}", path("control.sock")),
+            1,
+        )
+}
+
+#[test]
+fn what_was_left_as_in_the_example_is_warned_of_and_the_status_is_success() {
+    let folder = tempfile::tempdir().unwrap();
+    let (status, out, error) = check(folder.path(), &example(folder.path()), &[]);
+    assert_eq!(status, 0, "{error}");
+    assert!(out.contains("car.toml: good"), "{out}");
+    assert!(
+        out.contains("the car can drive its reference from: centre of mass at ("),
+        "{out}"
+    );
+    let keys: Vec<_> = error
+        .lines()
+        .map(|line| {
+            let finding = line.strip_prefix("singletrackd: warning: ").unwrap();
+            finding.split(" is ").next().unwrap()
+        })
+        .collect();
+    assert_eq!(
+        keys,
+        [
+            "motion_capture.server",
+            "vehicle",
+            "fence.braking_m_s2",
+            "board.servo",
+            "board.esc",
+            "board.speed"
+        ]
+    );
+}
+
+#[test]
+fn folders_that_cannot_be_written_to_are_warned_of_by_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    fs::write(&file, "").unwrap();
+    let good = example(folder.path());
+    let of_file = |name: &str| file.join(name).display().to_string();
+    for (key, old) in [
+        ("record.directory", "records"),
+        ("state.directory", "state"),
+        ("socket.path", "control.sock"),
+    ] {
+        let here = folder.path().join(old).display().to_string();
+        let (status, _, error) = check(folder.path(), &good.replace(&here, &of_file(old)), &[]);
+        assert_eq!(status, 0, "{error}");
+        let line = error.lines().find(|line| line.contains(key)).unwrap();
+        assert!(line.contains("file is no folder"), "{line}");
+        assert_eq!(error.lines().count(), 7, "{error}");
+    }
+}
+
+#[test]
+fn a_reference_that_cannot_be_driven_ends_with_status_1_key_value_and_fix() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = example(folder.path()).replace("radius_m = 0.85", "radius_m = 0.6");
+    let (status, out, error) = check(folder.path(), &text, &[]);
+    assert_eq!((status, &*out), (1, ""));
+    assert!(
+        error.contains("impossible: reference.radius_m is 0.6: ")
+            && error.contains("at least 0.78"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_invalid_file_ends_with_status_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = example(folder.path()).replace("radius_m = 0.85", "radius_m = -0.6");
+    let (status, _, error) = check(folder.path(), &text, &[]);
+    assert_eq!(status, 2);
+    assert!(error.contains("radius"), "{error}");
+}
+
+#[test]
+fn the_place_where_the_car_stands_is_judged() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = example(folder.path());
+    let (status, out, _) = check(folder.path(), &text, &["--start", "0.67,-0.45,69"]);
+    assert_eq!(status, 0);
+    assert!(out.contains("centre of mass at (0.67, -0.45) m"), "{out}");
+    // It looks away from the reference and has to turn round at the side.
+    let (status, _, error) = check(folder.path(), &text, &["--start", "-0.7,-0.7,200"]);
+    assert_eq!(status, 1);
+    assert!(error.contains("fence.corners_m is"), "{error}");
+    let (status, _, error) = check(folder.path(), &text, &["--start", "1,2"]);
+    assert_eq!(status, 2);
+    assert!(error.contains("X,Y,YAW"), "{error}");
+}
+
+/// The tutorial's start, of the simulator's car.
+#[test]
+fn the_tutorial_starts_the_car_where_it_can_drive() {
+    let page = include_str!("../../../docs/tutorial.md");
+    let start = page
+        .lines()
+        .find_map(|line| line.strip_prefix("singletrack-sim --start "))
+        .unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let (status, _, error) = check(folder.path(), &example(folder.path()), &["--start", start]);
+    assert_eq!(status, 0, "{error}");
+}

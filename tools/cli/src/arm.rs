@@ -1,0 +1,268 @@
+//! `singletrack arm`: arms the car and attends the drive.
+//!
+//! By default this program is the dead-man switch: it renews the drive ten times a second, and
+//! the car stops when it ends, however it ends.
+
+use std::{
+    io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _},
+    os::unix::net::UnixStream,
+    path::PathBuf,
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use serde_json::{Value, json};
+use singletrack_sim::parse_duration_us;
+use singletrackd::SOCKET_VERSION;
+
+use crate::{
+    control::{ControlArgs, ControlError, agreed, ask, connect, print},
+    interrupt::Interrupt,
+};
+
+/// Options of `singletrack arm`.
+#[derive(Clone, Debug, Args)]
+pub struct ArmArgs {
+    #[command(flatten)]
+    control: ControlArgs,
+    /// Hold the drive (the default): it ends when this command ends, with Ctrl-C or any other
+    /// way
+    #[arg(long, conflicts_with_all = ["time", "unattended"])]
+    hold: bool,
+    /// Drive for this time, such as 60s, and stop; also if this command ends
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
+    time: Option<Duration>,
+    /// Arm and return: nobody attends the drive, which goes on until something stops it
+    #[arg(long, conflicts_with = "time")]
+    unattended: bool,
+}
+
+/// What `--unattended` means.
+const UNATTENDED: &str = "driving unattended: the car drives on when this shell, this terminal or \
+                          this network ends, until `singletrack disarm` or `singletrack stop`, or \
+                          until the daemon stops it";
+
+/// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// The longest wait for a line, so that renewals and Ctrl-C are not late.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// The exit status of a drive that the daemon or the board stopped.
+const STOPPED: u8 = 3;
+
+/// Reasons with which a drive ends as its operator wanted.
+const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
+
+/// Arms the car. With `--hold` or `--for`, returns when the drive has ended: with success if it
+/// ended as wanted, otherwise with status 3.
+///
+/// # Errors
+///
+/// When the car can't be armed, or the connection is lost; the reason is the daemon's.
+pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
+    if args.unattended {
+        ask(
+            &json!({
+                "version": SOCKET_VERSION,
+                "command": "arm",
+                "attendance": "unattended",
+            }),
+            &args.control.socket,
+        )?;
+        print(UNATTENDED)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let interrupt = Interrupt::listen()?;
+    let stream = connect(&args.control.socket)?;
+    stream.set_read_timeout(Some(WAIT))?;
+    let mut drive = Drive {
+        read: BufReader::new(stream.try_clone()?),
+        write: stream,
+        line: Vec::new(),
+        progress: Progress::new(),
+        socket: args.control.socket.clone(),
+    };
+    match args.time {
+        None => {
+            drive.send(&json!({
+                "version": SOCKET_VERSION,
+                "command": "arm",
+                "attendance": "hold",
+            }))?;
+            drive.attend(
+                &interrupt,
+                &json!({ "version": SOCKET_VERSION, "command": "hold" }),
+            )
+        }
+        Some(time) => {
+            drive.send(&json!({
+                "version": SOCKET_VERSION,
+                "command": "arm",
+                "attendance": "timed",
+                "for_s": time.as_secs_f64(),
+            }))?;
+            drive.attend(
+                &interrupt,
+                &json!({ "version": SOCKET_VERSION, "command": "status" }),
+            )
+        }
+    }
+}
+
+/// A connection that attends a drive.
+struct Drive {
+    read: BufReader<UnixStream>,
+    write: UnixStream,
+    /// The line that is being read.
+    line: Vec<u8>,
+    progress: Progress,
+    socket: PathBuf,
+}
+
+impl Drive {
+    fn send(&mut self, line: &Value) -> io::Result<()> {
+        self.write.write_all(format!("{line}\n").as_bytes())
+    }
+
+    /// The next line; `None` if there is none within [`WAIT`].
+    fn receive(&mut self) -> Result<Option<Value>, ControlError> {
+        match self.read.read_until(b'\n', &mut self.line) {
+            Ok(_) if self.line.ends_with(b"\n") => {
+                let value = serde_json::from_slice(&self.line)?;
+                self.line.clear();
+                Ok(Some(value))
+            }
+            Ok(_) => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+            // What was read of the line stays.
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    io::ErrorKind::WouldBlock
+                        | io::ErrorKind::TimedOut
+                        | io::ErrorKind::Interrupted
+                ) =>
+            {
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car,
+    /// and the end is still waited for.
+    fn attend(&mut self, interrupt: &Interrupt, renewal: &Value) -> Result<ExitCode, ControlError> {
+        let begun = Instant::now();
+        let mut renewed = begun;
+        let mut is_armed = false;
+        let mut is_disarmed = false;
+        loop {
+            if interrupt.is_raised() && !is_disarmed {
+                is_disarmed = true;
+                // On a connection of its own: this one may wait for the board to arm.
+                let disarm = json!({ "version": SOCKET_VERSION, "command": "disarm" });
+                ask(&disarm, &self.socket)?;
+            }
+            if renewed.elapsed() >= RENEWAL {
+                renewed = Instant::now();
+                self.send(renewal)?;
+            }
+            let Some(line) = self.receive()? else {
+                continue;
+            };
+            if let Some(ended) = line.get("ended") {
+                return self.progress.end(ended, begun);
+            }
+            if let Some(drive) = line.get("drive") {
+                self.progress.show(drive);
+                continue;
+            }
+            let answer = agreed(line)?;
+            match answer.get("status") {
+                // Of a timed drive, which the daemon does not report.
+                Some(status) if is_armed => {
+                    if is_over(status) {
+                        return self.progress.end(status, begun);
+                    }
+                    self.progress.show(status);
+                }
+                Some(_) => {}
+                None => is_armed = true,
+            }
+        }
+    }
+}
+
+/// Whether the mode of a status is one of a car that does not drive.
+fn is_over(status: &Value) -> bool {
+    let mode = status.get("mode").and_then(Value::as_str);
+    matches!(mode, Some("idle" | "ready" | "disconnected" | "fault"))
+}
+
+/// Shows on a terminal how the drive goes on.
+struct Progress {
+    is_terminal: bool,
+}
+
+impl Progress {
+    fn new() -> Self {
+        Self {
+            is_terminal: io::stderr().is_terminal(),
+        }
+    }
+
+    /// Overwrites the line.
+    fn show(&self, drive: &Value) {
+        if !self.is_terminal {
+            return;
+        }
+        let time = drive.get("drive_time_s").and_then(Value::as_f64);
+        let time = time.map_or_else(String::new, |time| format!(" {time:5.1} s"));
+        let text = words(drive);
+        // A terminal that has gone takes no output; the signal ends the drive.
+        let _ = write!(io::stderr(), "\r\x1b[K{text}{time}  (Ctrl-C stops the car)");
+    }
+
+    /// Prints how the drive ended, and chooses the exit status.
+    fn end(&self, ended: &Value, begun: Instant) -> Result<ExitCode, ControlError> {
+        if self.is_terminal {
+            let _ = write!(io::stderr(), "\r\x1b[K");
+        }
+        let reason = ended.get("reason").and_then(Value::as_str);
+        print(&format!(
+            "the drive has ended after {:.1} s: {}",
+            begun.elapsed().as_secs_f64(),
+            words(ended)
+        ))?;
+        let as_wanted = reason.is_none_or(|reason| WANTED.contains(&reason))
+            && ended.get("mode").and_then(Value::as_str) != Some("fault");
+        Ok(if as_wanted {
+            ExitCode::SUCCESS
+        } else {
+            ExitCode::from(STOPPED)
+        })
+    }
+}
+
+/// Mode and reason.
+fn words(state: &Value) -> String {
+    let word = |key| state.get(key).and_then(Value::as_str);
+    let mode = word("mode").unwrap_or("unknown");
+    match word("reason") {
+        Some(reason) => format!("mode {mode}: {reason}"),
+        None => format!("mode {mode}"),
+    }
+}
+
+fn parse_time(text: &str) -> Result<Duration, String> {
+    let micros = match text.trim().parse::<u32>() {
+        Ok(seconds) => u64::from(seconds) * 1_000_000,
+        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
+    };
+    if (500_000..=86_400_000_000).contains(&micros) {
+        Ok(Duration::from_micros(micros))
+    } else {
+        Err("give 500ms to 24 hours, such as 60s".to_owned())
+    }
+}
