@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameterError;
+use singletrack_protocol::{Configuration, ImuAxes, ImuAxis};
 
 use crate::{
+    attitude::Rotation,
     board::{BoardParameters, UnoError},
     cameras::CameraParameters,
-    car::CarParameters,
+    car::{CarParameters, EscKind},
     natnet_server::NatNetParameters,
     truth::CarTruth,
     wire::WireParameters,
@@ -172,6 +174,28 @@ impl SimulationConfig {
                 source,
             })?;
         Ok(simulation)
+    }
+
+    /// Makes the car as its board's configuration says: a calibration without an error.
+    /// Bands and limits, which a configuration chooses with room to spare, stay as they are.
+    pub fn follow(&mut self, board: &Configuration) {
+        let car = &mut self.car;
+        car.servo.centre_us = board.servo.centre_us.into();
+        car.servo.gain_us_per_rad = board.servo.gain_us_per_rad.into();
+        car.motor.neutral_us = board.esc.neutral_us;
+        let kind = match board.esc.kind {
+            singletrack_protocol::EscKind::ForwardReverse => EscKind::ForwardReverse,
+            singletrack_protocol::EscKind::Vesc => EscKind::Vesc,
+            _ => EscKind::Car,
+        };
+        if kind != car.motor.kind {
+            car.motor.kind = kind;
+            car.motor.signal_loss_us = kind.signal_loss_us();
+        }
+        car.motor.kill_relay = board.kill_output;
+        car.motor_sensor.pulse_distance_um = board.speed.pulse_distance_um.into();
+        car.imu.mounting_deg = mounting_deg(board.imu_axes);
+        self.board.car_id = board.car_id;
     }
 
     /// Checks all settings against their ranges.
@@ -483,6 +507,42 @@ impl SimulationConfig {
     }
 }
 
+/// The angles of a sensor whose axes are mounted so.
+fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
+    let direction = |axis: ImuAxis| -> [f64; 3] {
+        core::array::from_fn(
+            |i| match (usize::from(axis.index()) == i, axis.is_negative()) {
+                (false, _) => 0.0,
+                (true, true) => -1.0,
+                (true, false) => 1.0,
+            },
+        )
+    };
+    let right_angles = || [0.0, 90.0, 180.0, 270.0].into_iter();
+    let mut mountings = right_angles().flat_map(|roll| {
+        right_angles().flat_map(move |pitch| right_angles().map(move |yaw| [roll, pitch, yaw]))
+    });
+    mountings
+        .find(|&angles| {
+            // Without a rotation the axes are those of the car.
+            let turned = |axis: [f64; 3]| {
+                Rotation::from_degrees(angles).map_or(axis, |mounting| mounting.into_turned(axis))
+            };
+            [
+                ([1.0, 0.0, 0.0], axes.forward),
+                ([0.0, 1.0, 0.0], axes.left),
+                ([0.0, 0.0, 1.0], axes.up),
+            ]
+            .into_iter()
+            .all(|(axis, chip)| {
+                let error = turned(axis).into_iter().zip(direction(chip));
+                error.into_iter().all(|(a, b)| (a - b).abs() < 1e-6)
+            })
+        })
+        // A left-handed set of axes, which the board refuses.
+        .unwrap_or_default()
+}
+
 fn check(
     name: &'static str,
     value: f64,
@@ -518,6 +578,56 @@ mod tests {
         config.validate().unwrap();
         let text = toml::to_string(&config).unwrap();
         assert_eq!(toml::from_str::<SimulationConfig>(&text).unwrap(), config);
+    }
+
+    #[test]
+    fn a_car_that_follows_its_default_configuration_is_the_default_car() {
+        let mut followed = SimulationConfig::default();
+        followed.follow(&crate::default_board_configuration());
+        assert_eq!(followed, SimulationConfig::default());
+    }
+
+    #[test]
+    fn a_car_that_follows_its_configuration_is_calibrated() {
+        let mut board = crate::default_board_configuration();
+        board.servo.gain_us_per_rad = 700;
+        board.esc.neutral_us = 1_520;
+        board.esc.kind = singletrack_protocol::EscKind::Vesc;
+        board.speed.pulse_distance_um = 12_000;
+        board.kill_output = true;
+        board.car_id = 7;
+        let mut simulation = SimulationConfig::default();
+        simulation.follow(&board);
+        let car = &simulation.car;
+        assert_eq!(car.servo.gain_us_per_rad, 700.0);
+        assert_eq!(car.motor.neutral_us, 1_520);
+        assert_eq!(car.motor.signal_loss_us, 1_000_000);
+        assert_eq!(car.motor_sensor.pulse_distance_um, 12_000.0);
+        assert!(car.motor.kill_relay);
+        assert_eq!(simulation.board.car_id, 7);
+    }
+
+    #[test]
+    fn all_mountings_at_right_angles_have_angles() {
+        use singletrack_protocol::ImuAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        let axes = [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ];
+        let mut found = 0;
+        for forward in axes {
+            for left in axes {
+                for up in axes {
+                    let mounting = ImuAxes { forward, left, up };
+                    found += u32::from(mounting_deg(mounting) != [0.0; 3]);
+                }
+            }
+        }
+        // And the one without a turn.
+        assert_eq!(found, 23);
+        let turned = ImuAxes {
+            forward: MinusY,
+            left: PlusX,
+            up: PlusZ,
+        };
+        assert_eq!(mounting_deg(turned), [0.0, 0.0, 90.0]);
     }
 
     #[test]

@@ -251,6 +251,14 @@ truth! {
         dip_v: f64, in 0.0 to 60.0 => |c, v| c.car.battery.dip_v = Some(v);
     }
 
+    /// The board.
+    board: BoardTruth {
+        /// Number of the car that it is built into; the image's is built in.
+        car_id: u16, in 0.0 to 65535.0 => |c, v| c.board.car_id = v;
+        /// Rate error of its clock; positive is fast.
+        clock_skew_ppm: f64, in -50000.0 to 50000.0 => |c, v| c.board.clock_skew_ppm = v as i32;
+    }
+
     /// The motor's pulse sensor.
     motor_sensor: MotorSensorTruth {
         /// Distance that the car rolls in one motor pulse.

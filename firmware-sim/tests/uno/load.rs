@@ -6,7 +6,7 @@ use singletrack_sim::{ImageSize, Installation};
 use super::{armed, config};
 
 #[test]
-fn a_drive_at_100_hz_leaves_85_percent_of_the_processor_and_600_bytes_of_memory() {
+fn a_drive_at_100_hz_leaves_80_percent_of_the_processor_and_600_bytes_of_memory() {
     let mut drive = armed(config(1));
     let before = drive.world.board_mut().figures().unwrap();
     drive.drive(1_000, 400, 800, |_| {});
@@ -16,9 +16,9 @@ fn a_drive_at_100_hz_leaves_85_percent_of_the_processor_and_600_bytes_of_memory(
     // Ten seconds with an oscillator error of up to 0.5 %.
     assert!(cycles.abs_diff(160_000_000) < 1_000_000, "{cycles}");
     let busy = 1.0 - (after.cycles_asleep - before.cycles_asleep) as f64 / cycles as f64;
-    assert!((0.01..=0.15).contains(&busy), "{busy}");
+    assert!((0.01..=0.20).contains(&busy), "{busy}");
     let size = ImageSize::read(&Installation::find().unwrap().image).unwrap();
-    assert!(size.flash_bytes <= 16 * 1_024, "{size:?}");
+    assert!(size.flash_bytes <= 24 * 1_024, "{size:?}");
     let memory = size.static_bytes + u64::from(after.stack_bytes);
     assert!((200..=1_400).contains(&memory), "{size:?} {after:?}");
     // A byte takes 1,360 cycles: the longest delay loses none.

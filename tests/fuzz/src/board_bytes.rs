@@ -3,7 +3,8 @@
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, FailsafeAction, Hello, ResetCause, Sequence, ToBoard, ToHost, UNNAMED, VERSION,
+    EmergencyStop, EscKind, FailsafeAction, Hello, ImuAxis, ResetCause, Sequence, ToBoard, ToHost,
+    UNNAMED, VERSION,
 };
 
 use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
@@ -311,7 +312,10 @@ impl Bench {
 
     fn turn_the_motor(&mut self) {
         let neutral = self.outputs.esc_neutral_us;
-        let driven = self.outputs.esc_us.abs_diff(neutral) > CONFIGURATION.esc.deadband_us;
+        let driven = self
+            .outputs
+            .esc_us
+            .is_some_and(|pulse_us| pulse_us.abs_diff(neutral) > CONFIGURATION.esc.deadband_us);
         if let Some(period_us) = self.pulse_period_us
             && driven
         {
@@ -362,9 +366,9 @@ impl Bench {
     }
 
     fn check_mode(&self, before: BoardMode, messages: &PollMessages) {
-        use BoardMode::{Armed, Driving, EmergencyStopped};
+        use BoardMode::{Armed, Driving, EmergencyStopped, PoweringUp};
         let mode = self.board.mode();
-        let is_armed = |mode| matches!(mode, Armed | Driving);
+        let is_armed = |mode| matches!(mode, Armed | Driving | PoweringUp);
         assert!(
             !is_armed(mode) || is_armed(before) || messages.arm,
             "{before:?} -> {mode:?} unasked"
@@ -394,10 +398,11 @@ impl Bench {
 
     /// Without a configuration no actuator moves.
     fn check_silence(&self) {
-        assert_eq!(
-            (self.outputs.servo_us, self.outputs.esc_us),
-            (None, NEUTRAL_AT_START_US)
-        );
+        assert_eq!(self.outputs.servo_us, None);
+        assert!(!self.outputs.power_on);
+        if self.board.mode() != BoardMode::EmergencyStopped {
+            assert_eq!(self.outputs.esc_us, Some(NEUTRAL_AT_START_US));
+        }
         assert!(matches!(
             self.board.mode(),
             BoardMode::Boot | BoardMode::Neutral | BoardMode::EmergencyStopped
@@ -428,23 +433,39 @@ impl Bench {
     }
 
     fn check_esc(&mut self, now: &Configuration, before: BoardMode, elapsed_us: u32) {
-        let (esc, mode, pulse_us) = (&now.esc, self.board.mode(), self.outputs.esc_us);
+        let (esc, mode) = (&now.esc, self.board.mode());
+        let armed = matches!(
+            mode,
+            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
+        );
+        assert_eq!(self.outputs.power_on, armed && now.kill_output);
+        if mode == BoardMode::EmergencyStopped {
+            // The pulse of the start for a while, then none.
+            let pulse_us = self.outputs.esc_us.unwrap_or(NEUTRAL_AT_START_US);
+            assert_eq!(pulse_us, NEUTRAL_AT_START_US);
+            assert_eq!(self.outputs.esc_neutral_us, NEUTRAL_AT_START_US);
+            return;
+        }
+        let Some(pulse_us) = self.outputs.esc_us else {
+            panic!("{mode:?} without pulses");
+        };
         assert_eq!(self.outputs.esc_neutral_us, esc.neutral_us);
         assert!((esc.min_us..=esc.max_us).contains(&pulse_us));
+        let brakes = esc.kind.has_brake() && pulse_us == esc.brake_us;
         if mode == BoardMode::Driving {
             self.braked_us = 0;
             assert!(
-                now.speed.max_reverse_mm_s > 0 || pulse_us >= esc.neutral_us,
+                now.speed.max_reverse_mm_s > 0 || pulse_us >= esc.neutral_us || brakes,
                 "reverse"
             );
         } else if pulse_us != esc.neutral_us {
             // A stop brakes once, after driving, for at most half a second.
-            assert_eq!(pulse_us, esc.brake_us, "{mode:?}");
-            assert!(matches!(
-                mode,
-                BoardMode::Failsafe | BoardMode::EmergencyStopped
-            ));
-            assert_eq!(now.failsafe, FailsafeAction::Brake);
+            assert!(brakes, "{pulse_us} us in {mode:?}");
+            match mode {
+                BoardMode::Failsafe => assert_eq!(now.failsafe, FailsafeAction::Brake),
+                // Disarmed while it rolled.
+                _ => assert_eq!(mode, BoardMode::Neutral),
+            }
             if before != BoardMode::Driving {
                 self.braked_us = self.braked_us.saturating_add(elapsed_us);
             }
@@ -488,7 +509,7 @@ fn any_configuration(choices: &mut Choices<'_>) -> Configuration {
     } = &mut configuration;
     let value = choices.u16();
     let field = choices.byte();
-    match field % 20 {
+    match field % 26 {
         0 => servo.centre_us = value,
         1 => servo.gain_us_per_rad = value.cast_signed(),
         2 => servo.min_us = value,
@@ -508,6 +529,15 @@ fn any_configuration(choices: &mut Choices<'_>) -> Configuration {
         16 => speed.max_forward_mm_s = value,
         17 => speed.max_reverse_mm_s = value,
         18 => configuration.max_pose_age_ms = value,
+        19 => configuration.max_roll_out_ms = value,
+        20 => configuration.car_id = value,
+        21 => configuration.kill_output = true,
+        22 => esc.kind = EscKind::ForwardReverse,
+        23 => {
+            esc.kind = EscKind::Vesc;
+            speed.max_reverse_mm_s = 0;
+        }
+        24 => configuration.imu_axes.up = ImuAxis::MinusZ,
         _ => configuration.stop_input = true,
     }
     if field & 0x80 != 0 {

@@ -206,3 +206,79 @@ fn a_loss_of_frames_that_are_under_way_is_refused_on_the_car() {
             .contains("first_tick")
     );
 }
+
+/// Runs a changed scenario with a summary.
+fn summarise(name: &str, changes: &[(&str, &str)]) -> Output {
+    let mut text = std::fs::read_to_string(scenario(name)).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from:?} is not in the scenario");
+        text = text.replacen(from, to, 1);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scenario.toml");
+    std::fs::write(&path, text).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("simulate")
+        .arg(&path)
+        .args(["--summary", "json"])
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_summary_is_one_object_with_these_keys() {
+    let output = summarise(
+        "circle-car.toml",
+        &[("duration_s = 40.0", "duration_s = 1.0")],
+    );
+    assert!(output.status.success());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(text.lines().count(), 1);
+    let object: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();
+    let mut keys: Vec<_> = object.keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    assert_eq!(
+        keys,
+        [
+            "armed",
+            "clearance_min_m",
+            "ended_s",
+            "mode",
+            "reason",
+            "speed_end_m_s",
+            "speed_max_m_s",
+            "speed_min_m_s",
+            "way_after_m",
+            "way_m"
+        ]
+    );
+    assert_eq!(object["armed"], true);
+    assert_eq!(object["mode"], "driving");
+    assert!(object["reason"].is_null() && object["ended_s"].is_null());
+}
+
+#[test]
+fn a_summary_of_a_car_with_an_operator_says_why_it_ended() {
+    let end = "duration_s = 3.0\n[operator]\nemergency_stop_at_s = 2.0";
+    let output = summarise("circle-car.toml", &[("duration_s = 40.0", end)]);
+    let object: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["reason"], "emergency-stop");
+    assert_eq!(object["speed_end_m_s"], 0.0);
+    // The note of the trajectory stays on the other stream.
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("emergency-stop")
+    );
+}
+
+#[test]
+fn the_ideal_plant_has_no_summary() {
+    let output = summarise("circle.toml", &[]);
+    assert!(!output.status.success() && output.stdout.is_empty());
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("plant.kind")
+    );
+}

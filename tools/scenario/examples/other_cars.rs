@@ -124,6 +124,12 @@ const CARS: &[(&str, Course, &str)] = &[
         Straight("0.5"),
         "[operator]\nreset_board_at_s = 8.0\n",
     ),
+    ("calibrated, unproved, circle", Circle, "[truth]\n"),
+    (
+        "calibrated, unproved, straight",
+        Straight("0.5"),
+        "[truth]\n",
+    ),
     // Servo.
     (
         "servo inverted, circle",
@@ -278,6 +284,16 @@ const CARS: &[(&str, Course, &str)] = &[
         "throttle stuck, unplugged",
         Straight("0.5"),
         "[truth.esc]\nstuck_from_s = 6.0\n[operator]\nunplug_at_s = 8.0\n",
+    ),
+    (
+        "throttle stuck, relay, emergency stop",
+        Straight("0.5"),
+        "[board]\nkill_output = true\n[truth.esc]\nstuck_from_s = 6.0\n[operator]\nemergency_stop_at_s = 8.0\n",
+    ),
+    (
+        "throttle stuck, relay, disarmed",
+        Straight("0.5"),
+        "[board]\nkill_output = true\n[truth.esc]\nstuck_from_s = 6.0\n[operator]\ndisarm_at_s = 8.0\n",
     ),
     (
         "throttle stuck, wall",

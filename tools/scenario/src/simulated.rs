@@ -9,7 +9,7 @@ use singletrack_core::config::{
     ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
     WatchSection,
 };
-use singletrack_sim::default_board_configuration;
+use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
@@ -63,4 +63,22 @@ pub fn daemon_config(drive: Drive) -> Config {
         socket: SocketSection::default(),
         live: LiveSection::default(),
     }
+}
+
+/// Makes the simulated car and its cameras as the daemon's configuration says.
+pub fn follow(believed: &Config, simulation: &mut SimulationConfig) {
+    simulation.follow(&believed.board.configuration());
+    let cameras = &believed.motion_capture;
+    let body = &mut simulation.cameras.car;
+    body.name.clone_from(&cameras.rigid_body);
+    if cameras.marker_yaw_rad != 0.0 {
+        body.set_yaw(cameras.marker_yaw_rad);
+    }
+    if cameras.marker_offset_m != [0.0; 2] {
+        body.set_pivot(cameras.marker_offset_m);
+    }
+    simulation.cameras.up_axis = match cameras.up_axis {
+        UpAxisKind::Y => UpAxis::Y,
+        UpAxisKind::Z => UpAxis::Z,
+    };
 }

@@ -60,8 +60,8 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
         .outer_loop
         .validate_for(&scenario.reference().map_err(ScenarioError::from)?)
         .map_err(ScenarioError::from)?;
-    let simulation = scenario.simulation()?;
     let mut config = scenario.daemon()?;
+    let simulation = scenario.simulation(&config)?;
     config.reference = config
         .reference
         .written_out()
@@ -134,9 +134,9 @@ pub(super) fn simulate(
     let takes_any_end = options.summary || scenario.expects_any_end();
     let operator = scenario.operator.unwrap_or_default();
     if operator.arm {
-        let run = Run::new(scenario, &daemon, &simulation, options.record)?;
+        let mut run = Run::new(scenario, &daemon, &simulation, options.record)?;
         match run.start() {
-            Ok(run) => return run.finish(takes_any_end),
+            Ok(()) => return run.finish(takes_any_end),
             Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if takes_any_end => {}
             Err(error) => return Err(error),
         }
@@ -145,8 +145,9 @@ pub(super) fn simulate(
             let _ = std::fs::remove_file(path);
         }
     }
-    let run = Run::new(scenario, &daemon, &simulation, options.record)?;
-    run.start_without_drive(operator.arm).finish(takes_any_end)
+    let mut run = Run::new(scenario, &daemon, &simulation, options.record)?;
+    run.start_without_drive(operator.arm);
+    run.finish(takes_any_end)
 }
 
 /// A run of a scenario.
@@ -156,7 +157,8 @@ struct Run<'a> {
     /// The true distance of the front axle from G, in m.
     front_axle_distance_m: f64,
     latency_us: u64,
-    drive: VirtualDrive,
+    /// In a box: host and world are too large for a thread's stack.
+    drive: Box<VirtualDrive>,
     record: Option<VirtualRecord>,
     unrecorded: Option<VirtualRecordError>,
     operator: Operator,
@@ -179,7 +181,8 @@ impl<'a> Run<'a> {
         record: Option<&Path>,
     ) -> Result<Self, CarError> {
         let seed = scenario.run.seed;
-        let mut drive = VirtualDrive::new(daemon.clone(), seed, simulation.clone())?;
+        let drive = VirtualDrive::new(daemon.clone(), seed, simulation.clone())?;
+        let mut drive = Box::new(drive);
         // Until the car drives, nothing timed happens to it.
         drive.world_mut().set_epoch(None);
         let connected_us = match scenario.expects_any_end() {
@@ -216,7 +219,7 @@ impl<'a> Run<'a> {
     }
 
     /// Goes on to the first driving tick.
-    fn start(mut self) -> Result<Self, CarError> {
+    fn start(&mut self) -> Result<(), CarError> {
         while self.drive.next_tick_us() < self.connected_us {
             self.drive.step();
         }
@@ -227,12 +230,12 @@ impl<'a> Run<'a> {
         self.drive.world_mut().set_epoch(Some(self.start_us));
         self.take(first);
         self.lose_markers();
-        Ok(self)
+        Ok(())
     }
 
     /// Starts at the start of the simulation. The car is never armed, or refuses it: then
     /// there is no time from which anything could count.
-    fn start_without_drive(mut self, arms: bool) -> Self {
+    fn start_without_drive(&mut self, arms: bool) {
         if arms {
             self.arms = true;
             self.least_s = READY_TIMEOUT;
@@ -241,7 +244,6 @@ impl<'a> Run<'a> {
             self.drive.world_mut().set_epoch(Some(0));
             self.lose_markers();
         }
-        self
     }
 
     fn lose_markers(&mut self) {
@@ -274,7 +276,8 @@ impl<'a> Run<'a> {
         let next_us = self.drive.next_tick_us();
         if self.connected_us > 0 && next_us >= self.connected_us {
             self.connected_us = 0;
-            self.drive.world_mut().set_wire_connected(true);
+            let connected = !self.operator.has_unplugged();
+            self.drive.world_mut().set_wire_connected(connected);
         }
         let time = self.time(next_us);
         self.operator

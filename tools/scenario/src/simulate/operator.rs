@@ -116,6 +116,8 @@ impl OperatorSection {
 pub(super) struct Operator {
     /// What is still to be done, the next last.
     to_do: Vec<(f64, Action)>,
+    /// The cable has been pulled.
+    has_unplugged: bool,
 }
 
 impl Operator {
@@ -126,7 +128,15 @@ impl Operator {
             .filter_map(|(_, at_s, action)| Some((at_s?, action)))
             .collect();
         to_do.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        Self { to_do }
+        Self {
+            to_do,
+            has_unplugged: false,
+        }
+    }
+
+    /// Whether the cable has been pulled and not been plugged in again.
+    pub(super) const fn has_unplugged(&self) -> bool {
+        self.has_unplugged
     }
 
     /// Does what is due at a time of the run, in s.
@@ -135,7 +145,10 @@ impl Operator {
             self.to_do.pop();
             match action {
                 Action::Ask(request) => drive.request(request)?,
-                Action::Connect(connected) => drive.world_mut().set_wire_connected(connected),
+                Action::Connect(connected) => {
+                    self.has_unplugged = !connected;
+                    drive.world_mut().set_wire_connected(connected);
+                }
                 Action::ResetBoard => drive.world_mut().press_reset(),
             }
         }

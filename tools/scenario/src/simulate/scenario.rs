@@ -14,7 +14,7 @@ use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::Table;
 
 use super::{layer::layer, operator::OperatorSection};
-use crate::simulated::{self, daemon_config};
+use crate::simulated::{self, daemon_config, follow};
 
 /// A scenario; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -309,8 +309,7 @@ impl Scenario {
         match self.plant.kind {
             PlantKind::Ideal => self.validate_ideal()?,
             PlantKind::Car => {
-                self.daemon()?;
-                self.simulation()?;
+                self.simulation(&self.daemon()?)?;
                 self.operator.unwrap_or_default().validate()?;
             }
         }
@@ -413,7 +412,7 @@ impl Scenario {
         });
         config.control.period_ms = self.control.period_ms;
         config.control.align_to_cameras = self.control.align_to_cameras;
-        // Whether a car with a truth of its own is as believed is what its drive shows.
+        // A car that may differ from its configuration is not known to be as configured.
         config.supervisor.prove_first_metre = self.truth.is_some();
         let Config {
             limits,
@@ -441,15 +440,16 @@ impl Scenario {
         Ok(config)
     }
 
-    /// The simulation: what is true of the car. By default that agrees with what is
-    /// believed.
-    pub(super) fn simulation(&self) -> Result<SimulationConfig, ScenarioError> {
+    /// The simulation: what is true of the car. What `[truth]` leaves out is as the
+    /// daemon's configuration says.
+    pub(super) fn simulation(&self, believed: &Config) -> Result<SimulationConfig, ScenarioError> {
         let mut simulation = SimulationConfig {
             seed: self.run.seed,
             ..SimulationConfig::default()
         };
         simulation.car.vehicle = self.vehicle;
         simulation.board.kind = self.plant.board;
+        follow(believed, &mut simulation);
         if let Some(truth) = &self.truth {
             truth.apply(&mut simulation)?;
         }
