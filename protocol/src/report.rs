@@ -243,14 +243,14 @@ structure! {
         /// takes in one: interference.
         #[serde(with = "postcard::fixint::le")]
         pub edges_refused: u16,
-        /// The IMU's register CALIB_STAT (BNO055, 0x35): two bits each, from the
+        /// The IMU's register `CALIB_STAT` (BNO055, 0x35): two bits each, from the
         /// highest, for system, gyro, accelerometer and magnetometer.
         pub imu_calibration: u8,
-        /// The IMU's register SYS_STATUS (0x39).
+        /// The IMU's register `SYS_STATUS` (0x39).
         pub imu_status: u8,
-        /// The IMU's register SYS_ERR (0x3A).
+        /// The IMU's register `SYS_ERR` (0x3A).
         pub imu_error: u8,
-        /// The IMU's register ST_RESULT (0x36): bits 0 to 3 for accelerometer,
+        /// The IMU's register `ST_RESULT` (0x36): bits 0 to 3 for accelerometer,
         /// magnetometer, gyro and controller.
         pub imu_self_test: u8,
     }

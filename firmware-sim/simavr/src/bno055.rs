@@ -23,13 +23,13 @@ pub struct Motion {
 /// The registers of the sensor's health while its fusion runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuRegisters {
-    /// CALIB_STAT.
+    /// `CALIB_STAT`.
     pub calibration: u8,
-    /// ST_RESULT.
+    /// `ST_RESULT`.
     pub self_test: u8,
-    /// SYS_STATUS.
+    /// `SYS_STATUS`.
     pub status: u8,
-    /// SYS_ERR.
+    /// `SYS_ERR`.
     pub error: u8,
 }
 

@@ -487,7 +487,7 @@ fn status_agrees(native: &[Status], image: &[Status]) {
 
 /// Each pulse matches the native board's output just before its start.
 fn pulses_agree(native: &[Outputs], image: &[singletrack_simavr::Pulse]) {
-    let mut counts = [0; 2];
+    let mut counts = [0_usize; 2];
     for pulse in image {
         assert_eq!(pulse.width % CYCLES_PER_US, 0, "a whole number of us");
         let width_us = pulse.width / CYCLES_PER_US;

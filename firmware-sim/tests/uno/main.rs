@@ -7,6 +7,7 @@
     reason = "a test fails by panicking"
 )]
 
+mod electronics;
 mod equivalence;
 mod faults;
 mod load;

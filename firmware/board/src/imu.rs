@@ -10,7 +10,7 @@ use crate::{
 /// Time without a sample after which the IMU counts as silent.
 pub(crate) const SILENCE_US: u32 = 50_000;
 
-/// The registers AXIS_MAP_CONFIG and AXIS_MAP_SIGN of a BNO055 that is mounted like
+/// The registers `AXIS_MAP_CONFIG` and `AXIS_MAP_SIGN` of a BNO055 that is mounted like
 /// this: they turn all of its values to the car's axes.
 #[must_use]
 pub const fn axis_map(axes: ImuAxes) -> [u8; 2] {

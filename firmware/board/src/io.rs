@@ -26,13 +26,13 @@ pub struct ImuSample {
 /// Registers of the IMU that say how well it works; see [`singletrack_protocol::Status`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImuHealth {
-    /// CALIB_STAT.
+    /// `CALIB_STAT`.
     pub calibration: u8,
-    /// ST_RESULT.
+    /// `ST_RESULT`.
     pub self_test: u8,
-    /// SYS_STATUS.
+    /// `SYS_STATUS`.
     pub status: u8,
-    /// SYS_ERR.
+    /// `SYS_ERR`.
     pub error: u8,
 }
 

@@ -324,8 +324,7 @@ impl Watch {
             match mode {
                 BoardMode::Failsafe => assert_eq!(now.failsafe, FailsafeAction::Brake),
                 // Disarmed while it rolled.
-                BoardMode::Neutral => {}
-                _ => panic!("{mode:?} brakes"),
+                _ => assert_eq!(mode, BoardMode::Neutral, "brakes"),
             }
             assert!(matches!(
                 before,

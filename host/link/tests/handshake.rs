@@ -6,8 +6,8 @@ mod common;
 
 use singletrack_link::{Event, LossCause, RestartEvidence, Session, Side, State};
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, RefusalReason, Request, ResetCause, Sequence, Status, ToBoard,
-    VERSION,
+    Acknowledgement, BoardMode, Identity, RefusalReason, Request, ResetCause, Sequence, Status,
+    ToBoard, VERSION,
 };
 
 use common::{Bench, MS, START_NS, configuration, session_config, telemetry};
@@ -433,4 +433,16 @@ fn telemetry_comes_with_its_times() {
         Some(record.board_time_host_ns - 4_200_000)
     );
     assert!(record.has_fresh_imu_sample());
+}
+
+#[test]
+fn the_board_names_its_car_after_the_greeting() {
+    let mut bench = Bench::opened();
+    bench.poll();
+    // Before the answer, only the greeting means anything.
+    bench.hear(Identity { car_id: 3 });
+    assert!(!bench.has(Event::Identified { car_id: 3 }));
+    bench.answer_hello();
+    bench.hear(Identity { car_id: 7 });
+    assert!(bench.has(Event::Identified { car_id: 7 }));
 }

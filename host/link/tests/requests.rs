@@ -386,3 +386,36 @@ impl Bench {
         assert_eq!(self.session.is_stop_pending(), pending);
     }
 }
+
+#[test]
+fn a_board_that_powers_the_esc_up_is_armed_but_gets_no_commands() {
+    let mut bench = Bench::ready();
+    bench.telemetry();
+    bench.session.arm(bench.now_ns).unwrap();
+    bench.timeout();
+    bench.pass_in_silence(MS);
+    bench.board_mode = BoardMode::PoweringUp;
+    bench.telemetry();
+    // The telemetry stands for a lost acknowledgement.
+    assert!(bench.events.iter().any(|event| matches!(
+        event,
+        Event::Acknowledged {
+            request: Request::Arm,
+            ..
+        }
+    )));
+    assert_eq!(bench.session.arm(bench.now_ns), Err(NotReady::Armed));
+    assert!(bench.session.drive(bench.now_ns, COMMAND).is_err());
+    bench.board_mode = BoardMode::Armed;
+    bench.pass_in_silence(10 * MS);
+    bench.telemetry();
+    let braking = DriveCommand {
+        brake: true,
+        ..COMMAND
+    };
+    let frame = bench.session.drive(bench.now_ns, braking).unwrap();
+    let [ToBoard::Drive(drive)] = to_board(frame.as_bytes())[..] else {
+        panic!("no command");
+    };
+    assert!(drive.brake);
+}

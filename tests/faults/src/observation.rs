@@ -43,7 +43,7 @@ impl Spec {
         let limits = &config.limits;
         Ok(Self {
             situation: *situation,
-            board: config.board.configuration(),
+            board: config.board_configuration(),
             hold_us: us(config.supervisor.hold_ms),
             blind_us: us(config.supervisor.blind_ms),
             imu_silence_us: us(config.supervisor.imu_silence_ms),

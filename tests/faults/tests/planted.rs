@@ -12,7 +12,7 @@ use singletrack_faults::{Tamper, Violation, attempt, schedule::Schedule, shrink}
 use singletrack_pilot::{Event, Mode};
 use singletrack_protocol::{Arm, Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{PulseRecord, default_board_configuration};
+use singletrack_sim::PulseRecord;
 
 const NEUTRAL_US: u16 = 1_500;
 
@@ -195,10 +195,20 @@ fn an_old_command_repeated_as_a_new_one_is_found() {
 struct Eager {
     since_us: u64,
     sequence: u8,
+    /// Of the configuration that went over the line.
+    hash: u32,
 }
 
 impl Tamper for Eager {
     fn to_board(&mut self, now_us: u64, bytes: &mut Vec<u8>) {
+        let mut decoder = Decoder::new();
+        for &byte in bytes.iter() {
+            if let Some(Ok(packet)) = decoder.push(byte)
+                && let Ok(ToBoard::Configure(configure)) = ToBoard::decode(packet)
+            {
+                self.hash = configure.configuration.hash();
+            }
+        }
         // A native board's clock is 0.3 % fast and starts at 65 ms.
         let since_start = now_us.saturating_sub(65_000);
         let telemetry_time_us =
@@ -211,7 +221,7 @@ impl Tamper for Eager {
         let sequence = singletrack_protocol::Sequence(self.sequence);
         let arm = Arm {
             request: singletrack_protocol::Sequence(7),
-            configuration_hash: default_board_configuration().hash(),
+            configuration_hash: self.hash,
             telemetry_time_us,
         };
         let drive = Drive {
@@ -232,6 +242,7 @@ fn a_line_that_arms_and_drives_by_itself_is_found() {
     let eager = Eager {
         since_us: 0,
         sequence: 0,
+        hash: 0,
     };
     let found = violation("", eager);
     assert_eq!(found.invariant, "host-silence");

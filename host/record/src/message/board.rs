@@ -124,13 +124,13 @@ fields! {
         power_on: bool,
         /// Milliseconds with more edges of the motor's sensor than the board takes.
         edges_refused: u16,
-        /// The BNO055's register CALIB_STAT.
+        /// The BNO055's register `CALIB_STAT`.
         imu_calibration: u8,
-        /// The BNO055's register SYS_STATUS.
+        /// The BNO055's register `SYS_STATUS`.
         imu_status: u8,
-        /// The BNO055's register SYS_ERR.
+        /// The BNO055's register `SYS_ERR`.
         imu_error: u8,
-        /// The BNO055's register ST_RESULT.
+        /// The BNO055's register `ST_RESULT`.
         imu_self_test: u8,
     }
 }
