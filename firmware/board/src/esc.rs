@@ -36,6 +36,11 @@ pub(crate) const PAUSE_US: u32 = 200_000;
 /// Longest braking.
 pub(crate) const MAX_BRAKE_US: u32 = 500_000;
 
+/// Driving time without a pause after which the ESC has driven for certain: three
+/// servo frames. What lasts for less may have ended before a frame began, and the ESC
+/// would take the next pulse below neutral for a second one, which is reverse.
+const DRIVEN_US: u32 = 60_000;
+
 /// A car that is faster than its command by this is braked, if the command says so.
 /// Below, it rolls: a brake pulse is not worth its jerk.
 pub(crate) const BRAKE_ABOVE_MM_S: i16 = 150;
@@ -97,6 +102,8 @@ pub(crate) struct Esc {
     /// Whether a pulse below neutral brakes: the ESC was driven forward and has not
     /// been braked since.
     can_brake: bool,
+    /// Time for which the pulse has been beyond the deadband, forward.
+    driven: Stopwatch,
     /// The brake pulse of a stop, by the board or by the host.
     braking: Option<Brake>,
     /// The slowest speed in [`Gear::Braking`].
@@ -114,6 +121,7 @@ impl Esc {
             gear: Gear::Forward,
             in_gear: Stopwatch::started(),
             can_brake: false,
+            driven: Stopwatch::started(),
             braking: None,
             before_reverse: Brake::started(),
             offset_us: 0,
@@ -167,6 +175,7 @@ impl Esc {
     }
 
     const fn neutral(&mut self) {
+        self.driven = Stopwatch::started();
         self.offset_us = 0;
         self.target_us = 0;
         self.speed.reset();
@@ -229,8 +238,12 @@ impl Esc {
             .approach(self.offset_us, self.target_us, elapsed_us);
         // Not at the edge of the deadband, where the ESC may not have driven.
         let deadband_us = i32::from(calibration.deadband_us);
-        if self.gear == Gear::Forward && i32::from(self.offset_us) > deadband_us {
+        if self.gear != Gear::Forward || i32::from(self.offset_us) <= deadband_us {
+            self.driven = Stopwatch::started();
+        } else if self.driven.elapsed_us() >= DRIVEN_US {
             self.can_brake = true;
+        } else {
+            self.driven.advance(elapsed_us);
         }
     }
 

@@ -11,6 +11,9 @@
 //! With a kill output, `PoweringUp` lies between `Arm` and `Armed`: the ESC's supply
 //! is switched on and its neutral is held for two seconds.
 //!
+//! `Armed` lasts for a second at most: a host that drives sends its first command at
+//! once.
+//!
 //! A command is in force until its own time to live or the age limit of its pose
 //! ends, whichever is first. Both are measured on the board's clock from the
 //! telemetry that the host had received, so that a delay on the line does not
@@ -27,8 +30,14 @@ use crate::clock::{Stopwatch, age_us};
 pub(crate) const NEUTRAL_HOLD_US: u32 = 2_000_000;
 
 /// Time for which an emergency stop gives a neutral pulse before the pin falls
-/// silent: an ESC that holds its last pulse for a while holds this one.
-pub(crate) const SILENCE_AFTER_US: u32 = 500_000;
+/// silent: an ESC that holds its last pulse for a while holds this one. Ten servo
+/// frames are enough for that, and an ESC whose neutral is another one drives on for
+/// no longer.
+pub(crate) const SILENCE_AFTER_US: u32 = 200_000;
+
+/// Longest time between arming, or the end of powering up, and the first command. A
+/// host that is gone must leave neither an armed board nor a held kill output.
+const FIRST_COMMAND_US: u32 = 1_000_000;
 
 /// Conditions for arming, besides the state of the machine.
 #[derive(Clone, Copy, Debug)]
@@ -79,8 +88,8 @@ pub(crate) struct Safety {
     neutral: Stopwatch,
     /// Time since the last stop by the board.
     failed: Stopwatch,
-    /// Time since the ESC's supply was switched on.
-    powered: Stopwatch,
+    /// Time since arming; in `Armed`, since the ESC was ready.
+    armed: Stopwatch,
     /// The last request that armed; repeated, it does not arm again.
     arm_request: Option<Sequence>,
     /// The command in force; only while driving.
@@ -97,7 +106,7 @@ impl Safety {
             cause: StopCause::None,
             neutral: Stopwatch::started(),
             failed: Stopwatch::started_ago(u32::MAX),
-            powered: Stopwatch::started(),
+            armed: Stopwatch::started(),
             arm_request: None,
             command: None,
             last_sequence: Sequence(0),
@@ -151,9 +160,13 @@ impl Safety {
     pub(crate) fn advance(&mut self, now_us: u32, elapsed_us: u32) {
         self.neutral.advance(elapsed_us);
         self.failed.advance(elapsed_us);
-        self.powered.advance(elapsed_us);
-        if self.mode == BoardMode::PoweringUp && self.powered.elapsed_us() >= NEUTRAL_HOLD_US {
+        self.armed.advance(elapsed_us);
+        if self.mode == BoardMode::PoweringUp && self.armed.elapsed_us() >= NEUTRAL_HOLD_US {
             self.mode = BoardMode::Armed;
+            self.armed = Stopwatch::started();
+        }
+        if self.mode == BoardMode::Armed && self.armed.elapsed_us() >= FIRST_COMMAND_US {
+            self.fail(StopCause::CommandTimeout);
         }
         if self.mode == BoardMode::Boot && self.neutral.elapsed_us() >= NEUTRAL_HOLD_US {
             self.mode = BoardMode::Neutral;
@@ -243,8 +256,8 @@ impl Safety {
         if conditions.moving {
             return Err(RefusalReason::Moving);
         }
+        self.armed = Stopwatch::started();
         self.mode = if conditions.kill_output {
-            self.powered = Stopwatch::started();
             BoardMode::PoweringUp
         } else {
             BoardMode::Armed

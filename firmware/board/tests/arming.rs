@@ -293,3 +293,24 @@ fn arming_restarts_the_sequence() {
     rig.send(command);
     assert_eq!(rig.board.last_sequence(), command.sequence);
 }
+
+#[test]
+fn an_armed_board_waits_for_its_first_command_for_a_second() {
+    let mut rig = Rig::armed_with(configuration());
+    rig.run(999 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Armed);
+    rig.drive(0, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+
+    let mut rig = Rig::armed_with(configuration());
+    rig.run(1_000 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    assert_eq!(rig.board.stop_cause(), StopCause::CommandTimeout);
+    rig.drive(1_000, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    // The next arm begins a second of its own.
+    rig.run(5_000 * MS);
+    assert_eq!(rig.arm(), Ok(()));
+    rig.run(900 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Armed);
+}

@@ -110,6 +110,43 @@ fn after_driving_forward_again_it_brakes_again() {
 }
 
 #[test]
+fn a_second_brake_is_earned_by_three_servo_frames_of_driving() {
+    // Shorter, and the ESC may have seen no driving pulse: a second pulse below neutral
+    // is reverse.
+    let mut outcomes = Vec::new();
+    for ms in (10..=120).step_by(10) {
+        let mut rig = Rig::driving_with(configuration());
+        brake_for(&mut rig, 600, 300);
+        let mut driven_ms = 0;
+        for _ in 0..ms / 10 {
+            rig.drive(1_500, 0);
+            for _ in 0..10 {
+                rig.run(MS);
+                driven_ms += u32::from(rig.esc_us() > NEUTRAL + 20);
+            }
+        }
+        let pulses = brake_for(&mut rig, 200, 0);
+        let brakes = count(&pulses, BRAKE) > 0;
+        assert_eq!(brakes, driven_ms >= 60, "{driven_ms}: {pulses:?}");
+        outcomes.push(brakes);
+    }
+    assert!(outcomes.contains(&false) && outcomes.contains(&true));
+}
+
+#[test]
+fn short_drives_with_a_pause_between_do_not_earn_a_brake() {
+    let mut rig = Rig::driving_with(configuration());
+    brake_for(&mut rig, 600, 300);
+    for _ in 0..20 {
+        rig.drive_for(40 * MS, 1_500, 0);
+        // Below the measured speed: neutral.
+        rig.drive_for(20 * MS, 200, 0);
+    }
+    let pulses = brake_for(&mut rig, 200, 0);
+    assert_eq!(count(&pulses, BRAKE), 0, "{pulses:?}");
+}
+
+#[test]
 fn a_brake_pulse_that_drives_ends_when_the_speed_rises() {
     // A forward/reverse ESC that is configured as a car's: it stops, then speeds up
     // backwards.

@@ -194,6 +194,11 @@ struct Watch {
     braked: bool,
     latched_us: u32,
     silent: bool,
+    armed_us: u32,
+    /// Time for which the pulse has been beyond the deadband, and its longest since the
+    /// last brake.
+    forward_us: u32,
+    earned_us: u32,
 }
 
 impl Watch {
@@ -208,6 +213,9 @@ impl Watch {
             braked: false,
             latched_us: 0,
             silent: false,
+            armed_us: 0,
+            forward_us: 0,
+            earned_us: 0,
         }
     }
 
@@ -258,6 +266,11 @@ impl Watch {
             BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
         );
         assert_eq!(outputs.power_on, armed && now.kill_output);
+        self.armed_us = match (before, mode) {
+            (BoardMode::Armed, BoardMode::Armed) => self.armed_us.saturating_add(elapsed_us),
+            _ => 0,
+        };
+        assert!(self.armed_us < 1_000 * MS, "armed without a command");
         self.check_silence(mode, &outputs, elapsed_us);
         if mode != BoardMode::EmergencyStopped {
             self.check_esc(before, mode, &now, &outputs, elapsed_us);
@@ -270,7 +283,7 @@ impl Watch {
 }
 
 impl Watch {
-    /// A latched stop gives a neutral pulse for half a second at most, and then none
+    /// A latched stop gives a neutral pulse for 200 ms at most, and then none
     /// for ever. No other state is silent.
     fn check_silence(&mut self, mode: BoardMode, outputs: &Outputs, elapsed_us: u32) {
         if mode != BoardMode::EmergencyStopped {
@@ -286,7 +299,7 @@ impl Watch {
             Some(pulse) => assert_eq!(pulse, NEUTRAL),
             None => self.silent = true,
         }
-        assert!(self.silent || self.latched_us < 500 * MS, "not silent");
+        assert!(self.silent || self.latched_us < 200 * MS, "not silent");
     }
 
     fn check_esc(
@@ -303,6 +316,17 @@ impl Watch {
         let brake_us = Some(esc.brake_us).filter(|_| esc.kind.has_brake());
         assert!((esc.min_us..=esc.max_us).contains(&esc_us) || Some(esc_us) == brake_us);
         let braked = self.outputs.esc_us == Some(esc_us) && Some(esc_us) == brake_us;
+        if esc_us > esc.neutral_us + esc.deadband_us {
+            self.forward_us = self.forward_us.saturating_add(elapsed_us);
+            self.earned_us = self.earned_us.max(self.forward_us);
+        } else {
+            self.forward_us = 0;
+        }
+        if Some(esc_us) == brake_us && !braked && now.speed.max_reverse_mm_s == 0 {
+            // A car's ESC would take a second pulse for reverse.
+            assert!(self.earned_us >= 60 * MS, "brakes after {} us", self.earned_us);
+            self.earned_us = 0;
+        }
         self.braked_us = if braked {
             self.braked_us.saturating_add(elapsed_us)
         } else {

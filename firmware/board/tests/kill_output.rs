@@ -75,6 +75,17 @@ fn everything_that_ends_a_drive_switches_the_supply_off_at_once() {
 }
 
 #[test]
+fn a_host_that_is_gone_does_not_leave_the_supply_on() {
+    let mut rig = powered();
+    rig.run(999 * MS);
+    assert!(rig.outputs.power_on);
+    rig.run(MS);
+    assert!(!rig.outputs.power_on);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    assert_eq!(rig.board.stop_cause(), StopCause::CommandTimeout);
+}
+
+#[test]
 fn the_stop_switch_cuts_the_supply_while_the_esc_starts() {
     let mut rig = Rig::armed_with(Configuration {
         stop_input: true,
