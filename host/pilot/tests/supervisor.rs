@@ -965,3 +965,134 @@ fn the_arming_check_never_shows_why_the_last_drive_ended() {
     bench.step();
     assert_eq!(bench.supervisor.preflight(), Some(Reason::LinkDown));
 }
+
+#[test]
+fn a_contradiction_needs_an_acknowledgement_before_the_next_drive() {
+    let reason = Reason::SteeringReversed;
+    let mut bench = Bench::driving();
+    bench.conditions.contradiction = Some(reason);
+    assert_eq!(bench.step(), (Mode::Stopping, Some(reason), None));
+    // A disarm while it still stops acknowledges nothing.
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Stopping);
+    bench.conditions = Bench::new().conditions;
+    assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+    bench.supervisor.handle_board(BoardState::Neutral);
+    for request in [
+        PilotRequest::Arm,
+        PilotRequest::ArmHeld,
+        PilotRequest::TimeUp,
+        PilotRequest::Arm,
+    ] {
+        assert_eq!(bench.ask(request), (Mode::Idle, Some(reason), None));
+        assert_eq!(bench.supervisor.preflight(), Some(reason));
+    }
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
+    assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+}
+
+#[test]
+fn what_the_watches_find_refuses_and_stops() {
+    let preflight: fn(&mut Bench) =
+        |bench| bench.conditions.preflight = Some(Reason::BrakesLessThanConfigured);
+    let doubt: fn(&mut Bench) = |bench| bench.conditions.doubt = Some(Reason::PoseFrozen);
+    let motion: fn(&mut Bench) =
+        |bench| bench.conditions.implausible_motion = Some(Reason::SideslipImplausible);
+    for (cause, reason, refuses, stops) in [
+        (preflight, Reason::BrakesLessThanConfigured, true, false),
+        (doubt, Reason::PoseFrozen, true, true),
+        (motion, Reason::SideslipImplausible, false, true),
+    ] {
+        let (mode, found, _) = Bench::new().after(cause);
+        let expected = if refuses {
+            (Mode::Idle, Some(reason))
+        } else {
+            (Mode::Ready, None)
+        };
+        assert_eq!((mode, found), expected);
+        let (mode, found, _) = Bench::driving().after(cause);
+        let expected = if stops {
+            (Mode::Stopping, Some(reason))
+        } else {
+            (Mode::Driving, None)
+        };
+        assert_eq!((mode, found), expected);
+    }
+}
+
+#[test]
+fn a_stop_that_was_not_obeyed_is_cleared_by_a_disarm_of_a_standing_car_only() {
+    let mut bench = Bench::driving();
+    let now = bench.conditions.now;
+    assert_eq!(
+        bench.supervisor.stop_not_obeyed(now),
+        BoardRequest::EmergencyStop
+    );
+    let stays = (Mode::Fault, Some(Reason::StopNotObeyed), None);
+    bench.conditions.stands = false;
+    bench.supervisor.handle_board(BoardState::EmergencyStopped);
+    assert_eq!(bench.step(), stays);
+    assert_eq!(bench.ask(PilotRequest::Disarm), stays);
+    // A reset of the board, a lost link and a standing car clear nothing.
+    bench.supervisor.handle_board(BoardState::Booting);
+    assert_eq!(bench.step(), stays);
+    bench.supervisor.handle_link(LinkState::Down);
+    assert_eq!(bench.step(), stays);
+    bench.conditions.stands = true;
+    assert_eq!(steps(&mut bench, 5_000), stays);
+    assert_eq!(bench.ask(PilotRequest::OperatorGone), stays);
+    // Another emergency stop does not hide it.
+    assert_eq!(
+        bench.ask(PilotRequest::EmergencyStop),
+        (
+            Mode::Fault,
+            Some(Reason::StopNotObeyed),
+            Some(BoardRequest::EmergencyStop)
+        )
+    );
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
+}
+
+#[test]
+fn a_stopping_car_is_disarmed_when_motor_and_cameras_see_it_stand() {
+    let stopping = || {
+        let mut bench = Bench::driving();
+        bench.ask(PilotRequest::Disarm);
+        bench.conditions.commanded_speed = 0.0;
+        bench
+    };
+    for (motor_speed, camera_speed, disarms) in [
+        (0.0, Some(0.0), true),
+        (0.0, None, true),
+        (0.031, Some(0.0), false),
+        (0.0, Some(0.031), false),
+    ] {
+        let mut bench = stopping();
+        bench.conditions.motor_speed = motor_speed;
+        bench.conditions.camera_speed = camera_speed;
+        let disarmed = bench.step().2 == Some(BoardRequest::Disarm);
+        assert_eq!(disarmed, disarms, "{motor_speed} {camera_speed:?}");
+    }
+}
+
+#[test]
+fn the_board_is_disarmed_before_it_must_stop_the_car_by_itself() {
+    // Limits that the check of the configuration would refuse.
+    let limits = SupervisorConfig {
+        hold: 2.0,
+        blind: 2.0,
+        disarm_age: 0.5,
+        ..SupervisorConfig::paper()
+    };
+    for stopping in [false, true] {
+        let mut bench = Bench::driving();
+        bench.supervisor.reconfigure(limits);
+        if stopping {
+            bench.ask(PilotRequest::Disarm);
+        }
+        bench.pose_age_ms = 499;
+        assert_eq!(bench.step().2, None);
+        bench.pose_age_ms = 500;
+        let (mode, _, request) = bench.step();
+        assert_eq!((mode, request), (Mode::Idle, Some(BoardRequest::Disarm)));
+    }
+}

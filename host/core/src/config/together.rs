@@ -8,9 +8,9 @@ use singletrack_pilot::{REST, SupervisorConfig};
 
 use super::{Config, ConfigError, value::seconds};
 
-/// From a disarm request to a disarmed board, s: the request on the line, sent twice, the
+/// From a disarm request to a disarmed board, ms: the request on the line, sent twice, the
 /// board's next round, and the error of its clock.
-const LINE_S: f64 = 0.03;
+const LINE_MS: u32 = 30;
 
 /// Refuses values that contradict each other. Host and board must agree on what the car does.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
@@ -96,17 +96,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
         low,
         format!("the band ends at {high} m; give the lower value first"),
     )?;
-    refuse_if(
-        config.fence.braking_m_s2 > control.stop_deceleration_m_s2,
-        "fence.braking_m_s2",
-        config.fence.braking_m_s2,
-        format!(
-            "a stop is commanded with control.stop_deceleration_m_s2 = {} m/s2, so the car does \
-             not slow down faster; lower it, or raise that",
-            control.stop_deceleration_m_s2
-        ),
-    )?;
-    let disarmed_ms = 1_000.0 * (longest_blind_drive(config) + LINE_S);
+    let disarmed_ms = 1_000.0 * (longest_blind_drive(config) + seconds(LINE_MS));
     refuse_if(
         disarmed_ms > f64::from(board.max_pose_age_ms),
         "board.max_pose_age_ms",
@@ -116,14 +106,24 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
              limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise \
              it (up to 1000), shorten the hold, lower the speed or brake harder"
         ),
+    )?;
+    refuse_if(
+        config.fence.braking_m_s2 > control.stop_deceleration_m_s2,
+        "fence.braking_m_s2",
+        config.fence.braking_m_s2,
+        format!(
+            "a stop is commanded with control.stop_deceleration_m_s2 = {} m/s2, so the car does \
+             not slow down faster; lower it, or raise that",
+            control.stop_deceleration_m_s2
+        ),
     )
 }
 
 /// The age of the last pose, in s, at which the host disarms the board whatever the car does:
 /// one tick later the request would come too late.
 pub(super) fn disarm_age(config: &Config) -> f64 {
-    let period = seconds(config.control.period_ms);
-    f64::from(config.board.max_pose_age_ms) / 1_000.0 - LINE_S - period
+    let age_ms = u32::from(config.board.max_pose_age_ms);
+    seconds(age_ms.saturating_sub(LINE_MS + config.control.period_ms))
 }
 
 /// The age of the last pose, in s, at which the disarm request of a car without markers is

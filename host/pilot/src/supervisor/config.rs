@@ -67,7 +67,7 @@ impl SupervisorConfig {
             min_battery: 6.4,
             arm_battery: 6.8,
             max_damaged: 0.5,
-            disarm_age: 0.9,
+            disarm_age: 0.91,
             prove: true,
             require_real_time: false,
         }

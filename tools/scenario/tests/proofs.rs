@@ -1,0 +1,170 @@
+//! The first metre of a configuration that has not been proved on a car, and what is
+//! remembered of it.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use singletrack_control::VehicleParameters;
+use singletrack_core::{
+    HostOptions, Proof, Proofs,
+    config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection},
+};
+use singletrack_pilot::{Event, Mode};
+use singletrack_record::{Entry, Replay};
+use singletrack_scenario::{
+    simulated::{Drive, daemon_config},
+    virtual_drive::VirtualDrive,
+};
+use singletrack_sim::{SimulationConfig, StartPose};
+
+/// The highest speed of the first metre, m/s, and what the board's speed loop adds to it.
+const SLOW: f64 = 0.3 + 0.05;
+
+fn config() -> Config {
+    let vehicle = VehicleParameters::paper();
+    let mut config = daemon_config(Drive {
+        vehicle,
+        law: LawSection {
+            kind: LawKind::FrontPoint,
+            point_distance_m: 0.35,
+            front_axle_distance_m: vehicle.front_axle_distance_m,
+        },
+        outer_loop: OuterLoopSection::Proportional {
+            gain_per_s: [1.0, 1.0],
+            feed_forward: true,
+        },
+        reference: ReferenceSection::Circle {
+            radius_m: 1.5,
+            angular_velocity_rad_s: 0.5,
+            centre_m: [0.0, 0.0],
+        },
+    });
+    config.supervisor.prove_first_metre = true;
+    config
+}
+
+fn drive(proofs: &[Proof]) -> VirtualDrive {
+    let mut simulation = SimulationConfig::default();
+    simulation.car.start = StartPose {
+        x_m: 1.5,
+        y_m: -0.5,
+        yaw_rad: core::f64::consts::FRAC_PI_2,
+    };
+    let options = HostOptions {
+        nonce_seed: 3,
+        proofs: Proofs::of(proofs),
+        ..HostOptions::default()
+    };
+    VirtualDrive::with_options(config(), simulation, options).unwrap()
+}
+
+/// What a drive of eight seconds came to.
+struct Outcome {
+    /// The highest speed before the first metre was driven, m/s, and after it.
+    speeds: [f64; 2],
+    /// The way at which the configuration was proved, m.
+    proved_at: Option<f64>,
+    /// What the pilot was told.
+    told: Vec<bool>,
+    proof: Proof,
+    entries: Vec<Entry>,
+}
+
+fn run(mut drive: VirtualDrive) -> Outcome {
+    let mut outcome = Outcome {
+        speeds: [0.0; 2],
+        proved_at: None,
+        told: Vec::new(),
+        proof: Proof {
+            configuration: 0,
+            car_id: 0,
+        },
+        entries: Vec::new(),
+    };
+    drive.keep_entries();
+    let start = drive.start().unwrap().now;
+    let mut way = 0.0;
+    let mut last = drive.step();
+    while last.now.seconds_since(start) < 8.0 {
+        let tick = drive.step();
+        way += tick.truth.speed * tick.now.seconds_since(last.now);
+        let output = &tick.tick.output;
+        assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+        let part = &mut outcome.speeds[usize::from(way > 1.0)];
+        *part = part.max(tick.truth.speed);
+        if output.proved {
+            assert_eq!(outcome.proved_at.replace(way), None);
+        }
+        last = tick;
+    }
+    outcome.proof = drive.controller().proof().unwrap();
+    outcome.entries = drive.entries();
+    outcome.told = ticks(&outcome)
+        .flat_map(|tick| tick.events.iter())
+        .filter_map(|event| match event {
+            Event::Proved(proved) => Some(*proved),
+            _ => None,
+        })
+        .collect();
+    outcome
+}
+
+fn ticks(outcome: &Outcome) -> impl Iterator<Item = &singletrack_record::TickRecord> {
+    outcome.entries.iter().filter_map(|entry| match entry {
+        Entry::Tick(tick) => Some(tick),
+        _ => None,
+    })
+}
+
+#[test]
+fn an_unproved_car_drives_its_first_metre_slowly_and_is_proved_then() {
+    let outcome = run(drive(&[]));
+    let [first, later] = outcome.speeds;
+    assert!(first <= SLOW && later > 0.6, "{first} {later}");
+    let proved_at = outcome.proved_at.unwrap();
+    assert!((0.95..1.2).contains(&proved_at), "{proved_at}");
+    assert!(!outcome.told.contains(&true));
+}
+
+#[test]
+fn a_proved_car_drives_as_fast_as_its_reference_from_the_start() {
+    let proof = run(drive(&[])).proof;
+    let outcome = run(drive(&[proof]));
+    assert_eq!(outcome.told.last(), Some(&true));
+    assert_eq!(outcome.proved_at, None);
+    assert!(outcome.speeds[0] > 0.6, "{:?}", outcome.speeds);
+}
+
+#[test]
+fn the_proof_of_another_car_or_configuration_is_none() {
+    let proof = run(drive(&[])).proof;
+    for other in [
+        Proof {
+            configuration: proof.configuration ^ 1,
+            ..proof
+        },
+        Proof {
+            car_id: proof.car_id ^ 1,
+            ..proof
+        },
+    ] {
+        let outcome = run(drive(&[other]));
+        assert!(outcome.speeds[0] <= SLOW, "{:?}", outcome.speeds);
+        assert!(outcome.proved_at.is_some());
+    }
+}
+
+#[test]
+fn a_replay_repeats_the_proving_run_bit_for_bit() {
+    let outcome = run(drive(&[]));
+    let mut replay = Replay::new(config().pilot().unwrap());
+    let mut proved = 0;
+    for tick in ticks(&outcome) {
+        let output = replay.tick(tick).unwrap();
+        assert!(tick.is_output(&output), "{:?}", tick.differences(&output));
+        proved += usize::from(output.proved);
+    }
+    assert_eq!(proved, 1);
+}
