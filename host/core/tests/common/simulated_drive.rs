@@ -14,7 +14,7 @@ use singletrack_core::{
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::{Mode, RealTimeState};
+use singletrack_pilot::{Mode, Output, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_sim::{Destination, SimulationConfig, World};
 
@@ -108,13 +108,18 @@ impl SimulatedDrive {
     pub(crate) fn new() -> Self {
         let mut config =
             Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
-        config.motion_capture.server = Ipv4Addr::LOCALHOST;
         // These drives are not about the first metre of an unproved car.
         config.supervisor.prove_first_metre = false;
         config.fence.braking_m_s2 = BRAKING_M_S2;
-        // The circle of the example is as large as the example's carpet.
+        // From the default start the car turns round first.
         config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
-        let simulation = SimulationConfig::default();
+        Self::with(config, SimulationConfig::default())
+    }
+
+    /// The configuration with the simulated cameras, and a simulated car. It arms as soon as
+    /// the pilot is ready.
+    pub(crate) fn with(mut config: Config, simulation: SimulationConfig) -> Self {
+        config.motion_capture.server = Ipv4Addr::LOCALHOST;
         config
             .motion_capture
             .rigid_body
@@ -191,10 +196,15 @@ impl SimulatedDrive {
     /// Passes the bytes of the tick to the board and drops its reports. Returns the mode
     /// that the tick ended in.
     pub(crate) fn after_tick(&mut self) -> Option<Mode> {
+        self.output().map(|output| output.mode)
+    }
+
+    /// As [`after_tick`](Self::after_tick), with the whole output of the tick.
+    pub(crate) fn output(&mut self) -> Option<Output> {
         let sent = self.sent();
         self.world.host_write(&sent);
         while self.host.reports.pop().is_ok() {}
-        self.host.ticks.pop().map(|tick| tick.output.mode)
+        self.host.ticks.pop().map(|tick| tick.output)
     }
 
     /// All of the above: returns the mode that the tick ended in.
