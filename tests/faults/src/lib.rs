@@ -6,6 +6,7 @@
 //! cargo faults --replay 'seed 7; end_ms 9000; ask arm at 3200; fault line-stuck at 6000 for 500 severity 1'
 //! cargo faults --first-seed 7 --count 1 --print           print the schedule of a seed
 //! cargo faults --first-seed 7 --count 1 --record DIR      write the records of its daemons
+//! cargo faults --planted --count 200                      count in how many schedules each planted bug is found
 //! ```
 //!
 //! The last line is `N schedules, V violations`; the command fails if V is not
@@ -24,21 +25,23 @@
 //!
 //! # Schedules
 //!
-//! A schedule holds a situation (reference, speed, geofence, latencies, clocks,
-//! wiring), operator requests with their times, and faults with onset, duration and
-//! severity: see [`schedule::FaultKind`]. It is generated from a seed or written by
+//! A schedule holds a situation (what is configured: reference, speed, geofence,
+//! ESC, ...; latencies, clocks, wiring), the true car where it differs from that (see
+//! [`schedule::Deviation`]), operator requests with their times, and faults with onset,
+//! duration and severity: see [`schedule::FaultKind`]. It is generated from a seed or written by
 //! hand; keys that are left out keep their defaults.
 //!
 //! # Invariants
 //!
 //! Every file in `invariant/` defines some, each with its limit and the reason for
 //! it. They are checked against ground truth: pulses on the pins, exposure times of
-//! poses, the true position of the car. `tests/planted.rs` plants a bug for each
-//! and checks that it is found.
+//! poses, the true position of the car. What they allow comes from the configuration.
+//! [`planted::BUGS`] has a bug for each, and `tests/planted.rs` checks that it is found.
 //!
 //! To add a fault: a line in `schedule/kind.rs` and its effect in `network.rs`,
-//! `stage.rs` or `drive.rs`. To add an invariant: a type in `invariant/`, a line in
-//! its list, a planted bug.
+//! `stage.rs`, `setting.rs` or `drive.rs`. To add a property of the car: a line in
+//! `schedule/truth.rs` and its effect in `setting.rs`. To add an invariant: a type in
+//! `invariant/`, a line in its list, a planted bug.
 
 mod campaign;
 mod daemon;

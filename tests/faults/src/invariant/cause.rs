@@ -168,6 +168,8 @@ pub(super) struct MotorPulses {
     driven_us: u64,
     commanded_um: u64,
     speed_mm_s: u64,
+    /// Since the last pulse.
+    fastest_mm_s: u64,
     last_driven_us: u64,
 }
 
@@ -190,6 +192,7 @@ impl Invariant for MotorPulses {
         if !observation.is_effective(FaultKind::PulsesGone) || observation.spec.has_interference {
             self.driven_us = 0;
             self.commanded_um = 0;
+            self.fastest_mm_s = 0;
             return Ok(());
         }
         let patience_um = u64::from(board.speed.pulse_distance_um) * 5 / 2;
@@ -201,7 +204,7 @@ impl Invariant for MotorPulses {
             // 10 ms: a round of the main loop; 20 ms: the current frame.
             let late_us = 2 * SERVO_US + 10_000;
             let is_late = (self.driven_us > SENSOR_PATIENCE_US + late_us
-                && self.commanded_um > patience_um + self.speed_mm_s * late_us / 1_000)
+                && self.commanded_um > patience_um + self.fastest_mm_s * late_us / 1_000)
                 || self.driven_us > SENSOR_TIMEOUT_US + late_us;
             if pulse.esc_us > board.esc.neutral_us + board.esc.deadband_us {
                 if is_late {
@@ -213,6 +216,7 @@ impl Invariant for MotorPulses {
                     ));
                 }
                 self.last_driven_us = pulse.time_us;
+                self.fastest_mm_s = self.fastest_mm_s.max(self.speed_mm_s);
                 self.driven_us += SERVO_US;
                 self.commanded_um += self.speed_mm_s * SERVO_US / 1_000;
             }

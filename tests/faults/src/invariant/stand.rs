@@ -132,7 +132,8 @@ impl Invariant for WeakBrakes {
 /// `stop-not-obeyed`: a car whose speed does not fall after neutral is a fault that the
 /// host declares within a second and a half.
 ///
-/// Only where the host can see it: no other fault, no false pose.
+/// Only where the host can see it: no other fault, no false pose, and not by a daemon that
+/// was started after the stop.
 #[derive(Default)]
 pub(super) struct StopNotObeyed {
     since_us: Option<u64>,
@@ -151,7 +152,8 @@ impl Invariant for StopNotObeyed {
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         let speed = observation.truth.speed.abs();
         let keeps = observation.stop.is_some_and(|stop| {
-            stop.free_us() > KEPT_US
+            observation.daemon_since_us < Some(stop.began_us)
+                && stop.free_us() > KEPT_US
                 && stop
                     .deceleration()
                     .is_some_and(|(_, from)| from > COUNTS_FROM && speed > KEPT * from)
@@ -185,6 +187,9 @@ pub(super) struct UnarmedMotion {
     since_us: Option<u64>,
 }
 
+/// Slower wheels stand, as far as the board can tell, in m/s.
+const CREEPING: f64 = 0.06;
+
 const NOTICED_US: u64 = 500_000;
 
 impl Invariant for UnarmedMotion {
@@ -198,7 +203,7 @@ impl Invariant for UnarmedMotion {
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
         if observation.board_is_armed
             || stopping
-            || speed < STANDING
+            || speed < CREEPING
             || observation.is_moved_by_hand()
         {
             self.since_us = None;
