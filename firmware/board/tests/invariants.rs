@@ -190,6 +190,8 @@ struct Watch {
     time_us: u32,
     /// Time at the brake pulse.
     braked_us: u32,
+    /// The brake pulse of the configuration in force at the last step.
+    brake_us: Option<u16>,
     drove: bool,
     braked: bool,
     latched_us: u32,
@@ -209,6 +211,7 @@ impl Watch {
             configuration: None,
             time_us: rig.now,
             braked_us: 0,
+            brake_us: None,
             drove: false,
             braked: false,
             latched_us: 0,
@@ -315,7 +318,10 @@ impl Watch {
         assert_eq!(outputs.esc_neutral_us, esc.neutral_us);
         let brake_us = Some(esc.brake_us).filter(|_| esc.kind.has_brake());
         assert!((esc.min_us..=esc.max_us).contains(&esc_us) || Some(esc_us) == brake_us);
-        let braked = self.outputs.esc_us == Some(esc_us) && Some(esc_us) == brake_us;
+        // A brake goes on through a configuration, with the new pulse.
+        let had_braked = self.outputs.esc_us.is_some() && self.outputs.esc_us == self.brake_us;
+        let braked = had_braked && Some(esc_us) == brake_us;
+        self.brake_us = brake_us;
         if esc_us > esc.neutral_us + esc.deadband_us {
             self.forward_us = self.forward_us.saturating_add(elapsed_us);
             self.earned_us = self.earned_us.max(self.forward_us);
