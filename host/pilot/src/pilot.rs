@@ -299,7 +299,12 @@ impl Pilot {
         if follows(mode) {
             self.stops.end();
         } else if follows(was) {
-            self.stops.begin(now, &speeds);
+            let commanded = if mode == Mode::Stopping {
+                self.law.actuation().speed
+            } else {
+                0.0
+            };
+            self.stops.begin(now, &speeds, commanded);
         }
         if !mode.commands() {
             self.proving = None;
@@ -337,7 +342,7 @@ impl Pilot {
                 Mode::Driving => {
                     if let Err(reason) = self.drive(now, estimate, &mut output) {
                         request = Some(self.supervisor.fault(reason, now));
-                        self.stops.begin(now, &speeds);
+                        self.stops.begin(now, &speeds, 0.0);
                         self.proving = None;
                         self.stand_by(mode);
                         output.mode = self.supervisor.mode();
@@ -384,7 +389,10 @@ impl Pilot {
                 &velocity,
                 self.config.period,
             )
-            .map_err(|_| Reason::LawSingular)?;
+            .map_err(|_| match &self.proving {
+                Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
+                _ => Reason::LawSingular,
+            })?;
         // Without a fresh pose the car must not accelerate.
         let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));
@@ -498,6 +506,7 @@ impl Pilot {
     const fn stop_limits(&self) -> StopLimits {
         StopLimits {
             braking: self.config.braking,
+            ramp: self.config.stop_deceleration,
             standing: self.config.supervisor.standing_speed,
         }
     }

@@ -232,7 +232,8 @@ fn a_blind_car_does_not_speed_up() {
     assert!(speed > 0.1 && speed < 0.4, "{speed}");
     for _ in 0..20 {
         assert_eq!(bench.step().mode, Mode::Driving);
-        assert!(bench.speed <= speed, "{} of {speed}", bench.speed);
+        // That of the rear axle: the sideslip is still estimated.
+        assert!(bench.speed <= speed + 1e-5, "{} of {speed}", bench.speed);
     }
     bench.pose = Pose::Seen;
     bench.run(2);

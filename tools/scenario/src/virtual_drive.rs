@@ -71,8 +71,9 @@ pub struct VirtualTick {
 /// A host and a world.
 #[derive(Debug)]
 pub struct VirtualDrive {
-    world: World,
-    host: VirtualHost<WriteHalf>,
+    // Both are large; a drive is moved from function to function.
+    world: Box<World>,
+    host: Box<VirtualHost<WriteHalf>>,
     port: SimulatedPort,
     host_us: u64,
     /// The entries for a record of the drive; `None` if they are not kept.
@@ -180,8 +181,8 @@ impl VirtualDrive {
         options: HostOptions,
     ) -> Result<Self, VirtualDriveError> {
         let mut drive = Self {
-            world: World::new(simulation)?,
-            host: VirtualHost::new(config, options, 0)?,
+            world: Box::new(World::new(simulation)?),
+            host: Box::new(VirtualHost::new(config, options, 0)?),
             port: SimulatedPort::default(),
             host_us: 0,
             entries: None,

@@ -20,9 +20,9 @@ const LEAST_STEERING: f64 = 0.04;
 const GYRO_SPAN: f64 = 0.2;
 const LEAST_TURN: f64 = 0.015;
 /// The turn that the steering should have made by which a reversed servo shows, rad.
-const SIGN_AFTER: f64 = 0.09;
+const SIGN_AFTER: f64 = 0.08;
 /// The turn by which a servo with a wrong gain shows, rad.
-const SIZE_AFTER: f64 = 0.25;
+const SIZE_AFTER: f64 = 0.17;
 /// The turn by which the steering is proved, rad.
 const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
@@ -31,6 +31,8 @@ const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
 const YAW_AFTER: f64 = 0.15;
+/// The way across the yaw that is more than noise, m.
+const LEAST_ACROSS: f64 = 0.004;
 /// The way after which a yaw that is wrong by a right angle or more shows, m.
 const CROSSWISE_AFTER: f64 = 0.04;
 /// The largest angle between the motion of the rear axle and the yaw, rad.
@@ -42,7 +44,7 @@ const MOTOR_AFTER: f64 = 0.2;
 const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
 /// The steering follows a wave during the first metre: its amplitude, rad, and its length, m.
-const WAVE: f64 = 0.12;
+const WAVE: f64 = 0.18;
 const WAVE_LENGTH: f64 = 0.5;
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest
@@ -117,6 +119,12 @@ impl Proving {
     /// What contradicts, if anything does.
     pub(crate) const fn found(&self) -> Option<Reason> {
         self.found
+    }
+
+    /// Whether the car moves across the yaw of the body rather than along it: at that angle
+    /// the law is singular, before the way proves it.
+    pub(crate) fn moves_across(&self) -> bool {
+        fabs(self.across) > fabs(self.along) && fabs(self.across) > LEAST_ACROSS
     }
 
     /// Whether the speed is still limited.

@@ -4,14 +4,13 @@ use libm::hypot;
 
 use super::steps::Step;
 
-/// The change of speed by which the accelerometer is judged, m/s; if it does not come in
-/// time, a lower one will do...
+/// The change of speed by which the accelerometer is judged, m/s, and its tolerance, in m/s
+/// and as a share.
 const ACCELERATED: f64 = 0.18;
-const JUDGED_FROM: f64 = 0.08;
-/// ...its tolerance, in m/s and as a share...
-const ACCELERATION_TOLERANCE: (f64, f64) = (0.05, 0.5);
-/// ...and that time, s: later the bias counts for more.
-const ACCELERATES_WITHIN: f64 = 1.2;
+const TOLERANCE: (f64, f64) = (0.05, 0.5);
+/// The change must come within this time, s, or it says nothing: a bias counts for more, and
+/// the linear acceleration of some sensors leaks away.
+const WITHIN: f64 = 0.8;
 
 /// Compares both at the start of every drive.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,9 +35,10 @@ impl StartWatch {
         self.time += step.time;
         self.forward += step.forward;
         self.left += step.left;
-        self.judged = speed >= ACCELERATED || self.time > ACCELERATES_WITHIN;
-        if self.judged && speed >= JUDGED_FROM {
-            let (margin, share) = ACCELERATION_TOLERANCE;
+        let fast = speed >= ACCELERATED;
+        self.judged = fast || self.time > WITHIN;
+        if fast {
+            let (margin, share) = TOLERANCE;
             // A NaN differs.
             let fits = hypot(forward - speed, left) <= margin + share * speed;
             self.differs = !fits;

@@ -25,6 +25,9 @@ struct Run {
     speed: f64,
     /// Way since, m.
     way: f64,
+    /// The speed that is commanded at the beginning, m/s: a ramp leads from there to zero. The
+    /// board follows it, also upward if the brake was too strong.
+    commanded: f64,
     /// The fall of the speed by motor and by cameras.
     falls: [Fall; 2],
     /// Since when the car has stood.
@@ -41,16 +44,16 @@ struct Fall {
 }
 
 impl Fall {
-    /// A tick after the reaction time, with the least deceleration (m/s²). A sensor that
-    /// returns is judged from then on.
-    fn tick(&mut self, now: Time, speed: Option<f64>, least: f64) {
+    /// A tick after the reaction time, with the least deceleration (m/s²), and a speed that is
+    /// in order (m/s). A sensor that returns is judged from then on.
+    fn tick(&mut self, now: Time, speed: Option<f64>, least: f64, floor: f64) {
         let Some(speed) = speed.map(fabs) else {
             *self = Self::default();
             return;
         };
         let (from, since) = *self.from.get_or_insert((speed, now));
         let allowed = from - least * now.seconds_since(since) + TOLERANCE;
-        let too_fast = speed > allowed.max(SLOW);
+        let too_fast = speed > allowed.max(floor);
         self.too_fast = if too_fast { self.too_fast + 1 } else { 0 };
     }
 }
@@ -88,6 +91,8 @@ pub(crate) struct StopVerdict {
 pub(crate) struct StopLimits {
     /// The configured deceleration, m/s².
     pub(crate) braking: f64,
+    /// The commanded deceleration, m/s².
+    pub(crate) ramp: f64,
     /// The car stands below this speed, m/s.
     pub(crate) standing: f64,
 }
@@ -98,6 +103,8 @@ const REACTION: f64 = 0.25;
 /// The share of the configured deceleration that the car must reach at least. It is low: a
 /// car that only rolls well is weak, and does not disobey.
 const LEAST_SHARE: f64 = 0.15;
+/// By how much a car that follows the ramp may be behind it, s.
+const FOLLOWS_AFTER: f64 = 0.2;
 /// Tolerance of a measured speed, m/s.
 const TOLERANCE: f64 = 0.03;
 /// Below this speed nothing is judged, m/s.
@@ -125,8 +132,9 @@ const WEAK: f64 = 0.9;
 const TOO_WEAK: f64 = 0.6;
 
 impl StopWatch {
-    /// The drive ends at `now`: the motor is to slow down or at neutral.
-    pub(crate) fn begin(&mut self, now: Time, speeds: &Speeds) {
+    /// The drive ends at `now`: the motor is to slow down from this commanded speed (m/s), or
+    /// is at neutral.
+    pub(crate) fn begin(&mut self, now: Time, speeds: &Speeds, commanded: f64) {
         if self.run.is_some() {
             return;
         }
@@ -136,6 +144,7 @@ impl StopWatch {
             last: now,
             speed: speed.unwrap_or(0.0),
             way: 0.0,
+            commanded: fabs(commanded),
             falls: [Fall::default(); 2],
             standing: None,
         });
@@ -178,8 +187,10 @@ impl StopWatch {
         let least = LEAST_SHARE * limits.braking;
         if elapsed >= REACTION {
             let [motor, cameras] = &mut run.falls;
-            motor.tick(now, speeds.motor, least);
-            cameras.tick(now, speeds.cameras, least);
+            let ramp = run.commanded - limits.ramp * (elapsed - FOLLOWS_AFTER);
+            let floor = SLOW.max(ramp);
+            motor.tick(now, speeds.motor, least, floor);
+            cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
             let most = if in_place {
                 TOO_FAST_IN_PLACE
@@ -245,6 +256,7 @@ mod tests {
 
     const LIMITS: StopLimits = StopLimits {
         braking: 1.4,
+        ramp: 2.4,
         standing: 0.03,
     };
 
@@ -262,7 +274,7 @@ mod tests {
     ) -> (Option<u64>, Option<f64>) {
         let mut speed = speed;
         let mut measured = None;
-        watch.begin(at(0), &seen(speed));
+        watch.begin(at(0), &seen(speed), speed);
         for tick in 1..600 {
             // The geofence's reaction time is allowed for.
             if tick > 5 {
@@ -340,6 +352,23 @@ mod tests {
         for deceleration in [1.0, 1.5, 1.0, 1.5] {
             stop(&mut watch, 0.8, |_| deceleration, all);
             assert!(!watch.is_too_weak());
+        }
+    }
+
+    #[test]
+    fn a_car_that_follows_the_ramp_upward_obeys() {
+        let mut watch = StopWatch::default();
+        watch.begin(at(0), &all(1.0), 1.0);
+        for tick in 1..100 {
+            let elapsed = 0.01 * tick as f64;
+            // The brake was too strong, and the board catches up with the ramp.
+            let speed = if (0.2..0.3).contains(&elapsed) {
+                0.25
+            } else {
+                (1.0 - 2.4 * (elapsed - 0.1)).clamp(0.0, 1.0)
+            };
+            let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+            assert!(!verdict.disobeyed, "{elapsed}");
         }
     }
 

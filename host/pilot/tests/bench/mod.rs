@@ -37,6 +37,8 @@ pub(crate) struct Bench {
     pub(crate) position: Position,
     pub(crate) yaw: f64,
     pub(crate) speed: f64,
+    /// At the tick before.
+    speed_before: f64,
     pub(crate) steering: f64,
     pub(crate) board: BoardState,
     pub(crate) link: bool,
@@ -104,6 +106,7 @@ impl Bench {
             position: Position::origin(),
             yaw: 0.0,
             speed: 0.0,
+            speed_before: 0.0,
             steering: 0.0,
             board: BoardState::Neutral,
             link: true,
@@ -150,7 +153,10 @@ impl Bench {
                 inertial: self.imu.then_some(InertialSample {
                     time: now,
                     yaw_rate: self.stuck.unwrap_or(yaw_rate + noise + self.gyro_bias),
-                    forward_acceleration: 0.0,
+                    forward_acceleration: match self.stuck {
+                        Some(_) => 0.0,
+                        None => (self.speed - self.speed_before) / 0.01,
+                    },
                     left_acceleration: self.stuck.unwrap_or(self.speed * yaw_rate),
                 }),
                 motor_speed: self.pulses * self.speed,
@@ -175,6 +181,7 @@ impl Bench {
         events.extend(request.map(Event::Request));
         events.append(&mut self.extra);
         let output = self.pilot.step(now, &events);
+        self.speed_before = self.speed;
         if let Some(command) = output.command {
             self.speed = command.rear_speed;
             self.steering = command.steering;
