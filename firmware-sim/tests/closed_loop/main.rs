@@ -85,3 +85,22 @@ fn a_start_with_a_dead_sensor_goes_as_far_as_documented() {
         );
     }
 }
+
+#[test]
+fn more_edges_than_the_interrupt_accepts_are_refused_as_by_the_image() {
+    let mut config = SimulationConfig::default();
+    // A pulse every 10 um: 20 a millisecond at 0.2 m/s.
+    config.car.motor_sensor.pulse_distance_um = 10.0;
+    let mut bench = ScriptedDrive::new(config).unwrap();
+    bench.configuration.speed.pulse_distance_um = 100;
+    bench.run_ms(200);
+    bench.prepare();
+    let mut fastest = 0;
+    bench.drive(100, 1_500, 0, |bench| {
+        fastest = fastest.max(bench.host.telemetry.unwrap().motor_speed_mm_s);
+    });
+    bench.run_ms(300);
+    assert!(bench.host.status.unwrap().edges_refused > 10);
+    // 16 pulses of 0.1 mm in a millisecond.
+    assert!((1_500..=1_700).contains(&fastest), "{fastest}");
+}
