@@ -10,14 +10,14 @@ use singletrack_scenario::{
 };
 
 /// A car and its course.
-pub struct CalibratedCar {
+pub(crate) struct CalibratedCar {
     seed: u64,
     text: String,
 }
 
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub(crate) enum Ended {
     /// By request, and the car can be armed again.
     AsRequested,
     /// For another reason.
@@ -26,13 +26,13 @@ pub enum Ended {
 
 /// What came of a drive.
 #[derive(Clone, Copy, Debug)]
-pub struct Outcome {
+pub(crate) struct Outcome {
     /// How it ended.
-    pub ended: Ended,
+    pub(crate) ended: Ended,
     /// Whether the configuration was proved on the way.
-    pub proved: bool,
+    pub(crate) proved: bool,
     /// When it ended, s after its start.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 /// Seconds from the start to the disarm request, and from there until the car must be ready.
@@ -41,19 +41,19 @@ const SETTLED_S: f64 = 9.0;
 
 impl CalibratedCar {
     /// The car of this seed.
-    pub fn random(seed: u64) -> Self {
+    pub(crate) fn random(seed: u64) -> Self {
         let mut random = Random(seed);
         let text = [course(&mut random), car(&mut random)].concat();
         Self { seed, text }
     }
 
     /// Its scenario, as TOML.
-    pub fn describe(&self) -> &str {
+    pub(crate) fn describe(&self) -> &str {
         &self.text
     }
 
     /// Drives it, disarms it and waits until it can be armed again.
-    pub fn drive(&self) -> Result<Outcome, Box<dyn Error>> {
+    pub(crate) fn drive(&self) -> Result<Outcome, Box<dyn Error>> {
         let scenario = Scenario::from_toml(&self.text, Path::new("calibrated.toml"))?;
         let (config, simulation) = virtual_drive_config(&scenario)?;
         let mut drive = VirtualDrive::new(config, self.seed, simulation)?;
@@ -211,7 +211,7 @@ fn car(random: &mut Random) -> String {
     )
 }
 
-/// SplitMix64.
+/// `SplitMix64`.
 struct Random(u64);
 
 impl Random {
