@@ -43,7 +43,8 @@ impl CalibratedCar {
     /// The car of this seed.
     pub(crate) fn random(seed: u64) -> Self {
         let mut random = Random(seed);
-        let text = [course(&mut random), car(&mut random)].concat();
+        let (course, speed) = course(&mut random);
+        let text = [course, car(&mut random, speed)].concat();
         Self { seed, text }
     }
 
@@ -94,10 +95,10 @@ impl CalibratedCar {
     }
 }
 
-/// The sections of law, reference, start and run.
-fn course(random: &mut Random) -> String {
+/// The sections of law, reference, start and run, and the speed of the reference in m/s.
+fn course(random: &mut Random) -> (String, f64) {
     let proportional = "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true\n";
-    let (outer_loop, reference, [x, y], yaw) = match random.below(3) {
+    let (outer_loop, reference, [x, y], yaw, speed) = match random.below(3) {
         0 => {
             let radius = random.between(0.9, 2.0);
             let speed = random.between(0.1, (1.2 * radius).sqrt().min(1.5));
@@ -110,6 +111,7 @@ fn course(random: &mut Random) -> String {
                 ),
                 [radius, 0.0],
                 side * FRAC_PI_2,
+                speed,
             )
         }
         1 => {
@@ -125,6 +127,7 @@ fn course(random: &mut Random) -> String {
                 ),
                 [0.0, 0.0],
                 0.785,
+                speed,
             )
         }
         _ => {
@@ -150,10 +153,11 @@ fn course(random: &mut Random) -> String {
                 ),
                 [0.0, 0.0],
                 0.0,
+                speed,
             )
         }
     };
-    format!(
+    let text = format!(
         "[law]\nkind = \"front-point\"\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.1368\n\
          [outer_loop]\n{outer_loop}[reference]\n{reference}\
          [start]\npoint_p_m = [{x}, {y}]\nyaw_deg = {}\n\
@@ -162,13 +166,17 @@ fn course(random: &mut Random) -> String {
         yaw.to_degrees(),
         random.below(1_000_000),
         random.below(2) == 0,
-    )
+    );
+    (text, speed)
 }
 
 /// The sections of what is true of the car, and of what is believed where the two must
 /// agree.
-fn car(random: &mut Random) -> String {
-    let pulse_um = [1_000, 3_000, 3_000, 6_000, 12_000, 25_000][random.below(6)];
+fn car(random: &mut Random, speed: f64) -> String {
+    // The board takes a pulse in less than 0.6 s; in a turn the car is slower than P.
+    let pulses_um = [1_000, 3_000, 3_000, 6_000, 12_000, 25_000];
+    let usable = if speed < 0.3 { 4 } else { pulses_um.len() };
+    let pulse_um = pulses_um[random.below(usable as u64)];
     let rolling = random.between(0.4, 2.0);
     let (kind, brakes) =
         [("car", true), ("forward-reverse", false), ("vesc", true)][random.below(3)];
