@@ -11,7 +11,8 @@ use singletrack_board::Outputs;
 use crate::{
     clock,
     interrupts::{self, Masked, Shared, SharedByte, masked},
-    kill_output, motor, pulses::{self, Width},
+    kill_output, motor,
+    pulses::{self, Width},
 };
 
 /// Number of ticks after which a silent main loop counts as hung. (With one servo

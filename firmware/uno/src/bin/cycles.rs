@@ -25,9 +25,9 @@ use core::{arch::asm, hint::black_box, panic::PanicInfo};
 
 use singletrack_board::{Board, Inputs};
 use singletrack_protocol::{
-    BoardMode, Configuration, Configure, Decoder, Drive, EscCalibration, EscKind, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS, Frame,
-    ImuState, RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, StopCause,
-    Telemetry, ToBoard, ToHost,
+    BoardMode, Configuration, Configure, Decoder, Drive, EscCalibration, EscKind, FailsafeAction,
+    Frame, ImuAxes, ImuState, LONGEST_ROLL_OUT_MS, RefusalReason, ResetCause, Sequence,
+    ServoCalibration, SpeedLoop, Status, StopCause, Telemetry, ToBoard, ToHost,
 };
 
 use in_place::InPlace;
@@ -129,14 +129,14 @@ fn measure_codec(round: u8, number: i16) {
         frames_dropped: 0,
         bytes_overrun: 0,
         imu_errors: 3,
-            supply_mv: 5_000,
-            battery_open: false,
-            power_on: false,
-            edges_refused: 0,
-            imu_calibration: 0xFF,
-            imu_status: 5,
-            imu_error: 0,
-            imu_self_test: 0x0F,
+        supply_mv: 5_000,
+        battery_open: false,
+        power_on: false,
+        edges_refused: 0,
+        imu_calibration: 0xFF,
+        imu_status: 5,
+        imu_error: 0,
+        imu_self_test: 0x0F,
     });
     let status = black_box(status);
     black_box(measured(4, || status.encode()));
