@@ -17,6 +17,10 @@ const STANDSTILL_US_PER_UM: u32 = 20;
 /// sensor, the speed loop would go to full throttle.
 const SENSOR_PATIENCE_US: u32 = 150_000;
 
+/// Driving time at a start for which no pulse is expected, where the pulses are far
+/// apart: the speed loop does not yet help a car that is slower than configured.
+const START_US: u32 = 100_000;
+
 /// Driving time without a pulse after which the sensor has failed in any case.
 const SENSOR_TIMEOUT_US: u32 = 600_000;
 
@@ -117,7 +121,7 @@ impl Odometer {
             self.driven.advance(elapsed_us);
             self.without_pulse.advance(elapsed_us);
             // A car that starts follows its command late.
-            if !self.starts() || self.driven.elapsed_us() >= SENSOR_PATIENCE_US {
+            if !self.starts() || self.driven.elapsed_us() >= START_US {
                 // A poll later than this is a fault of its own.
                 let elapsed_us = u16::try_from(elapsed_us).unwrap_or(u16::MAX);
                 let commanded = (u32::from(esc.target_mm_s) * u32::from(elapsed_us)) >> 10;
