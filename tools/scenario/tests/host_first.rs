@@ -82,7 +82,7 @@ fn the_host_disarms_a_rolling_car_without_poses_before_the_board_stops_it() {
 #[test]
 fn the_configuration_is_refused_if_the_board_could_be_first() {
     // Each age of a pose is noticed up to a period late.
-    for (period_ms, accepted) in [(10, 770), (20, 800), (45, 870)] {
+    for (period_ms, accepted) in [(10, 750), (20, 770), (45, 855)] {
         for (max_pose_age_ms, is_valid) in [(accepted, true), (accepted - 30, false)] {
             let mut config = config(period_ms);
             config.board.max_pose_age_ms = max_pose_age_ms;

@@ -98,7 +98,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     )?;
     let disarmed_ms = 1_000.0 * (longest_blind_drive(config) + seconds(LINE_MS));
     refuse_if(
-        disarmed_ms > f64::from(board.max_pose_age_ms),
+        disarmed_ms > f64::from(board.max_pose_age_ms) + 1e-6,
         "board.max_pose_age_ms",
         board.max_pose_age_ms,
         format!(
@@ -129,9 +129,9 @@ pub(super) fn disarm_age(config: &Config) -> f64 {
 /// The age of the last pose, in s, at which the disarm request of a car without markers is
 /// written at the latest, whatever its speed.
 ///
-/// Each step that waits for an age takes up to a period longer, because ticks are apart: the
-/// hold, the ramp, the stop for good and the rest. The stop begins to rest in the tick after
-/// its first.
+/// Ticks are a period apart, so each age is noticed up to a period late. The ramp begins in
+/// the tick that notices. A stop for good begins to rest in the tick after its command to
+/// stand, and rests for whole ticks.
 fn longest_blind_drive(config: &Config) -> f64 {
     let period = seconds(config.control.period_ms);
     let deceleration = config.control.stop_deceleration_m_s2;
@@ -147,12 +147,12 @@ fn longest_blind_drive(config: &Config) -> f64 {
     // speed.
     let both = (hold_distance / hold).min(max_speed);
     let ramp_ends = [both, max_speed]
-        .map(|speed| hold.min(hold_distance / speed) + speed / deceleration + 2.0 * period)
+        .map(|speed| hold.min(hold_distance / speed) + period + speed / deceleration)
         .into_iter()
         .fold(0.0, f64::max);
     // A car that has slowed down to a stop waits for this long.
     let stops = ramp_ends.max(blind + period);
-    stops + period + REST + period
+    stops + period + (REST / period - 1e-9).ceil() * period
 }
 
 fn refuse_if(
