@@ -160,7 +160,8 @@ impl Invariant for MainLoop {
 }
 
 /// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for at most
-/// 150 ms, or over 2.5 pulse distances at the commanded speed if that takes longer, and for
+/// 150 ms, or over 2.5 pulse distances (or one and 33 mm) at the commanded speed if that
+/// takes longer, and for
 /// at most 600 ms; then one servo period and one round of the main loop. Pauses shorter
 /// than 150 ms do not restart this.
 #[derive(Default)]
@@ -176,6 +177,8 @@ pub(super) struct MotorPulses {
 /// Time before and after which the board detects a dead motor sensor.
 const SENSOR_PATIENCE_US: u64 = 150_000;
 const SENSOR_TIMEOUT_US: u64 = 600_000;
+/// Way by which a car that starts off may be behind its command.
+const LATE_UM: u64 = 33_000;
 
 impl Invariant for MotorPulses {
     fn name(&self) -> &'static str {
@@ -195,7 +198,8 @@ impl Invariant for MotorPulses {
             self.fastest_mm_s = 0;
             return Ok(());
         }
-        let patience_um = u64::from(board.speed.pulse_distance_um) * 5 / 2;
+        let distance_um = u64::from(board.speed.pulse_distance_um);
+        let patience_um = (distance_um * 5 / 2).max(distance_um + LATE_UM);
         for pulse in observation.pulses {
             if pulse.time_us.saturating_sub(self.last_driven_us) >= SENSOR_PATIENCE_US {
                 self.driven_us = 0;
