@@ -324,7 +324,11 @@ impl Watch {
         }
         if Some(esc_us) == brake_us && !braked && now.speed.max_reverse_mm_s == 0 {
             // A car's ESC would take a second pulse for reverse.
-            assert!(self.earned_us >= 60 * MS, "brakes after {} us", self.earned_us);
+            assert!(
+                self.earned_us >= 60 * MS,
+                "brakes after {} us",
+                self.earned_us
+            );
             self.earned_us = 0;
         }
         self.braked_us = if braked {

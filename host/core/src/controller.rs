@@ -469,7 +469,7 @@ impl Queue<'_> {
 
 /// Whether the IMU's registers report an error. A self-test of zero has not been read yet.
 const fn imu_fault(status: &Status) -> bool {
-    /// SYS_STATUS of a system error.
+    /// `SYS_STATUS` of a system error.
     const ERROR: u8 = 1;
     /// Accelerometer, gyro and controller; the magnetometer is not used.
     const PASSED: u8 = 0b1101;

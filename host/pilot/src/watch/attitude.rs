@@ -58,8 +58,10 @@ impl AttitudeWatch {
     /// What forbids to arm; the body's axes are turned by `marker_yaw` (rad) against the
     /// car's.
     pub(crate) fn check(&self, marker_yaw: f64, config: &WatchConfig) -> Option<Reason> {
+        // A NaN is within no limit.
+        let level = |tilt: Tilt| hypot(tilt.roll, tilt.pitch) <= config.max_tilt;
         if let Some((tilt, _)) = self.imu
-            && !(hypot(tilt.roll, tilt.pitch) <= config.max_tilt)
+            && !level(tilt)
         {
             return Some(Reason::ImuTilted);
         }
@@ -69,7 +71,8 @@ impl AttitudeWatch {
             let roll = c * body.roll + s * body.pitch;
             let pitch = c * body.pitch - s * body.roll;
             let most = fabs(imu.roll - roll).max(fabs(imu.pitch - pitch));
-            if !(most <= config.max_tilt_difference) {
+            let agree = most <= config.max_tilt_difference;
+            if !agree {
                 return Some(Reason::TiltDiffers);
             }
         }

@@ -10,14 +10,14 @@ use singletrack_scenario::{
 };
 
 /// A car and its course.
-pub struct CalibratedCar {
+pub(crate) struct CalibratedCar {
     seed: u64,
     text: String,
 }
 
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub(crate) enum Ended {
     /// By request, and the car can be armed again.
     AsRequested,
     /// For another reason.
@@ -26,13 +26,13 @@ pub enum Ended {
 
 /// What came of a drive.
 #[derive(Clone, Copy, Debug)]
-pub struct Outcome {
+pub(crate) struct Outcome {
     /// How it ended.
-    pub ended: Ended,
+    pub(crate) ended: Ended,
     /// Whether the configuration was proved on the way.
-    pub proved: bool,
+    pub(crate) proved: bool,
     /// When it ended, s after its start.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 /// Seconds from the start to the disarm request, and from there until the car must be ready.
@@ -41,19 +41,20 @@ const SETTLED_S: f64 = 9.0;
 
 impl CalibratedCar {
     /// The car of this seed.
-    pub fn random(seed: u64) -> Self {
+    pub(crate) fn random(seed: u64) -> Self {
         let mut random = Random(seed);
-        let text = [course(&mut random), car(&mut random)].concat();
+        let (course, speed) = course(&mut random);
+        let text = [course, car(&mut random, speed)].concat();
         Self { seed, text }
     }
 
     /// Its scenario, as TOML.
-    pub fn describe(&self) -> &str {
+    pub(crate) fn describe(&self) -> &str {
         &self.text
     }
 
     /// Drives it, disarms it and waits until it can be armed again.
-    pub fn drive(&self) -> Result<Outcome, Box<dyn Error>> {
+    pub(crate) fn drive(&self) -> Result<Outcome, Box<dyn Error>> {
         let scenario = Scenario::from_toml(&self.text, Path::new("calibrated.toml"))?;
         let (config, simulation) = virtual_drive_config(&scenario)?;
         let mut drive = VirtualDrive::new(config, self.seed, simulation)?;
@@ -94,10 +95,10 @@ impl CalibratedCar {
     }
 }
 
-/// The sections of law, reference, start and run.
-fn course(random: &mut Random) -> String {
+/// The sections of law, reference, start and run, and the speed of the reference in m/s.
+fn course(random: &mut Random) -> (String, f64) {
     let proportional = "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true\n";
-    let (outer_loop, reference, [x, y], yaw) = match random.below(3) {
+    let (outer_loop, reference, [x, y], yaw, speed) = match random.below(3) {
         0 => {
             let radius = random.between(0.9, 2.0);
             let speed = random.between(0.1, (1.2 * radius).sqrt().min(1.5));
@@ -110,6 +111,7 @@ fn course(random: &mut Random) -> String {
                 ),
                 [radius, 0.0],
                 side * FRAC_PI_2,
+                speed,
             )
         }
         1 => {
@@ -125,6 +127,7 @@ fn course(random: &mut Random) -> String {
                 ),
                 [0.0, 0.0],
                 0.785,
+                speed,
             )
         }
         _ => {
@@ -150,10 +153,11 @@ fn course(random: &mut Random) -> String {
                 ),
                 [0.0, 0.0],
                 0.0,
+                speed,
             )
         }
     };
-    format!(
+    let text = format!(
         "[law]\nkind = \"front-point\"\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.1368\n\
          [outer_loop]\n{outer_loop}[reference]\n{reference}\
          [start]\npoint_p_m = [{x}, {y}]\nyaw_deg = {}\n\
@@ -162,13 +166,17 @@ fn course(random: &mut Random) -> String {
         yaw.to_degrees(),
         random.below(1_000_000),
         random.below(2) == 0,
-    )
+    );
+    (text, speed)
 }
 
 /// The sections of what is true of the car, and of what is believed where the two must
 /// agree.
-fn car(random: &mut Random) -> String {
-    let pulse_um = [1_000, 3_000, 3_000, 6_000, 12_000, 25_000][random.below(6)];
+fn car(random: &mut Random, speed: f64) -> String {
+    // The board takes a pulse in less than 0.6 s; in a turn the car is slower than P.
+    let pulses_um = [1_000, 3_000, 3_000, 6_000, 12_000, 25_000];
+    let usable = if speed < 0.3 { 4 } else { pulses_um.len() };
+    let pulse_um = pulses_um[random.below(usable as u64)];
     let rolling = random.between(0.4, 2.0);
     let (kind, brakes) =
         [("car", true), ("forward-reverse", false), ("vesc", true)][random.below(3)];
@@ -211,7 +219,7 @@ fn car(random: &mut Random) -> String {
     )
 }
 
-/// SplitMix64.
+/// `SplitMix64`.
 struct Random(u64);
 
 impl Random {
