@@ -157,6 +157,19 @@ pub(crate) fn check(table: &[Figure]) -> Result<(), Failure> {
     }
 }
 
+/// Fails unless the image has greeted as this car.
+pub(crate) fn check_car(table: &[Figure], car_id: u16) -> Result<(), Failure> {
+    let greeted = table.iter().find(|figure| figure.name == "car-id");
+    if greeted.is_some_and(|figure| figure.value == f64::from(car_id)) {
+        Ok(())
+    } else {
+        let greeted = greeted.map_or("none".to_owned(), |figure| figure.value.to_string());
+        Err(Failure::new(format!(
+            "the image is for car {car_id}, and greets as car {greeted}"
+        )))
+    }
+}
+
 /// Formats a number with commas between thousands.
 fn number(value: f64, decimals: usize) -> String {
     let digits = format!("{value:.decimals$}");
@@ -212,6 +225,19 @@ mod tests {
             "flash: 24,577 B are 1 B more than the budget of 24,576 B; \
              cpu: 20.2 % are 0.2 % more than the budget of 20 %"
         );
+    }
+
+    #[test]
+    fn an_image_that_greets_as_another_car_is_refused() {
+        let greets = |lines: &str| {
+            let measured = format!("flash 6512 B\nstatic 289 B\nstack 2 B\ncpu 2 %\n{lines}");
+            check_car(&table(SIZE, &measured).unwrap(), 7)
+        };
+        greets("car-id 7 greeted\n").unwrap();
+        for (lines, as_car) in [("car-id 0 greeted\n", "car 0"), ("", "car none")] {
+            let error = greets(lines).unwrap_err().to_string();
+            assert!(error.ends_with(as_car), "{error}");
+        }
     }
 
     #[test]

@@ -114,12 +114,16 @@ fn build_and_check(car_id: u16) -> Result<Image, Failure> {
     figures
         .args(["run", "--release", "--package", "singletrack-sim"])
         .args(["--bin", "uno-figures"]);
-    check_image(&image, &mut figures)?;
+    check_image(&image, car_id, &mut figures)?;
     Ok(image)
 }
 
-/// Checks an image against its budgets, with the measuring program.
-pub(crate) fn check_image(image: &Image, measure: &mut Command) -> Result<(), Failure> {
+/// Checks the image for a car against its budgets, with the measuring program.
+pub(crate) fn check_image(
+    image: &Image,
+    car_id: u16,
+    measure: &mut Command,
+) -> Result<(), Failure> {
     for elf in [&image.elf, &image.cycles_elf] {
         gates::refuse_forbidden(elf)?;
     }
@@ -130,6 +134,7 @@ pub(crate) fn check_image(image: &Image, measure: &mut Command) -> Result<(), Fa
     )?;
     let table = figures::table(size, &String::from_utf8_lossy(&measured))?;
     println!("\n{}\n\n{}", image.elf.display(), figures::render(&table));
+    figures::check_car(&table, car_id)?;
     figures::check(&table)
 }
 

@@ -235,6 +235,7 @@ fn program_steps(release: Release) -> Vec<Step> {
             move || {
                 uno::check_image(
                     &with_simulator(release)?,
+                    0,
                     &mut release.program("uno-figures")?,
                 )
             },

@@ -22,13 +22,18 @@ fn main() -> ExitCode {
 fn run() -> Result<(), Box<dyn std::error::Error>> {
     let installation = Installation::find()?;
     let size = ImageSize::read(&installation.image)?;
-    let mut drive = ScriptedDrive::armed(SimulationConfig {
+    let mut drive = ScriptedDrive::new(SimulationConfig {
         board: BoardParameters {
             kind: BoardKind::Uno,
             ..BoardParameters::default()
         },
         ..SimulationConfig::default()
     })?;
+    drive.run_ms(2_000);
+    // An image for one car refuses the configuration of another.
+    let car_id = drive.host.car_id.ok_or("the board named no car")?;
+    drive.configuration.car_id = car_id;
+    drive.prepare();
     let before = figures(&mut drive)?;
     let mut angle = 0_i16;
     for _ in 0..1_000 {
@@ -43,6 +48,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         return Err(format!("the car did not drive: the board is in mode {mode:?}").into());
     }
 
+    println!("car-id {car_id} greeted");
     println!("flash {} B", size.flash_bytes);
     println!("static {} B", size.static_bytes);
     println!("stack {} B", after.stack_bytes);

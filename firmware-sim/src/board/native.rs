@@ -14,6 +14,44 @@ const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 /// supervisor.
 const HANG_TIMEOUT_US: u32 = 19_000;
 
+/// Edges of the motor's sensor that are accepted in a tick, and its duration, as in
+/// the image's interrupts.
+const EDGES_PER_TICK: u64 = 16;
+const TICK_US: u64 = 1_000;
+
+/// The edges of the motor's sensor that the interrupt accepts.
+#[derive(Debug, Default)]
+struct Edges {
+    /// The sensor's count at the last call; `None` before the first.
+    seen: Option<u16>,
+    tick: u64,
+    /// Edges that are still accepted in this tick.
+    left: u64,
+    accepted: u16,
+    /// Ticks with more edges, wrapping.
+    refused: u16,
+}
+
+impl Edges {
+    /// Takes the sensor's count in a tick.
+    fn take(&mut self, count: u16, tick: u64) {
+        if tick > self.tick {
+            // Several, if the main loop was late.
+            self.left = EDGES_PER_TICK.saturating_mul(tick - self.tick);
+            self.tick = tick;
+        }
+        let new = u64::from(count.wrapping_sub(self.seen.unwrap_or(count)));
+        self.seen = Some(count);
+        let accepted = new.min(self.left);
+        self.accepted = self.accepted.wrapping_add(accepted as u16);
+        // Once in a tick.
+        if accepted < new && self.left > 0 {
+            self.refused = self.refused.wrapping_add(1);
+        }
+        self.left -= accepted;
+    }
+}
+
 /// The board's code with its inputs.
 #[derive(Debug)]
 pub(super) struct Native {
@@ -22,6 +60,7 @@ pub(super) struct Native {
     /// Numbers of main loop rounds and servo frames so far.
     polls: u64,
     frames: u64,
+    edges: Edges,
     inputs: Inputs,
     hung: bool,
     /// Board time of the last round of the main loop.
@@ -37,6 +76,7 @@ impl Native {
             board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, parameters.car_id),
             polls: 0,
             frames: 0,
+            edges: Edges::default(),
             inputs: Inputs::default(),
             hung: false,
             last_poll_us: 0,
@@ -49,6 +89,7 @@ impl Native {
         self.board = Board::new(cause, SOFTWARE_VERSION, self.parameters.car_id);
         self.polls = 0;
         self.frames = 0;
+        self.edges = Edges::default();
         self.inputs = Inputs::default();
         self.hung = false;
         self.last_poll_us = 0;
@@ -113,8 +154,10 @@ impl Native {
             if !self.hung {
                 self.last_poll_us = board_time_us;
                 let edges = car.motor_pulses();
+                self.edges.take(edges.count, elapsed / TICK_US);
+                self.inputs.edges_refused = self.edges.refused;
                 self.inputs.motor = MotorPulses {
-                    count: edges.count,
+                    count: self.edges.accepted,
                     last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
                 };
                 self.inputs.battery_mv = battery_mv(car, &car.parameters().battery, battery_noise);
@@ -199,5 +242,30 @@ impl Native {
             .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
         let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
         !expired && !stalled
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Edges;
+
+    #[test]
+    fn sixteen_edges_are_accepted_in_a_tick() {
+        let mut edges = Edges::default();
+        // What came before the first call is not counted.
+        edges.take(65_530, 0);
+        let mut take = |new: u16, tick| {
+            let count = edges.seen.unwrap().wrapping_add(new);
+            edges.take(count, tick);
+            (edges.accepted, edges.refused)
+        };
+        assert_eq!(take(16, 1), (16, 0));
+        assert_eq!(take(17, 2), (32, 1));
+        assert_eq!(take(10, 3), (42, 1));
+        assert_eq!(take(10, 3), (48, 2));
+        assert_eq!(take(10, 3), (48, 2));
+        // Three ticks at once.
+        assert_eq!(take(40, 6), (88, 2));
+        assert_eq!(take(200, 7), (104, 3));
     }
 }

@@ -31,6 +31,40 @@ pub(crate) fn armed(config: SimulationConfig) -> ScriptedDrive {
 /// Distance from neutral within which the motor is not driven, in µs.
 const DEADBAND_US: u16 = 26;
 
+/// Starts a car with a ramp of 2 m/s²; returns its greatest and its last speed.
+pub(crate) fn start(
+    config: SimulationConfig,
+    pulse_distance_um: u16,
+    speed_mm_s: i16,
+) -> (f64, f64) {
+    let mut bench = ScriptedDrive::new(config).unwrap();
+    bench.configuration.speed.pulse_distance_um = pulse_distance_um;
+    bench.run_ms(200);
+    bench.prepare();
+    let mut fastest = 0.0_f64;
+    for tick in 1..=150 {
+        bench.drive(1, (20 * tick).min(speed_mm_s), 0, |bench| {
+            fastest = fastest.max(bench.world.truth().wheel_speed);
+        });
+    }
+    let cause = bench.host.telemetry.map(|telemetry| telemetry.stop_cause);
+    assert_eq!(bench.host.mode(), Some(BoardMode::Driving), "{cause:?}");
+    (fastest, bench.world.truth().wheel_speed)
+}
+
+/// Before the second pulse the board does not know the speed.
+#[test]
+fn a_start_with_a_long_pulse_distance_does_not_overshoot() {
+    let mut config = seeded(5);
+    // A fast car of a configuration for a slow one.
+    config.car.motor.gain_m_s_per_us *= 1.05;
+    config.car.motor.neutral_us -= 10;
+    config.car.motor_sensor.pulse_distance_um = 25_000.0;
+    let (fastest, settled) = start(config, 25_000, 300);
+    assert!(fastest < 0.4, "{fastest}");
+    assert!((settled - 0.3).abs() < 0.03, "{settled}");
+}
+
 #[test]
 fn a_step_to_0_4_m_s_settles_within_a_second() {
     for (seed, battery_v, within) in [(1, 7.9, 0.02), (2, 7.0, 0.04), (3, 8.4, 0.04)] {

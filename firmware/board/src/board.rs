@@ -415,8 +415,11 @@ impl Board {
             Some(command) => {
                 let target_mm_s = command.speed_mm_s;
                 if control_due {
+                    let measured_mm_s = self
+                        .odometer
+                        .controlled_mm_s(configuration.speed.pulse_distance_um, target_mm_s);
                     self.esc
-                        .control(configuration, target_mm_s, motion.speed_mm_s, command.brake);
+                        .control(configuration, target_mm_s, measured_mm_s, command.brake);
                 }
                 self.esc.advance_driving(
                     &configuration.esc,

@@ -28,6 +28,15 @@ const UNKNOWN_DISTANCE_UM: u16 = 30_000;
 /// new interval.
 const INTERVAL_TIMEOUT_US: u32 = 500_000;
 
+/// Pulses after a standstill until the speed has been measured: two that are an
+/// interval apart.
+const FIRST_PULSES: u8 = 2;
+
+/// Pulse distance up to which the second pulse comes before a standstill that has not
+/// been measured matters: to the speed loop, which gains little speed on the way, and
+/// to the watch, which waits for longer than a car needs to follow its command.
+const FINE_DISTANCE_UM: u16 = 5_000;
+
 /// Larger numbers of pulses are halved, together with their time, so that the
 /// product with the distance fits in 32 bits: 2^16 · 1000 · 64 < 2^32.
 const MAX_PULSES: u32 = 64;
@@ -47,8 +56,14 @@ pub(crate) struct Odometer {
     commanded: u32,
     /// Commanded distance within which a pulse must come, in the same units.
     patience: u32,
+    /// The pulses are far apart: [`FINE_DISTANCE_UM`].
+    coarse: bool,
     standstill_us: u32,
     speed_mm_s: i16,
+    /// Pulses until the speed of this drive has been measured.
+    unmeasured: u8,
+    /// Driving time since this drive began, or since its last pulse.
+    without_pulse: Stopwatch,
 }
 
 /// What the ESC was doing since the last poll.
@@ -70,14 +85,18 @@ impl Odometer {
             not_driven: Stopwatch::started(),
             commanded: 0,
             patience: patience(UNKNOWN_DISTANCE_UM),
+            coarse: true,
             standstill_us: standstill_us(UNKNOWN_DISTANCE_UM),
             speed_mm_s: 0,
+            unmeasured: FIRST_PULSES,
+            without_pulse: Stopwatch::started(),
         }
     }
 
     /// Adapts the waiting times to the sensor.
     pub(crate) const fn configure(&mut self, pulse_distance_um: u16) {
         self.patience = patience(pulse_distance_um);
+        self.coarse = pulse_distance_um > FINE_DISTANCE_UM;
         self.standstill_us = standstill_us(pulse_distance_um);
     }
 
@@ -90,13 +109,21 @@ impl Odometer {
         esc: Driven,
     ) {
         self.since_pulse.advance(elapsed_us);
+        if esc.target_mm_s == 0 {
+            self.unmeasured = FIRST_PULSES;
+            self.without_pulse = Stopwatch::started();
+        }
         if esc.driven {
             self.driven.advance(elapsed_us);
-            // A poll later than this is a fault of its own.
-            let elapsed_us = u16::try_from(elapsed_us).unwrap_or(u16::MAX);
-            let commanded = (u32::from(esc.target_mm_s) * u32::from(elapsed_us)) >> 10;
-            // The time-out comes before an overflow: below 2^21 per poll.
-            self.commanded = self.commanded.wrapping_add(commanded);
+            self.without_pulse.advance(elapsed_us);
+            // A car that starts follows its command late.
+            if !self.starts() || self.driven.elapsed_us() >= SENSOR_PATIENCE_US {
+                // A poll later than this is a fault of its own.
+                let elapsed_us = u16::try_from(elapsed_us).unwrap_or(u16::MAX);
+                let commanded = (u32::from(esc.target_mm_s) * u32::from(elapsed_us)) >> 10;
+                // The time-out comes before an overflow: below 2^21 per poll.
+                self.commanded = self.commanded.wrapping_add(commanded);
+            }
             self.not_driven = Stopwatch::started();
         } else {
             self.not_driven.advance(elapsed_us);
@@ -109,9 +136,13 @@ impl Odometer {
         let newest = *self.newest.get_or_insert(pulses);
         if newest.count != pulses.count {
             self.newest = Some(pulses);
+            let new = pulses.count.wrapping_sub(newest.count);
+            let new = u8::try_from(new).unwrap_or(u8::MAX);
+            self.unmeasured = self.unmeasured.saturating_sub(new);
             // An edge later than `now_us` counts as an edge now.
             let age = age_us(now_us, pulses.last_edge_us).unwrap_or(0);
             self.since_pulse = Stopwatch::started_ago(age);
+            self.without_pulse = Stopwatch::started();
             self.expect_pulse();
         }
     }
@@ -164,6 +195,29 @@ impl Odometer {
                 .min(speed_mm_s(pulse_distance_um, 1, waited_us)),
         };
         self.reference = (waited_us < INTERVAL_TIMEOUT_US).then_some(newest);
+        if self.reference.is_none() {
+            self.unmeasured = FIRST_PULSES;
+        }
+    }
+
+    /// Whether a drive has not had its second pulse yet, and that is a long way.
+    const fn starts(&self) -> bool {
+        self.coarse && self.unmeasured != 0
+    }
+
+    /// The speed on which the speed loop acts.
+    ///
+    /// At a start, zero is no measurement, and a loop that acts on it makes the car much
+    /// faster than its command before the second pulse. The car is therefore taken to
+    /// follow its command until it is late, and then for as fast as one that has
+    /// travelled a pulse distance since it was driven or gave its last pulse.
+    pub(crate) fn controlled_mm_s(&self, pulse_distance_um: u16, target_mm_s: i16) -> i16 {
+        if !self.starts() {
+            return self.speed_mm_s;
+        }
+        let possible = speed_mm_s(pulse_distance_um, 1, self.without_pulse.elapsed_us());
+        self.speed_mm_s
+            .max(possible.min(target_mm_s.saturating_abs()))
     }
 
     /// Magnitude of the speed, in mm/s.

@@ -23,8 +23,12 @@ fn ramp(ms: u32, end_mm_s: i16) -> i16 {
     i16::try_from(2 * ms).unwrap_or(i16::MAX).min(end_mm_s)
 }
 
+/// Time for which a car that starts may stand, where the pulses are far apart, in ms.
+const START_MS: u32 = 150;
+
 /// Time from the first pulse beyond the deadband to the failsafe with a dead sensor, in
-/// ms, and the commanded distance until then, in mm. None if it never comes.
+/// ms, and the commanded distance until then, in mm: where the pulses are far apart,
+/// without that of the first [`START_MS`]. None if it never comes.
 fn until_failure(pulse_distance_um: u16, end_mm_s: i16) -> Option<(u32, u32)> {
     let mut rig = Rig::armed_with(with_pulse_distance(pulse_distance_um));
     let (mut driven_ms, mut commanded_um) = (0, 0);
@@ -40,7 +44,9 @@ fn until_failure(pulse_distance_um: u16, end_mm_s: i16) -> Option<(u32, u32)> {
         }
         if rig.esc_us() > NEUTRAL + 20 {
             driven_ms += 1;
-            commanded_um += u32::from(speed.unsigned_abs());
+            if pulse_distance_um <= 5_000 || driven_ms > START_MS {
+                commanded_um += u32::from(speed.unsigned_abs());
+            }
         }
     }
     None
@@ -266,4 +272,57 @@ fn every_kind_of_esc_is_watched() {
         rig.pulse_period_us = Some(8_000);
         assert!(until_latched(&mut rig, 6_000).is_some(), "{kind:?}");
     }
+}
+
+/// The ESC's pulse after a start at 0.3 m/s and some pulses of the wheels.
+fn pulse_at_start(pulse_distance_um: u16, pulses: u16) -> u16 {
+    let mut rig = Rig::armed_with(with_pulse_distance(pulse_distance_um));
+    rig.drive_for(70 * MS, 300, 0);
+    for _ in 0..pulses {
+        rig.inputs.motor.count = rig.inputs.motor.count.wrapping_add(1);
+        rig.inputs.motor.last_edge_us = rig.now;
+        // 0.25 m/s.
+        rig.drive_for(u32::from(pulse_distance_um) * 4 / 10_000 * 10 * MS, 300, 0);
+    }
+    rig.drive_for(10 * MS, 300, 0);
+    rig.esc_us()
+}
+
+#[test]
+fn a_standstill_that_no_pulse_has_measured_does_not_drive_the_speed_loop() {
+    // 100 us per m/s of the command, and nothing of the error before it is measured.
+    let forward = NEUTRAL + 20 + 30;
+    for distance_um in [25_000, 30_000] {
+        assert_eq!(pulse_at_start(distance_um, 0), forward, "{distance_um}");
+    }
+    // One pulse is no measurement: the car is at most late.
+    for (pulses, error) in [(1, 0..=8), (2, 2..=8)] {
+        let pulse = pulse_at_start(25_000, pulses);
+        assert!(error.contains(&(pulse - forward)), "{pulses}: {pulse}");
+    }
+    // Short distances: as always, 50 us per m/s of 0.3 m/s, and an integral.
+    assert!(pulse_at_start(5_000, 0) >= forward + 15);
+}
+
+#[test]
+fn a_car_that_does_not_start_is_driven_harder_while_it_waits_for_its_first_pulse() {
+    let mut rig = Rig::armed_with(with_pulse_distance(25_000));
+    rig.drive_for(80 * MS, 300, 0);
+    let at_first = rig.esc_us();
+    rig.drive_for(200 * MS, 300, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+    assert!(rig.esc_us() >= at_first + 8, "{}", rig.esc_us());
+}
+
+#[test]
+fn a_start_is_one_after_every_stop() {
+    let mut rig = Rig::armed_with(with_pulse_distance(25_000));
+    rig.pulse_period_us = Some(83_333);
+    rig.drive_for(1_000 * MS, 300, 0);
+    rig.pulse_period_us = None;
+    // It stands for less than the time after which the wheels count as standing.
+    rig.drive_for(300 * MS, 0, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+    rig.drive_for(70 * MS, 300, 0);
+    assert_eq!(rig.esc_us(), NEUTRAL + 20 + 30);
 }

@@ -14,7 +14,7 @@ use std::{
 use rtrb::Consumer;
 use singletrack_core::{Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
@@ -95,6 +95,14 @@ impl Collector {
             }
             {
                 let mut latest = self.status.latest();
+                for event in &tick.events {
+                    if let Event::Proved(proved) = event {
+                        latest.proved = Some(*proved);
+                    }
+                }
+                if tick.output.proved {
+                    latest.proved = Some(true);
+                }
                 latest.tick = Some(TickView::from(&tick));
                 latest.tally.tick(&tick);
             }

@@ -30,6 +30,7 @@ impl DaemonHandle {
             tick: latest.tick,
             board: latest.board,
             board_status: latest.board_status,
+            proved: latest.proved,
             cameras: latest.cameras.clone(),
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),

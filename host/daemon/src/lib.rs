@@ -22,6 +22,7 @@ mod collector;
 mod control_thread;
 mod daemon;
 mod handle;
+mod judgement;
 mod live;
 mod mocap_receiver;
 mod mocap_socket;

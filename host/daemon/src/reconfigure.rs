@@ -103,6 +103,13 @@ impl Reconfigurer {
         })
     }
 
+    /// The configuration in force, with its number. It waits for a change that is under way.
+    pub(crate) fn in_force(&self) -> (u32, Config) {
+        let state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let configurations = &state.configurations;
+        (configurations.number(), configurations.in_force().clone())
+    }
+
     pub(crate) fn view(&self) -> ConfigurationView {
         let view = self.0.view.lock();
         view.unwrap_or_else(PoisonError::into_inner).0.clone()

@@ -18,6 +18,9 @@ pub(crate) struct Latest {
     pub(crate) tick: Option<TickView>,
     pub(crate) board: Option<(BoardMode, StopCause)>,
     pub(crate) board_status: Option<Status>,
+    /// Whether the configuration in force is proved on this car; `None` before the board has
+    /// given its number.
+    pub(crate) proved: Option<bool>,
     /// What is wrong with the cameras.
     pub(crate) cameras: Diagnosis,
     pub(crate) tally: Tally,

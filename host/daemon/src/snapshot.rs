@@ -21,6 +21,9 @@ pub struct Snapshot {
     pub board: Option<(BoardMode, StopCause)>,
     /// The last status message of the board.
     pub board_status: Option<Status>,
+    /// Whether the configuration in force is proved on this car; `None` before the board has
+    /// given its number.
+    pub proved: Option<bool>,
     /// What is wrong with the cameras, or that nothing is.
     pub cameras: Diagnosis,
     /// The figures so far.
@@ -133,6 +136,7 @@ impl Snapshot {
                 "battery_mv": self.board_status.map(|status| status.battery_mv),
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),
+            "proved": self.proved,
             "cameras": self.cameras,
             "figures": self.figures,
             "realtime": self.realtime,

@@ -789,6 +789,32 @@ fn limits_of_zero_disable_the_check_of_the_battery() {
     }
 }
 
+#[test]
+fn an_open_battery_input_refuses_to_arm_unless_both_limits_are_zero() {
+    for (min_battery, arm_battery, refused) in
+        [(6.4, 6.8, true), (0.0, 6.8, true), (0.0, 0.0, false)]
+    {
+        let mut bench = Bench::unconnected(SupervisorConfig {
+            min_battery,
+            arm_battery,
+            ..SupervisorConfig::paper()
+        });
+        bench.connect();
+        bench.health = Some(BoardHealth {
+            battery_mv: 0,
+            battery_open: true,
+            ..HEALTHY
+        });
+        let (mode, reason, _) = bench.step();
+        let expected = if refused {
+            (Mode::Idle, Some(Reason::BatteryOpen))
+        } else {
+            (Mode::Ready, None)
+        };
+        assert_eq!((mode, reason), expected, "{min_battery}, {arm_battery}");
+    }
+}
+
 /// Readers of status, log and record depend on these words.
 #[test]
 fn the_words_for_the_modes_do_not_change() {

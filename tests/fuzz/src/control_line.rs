@@ -157,17 +157,19 @@ mod tests {
     fn objects_of_choices_are_commands_of_every_kind() {
         assert!(matches!(parse(&[1, 1, 6]), Ok(Command::Ask(_))));
         assert!(matches!(
-            parse(&[1, 1, 10, 2, 15]),
+            parse(&[1, 1, 13, 2, 18]),
             Ok(Command::Watch { .. })
         ));
         assert!(matches!(
-            parse(&[1, 1, 11, 3, 18]),
+            parse(&[1, 1, 14, 3, 21]),
             Ok(Command::SetReference(_))
         ));
         assert!(matches!(
-            parse(&[1, 1, 12, 4, 13]),
+            parse(&[1, 1, 15, 4, 16]),
             Ok(Command::Setpoint(_))
         ));
+        assert!(matches!(parse(&[1, 1, 7, 6, 8]), Ok(Command::Arm(_))));
+        assert!(matches!(parse(&[1, 1, 8]), Ok(Command::Hold)));
         assert!(parse(&[0, 1, 6]).is_err());
     }
 }

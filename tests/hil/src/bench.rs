@@ -6,6 +6,7 @@ use std::{
 };
 
 use singletrack_core::config::Config;
+use singletrack_protocol::UNNAMED;
 use singletrack_sim::BoardKind;
 use tempfile::TempDir;
 
@@ -82,7 +83,7 @@ impl Bench {
         let link = folder.path().join("board");
         let rig: Box<dyn Rig> = match &equipment.port {
             Some(port) => Box::new(PhysicalRig::start(port, link, seed)?),
-            None => Box::new(SimulatedRig::start(link, seed, equipment.board)?),
+            None => Box::new(SimulatedRig::start(link, seed, equipment.board, UNNAMED)?),
         };
         let config = settings::circle(rig.port(), rig.cameras(), folder.path());
         Ok(Self {
@@ -94,6 +95,30 @@ impl Bench {
             started: 0,
             folder,
         })
+    }
+
+    /// Replaces board, car and cameras by those of another car, and configures the next daemon
+    /// for it. The daemon must have ended.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the rig does not start, and with a physical board.
+    pub fn exchange_car(&mut self, car_id: u16) -> Outcome {
+        if let Some(lack) = self.lacks(Need::AnotherCar) {
+            return Err(Failure::new(lack));
+        }
+        let link = self.folder().join(format!("board-of-car-{car_id}"));
+        self.rig = Box::new(SimulatedRig::start(
+            link,
+            u64::from(car_id),
+            self.equipment.board,
+            car_id,
+        )?);
+        self.config.serial.port = self.rig.port().to_owned();
+        self.config.motion_capture.server = *self.rig.cameras().ip();
+        self.config.motion_capture.command_port = self.rig.cameras().port();
+        self.config.board.car_id = car_id;
+        Ok(())
     }
 
     /// Reason why this bench lacks what a test needs, if it does.

@@ -114,6 +114,17 @@ impl Client {
         self.request(&request)
     }
 
+    /// Replaces the reference.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn set_reference(&mut self, reference: &Value) -> Outcome<Answer> {
+        self.request(&json!({
+            "version": VERSION, "command": "set-reference", "reference": reference,
+        }))
+    }
+
     /// Renews a drive that this connection holds; there is no answer.
     ///
     /// # Errors
@@ -234,6 +245,13 @@ impl Status {
     #[must_use]
     pub fn link(&self) -> &str {
         self.word("/link")
+    }
+
+    /// Whether the configuration is proved on this car; `None` before the board has given its
+    /// number.
+    #[must_use]
+    pub fn proved(&self) -> Option<bool> {
+        self.0["proved"].as_bool()
     }
 
     /// The board's last stop cause.

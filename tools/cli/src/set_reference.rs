@@ -77,6 +77,15 @@ pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
         "reference": reference,
     });
     let answer = control::ask(&line, &args.control.socket)?;
+    for warning in answer
+        .get("warnings")
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+    {
+        eprintln!("singletrack: warning: {warning}");
+    }
     let number = answer.get("configuration").unwrap_or(&Value::Null);
     Ok(control::print(&format!(
         "reference replaced: configuration {number} is in force"

@@ -31,7 +31,7 @@ pub(super) struct Car<'a> {
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Ended {
-    /// The car followed its reference to the end, inside the geofence.
+    /// The car followed its reference for the whole time, inside the geofence.
     Inside,
     /// It could not stop inside the geofence any more.
     Left {
@@ -88,9 +88,8 @@ impl<'a> Car<'a> {
         }
     }
 
-    /// Follows the reference to its end, or until the car could not stop inside `fence`.
-    pub(super) fn drive(mut self, fence: &Fence) -> Ended {
-        let until = duration(self.reference);
+    /// Follows the reference until this time, or until the car could not stop inside `fence`.
+    pub(super) fn drive(mut self, fence: &Fence, until: f64) -> Ended {
         while self.time < until {
             if !self.stops_inside(fence) {
                 return Ended::Left {

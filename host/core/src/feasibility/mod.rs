@@ -116,11 +116,30 @@ impl Judgement {
 ///
 /// The configuration is invalid, or its waypoints can't be read.
 pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigError> {
+    let mut judgement = judge_reference(config, stand, None)?;
+    let mut findings = Vec::new();
+    warn_of_examples(config, &mut findings);
+    findings.append(&mut judgement.findings);
+    judgement.findings = findings;
+    Ok(judgement)
+}
+
+/// Judges only whether the car can drive its reference, for `longest_s` at most; values that
+/// were left as in the example are not reported. It takes 10 to 300 ms: call it off the control
+/// thread.
+///
+/// # Errors
+///
+/// As for [`judge`].
+pub fn judge_reference(
+    config: &Config,
+    stand: Option<Stand>,
+    longest_s: Option<f64>,
+) -> Result<Judgement, ConfigError> {
     config.validate()?;
     let pilot = config.pilot()?;
     let mut judgement = Judgement::default();
     let findings = &mut judgement.findings;
-    warn_of_examples(config, findings);
     if matches!(config.reference, ReferenceSection::External { .. }) {
         return Ok(judgement);
     }
@@ -131,7 +150,7 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
     }
     // Where the reference can't be steered, the geofence is not the problem.
     if judgement.is_possible() {
-        judge_fence(config, &pilot, stand, &mut judgement);
+        judge_fence(config, &pilot, stand, longest_s, &mut judgement);
     }
     Ok(judgement)
 }
@@ -404,10 +423,12 @@ fn judge_fence(
     config: &Config,
     pilot: &PilotConfig,
     stand: Option<Stand>,
+    longest_s: Option<f64>,
     judgement: &mut Judgement,
 ) {
     let vehicle = &config.vehicle;
-    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence);
+    let until = duration(&pilot.reference).min(longest_s.unwrap_or(f64::INFINITY));
+    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence, until);
     let with_reserve = Fence::new(
         pilot.fence.corners(),
         config.fence.margin_m(vehicle) + RESERVE_M,
@@ -463,12 +484,12 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
         Ended::Singular { time } => format!("the law has no answer after {time:.1} s"),
         Ended::Inside => String::new(),
     };
-    let circle = match config.reference {
-        ReferenceSection::Circle { .. } => {
-            " (the smallest circle that the car can drive may \
-                                            still be too large)"
-        }
-        _ => "",
+    let (circle, shorter) = match config.reference {
+        ReferenceSection::Circle { .. } => (
+            " (the smallest circle that the car can drive may still be too large)",
+            "",
+        ),
+        _ => ("", ", or for a shorter time"),
     };
     Finding {
         severity: Severity::Impossible,
@@ -476,7 +497,7 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
         value: format!("{:?}", config.fence.corners_m),
         fix: format!(
             "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move \
-             or shrink the reference{circle}, or drive more slowly",
+             or shrink the reference{circle}, or drive more slowly{shorter}",
             config.fence.margin_m(&config.vehicle)
         ),
     }

@@ -20,6 +20,8 @@ use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     net::unix::{OwnedReadHalf, OwnedWriteHalf},
+    sync::Mutex,
+    task::spawn_blocking,
     time::{Instant, MissedTickBehavior, interval, sleep},
 };
 
@@ -30,6 +32,7 @@ use super::{
 use crate::{
     clock::monotonic_ns,
     handle::DaemonHandle,
+    judgement,
     snapshot::{Snapshot, TickView},
 };
 
@@ -49,9 +52,22 @@ const ARM_TIMEOUT: Duration = Duration::from_secs(12);
 /// Interval of the reports about a drive to the client that attends it.
 const REPORT: Duration = Duration::from_millis(200);
 
-/// Numbers the drives, so that a client or task of an earlier one does not end a later one.
+/// Numbers the drives, so that a client or task of an earlier one does not end a later one, and
+/// orders the requests to arm.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Drives(Arc<AtomicU64>);
+pub(crate) struct Drives(Arc<Orders>);
+
+#[derive(Debug, Default)]
+struct Orders {
+    /// The number of the latest drive.
+    number: AtomicU64,
+    /// When it was asked for.
+    asked_ns: AtomicU64,
+    /// Counts the requests to disarm and to stop.
+    stops: AtomicU64,
+    /// Held while a request to arm is judged: one at a time.
+    judging: Arc<Mutex<()>>,
+}
 
 /// The right to renew and to end one drive.
 #[derive(Clone, Debug)]
@@ -62,17 +78,33 @@ struct Ticket {
 
 impl Drives {
     fn next(&self) -> Ticket {
+        self.0.asked_ns.store(monotonic_ns(), Ordering::Release);
         Ticket {
             drives: self.clone(),
-            number: self.0.fetch_add(1, Ordering::AcqRel) + 1,
+            number: self.0.number.fetch_add(1, Ordering::AcqRel) + 1,
         }
+    }
+
+    /// A client asks for a disarm or a stop: a request to arm that is being judged is void.
+    pub(super) fn stop(&self) {
+        self.0.stops.fetch_add(1, Ordering::AcqRel);
+    }
+
+    fn stops(&self) -> u64 {
+        self.0.stops.load(Ordering::Acquire)
+    }
+
+    /// Whether the last request to arm may not have reached the pilot at this tick.
+    fn is_open(&self, snapshot: &Snapshot) -> bool {
+        let asked_ns = self.0.asked_ns.load(Ordering::Acquire);
+        snapshot.tick.is_none_or(|tick| tick.start_ns <= asked_ns)
     }
 }
 
 impl Ticket {
     /// Passes a request on if the drive is still the latest one.
     fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), String> {
-        if self.drives.0.load(Ordering::Acquire) != self.number {
+        if self.drives.0.number.load(Ordering::Acquire) != self.number {
             return Ok(());
         }
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
@@ -132,7 +164,7 @@ impl DriveWatch {
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
 pub(super) async fn arm(daemon: &DaemonHandle, attendance: Attendance) -> Result<(), String> {
-    let (ticket, mut watch) = begin(daemon, attendance)?;
+    let (ticket, mut watch) = begin(daemon, attendance).await?;
     if let Attendance::Timed(time) = attendance {
         // Renews also while the board arms.
         tokio::spawn(renew(ticket, daemon.clone(), time));
@@ -148,11 +180,44 @@ pub(super) async fn arm(daemon: &DaemonHandle, attendance: Attendance) -> Result
     }
 }
 
-fn begin(daemon: &DaemonHandle, attendance: Attendance) -> Result<(Ticket, DriveWatch), String> {
-    let before = daemon.snapshot();
-    if before.mode() != Mode::Ready {
-        return Err(not_ready(&before));
+/// Passes a request to arm on, if the car can drive its reference from where it stands.
+///
+/// The judgement takes up to 0.3 s. Meanwhile other clients are served and the car stands:
+/// nothing has been asked of the pilot. A disarm, a stop, another mode or another configuration
+/// that comes in this time ends the request.
+async fn begin(
+    daemon: &DaemonHandle,
+    attendance: Attendance,
+) -> Result<(Ticket, DriveWatch), String> {
+    ready(daemon)?;
+    let judging = Arc::clone(&daemon.drives.0.judging)
+        .try_lock_owned()
+        .map_err(|_| "can't arm: the request of another client is being judged")?;
+    let stops = daemon.drives.stops();
+    let judged = daemon.clone();
+    let longest = match attendance {
+        Attendance::Timed(time) => Some(time),
+        Attendance::Hold | Attendance::Unattended => None,
+    };
+    let judgement = spawn_blocking(move || {
+        // Also held if the client hangs up.
+        let _judging = judging;
+        let (number, config) = judged.reconfigurer.in_force();
+        let stand = judgement::stand(&judged.snapshot());
+        (number, judgement::refusal(&config, stand, longest))
+    });
+    let (number, refusal) = judgement.await.map_err(|error| error.to_string())?;
+    if let Some(refusal) = refusal {
+        return Err(format!("can't arm: {refusal}"));
     }
+    // From here to the request nothing is waited for: no other client comes between.
+    if daemon.drives.stops() != stops {
+        return Err("can't arm: a disarm or a stop has come meanwhile".to_owned());
+    }
+    if daemon.reconfigurer.view().number != number {
+        return Err("can't arm: the configuration has changed meanwhile; arm again".to_owned());
+    }
+    ready(daemon)?;
     let ticket = daemon.drives.next();
     let request = match attendance {
         Attendance::Unattended => PilotRequest::Arm,
@@ -160,6 +225,18 @@ fn begin(daemon: &DaemonHandle, attendance: Attendance) -> Result<(Ticket, Drive
     };
     ticket.push(daemon, request)?;
     Ok((ticket, DriveWatch::new()))
+}
+
+/// Checks that the pilot can be armed now, and that no other client has just asked for it.
+fn ready(daemon: &DaemonHandle) -> Result<(), String> {
+    let snapshot = daemon.snapshot();
+    if snapshot.mode() != Mode::Ready {
+        return Err(not_ready(&snapshot));
+    }
+    if daemon.drives.is_open(&snapshot) {
+        return Err("can't arm: another client has just armed".to_owned());
+    }
+    Ok(())
 }
 
 /// Renews a drive until `time` after it began to drive, then ends it.
@@ -195,7 +272,11 @@ pub(super) async fn hold(
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
 ) -> io::Result<bool> {
-    let (ticket, watch) = match begin(daemon, Attendance::Hold) {
+    let begun = tokio::select! {
+        begun = begin(daemon, Attendance::Hold) => begun,
+        () = hung_up(read) => return Ok(false),
+    };
+    let (ticket, watch) = match begun {
         Ok(begun) => begun,
         Err(error) => {
             send(write, &failure(error)).await?;
@@ -208,6 +289,15 @@ pub(super) async fn hold(
         let _ = ticket.push(daemon, PilotRequest::OperatorGone);
     }
     result
+}
+
+/// Returns when the client hangs up without having sent more; reads nothing.
+async fn hung_up(read: &mut BufReader<OwnedReadHalf>) {
+    match read.fill_buf().await {
+        Ok([]) | Err(_) => {}
+        // Its end is found once this has been read.
+        Ok(_) => std::future::pending().await,
+    }
 }
 
 /// Serves the client of a held drive until the drive has ended: true. False if the connection
@@ -324,7 +414,8 @@ mod tests {
     fn a_ticket_of_an_earlier_drive_is_void() {
         let drives = Drives::default();
         let (first, second) = (drives.next(), drives.next());
-        let is_latest = |ticket: &Ticket| ticket.drives.0.load(Ordering::Acquire) == ticket.number;
+        let is_latest =
+            |ticket: &Ticket| ticket.drives.0.number.load(Ordering::Acquire) == ticket.number;
         assert!(!is_latest(&first) && is_latest(&second));
     }
 }

@@ -4,7 +4,7 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
-use singletrack_core::{ControlRequest, config::ReferenceSection};
+use singletrack_core::{ControlRequest, config::ReferenceSection, reconfigure::ChangeError};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
 use tokio::{
@@ -21,7 +21,7 @@ use super::{
     attend::{arm, hold},
     command::{Attendance, Command, Question, SOCKET_VERSION},
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement, snapshot::Snapshot};
 
 /// The largest number of clients at a time.
 pub(super) const CLIENTS: usize = 32;
@@ -141,6 +141,9 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
+    if matches!(question, Question::Disarm | Question::Stop) {
+        daemon.drives.stop();
+    }
     // No mode in an answer: the effect of a request shows after the next tick only.
     let done = match question {
         Question::Status => {
@@ -172,16 +175,28 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
 }
 
 async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Value {
-    let reconfigurer = daemon.reconfigurer.clone();
-    // It reads files and waits for the control thread. On a thread of its own, it does not
-    // delay a stop of another client.
-    let changed = spawn_blocking(move || reconfigurer.set_reference(reference)).await;
+    let changing = daemon.clone();
+    // It reads files, waits for the control thread and judges. On a thread of its own, it does
+    // not delay a stop of another client.
+    let changed = spawn_blocking(move || {
+        let number = changing.reconfigurer.set_reference(reference)?;
+        let (_, config) = changing.reconfigurer.in_force();
+        let warnings = judgement::warnings(&config, judgement::stand(&changing.snapshot()));
+        Ok::<_, ChangeError>((number, warnings))
+    })
+    .await;
     match changed {
-        Ok(Ok(number)) => json!({
-            "version": SOCKET_VERSION,
-            "ok": true,
-            "configuration": number,
-        }),
+        Ok(Ok((number, warnings))) => {
+            let mut answer = json!({
+                "version": SOCKET_VERSION,
+                "ok": true,
+                "configuration": number,
+            });
+            if let Some(answer) = answer.as_object_mut().filter(|_| !warnings.is_empty()) {
+                answer.insert("warnings".to_owned(), warnings.into());
+            }
+            answer
+        }
         Ok(Err(error)) => failure(error),
         Err(error) => failure(error),
     }

@@ -200,10 +200,13 @@ impl LatestState {
     /// [`check_health`](Self::check_health) with the battery limit for arming, which is
     /// higher: the battery must last for a drive.
     fn check_health_to_arm(&self, now: Time, config: &SupervisorConfig) -> Option<Reason> {
-        let low = |health: BoardHealth| volts(&health) < config.arm_battery;
         self.check_health(now, config).or_else(|| {
-            let low = self.health.is_some_and(low);
-            low.then_some(Reason::BatteryLow)
+            let health = self.health?;
+            let limited = config.arm_battery > 0.0;
+            match volts(&health) < config.arm_battery {
+                _ if limited && health.battery_open => Some(Reason::BatteryOpen),
+                low => low.then_some(Reason::BatteryLow),
+            }
         })
     }
 

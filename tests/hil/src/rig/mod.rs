@@ -163,6 +163,8 @@ pub enum Need {
     StopSwitch,
     /// A board that has just been started.
     FreshBoard,
+    /// A board with another car's number.
+    AnotherCar,
     /// The real image, on a processor with faults.
     Image,
 }

@@ -24,14 +24,15 @@ pub struct SimulatedRig {
 }
 
 impl SimulatedRig {
-    /// Powers everything on, with the board's port at `link`.
+    /// Powers everything on, with the board's port at `link`; the board is that of car `car_id`.
     ///
     /// # Errors
     ///
     /// Fails if the simulator does not start.
-    pub fn start(link: PathBuf, seed: u64, board: BoardKind) -> Outcome<Self> {
+    pub fn start(link: PathBuf, seed: u64, board: BoardKind, car_id: u16) -> Outcome<Self> {
         let mut simulation = settings::simulation(seed);
         simulation.board.kind = board;
+        simulation.board.car_id = car_id;
         let config = RealTimeConfig {
             simulation,
             pty_link: Some(link),
@@ -48,8 +49,13 @@ impl SimulatedRig {
 /// Reason why a simulated board lacks something, if it does.
 #[must_use]
 pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
-    (board == BoardKind::Native && need == Need::Image)
-        .then_some("only the image has a watchdog and a bus: --board uno")
+    match (board, need) {
+        (BoardKind::Native, Need::Image) => {
+            Some("only the image has a watchdog and a bus: --board uno")
+        }
+        (BoardKind::Uno, Need::AnotherCar) => Some("the image was built for a car"),
+        _ => None,
+    }
 }
 
 /// Starts the simulator on a thread with raised priority.

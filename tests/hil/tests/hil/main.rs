@@ -1,6 +1,7 @@
 //! Hardware-in-the-loop tests of the shipped daemon, in real time;
 //! [`singletrack_hil`] describes how to run them.
 
+mod arm;
 mod board;
 mod drive;
 mod hostile;
@@ -8,6 +9,7 @@ mod image;
 mod line;
 mod markers;
 mod process;
+mod proving;
 mod stop;
 mod viewers;
 
@@ -124,6 +126,8 @@ fn main() -> ExitCode {
         process::SCENARIOS,
         board::SCENARIOS,
         image::SCENARIOS,
+        arm::SCENARIOS,
+        proving::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,
         viewers::SCENARIOS,

@@ -44,22 +44,29 @@ fn kill_times(count: usize) -> impl Iterator<Item = Duration> {
         .take(count)
 }
 
+/// Width of a geofence that is not in the way, in m.
+const HALL_M: f64 = 200.0;
+
+/// Speed of the straight references, in m/s.
+const SPEED_M_S: f64 = 0.4;
+
 /// Sets a straight reference for the next daemon, from the present pose, turned by
 /// at most this angle towards free space. With a circle, the car would wait for its
 /// reference and start as slowly as it comes.
-fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
-    const SPEED_M_S: f64 = 0.4;
+pub(crate) fn onward(bench: &mut Bench, most_rad: f64, speed_m_s: f64) -> Outcome {
     let truth = bench.rig().truth()?;
     let (sin, cos) = ((-truth.y).atan2(-truth.x) - truth.yaw).sin_cos();
     let turn_rad = sin.atan2(cos).clamp(-most_rad, most_rad);
     let (sin, cos) = (truth.yaw + turn_rad).sin_cos();
     let config = bench.config_mut();
+    // Nothing is in the way of the whole reference: otherwise it could not be armed.
+    config.fence = FenceSection::square(HALL_M, config.fence.braking_m_s2);
     config.outer_loop = OuterLoopSection::OpenLoop {};
     config.reference = ReferenceSection::VelocitySteps {
         steps: vec![StepSection {
             duration_s: 60.0,
-            v_x_m_s: SPEED_M_S * cos,
-            v_y_m_s: SPEED_M_S * sin,
+            v_x_m_s: speed_m_s * cos,
+            v_y_m_s: speed_m_s * sin,
         }],
     };
     Ok(())
@@ -68,9 +75,7 @@ fn onward(bench: &mut Bench, most_rad: f64) -> Outcome {
 fn killed(bench: &mut Bench) -> Outcome {
     // Limits the turn after every kill to a wide circle.
     const MOST_RAD: f64 = 0.6;
-    const HALL_M: f64 = 20.0;
-    bench.config_mut().fence = FenceSection::square(HALL_M, bench.config().fence.braking_m_s2);
-    onward(bench, MOST_RAD)?;
+    onward(bench, MOST_RAD, SPEED_M_S)?;
     bench.start_driving()?;
     for after in kill_times(bench.kills()) {
         bench.keep_driving(after)?;
@@ -80,7 +85,7 @@ fn killed(bench: &mut Bench) -> Outcome {
 
         // The next daemon takes over the board and the stale socket, and waits.
         let place = bench.rig().trace()?.len();
-        onward(bench, MOST_RAD)?;
+        onward(bench, MOST_RAD, SPEED_M_S)?;
         bench.start_daemon()?;
         bench.wait_until_ready()?;
         bench.stays_neutral(Duration::from_millis(500))?;
@@ -95,7 +100,7 @@ fn killed(bench: &mut Bench) -> Outcome {
 const OLD_COMMANDS: f64 = 2.0;
 
 fn paused(bench: &mut Bench) -> Outcome {
-    onward(bench, 0.0)?;
+    onward(bench, 0.0, SPEED_M_S)?;
     bench.start_driving()?;
     for pause in [Duration::from_millis(200), Duration::from_secs(2)] {
         bench.keep_driving(Duration::from_secs(1))?;
