@@ -17,6 +17,10 @@ const STANDSTILL_US_PER_UM: u32 = 20;
 /// sensor, the speed loop would go to full throttle.
 const SENSOR_PATIENCE_US: u32 = 150_000;
 
+/// Driving time at a start for which no pulse is expected, where the pulses are far
+/// apart: the speed loop does not yet help a car that is slower than configured.
+const START_US: u32 = 100_000;
+
 /// Driving time without a pulse after which the sensor has failed in any case.
 const SENSOR_TIMEOUT_US: u32 = 600_000;
 
@@ -117,7 +121,7 @@ impl Odometer {
             self.driven.advance(elapsed_us);
             self.without_pulse.advance(elapsed_us);
             // A car that starts follows its command late.
-            if !self.starts() || self.driven.elapsed_us() >= SENSOR_PATIENCE_US {
+            if !self.starts() || self.driven.elapsed_us() >= START_US {
                 // A poll later than this is a fault of its own.
                 let elapsed_us = u16::try_from(elapsed_us).unwrap_or(u16::MAX);
                 let commanded = (u32::from(esc.target_mm_s) * u32::from(elapsed_us)) >> 10;
@@ -227,18 +231,15 @@ impl Odometer {
 }
 
 /// Two and a half pulse distances: one until the first edge, wherever the wheel
-/// stands, and the rest for a car that follows its command late. With short distances
-/// that is not enough for a car that starts with 2 m/s² and is late by 0.09 s: it is
-/// [`LATE_UM`] behind when it has made a pulse.
+/// stands, and the rest for a car that follows its command late. With 2 m/s², one that
+/// is late by 0.09 s is behind by [`LATE_UM`] when it has made 12 mm.
 const fn patience(pulse_distance_um: u16) -> u32 {
     let distance = pulse_distance_um as u32;
-    let late = distance + LATE_UM;
-    let pulses = 2 * distance + distance / 2;
-    if late > pulses { late } else { pulses }
+    2 * distance + distance / 2 + LATE_UM
 }
 
-/// Way by which a car that starts off may be behind its command.
-const LATE_UM: u32 = 33_000;
+/// Way by which a car that starts off is behind its command, beyond its pulses.
+const LATE_UM: u32 = 15_000;
 
 const fn standstill_us(pulse_distance_um: u16) -> u32 {
     let us = pulse_distance_um as u32 * STANDSTILL_US_PER_UM;
