@@ -23,8 +23,8 @@ fn ramp(ms: u32, end_mm_s: i16) -> i16 {
     i16::try_from(2 * ms).unwrap_or(i16::MAX).min(end_mm_s)
 }
 
-/// Time for which a car that starts may stand, where the pulses are far apart, in ms.
-const START_MS: u32 = 150;
+/// Time at a start for which no pulse is expected, where the pulses are far apart, in ms.
+const START_MS: u32 = 100;
 
 /// Time from the first pulse beyond the deadband to the failsafe with a dead sensor, in
 /// ms, and the commanded distance until then, in mm: where the pulses are far apart,
@@ -53,20 +53,19 @@ fn until_failure(pulse_distance_um: u16, end_mm_s: i16) -> Option<(u32, u32)> {
 }
 
 #[test]
-fn a_dead_sensor_is_found_after_its_distance_and_150_ms() {
+fn a_dead_sensor_is_found_after_two_and_a_half_pulse_distances_15_mm_and_150_ms() {
     for distance_um in [3_000, 6_000, 12_000, 25_000, 30_000] {
         for end_mm_s in [400, 1_500] {
             let (driven_ms, commanded_mm) = until_failure(distance_um, end_mm_s).unwrap();
-            // Short distances have the lag of a car that starts off instead.
-            let distance_um = u32::from(distance_um);
-            let patience_mm = (distance_um * 5 / 2).max(distance_um + 33_000) / 1_000;
+            // And 15 mm for a car that is late.
+            let patience_mm = u32::from(distance_um) * 5 / 2_000 + 15;
             assert!(
                 driven_ms >= 149 && commanded_mm + 1 >= patience_mm,
                 "{distance_um} um, {end_mm_s} mm/s: {driven_ms} ms, {commanded_mm} mm"
             );
             // Not later than either needs, but for a period of the ramp.
             let of_time = driven_ms <= 152;
-            let of_distance = commanded_mm <= patience_mm + 20;
+            let of_distance = commanded_mm <= patience_mm + 5;
             assert!(
                 of_time || of_distance,
                 "{distance_um} um, {end_mm_s} mm/s: {driven_ms} ms, {commanded_mm} mm"

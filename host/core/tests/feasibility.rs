@@ -12,7 +12,7 @@ mod simulated_drive;
 use simulated_drive::SimulatedDrive;
 use singletrack_core::{
     config::{Config, LimitsSection, ReferenceSection, SECTIONS},
-    feasibility::{Finding, Judgement, Severity, Stand, judge},
+    feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},
 };
 use singletrack_pilot::Mode;
 use singletrack_sim::{SimulationConfig, StartPose};
@@ -251,22 +251,48 @@ fn a_reference_from_outside_is_not_judged() {
     assert_eq!(found(&config), Judgement::default());
 }
 
+/// Straight on along x with 0.5 m/s.
+fn straight(seconds: f64) -> Config {
+    let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);
+    let step = singletrack_core::config::StepSection {
+        duration_s: seconds,
+        v_x_m_s: 0.5,
+        v_y_m_s: 0.0,
+    };
+    Config {
+        outer_loop: Config::from_toml(&text).unwrap().outer_loop,
+        reference: ReferenceSection::VelocitySteps { steps: vec![step] },
+        ..own()
+    }
+}
+
 #[test]
 fn velocity_steps_are_driven_from_anywhere_inside_the_fence() {
-    let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);
-    let steps = |seconds: f64| {
-        let mut config = own();
-        config.outer_loop = Config::from_toml(&text).unwrap().outer_loop;
-        let step = singletrack_core::config::StepSection {
-            duration_s: seconds,
-            v_x_m_s: 0.5,
-            v_y_m_s: 0.0,
-        };
-        config.reference = ReferenceSection::VelocitySteps { steps: vec![step] };
-        found(&config)
-    };
-    assert!(steps(1.0).start.is_some());
-    assert_eq!(only(&steps(10.0)).key, "fence.corners_m");
+    assert!(found(&straight(1.0)).start.is_some());
+    assert_eq!(only(&found(&straight(10.0))).key, "fence.corners_m");
+}
+
+#[test]
+fn a_drive_that_leaves_the_fence_later_is_possible_for_a_shorter_time() {
+    // 0.8 m to the margin at x = 0.8 m, at 0.5 m/s.
+    let stand = Some(Stand {
+        x_m: 0.0,
+        y_m: 0.0,
+        yaw_rad: 0.0,
+    });
+    let config = straight(10.0);
+    let judged = |longest_s| judge_reference(&config, stand, longest_s).unwrap();
+    assert_eq!(judged(Some(1.0)).findings, []);
+    for longest_s in [Some(2.0), Some(100.0), None] {
+        let finding = only(&judged(longest_s)).to_string();
+        assert!(finding.ends_with("or for a shorter time"), "{finding}");
+    }
+}
+
+#[test]
+fn the_judgement_of_the_reference_alone_knows_no_examples() {
+    let config = Config::from_toml(EXAMPLE).unwrap();
+    assert_eq!(judge_reference(&config, None, None).unwrap().findings, []);
 }
 
 #[test]

@@ -272,6 +272,32 @@ fn a_reference_is_set_while_the_car_stands_and_is_recorded() {
 }
 
 #[test]
+fn a_reference_that_the_car_cannot_drive_is_in_force_with_a_warning() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let far = json!({
+        "kind": "circle", "radius_m": 0.8, "angular_velocity_rad_s": 0.4, "centre_m": [9.0, 0.0],
+    });
+    let command = json!({"version": 2, "command": "set-reference", "reference": far});
+    let answer = client.ask(&command.to_string());
+    assert_eq!(
+        (&answer["ok"], &answer["configuration"]),
+        (&json!(true), &json!(2))
+    );
+    let warnings = answer["warnings"].as_array().unwrap();
+    let [warning] = &warnings[..] else {
+        panic!("{answer}");
+    };
+    let warning = warning.as_str().unwrap();
+    // Without a board it is not known where the car stands.
+    assert!(
+        warning.starts_with("impossible: fence.corners_m is")
+            && warning.contains("from every start inside it"),
+        "{warning}"
+    );
+}
+
+#[test]
 fn an_invalid_reference_changes_nothing() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);

@@ -77,8 +77,9 @@ pub const POINT_DISTANCE_M: f64 = 0.35;
 /// A lower bound of the simulated car's deceleration at neutral, in m/s².
 const BRAKING_M_S2: f64 = 1.4;
 
-/// Width of the geofence around the origin, in m: the circle plus room to stop.
-pub const FENCE_WIDTH_M: f64 = 4.0;
+/// Width of the geofence around the origin, in m: the circle plus room to turn round, because a
+/// car that is armed in the middle of the circle returns to its start.
+pub const FENCE_WIDTH_M: f64 = 8.0;
 
 /// Radius of the circle, in m.
 pub const RADIUS_M: f64 = 1.0;

@@ -56,6 +56,10 @@ fn operator_gone(bench: &mut Bench) -> Outcome {
     Ok(())
 }
 
+/// Time after a latched stop in which the board's pulses end, and time of silence that counts.
+const PULSES_END: Duration = Duration::from_millis(600);
+const SILENCE: Duration = Duration::from_millis(300);
+
 fn stop_command(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_millis(700))?;
@@ -93,8 +97,14 @@ fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
         "the answer to arm: {}",
         answer.text()
     );
-    bench.stays_neutral(Duration::from_millis(500))?;
+    // Half a second of pulses, and then none.
+    std::thread::sleep(PULSES_END);
     bench.was_neutral_since(place)?;
+    let place = bench.rig().trace()?.len();
+    std::thread::sleep(SILENCE);
+    let trace = bench.rig().trace()?;
+    let pulse = trace.since(place).iter().find(|pulses| pulses.esc_us != 0);
+    ensure!(pulse.is_none(), "not silent: {pulse:?}");
     let status = bench.status()?;
     ensure!(
         status.mode() == "fault",
