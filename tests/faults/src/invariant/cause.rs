@@ -161,10 +161,8 @@ impl Invariant for MainLoop {
 
 /// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for at most
 /// 150 ms, or over 2.5 pulse distances and 15 mm at the commanded speed (which counts from
-/// 150 ms after a start) if that
-/// takes longer, and for
-/// at most 600 ms; then one servo period and one round of the main loop. Pauses shorter
-/// than 150 ms do not restart this.
+/// 150 ms after a start) if that takes longer, and for at most 600 ms; then one servo
+/// period and one round of the main loop. Pauses shorter than 150 ms do not restart this.
 #[derive(Default)]
 pub(super) struct MotorPulses {
     driven_us: u64,
