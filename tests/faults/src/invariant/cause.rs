@@ -160,9 +160,9 @@ impl Invariant for MainLoop {
 }
 
 /// `motor-pulses`: without a motor pulse the ESC is driven beyond the deadband for at most
-/// 150 ms, or over 2.5 pulse distances at the commanded speed if that takes longer, and for
-/// at most 600 ms; then one servo period and one round of the main loop. Pauses shorter
-/// than 150 ms do not restart this.
+/// 150 ms, or over 2.5 pulse distances and 15 mm at the commanded speed (which counts from
+/// 150 ms after a start) if that takes longer, and for at most 600 ms; then one servo
+/// period and one round of the main loop. Pauses shorter than 150 ms do not restart this.
 #[derive(Default)]
 pub(super) struct MotorPulses {
     driven_us: u64,
@@ -176,6 +176,10 @@ pub(super) struct MotorPulses {
 /// Time before and after which the board detects a dead motor sensor.
 const SENSOR_PATIENCE_US: u64 = 150_000;
 const SENSOR_TIMEOUT_US: u64 = 600_000;
+/// Way by which a car that starts off may be behind its command.
+const LATE_UM: u64 = 15_000;
+/// Time at a start in which the way does not count yet, in µs.
+const START_US: u64 = 150_000;
 
 impl Invariant for MotorPulses {
     fn name(&self) -> &'static str {
@@ -195,7 +199,8 @@ impl Invariant for MotorPulses {
             self.fastest_mm_s = 0;
             return Ok(());
         }
-        let patience_um = u64::from(board.speed.pulse_distance_um) * 5 / 2;
+        let distance_um = u64::from(board.speed.pulse_distance_um);
+        let patience_um = distance_um * 5 / 2 + LATE_UM;
         for pulse in observation.pulses {
             if pulse.time_us.saturating_sub(self.last_driven_us) >= SENSOR_PATIENCE_US {
                 self.driven_us = 0;
@@ -204,7 +209,8 @@ impl Invariant for MotorPulses {
             // 10 ms: a round of the main loop; 20 ms: the current frame.
             let late_us = 2 * SERVO_US + 10_000;
             let is_late = (self.driven_us > SENSOR_PATIENCE_US + late_us
-                && self.commanded_um > patience_um + self.fastest_mm_s * late_us / 1_000)
+                && self.commanded_um
+                    > patience_um + self.fastest_mm_s * (START_US + late_us) / 1_000)
                 || self.driven_us > SENSOR_TIMEOUT_US + late_us;
             if pulse.esc_us > board.esc.neutral_us + board.esc.deadband_us {
                 if is_late {
