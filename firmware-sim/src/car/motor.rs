@@ -19,7 +19,7 @@ pub enum EscKind {
     /// neutral brakes. Its time-out is 1 s if nothing else is written.
     Vesc,
     /// As [`EscKind::Car`], but its neutral is the mean of the first
-    /// [`LEARNED_PULSES`] pulses after it has been switched on.
+    /// `LEARNED_PULSES` pulses after it has been switched on.
     LearnsNeutral,
 }
 
