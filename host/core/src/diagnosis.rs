@@ -14,7 +14,7 @@ use singletrack_mocap::{
 /// What is wrong with the cameras, or that nothing is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnosis {
-    /// The cause, one of [`Cause::WORDS`].
+    /// The cause, one of `Cause::WORDS`.
     #[serde(rename = "diagnosis")]
     pub word: &'static str,
     /// The same as a sentence, with addresses, names and what to do.

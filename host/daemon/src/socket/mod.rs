@@ -7,7 +7,7 @@
 //! | `{"version":2,"command":"hold"}` | nothing: it renews the drive that the connection holds |
 //! | `{"version":2,"command":"disarm"}` | at once; the car slows down and stops. After an emergency stop the board stays stopped until it is reset: the answer has a `note` that says so |
 //! | `{"version":2,"command":"stop"}` | at once; neutral until the board is reset |
-//! | `{"version":2,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":2,"ok":true,"configuration":2}`, or why it is not |
+//! | `{"version":2,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":2,"ok":true,"configuration":2}`, with `warnings` if there are any, or why it is not |
 //! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is invalid or not in use |
 //! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
 //!
@@ -20,7 +20,8 @@
 //! after 0.5 s without one, and at once when the connection ends. The daemon reports
 //! `{"version":2,"drive":{...}}` every 0.2 s, and at last `{"version":2,"ended":{...}}`. With
 //! `"timed"` and `"for_s":60` the drive ends by itself after that time; with `"unattended"` it
-//! does not. Without an attendance, `arm` is refused.
+//! does not. Without an attendance, `arm` is refused. So it is if the car can't drive its
+//! reference from where it stands.
 //!
 //! **References.** `reference` has the keys of `[reference]` in the configuration; `file`
 //! is an absolute path that the daemon may read. A reference is refused while the car
