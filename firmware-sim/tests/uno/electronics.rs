@@ -73,12 +73,12 @@ fn an_emergency_stop_falls_silent_on_the_pin_and_stays_so_when_the_main_loop_han
     drive.send(&ToBoard::EmergencyStop(EmergencyStop { request }));
     drive.run_ms(30);
     let stopped_us = drive.world.now_us();
-    // The 200 ms of the last pulse begin with the request.
-    drive.run_ms(130);
+    // 200 ms from the request.
+    drive.run_ms(160);
     let pulses = pulses_since(&drive, stopped_us);
-    assert!(pulses.len() >= 6);
+    assert!(pulses.len() >= 7);
     assert!(pulses.iter().all(|pulse| pulse.esc_us == 1_500));
-    drive.run_ms(200);
+    drive.run_ms(60);
     let silent_us = drive.world.now_us();
     drive.run_ms(500);
     let pulses = pulses_since(&drive, silent_us);

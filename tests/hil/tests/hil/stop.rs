@@ -57,7 +57,7 @@ fn operator_gone(bench: &mut Bench) -> Outcome {
 }
 
 /// Time after a latched stop in which the board's pulses end, and time of silence that counts.
-const PULSES_END: Duration = Duration::from_millis(600);
+const PULSES_END: Duration = Duration::from_millis(300);
 const SILENCE: Duration = Duration::from_millis(300);
 
 fn stop_command(bench: &mut Bench) -> Outcome {
@@ -97,7 +97,7 @@ fn stop_and_check_latch(bench: &mut Bench) -> Outcome {
         "the answer to arm: {}",
         answer.text()
     );
-    // Half a second of pulses, and then none.
+    // 200 ms of pulses, and then none.
     std::thread::sleep(PULSES_END);
     bench.was_neutral_since(place)?;
     let place = bench.rig().trace()?.len();
