@@ -5,6 +5,7 @@ use singletrack_pilot::{Mode, Reason};
 use super::{Invariant, Verdict};
 use crate::{
     observation::Observation,
+    schedule::FaultKind,
     stop::{STANDING, Stop},
 };
 
@@ -14,9 +15,13 @@ use crate::{
 /// of signal loss, which is added.
 ///
 /// A car whose motor is free and that brakes less than configured may take longer: what
-/// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`.
+/// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`. An ESC whose
+/// throttle is stuck is stopped by a kill output once the host has noticed it.
 #[derive(Default)]
 pub(super) struct Stands;
+
+/// Time in which the host notices that a stop is not obeyed, in µs.
+const KILLED_US: u64 = 1_000_000;
 
 impl Invariant for Stands {
     fn name(&self) -> &'static str {
@@ -29,7 +34,15 @@ impl Invariant for Stands {
         };
         let spec = observation.spec;
         let after_us = observation.now_us - stop.began_us;
-        let (allowed_way, allowed_us) = (stop.allowed_way(spec), stop.allowed_us(spec));
+        let (mut allowed_way, mut allowed_us) = (stop.allowed_way(spec), stop.allowed_us(spec));
+        if observation.is_active(FaultKind::EscStuck) {
+            if !spec.situation.kill_output {
+                // Nothing stops it: see `stop-not-obeyed`.
+                return Ok(());
+            }
+            allowed_way += stop.speed * KILLED_US as f64 * 1e-6;
+            allowed_us += KILLED_US;
+        }
         if (stop.way <= allowed_way && after_us <= allowed_us) || stop.is_weak(spec) {
             return Ok(());
         }
