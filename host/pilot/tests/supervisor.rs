@@ -994,26 +994,39 @@ fn the_arming_check_never_shows_why_the_last_drive_ended() {
 
 #[test]
 fn a_contradiction_needs_an_acknowledgement_before_the_next_drive() {
-    let reason = Reason::SteeringReversed;
-    let mut bench = Bench::driving();
-    bench.conditions.contradiction = Some(reason);
-    assert_eq!(bench.step(), (Mode::Stopping, Some(reason), None));
-    // A disarm while it still stops acknowledges nothing.
-    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Stopping);
-    bench.conditions = Bench::new().conditions;
-    assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
-    bench.supervisor.handle_board(BoardState::Neutral);
-    for request in [
-        PilotRequest::Arm,
-        PilotRequest::ArmHeld,
-        PilotRequest::TimeUp,
-        PilotRequest::Arm,
+    let in_the_first_metre: fn(&mut Bench, Reason) =
+        |bench, reason| bench.conditions.contradiction = Some(reason);
+    let later: fn(&mut Bench, Reason) =
+        |bench, reason| bench.conditions.implausible_motion = Some(reason);
+    for (find, reason) in [
+        (in_the_first_metre, Reason::SteeringReversed),
+        (in_the_first_metre, Reason::MotorSpeedMismatch),
+        (later, Reason::SteeringReversed),
+        (later, Reason::SteeringDiffers),
+        (later, Reason::GyroDiffers),
+        (later, Reason::BodyYawWrong),
+        (later, Reason::AccelerometerDiffers),
     ] {
-        assert_eq!(bench.ask(request), (Mode::Idle, Some(reason), None));
-        assert_eq!(bench.supervisor.preflight(), Some(reason));
+        let mut bench = Bench::driving();
+        find(&mut bench, reason);
+        assert_eq!(bench.step(), (Mode::Stopping, Some(reason), None));
+        // A disarm while it still stops acknowledges nothing.
+        assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Stopping);
+        bench.conditions = Bench::new().conditions;
+        assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+        bench.supervisor.handle_board(BoardState::Neutral);
+        for request in [
+            PilotRequest::Arm,
+            PilotRequest::ArmHeld,
+            PilotRequest::TimeUp,
+            PilotRequest::Arm,
+        ] {
+            assert_eq!(bench.ask(request), (Mode::Idle, Some(reason), None));
+            assert_eq!(bench.supervisor.preflight(), Some(reason));
+        }
+        assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
+        assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
     }
-    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
-    assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
 }
 
 #[test]

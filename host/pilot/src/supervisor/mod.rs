@@ -413,9 +413,12 @@ impl Supervisor {
         } else {
             self.latest.check_while_driving(conditions, &self.config)
         };
-        if conditions.contradiction.is_some() {
-            self.unacknowledged = conditions.contradiction;
-        }
+        // A word means the same in the first metre and later.
+        let contradicts = |reason: &Reason| reason.needs_acknowledgement();
+        self.unacknowledged = conditions
+            .contradiction
+            .or(conditions.implausible_motion.filter(contradicts))
+            .or(self.unacknowledged);
         if self.must_disarm(conditions) {
             self.enter(Mode::Idle, reason.or(Some(Reason::PoseTooOld)), now);
             return Some(BoardRequest::Disarm);

@@ -113,3 +113,18 @@ words! {
         ImuFault = "imu-fault",
     }
 }
+
+impl Reason {
+    /// Whether two measurements of the car contradict each other: a person must look at the
+    /// car, and say so by a disarm request, before it drives again.
+    pub(super) const fn needs_acknowledgement(self) -> bool {
+        matches!(
+            self,
+            Self::SteeringReversed
+                | Self::SteeringDiffers
+                | Self::GyroDiffers
+                | Self::BodyYawWrong
+                | Self::AccelerometerDiffers
+        )
+    }
+}

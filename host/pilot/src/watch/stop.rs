@@ -53,7 +53,8 @@ impl Fall {
         };
         let (from, since) = *self.from.get_or_insert((speed, now));
         let allowed = from - least * now.seconds_since(since) + TOLERANCE;
-        let too_fast = speed > allowed.max(floor);
+        // A speed that is no number has not fallen.
+        let too_fast = speed.is_nan() || speed > allowed.max(floor);
         self.too_fast = if too_fast { self.too_fast + 1 } else { 0 };
     }
 }
