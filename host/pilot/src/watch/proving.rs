@@ -5,7 +5,11 @@ use core::f64::consts::TAU;
 use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::{start::StartWatch, steps::Step, stop::deceleration};
+use super::{
+    start::StartWatch,
+    steps::Step,
+    stop::{UNBRAKED, deceleration},
+};
 use crate::supervisor::Reason;
 
 /// The highest speed of the first metre, m/s.
@@ -221,7 +225,8 @@ impl Proving {
             } => {
                 tick.coast = now.seconds_since(*since) < COAST_FOR && speed > COAST_UNTIL;
                 if !tick.coast {
-                    let measured = deceleration(*first, fabs(speed), self.way - *way);
+                    let braked = self.way - *way - UNBRAKED * *first;
+                    let measured = deceleration(*first, fabs(speed), braked);
                     tick.coasted = Some(measured);
                     if measured < COAST_SHARE * braking && self.found.is_none() {
                         self.found = Some(Reason::BrakesLessThanConfigured);

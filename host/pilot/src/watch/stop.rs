@@ -28,6 +28,9 @@ struct Run {
     /// The speed that is commanded at the beginning, m/s: a ramp leads from there to zero. The
     /// board follows it, also upward if the brake was too strong.
     commanded: f64,
+    /// Speed (m/s) and way (m) when the motor was free: after the reaction time the car was
+    /// faster than the ramp.
+    free: Option<(f64, f64)>,
     /// The fall of the speed by motor and by cameras.
     falls: [Fall; 2],
     /// Since when the car has stood.
@@ -45,13 +48,17 @@ struct Fall {
 
 impl Fall {
     /// A tick after the reaction time, with the least deceleration (m/s²), and a speed that is
-    /// in order (m/s). A sensor that returns is judged from then on.
+    /// in order (m/s). A sensor that returns is judged from then on, as is one that has shown
+    /// no speed: a coarse motor sensor has none before its second pulse.
     fn tick(&mut self, now: Time, speed: Option<f64>, least: f64, floor: f64) {
         let Some(speed) = speed.map(fabs) else {
             *self = Self::default();
             return;
         };
-        let (from, since) = *self.from.get_or_insert((speed, now));
+        let (from, since) = match self.from {
+            Some(from) if from.0 >= SLOW => from,
+            _ => *self.from.insert((speed, now)),
+        };
         let allowed = from - least * now.seconds_since(since) + TOLERANCE;
         // A speed that is no number has not fallen.
         let too_fast = speed.is_nan() || speed > allowed.max(floor);
@@ -122,7 +129,7 @@ const STANDS: f64 = 0.2;
 const LONGER: f64 = 1.0;
 /// The part of the way that passes before the deceleration begins, s: as the geofence has
 /// it.
-const UNBRAKED: f64 = 0.1;
+pub(super) const UNBRAKED: f64 = 0.1;
 /// The lowest speed from which a stop measures the deceleration, m/s.
 const MEASURED_FROM: f64 = 0.25;
 /// The highest deceleration that a stop can measure, m/s².
@@ -146,6 +153,7 @@ impl StopWatch {
             speed: speed.unwrap_or(0.0),
             way: 0.0,
             commanded: fabs(commanded),
+            free: None,
             falls: [Fall::default(); 2],
             standing: None,
         });
@@ -188,8 +196,12 @@ impl StopWatch {
         let least = LEAST_SHARE * limits.braking;
         if elapsed >= REACTION {
             let [motor, cameras] = &mut run.falls;
-            let ramp = run.commanded - limits.ramp * (elapsed - FOLLOWS_AFTER);
-            let floor = SLOW.max(ramp);
+            let behind = run.commanded - limits.ramp * (elapsed - FOLLOWS_AFTER);
+            let floor = SLOW.max(behind);
+            let ramp = run.commanded - limits.ramp * elapsed;
+            if run.free.is_none() && pace > ramp + TOLERANCE {
+                run.free = Some((pace, run.way));
+            }
             motor.tick(now, speeds.motor, least, floor);
             cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
@@ -214,8 +226,15 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            verdict.measured =
-                (ended.speed >= MEASURED_FROM).then(|| deceleration(ended.speed, left, ended.way));
+            let whole = (ended.speed, ended.way - UNBRAKED * ended.speed);
+            // A ramp that the motor follows hides how the car slows down without it.
+            let free = ended.free.map(|(speed, way)| (speed, ended.way - way));
+            verdict.measured = [Some(whole), free]
+                .into_iter()
+                .flatten()
+                .filter(|(speed, _)| *speed >= MEASURED_FROM)
+                .map(|(speed, braked)| deceleration(speed, left, braked))
+                .reduce(f64::min);
             if let Some(measured) = verdict.measured {
                 self.judge(measured, limits.braking);
             }
@@ -240,10 +259,9 @@ impl StopWatch {
 }
 
 /// The deceleration of a car that has slowed down from `speed` to `left` (m/s) on this way
-/// (m), in m/s²: the speed falls after [`UNBRAKED`], as the geofence has it.
-pub(super) fn deceleration(speed: f64, left: f64, way: f64) -> f64 {
+/// (m), in m/s².
+pub(super) fn deceleration(speed: f64, left: f64, braked: f64) -> f64 {
     let fallen = (speed * speed - left * left).max(0.0);
-    let braked = way - UNBRAKED * speed;
     if braked <= fallen / (2.0 * MOST) {
         MOST
     } else {
@@ -341,6 +359,21 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_that_follows_the_ramp_does_not_hide_a_weak_roll_out() {
+        let mut watch = StopWatch::default();
+        // The motor follows the ramp of 2.4 m/s² down to 0.5 m/s, and rolls from there.
+        let (alarm, measured) = stop(
+            &mut watch,
+            1.0,
+            |speed| if speed > 0.5 { 2.4 } else { 0.6 },
+            all,
+        );
+        assert_eq!(alarm, None);
+        assert!((0.5..0.8).contains(&measured.unwrap()), "{measured:?}");
+        assert!(watch.is_too_weak());
+    }
+
+    #[test]
     fn one_stop_a_little_too_weak_is_a_warning_and_the_second_refuses() {
         let mut watch = StopWatch::default();
         let (_, measured) = stop(&mut watch, 0.8, |_| 1.0, all);
@@ -371,6 +404,39 @@ mod tests {
             let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
             assert!(!verdict.disobeyed, "{elapsed}");
         }
+    }
+
+    #[test]
+    fn a_first_speed_of_a_coarse_motor_sensor_after_the_reaction_time_is_no_alarm() {
+        let mut watch = StopWatch::default();
+        let mut speed = 0.3;
+        watch.begin(at(0), &all(speed), 0.3);
+        for tick in 1..100 {
+            speed = f64::max(speed - 0.01, 0.0);
+            let speeds = Speeds {
+                motor: Some(if (26..60).contains(&tick) { 0.18 } else { 0.0 }),
+                ..all(speed)
+            };
+            let verdict = watch.tick(at(10 * tick), &speeds, &LIMITS);
+            assert!(!verdict.disobeyed, "{tick}");
+        }
+    }
+
+    #[test]
+    fn a_car_that_sets_off_after_its_stop_was_slow_is_disobeyed() {
+        let mut watch = StopWatch::default();
+        watch.begin(at(0), &all(0.1), 0.1);
+        let disobeyed = (1..150).find(|tick| {
+            let speed = if *tick < 40 {
+                0.05
+            } else {
+                0.05 + 0.01 * f64::from(tick - 40)
+            };
+            watch
+                .tick(at(10 * *tick as u64), &all(speed), &LIMITS)
+                .disobeyed
+        });
+        assert!(disobeyed.is_some_and(|tick| tick <= 60), "{disobeyed:?}");
     }
 
     #[test]
