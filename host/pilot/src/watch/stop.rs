@@ -21,10 +21,11 @@ struct Run {
     begin: Time,
     /// The tick before.
     last: Time,
-    /// Speed at the beginning, m/s.
+    /// The highest speed until the reaction time has passed, m/s.
     speed: f64,
-    /// Way since, m.
+    /// Way since that speed, m, and the part of its time without deceleration, s.
     way: f64,
+    unbraked: f64,
     /// The speed that is commanded at the beginning, m/s: a ramp leads from there to zero. The
     /// board follows it, also upward if the brake was too strong.
     commanded: f64,
@@ -152,6 +153,7 @@ impl StopWatch {
             last: now,
             speed: speed.unwrap_or(0.0),
             way: 0.0,
+            unbraked: UNBRAKED,
             commanded: fabs(commanded),
             free: None,
             falls: [Fall::default(); 2],
@@ -193,6 +195,12 @@ impl StopWatch {
         let pace = speeds.estimate.map(fabs).or(worst).unwrap_or(0.0);
         run.way += pace * now.seconds_since(run.last);
         run.last = now;
+        if elapsed < REACTION && pace > run.speed {
+            // It still speeds up.
+            run.speed = pace;
+            run.way = 0.0;
+            run.unbraked = (UNBRAKED - elapsed).max(0.0);
+        }
         let least = LEAST_SHARE * limits.braking;
         if elapsed >= REACTION {
             let [motor, cameras] = &mut run.falls;
@@ -226,7 +234,7 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            let whole = (ended.speed, ended.way - UNBRAKED * ended.speed);
+            let whole = (ended.speed, ended.way - ended.unbraked * ended.speed);
             // A ramp that the motor follows hides how the car slows down without it.
             let free = ended.free.map(|(speed, way)| (speed, ended.way - way));
             verdict.measured = [Some(whole), free]
@@ -437,6 +445,21 @@ mod tests {
                 .disobeyed
         });
         assert!(disobeyed.is_some_and(|tick| tick <= 60), "{disobeyed:?}");
+    }
+
+    #[test]
+    fn a_stop_of_a_car_that_still_speeds_up_is_measured_from_its_highest_speed() {
+        let mut watch = StopWatch::default();
+        let mut speed = 0.25;
+        let mut measured = None;
+        watch.begin(at(0), &all(speed), 0.5);
+        for tick in 1..200 {
+            let acceleration = if tick <= 10 { 1.0 } else { -1.4 };
+            speed = f64::max(speed + 0.01 * acceleration, 0.0);
+            let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+            measured = measured.or(verdict.measured);
+        }
+        assert!((1.3..2.0).contains(&measured.unwrap()), "{measured:?}");
     }
 
     #[test]

@@ -92,16 +92,15 @@ impl Invariant for CameraAlignment {
         if is_disturbed {
             self.calm_from_us = observation.now_us + CALM_US;
         }
-        let since_us = observation.daemon_since_us.unwrap_or(0) + CALM_US;
-        let (Some(tick), true) = (
-            observation.tick,
-            observation.now_us >= self.calm_from_us.max(since_us),
-        ) else {
+        let Some(tick) = observation.tick else {
             return Ok(());
         };
         if !tick.output.mode.is_underway() {
             // The first ticks of a drive are where the faster slide of a standing car left them.
             self.calm_from_us = self.calm_from_us.max(observation.now_us + SETTLING_US);
+        }
+        let since_us = observation.daemon_since_us.unwrap_or(0) + CALM_US;
+        if observation.now_us < self.calm_from_us.max(since_us) {
             return Ok(());
         }
         let received = tick.events.iter().rev().find_map(|event| match event {

@@ -10,14 +10,19 @@ use crate::observation::Observation;
 /// commanded at most 0.3 m/s, and drives at most a third and 0.1 m/s faster: the tolerance of its motor
 /// sensor, and the overshoot of the board's speed loop.
 ///
-/// Faults of the motor sensor and interference make the loop drive faster; then only the
-/// command is judged. The host measures the metre with a fifth of
+/// Faults of the motor sensor and interference make the loop drive faster; then, and until
+/// the loop has settled, only the command is judged. The host measures the metre with a fifth of
 /// tolerance: the body's pivot may be wrong.
 #[derive(Default)]
 pub(super) struct ProvingSpeed {
     /// True way at the arm, in m.
     from: f64,
+    /// When the loop has settled after the last fault.
+    settled_us: u64,
 }
+
+/// Time in which the board's speed loop settles, in µs.
+const SETTLES_US: u64 = 500_000;
 
 const METRE: f64 = 0.8;
 
@@ -34,6 +39,9 @@ impl Invariant for ProvingSpeed {
             .tick
             .is_some_and(|tick| tick.output.mode == Mode::Arming);
         let way = observation.truth.way;
+        if observation.is_blinded() {
+            self.settled_us = observation.now_us + SETTLES_US;
+        }
         if arms || observation.configuration.is_some() {
             self.from = way;
         }
@@ -54,7 +62,7 @@ impl Invariant for ProvingSpeed {
         let judged = observation.spec.is_tolerable
             && observation.board_is_armed
             && !observation.moved_by_hand
-            && !observation.is_blinded();
+            && observation.now_us >= self.settled_us;
         if judged && speed > PROVING_M_S {
             return Err(format!("{speed:.2} m/s before the configuration is proved"));
         }

@@ -194,7 +194,8 @@ impl Invariant for StopNotObeyed {
 /// roll-out.
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
-/// sensor the board can't notice anything.
+/// sensor the board can't notice anything, and an ESC whose throttle is stuck is stopped by
+/// a kill output alone.
 #[derive(Default)]
 pub(super) struct UnarmedMotion {
     since_us: Option<u64>,
@@ -214,8 +215,11 @@ impl Invariant for UnarmedMotion {
         let spec = observation.spec;
         let speed = observation.truth.wheel_speed.abs();
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
+        let is_unstoppable =
+            observation.is_active(FaultKind::EscStuck) && !spec.situation.kill_output;
         if observation.board_is_armed
             || stopping
+            || is_unstoppable
             || speed < CREEPING
             || observation.is_moved_by_hand()
         {
