@@ -91,6 +91,9 @@ pub struct Output {
     /// Whether the car has proved its configuration in this tick: the first metre showed
     /// no contradiction.
     pub proved: bool,
+    /// Whether the configuration counts as proved no longer, since this tick: a contradiction
+    /// ended the drive, or the brakes are too weak.
+    pub disproved: bool,
     /// The deceleration of the stop that ended in this tick, m/s².
     pub braking_measured: Option<f64>,
     /// Why an arm request would be refused now; `None` if it would not, or while a drive is
@@ -197,16 +200,12 @@ impl Pilot {
         if mode.is_underway() {
             return Err(Underway(mode));
         }
-        if config.braking != self.config.braking {
-            self.stops.forget();
-        }
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.estimator = Estimator::new(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.speeds.reset();
         self.steps.reset();
-        self.push = PushWatch::default();
         self.pose_time = None;
         Ok(())
     }
@@ -247,7 +246,11 @@ impl Pilot {
         self.blind.advance(now, pace);
         self.ticks.tick(now, period, watch);
         let max_speed = self.config.limits.max_speed;
-        self.speeds.tick(speed, max_speed, watch);
+        let most = match &self.proving {
+            Some(_) => max_speed.min(PROVING_SPEED),
+            None => max_speed,
+        };
+        self.speeds.tick(speed, most, watch);
         let drive_time = self.drive_start.map(|start| now.seconds_since(start));
         let was = self.supervisor.mode();
         let mut request = self.supervisor.step(&Conditions {
@@ -268,7 +271,7 @@ impl Pilot {
             preflight: self.preflight(),
             doubt: self.doubt(),
             implausible_motion: self.implausible_motion(),
-            contradiction: self.proving.and_then(|proving| proving.found()),
+            contradiction: self.contradiction(),
             speed_mismatch: self.speeds.is_mismatched(),
             overspeed: self.speeds.is_overspeed(),
             commanded_speed: self.law.actuation().speed,
@@ -332,6 +335,7 @@ impl Pilot {
             command: None,
             request,
             proved: false,
+            disproved: false,
             braking_measured: stop.measured,
             preflight: self.supervisor.preflight(),
         };
@@ -364,6 +368,12 @@ impl Pilot {
         self.commanded_steering = output
             .command
             .map_or(output.actuation.steering, |command| command.steering);
+        let contradicted =
+            self.supervisor.is_contradicted() || self.stops.is_too_weak(self.config.braking);
+        if self.proved && contradicted {
+            self.proved = false;
+            output.disproved = true;
+        }
         output
     }
 
@@ -430,16 +440,15 @@ impl Pilot {
         let Some(proving) = &mut self.proving else {
             return (actuation, false, 0.0);
         };
-        let tick = proving.tick(now, estimate.speed, self.config.braking);
+        let start_judged = self.start.is_judged();
+        let tick = proving.tick(now, estimate.speed, self.config.braking, start_judged);
         if tick.coast {
             // The drive goes on from the speed to which the car has rolled.
             self.law.cap_speed(fabs(estimate.speed));
         }
-        if proving.is_slow() {
-            self.law.cap_speed(PROVING_SPEED);
-        }
+        self.law.cap_speed(PROVING_SPEED);
         if let Some(measured) = tick.coasted {
-            self.stops.coasted(measured, self.config.braking);
+            self.stops.coasted(measured);
             output.braking_measured = Some(measured);
         }
         if tick.passed {
@@ -457,7 +466,9 @@ impl Pilot {
             .check(marker_yaw, &self.config.watch)
             .or(match () {
                 () if self.push.is_wrong() => Some(Reason::BodyYawWrong),
-                () if self.stops.is_too_weak() => Some(Reason::BrakesLessThanConfigured),
+                () if self.stops.is_too_weak(self.config.braking) => {
+                    Some(Reason::BrakesLessThanConfigured)
+                }
                 () => None,
             })
     }
@@ -490,6 +501,17 @@ impl Pilot {
         } else {
             None
         }
+    }
+
+    /// What contradicts in the drive of an unproved configuration: what the comparison finds,
+    /// and whatever the watches of every drive find before it.
+    fn contradiction(&self) -> Option<Reason> {
+        let proving = self.proving.as_ref()?;
+        let mismatch = self.speeds.is_mismatched();
+        proving
+            .found()
+            .or_else(|| self.implausible_motion())
+            .or(mismatch.then_some(Reason::MotorSpeedMismatch))
     }
 
     fn speeds_at(&self, now: Time, estimate: Option<&Estimate>) -> Speeds {

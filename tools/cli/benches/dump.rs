@@ -101,6 +101,7 @@ fn tick(index: u64) -> Entry {
             }),
             request: None,
             proved: false,
+            disproved: false,
             braking_measured: None,
             preflight: None,
         },

@@ -12,6 +12,10 @@ use crate::{
     watch::ImuVerdict,
 };
 
+/// Above this speed a car moves while its board arms, m/s: more than noise and a first
+/// pulse.
+const MOVES_WHILE_ARMING: f64 = 0.1;
+
 /// The longest time without a status message of the board, s: five of its periods.
 /// Beyond it the state of battery and stop switch is unknown.
 const HEALTH_SILENCE: f64 = 1.0;
@@ -169,7 +173,12 @@ impl LatestState {
         conditions: &Conditions,
         config: &SupervisorConfig,
     ) -> Option<Reason> {
+        // No command has been given yet: a throttle that is stuck drives at once when a kill
+        // output switches the supply on. A NaN moves.
+        let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING
+            && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_health_to_arm(conditions.now, config)
+            .or_else(|| (!rests).then_some(Reason::Moving))
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
             .or_else(|| check_fence_and_deadlines(conditions))

@@ -149,6 +149,12 @@ impl Supervisor {
         self.preflight
     }
 
+    /// Whether a contradiction waits for its acknowledgement.
+    #[must_use]
+    pub const fn is_contradicted(&self) -> bool {
+        self.unacknowledged.is_some()
+    }
+
     /// The tick at which the mode began.
     #[must_use]
     pub const fn since(&self) -> Time {
@@ -413,8 +419,7 @@ impl Supervisor {
         } else {
             self.latest.check_while_driving(conditions, &self.config)
         };
-        // A word means the same in the first metre and later.
-        let contradicts = |reason: &Reason| reason.needs_acknowledgement();
+        let contradicts = |reason: &Reason| reason.contradicts_proof();
         self.unacknowledged = conditions
             .contradiction
             .or(conditions.implausible_motion.filter(contradicts))

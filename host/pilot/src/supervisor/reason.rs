@@ -115,16 +115,13 @@ words! {
 }
 
 impl Reason {
-    /// Whether two measurements of the car contradict each other: a person must look at the
-    /// car, and say so by a disarm request, before it drives again.
-    pub(super) const fn needs_acknowledgement(self) -> bool {
+    /// Whether the word, found in a drive of a proved configuration, contradicts its proof: a
+    /// person must look at the car, and say so by a disarm request, before it drives again.
+    /// (Of an unproved configuration every contradiction does.)
+    pub(super) const fn contradicts_proof(self) -> bool {
         matches!(
             self,
-            Self::SteeringReversed
-                | Self::SteeringDiffers
-                | Self::GyroDiffers
-                | Self::BodyYawWrong
-                | Self::AccelerometerDiffers
+            Self::SteeringDiffers | Self::AccelerometerDiffers | Self::SideslipImplausible
         )
     }
 }

@@ -99,7 +99,7 @@ fn date<T>(value: &mut Option<(T, Heard)>, now: Time) {
     }
 }
 
-/// The direction in which a car that is not driven was rolled by hand.
+/// The line along which a car that is not driven was rolled by hand.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct PushWatch {
     along: f64,
@@ -136,7 +136,9 @@ impl PushWatch {
         self.across += step.across();
         self.motor_way += step.motor_way;
         if self.motor_way >= ROLLED {
-            let angle = fabs(atan2(self.across, self.along));
+            // The pulses have no sign: a car rolls backward as well. A body that is turned by
+            // a right angle or more shows in the first metre.
+            let angle = fabs(atan2(self.across, fabs(self.along)));
             let (wrong, right) = WRONG;
             self.is_wrong = angle > wrong || (self.is_wrong && angle > right);
             *self = Self {

@@ -6,15 +6,14 @@ use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
 use super::{
-    start::StartWatch,
     steps::Step,
-    stop::{UNBRAKED, deceleration},
+    stop::{MOST, UNBRAKED, deceleration},
 };
 use crate::supervisor::Reason;
 
-/// The highest speed of the first metre, m/s.
+/// The highest speed until everything has been compared, m/s.
 pub(crate) const PROVING_SPEED: f64 = 0.3;
-/// The way for which it holds, m.
+/// The least way until then, m.
 const METRE: f64 = 1.0;
 
 /// Steering angles below this prove nothing, rad: trim and backlash.
@@ -47,19 +46,19 @@ const MOTOR_AFTER: f64 = 0.2;
 /// a share.
 const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
-/// The steering follows a wave during the first metre: its amplitude, rad, and its length, m.
+/// The steering follows a wave until it is proved: its amplitude, rad, and its length, m.
 const WAVE: f64 = 0.18;
 const WAVE_LENGTH: f64 = 0.5;
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest
-/// speed at which that says anything, m/s.
+/// speed at which that says anything, m/s. A slower reference is never proved.
 const COAST_AT: f64 = 0.7;
-const COAST_FOR: f64 = 0.4;
+const COAST_FOR: f64 = 0.5;
 const COAST_FROM: f64 = 0.22;
 /// The roll ends below this speed, m/s.
 const COAST_UNTIL: f64 = 0.08;
 /// A roll that loses less than this share of the configured deceleration is too weak.
-const COAST_SHARE: f64 = 0.7;
+const COAST_SHARE: f64 = 0.8;
 
 /// What the proving run asks of the next command, and what it found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -92,7 +91,6 @@ pub(crate) struct Proving {
     along: f64,
     across: f64,
     motor_way: f64,
-    start: StartWatch,
     coast: Coast,
 }
 
@@ -111,10 +109,8 @@ enum Coast {
     Ahead,
     Begun {
         since: Time,
-        /// The speed then, m/s.
-        speed: f64,
-        /// The driven way then, m.
-        way: f64,
+        /// Speed, m/s, and driven way, m, when the motor was free.
+        from: Option<(f64, f64)>,
     },
     Over,
 }
@@ -131,19 +127,10 @@ impl Proving {
         fabs(self.across) > fabs(self.along) && fabs(self.across) > LEAST_ACROSS
     }
 
-    /// Whether the speed is still limited.
-    pub(crate) fn is_slow(&self) -> bool {
-        self.way < METRE
-    }
-
     /// A step of the drive; wheelbase and way of a motor pulse in m.
     pub(crate) fn step(&mut self, step: &Step, wheelbase: f64, pulse_distance: f64) {
         if self.found.is_some() {
             return;
-        }
-        self.start.step(step);
-        if self.start.differs() {
-            self.found = Some(Reason::AccelerometerDiffers);
         }
         let along = step.along();
         // A body whose yaw is wrong by more than a right angle moves backward.
@@ -203,9 +190,15 @@ impl Proving {
         None
     }
 
-    /// A tick of the drive with the estimated speed (m/s) and the configured deceleration
-    /// (m/s²).
-    pub(crate) fn tick(&mut self, now: Time, speed: f64, braking: f64) -> ProvingTick {
+    /// A tick of the drive with the estimated speed (m/s), the configured deceleration
+    /// (m/s²), and whether the accelerometer has been compared at its start.
+    pub(crate) fn tick(
+        &mut self,
+        now: Time,
+        speed: f64,
+        braking: f64,
+        start_judged: bool,
+    ) -> ProvingTick {
         let elapsed = self.last.replace(now).map(|last| now.seconds_since(last));
         self.way += fabs(speed) * elapsed.unwrap_or(0.0);
         let mut tick = ProvingTick::default();
@@ -213,20 +206,21 @@ impl Proving {
             Coast::Ahead if self.way >= COAST_AT && speed > COAST_FROM => {
                 self.coast = Coast::Begun {
                     since: now,
-                    speed,
-                    way: self.way,
+                    from: None,
                 };
                 tick.coast = true;
             }
-            Coast::Begun {
-                since,
-                speed: first,
-                way,
-            } => {
-                tick.coast = now.seconds_since(*since) < COAST_FOR && speed > COAST_UNTIL;
+            Coast::Begun { since, from } => {
+                let rolled = now.seconds_since(*since);
+                tick.coast = rolled < COAST_FOR && speed > COAST_UNTIL;
+                if from.is_none() && rolled >= UNBRAKED {
+                    *from = Some((speed, self.way));
+                }
                 if !tick.coast {
-                    let braked = self.way - *way - UNBRAKED * *first;
-                    let measured = deceleration(*first, fabs(speed), braked);
+                    // A car that stands before its motor is free brakes well.
+                    let measured = from.map_or(MOST, |(first, way)| {
+                        deceleration(first, fabs(speed), self.way - way)
+                    });
                     tick.coasted = Some(measured);
                     if measured < COAST_SHARE * braking && self.found.is_none() {
                         self.found = Some(Reason::BrakesLessThanConfigured);
@@ -236,14 +230,14 @@ impl Proving {
             }
             Coast::Ahead | Coast::Over => {}
         }
-        if self.is_slow() {
+        if self.way < METRE || self.wanted <= PROVED_AFTER {
             tick.steering = WAVE * sin(TAU * self.way / WAVE_LENGTH);
         }
         tick.passed = self.found.is_none()
-            && !self.is_slow()
+            && self.way >= METRE
             && self.wanted > PROVED_AFTER
-            && self.start.is_judged()
-            && !matches!(self.coast, Coast::Begun { .. });
+            && start_judged
+            && matches!(self.coast, Coast::Over);
         tick
     }
 }

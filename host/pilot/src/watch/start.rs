@@ -10,7 +10,7 @@ const ACCELERATED: f64 = 0.18;
 const TOLERANCE: (f64, f64) = (0.05, 0.5);
 /// The change must come within this time, s, or it says nothing: a bias counts for more, and
 /// the linear acceleration of some sensors leaks away.
-const WITHIN: f64 = 0.8;
+const WITHIN: f64 = 0.5;
 
 /// Compares both at the start of every drive.
 #[derive(Clone, Copy, Debug, Default)]

@@ -10,9 +10,6 @@ pub(crate) struct StopWatch {
     run: Option<Run>,
     /// The decelerations of the last two stops, m/s².
     measured: [Option<f64>; 2],
-    /// Stops in a row that were weaker than [`WEAK`].
-    weak: u32,
-    too_weak: bool,
 }
 
 /// A stop that is underway.
@@ -21,11 +18,10 @@ struct Run {
     begin: Time,
     /// The tick before.
     last: Time,
-    /// The highest speed until the reaction time has passed, m/s.
+    /// The speed when it began to fall, m/s.
     speed: f64,
-    /// Way since that speed, m, and the part of its time without deceleration, s.
+    /// Way since that speed, m.
     way: f64,
-    unbraked: f64,
     /// The speed that is commanded at the beginning, m/s: a ramp leads from there to zero. The
     /// board follows it, also upward if the brake was too strong.
     commanded: f64,
@@ -128,13 +124,12 @@ const STANDS: f64 = 0.2;
 /// The longest stop beyond its reaction time at [`LEAST_SHARE`], s. Afterwards a car that
 /// moves is one that somebody carries or pushes.
 const LONGER: f64 = 1.0;
-/// The part of the way that passes before the deceleration begins, s: as the geofence has
-/// it.
+/// The time that passes before the deceleration begins, s: as the geofence has it.
 pub(super) const UNBRAKED: f64 = 0.1;
 /// The lowest speed from which a stop measures the deceleration, m/s.
 const MEASURED_FROM: f64 = 0.25;
 /// The highest deceleration that a stop can measure, m/s².
-const MOST: f64 = 10.0;
+pub(super) const MOST: f64 = 10.0;
 /// A stop below this share of the configured deceleration is weak...
 const WEAK: f64 = 0.9;
 /// ...and below this one is enough to refuse the next drive.
@@ -153,7 +148,6 @@ impl StopWatch {
             last: now,
             speed: speed.unwrap_or(0.0),
             way: 0.0,
-            unbraked: UNBRAKED,
             commanded: fabs(commanded),
             free: None,
             falls: [Fall::default(); 2],
@@ -166,16 +160,14 @@ impl StopWatch {
         self.run = None;
     }
 
-    /// Another configured deceleration: the earlier stops count no longer.
-    pub(crate) const fn forget(&mut self) {
-        self.measured = [None; 2];
-        self.weak = 0;
-        self.too_weak = false;
-    }
-
-    /// Whether the stops were too weak to drive again.
-    pub(crate) const fn is_too_weak(&self) -> bool {
-        self.too_weak
+    /// Whether the last stops were too weak to drive again with this configured deceleration
+    /// (m/s²).
+    pub(crate) fn is_too_weak(&self, braking: f64) -> bool {
+        let both_weak = self
+            .measured
+            .iter()
+            .all(|measured| measured.is_some_and(|measured| measured < WEAK * braking));
+        both_weak || self.lowest() < TOO_WEAK * braking
     }
 
     /// The lowest deceleration of the last two stops, m/s².
@@ -195,11 +187,10 @@ impl StopWatch {
         let pace = speeds.estimate.map(fabs).or(worst).unwrap_or(0.0);
         run.way += pace * now.seconds_since(run.last);
         run.last = now;
-        if elapsed < REACTION && pace > run.speed {
-            // It still speeds up.
+        if elapsed <= UNBRAKED || (elapsed < REACTION && pace > run.speed) {
+            // It does not slow down yet.
             run.speed = pace;
             run.way = 0.0;
-            run.unbraked = (UNBRAKED - elapsed).max(0.0);
         }
         let least = LEAST_SHARE * limits.braking;
         if elapsed >= REACTION {
@@ -234,7 +225,7 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            let whole = (ended.speed, ended.way - ended.unbraked * ended.speed);
+            let whole = (ended.speed, ended.way);
             // A ramp that the motor follows hides how the car slows down without it.
             let free = ended.free.map(|(speed, way)| (speed, ended.way - way));
             verdict.measured = [Some(whole), free]
@@ -244,25 +235,15 @@ impl StopWatch {
                 .map(|(speed, braked)| deceleration(speed, left, braked))
                 .reduce(f64::min);
             if let Some(measured) = verdict.measured {
-                self.judge(measured, limits.braking);
+                self.coasted(measured);
             }
         }
         verdict
     }
 
-    fn judge(&mut self, measured: f64, braking: f64) {
-        self.measured = [Some(measured), self.measured[0]];
-        self.weak = if measured < WEAK * braking {
-            self.weak + 1
-        } else {
-            0
-        };
-        self.too_weak |= self.weak >= 2 || measured < TOO_WEAK * braking;
-    }
-
     /// A measurement of the deceleration besides the stops, m/s².
-    pub(crate) fn coasted(&mut self, measured: f64, braking: f64) {
-        self.judge(measured, braking);
+    pub(crate) const fn coasted(&mut self, measured: f64) {
+        self.measured = [Some(measured), self.measured[0]];
     }
 }
 
@@ -359,11 +340,11 @@ mod tests {
         assert_eq!(alarm, None);
         let measured = measured.unwrap();
         assert!((0.3..0.5).contains(&measured), "{measured}");
-        assert!(watch.is_too_weak());
+        assert!(watch.is_too_weak(LIMITS.braking));
         assert_eq!(watch.lowest(), measured);
-        watch.forget();
-        assert!(!watch.is_too_weak());
-        assert_eq!(watch.lowest(), f64::INFINITY);
+        // A lower belief, which the stop supports, allows to drive; a higher one does not.
+        assert!(!watch.is_too_weak(measured));
+        assert!(watch.is_too_weak(2.0));
     }
 
     #[test]
@@ -378,7 +359,7 @@ mod tests {
         );
         assert_eq!(alarm, None);
         assert!((0.5..0.8).contains(&measured.unwrap()), "{measured:?}");
-        assert!(watch.is_too_weak());
+        assert!(watch.is_too_weak(LIMITS.braking));
     }
 
     #[test]
@@ -386,14 +367,14 @@ mod tests {
         let mut watch = StopWatch::default();
         let (_, measured) = stop(&mut watch, 0.8, |_| 1.0, all);
         assert!((0.95..1.2).contains(&measured.unwrap()), "{measured:?}");
-        assert!(!watch.is_too_weak());
+        assert!(!watch.is_too_weak(LIMITS.braking));
         stop(&mut watch, 0.8, |_| 1.0, all);
-        assert!(watch.is_too_weak());
+        assert!(watch.is_too_weak(LIMITS.braking));
 
         let mut watch = StopWatch::default();
         for deceleration in [1.0, 1.5, 1.0, 1.5] {
             stop(&mut watch, 0.8, |_| deceleration, all);
-            assert!(!watch.is_too_weak());
+            assert!(!watch.is_too_weak(LIMITS.braking));
         }
     }
 

@@ -74,6 +74,8 @@ fields! {
         request: OptionalCode<BoardRequest>,
         /// Whether the first metre of an unproved configuration has just passed.
         proved: bool,
+        /// Whether a proved configuration has just been contradicted.
+        disproved: bool,
         /// Deceleration of the stop that has just ended, in m/s^2.
         braking_measured_m_s2: Maybe<f64> = braking_measured,
         /// Why the car could not be armed in this tick.

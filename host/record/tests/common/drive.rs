@@ -134,6 +134,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             }),
             request: None,
             proved: false,
+            disproved: false,
             braking_measured: None,
             preflight: None,
         },

@@ -152,6 +152,7 @@ fn output() -> impl Strategy<Value = Output> {
                 }),
                 request: None,
                 proved: false,
+                disproved: false,
                 braking_measured: None,
                 preflight: None,
             },

@@ -131,6 +131,7 @@ pub(crate) fn standing_tick() -> TickRecord {
             command: None,
             request: None,
             proved: false,
+            disproved: false,
             braking_measured: None,
             preflight: None,
         },

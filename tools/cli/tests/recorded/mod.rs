@@ -245,6 +245,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             }),
             request: None,
             proved: false,
+            disproved: false,
             braking_measured: None,
             preflight: None,
         },
