@@ -184,3 +184,57 @@ fn a_proved_car_whose_mounting_changes_is_found_while_it_drives() {
         assert!(summary.way_m < 1.5, "{summary:?}");
     }
 }
+
+#[test]
+fn a_contradiction_is_not_driven_again_by_another_arm_request() {
+    const AGAIN: &str = "[operator]\narm_again_at_s = 5.0\n";
+    for pulse_distance_um in [1_000, 1_500, 2_000, 4_500, 6_000] {
+        let differs =
+            format!("[truth.motor_sensor]\npulse_distance_um = {pulse_distance_um}\n{AGAIN}");
+        for course in [CIRCLE, STRAIGHT] {
+            let summary = drive(course, &differs);
+            assert_eq!(
+                (summary.mode, summary.reason),
+                ("idle", Some("motor-speed-mismatch")),
+                "{differs}{course}: {summary:?}"
+            );
+            assert!(
+                summary.ended_s < Some(5.0),
+                "{differs}{course}: {summary:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_reference_that_is_too_slow_to_prove_the_brakes_keeps_the_car_slow() {
+    const SLOW_THEN_FAST: &str = "[outer_loop]\nkind = \"open-loop\"\n[reference]\n\
+        kind = \"velocity-steps\"\nsteps = [{ duration_s = 3.0, v_x_m_s = 0.1, v_y_m_s = 0.0 }, \
+        { duration_s = 9.0, v_x_m_s = 1.0, v_y_m_s = 0.0 }]\n[start]\n\
+        point_p_m = [0.0, 0.0]\nyaw_deg = 0.0\n";
+    const ROLLS: &str = "[truth.drive_train]\nrolling_m_s2 = 0.25\nviscous_per_s = 0.1\n";
+    let summary = drive(SLOW_THEN_FAST, ROLLS);
+    assert_eq!(
+        summary.reason,
+        Some("brakes-less-than-configured"),
+        "{summary:?}"
+    );
+    assert!(summary.speed_max_m_s <= SPEED, "{summary:?}");
+}
+
+#[test]
+fn a_calibrated_car_may_be_rolled_either_way_by_hand() {
+    for (speed, yaw_deg, reason) in [
+        (0.3, 0.0, None),
+        (-0.3, 0.0, None),
+        (0.3, 20.0, Some("body-yaw-wrong")),
+        (-0.3, 20.0, Some("body-yaw-wrong")),
+    ] {
+        let differs = format!(
+            "[operator]\narm = false\n[truth.cameras]\nbody_yaw_deg = {yaw_deg}\n\
+             [truth.drive_train]\npush = {{ at_s = 4.0, speed_m_s = {speed}, for_s = 1.5 }}\n"
+        );
+        let summary = drive(STRAIGHT, &differs);
+        assert_eq!(summary.reason, reason, "{differs}: {summary:?}");
+    }
+}
