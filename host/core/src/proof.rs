@@ -49,8 +49,8 @@ impl Proofs {
 }
 
 /// The hash of the parts of a configuration that the first metre of a drive proves: the
-/// vehicle, the rigid body and how it is read, and what the board is given. Another
-/// reference or another limit needs no other proof.
+/// vehicle, the rigid body and how it is read, what the board is given, and how the car brakes.
+/// Another reference, another limit or another geofence needs no other proof.
 ///
 /// # Errors
 ///
@@ -66,7 +66,8 @@ pub fn configuration_hash(config: &Config) -> Result<u64, ConfigError> {
     hash.add(body.rigid_body.as_bytes());
     hash.add(text(toml::Value::try_from(body.up_axis).map(|axis| axis.to_string()))?.as_bytes());
     let [forward, left] = body.marker_offset_m;
-    for number in [forward, left, body.marker_yaw_rad] {
+    let braking = config.fence.braking_m_s2;
+    for number in [forward, left, body.marker_yaw_rad, braking] {
         hash.add(&number.to_bits().to_le_bytes());
     }
     Ok(hash.0)
@@ -109,7 +110,10 @@ mod tests {
         assert_eq!(same, hash(|_| {}));
         assert_eq!(same, hash(|config| config.limits.max_speed_m_s = 1.0));
         assert_eq!(same, hash(|config| config.supervisor.hold_ms = 200));
-        let changes: [fn(&mut Config); 6] = [
+        assert_eq!(same, hash(|config| config.fence.margin_m = Some(0.3)));
+        assert_eq!(same, hash(|config| config.fence.corners_m[0] = [-2.0, -2.0]));
+        let changes: [fn(&mut Config); 7] = [
+            |config| config.fence.braking_m_s2 = 0.8,
             |config| config.board.servo.gain_us_per_rad = 801,
             |config| config.board.car_id = 7,
             |config| config.vehicle.mass_kg = 2.0,

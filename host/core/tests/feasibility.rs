@@ -19,8 +19,8 @@ use singletrack_sim::{SimulationConfig, StartPose};
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
-/// What the simulated car brakes with at least, at neutral.
-const BRAKING_M_S2: f64 = 1.4;
+/// Less than what the simulated car brakes with at neutral, and not the example's value.
+const BRAKING_M_S2: f64 = 0.85;
 
 /// Half of a square fence, m.
 const HALF_M: f64 = 1.0;

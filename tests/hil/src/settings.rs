@@ -75,7 +75,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
 pub const POINT_DISTANCE_M: f64 = 0.35;
 
 /// A lower bound of the simulated car's deceleration at neutral, in m/s².
-const BRAKING_M_S2: f64 = 1.4;
+const BRAKING_M_S2: f64 = 0.9;
 
 /// Width of the geofence around the origin, in m: the circle plus room to turn round, because a
 /// car that is armed in the middle of the circle returns to its start.

@@ -17,11 +17,11 @@ section! {
     /// Distance kept from the sides. The default is half the length of a car, taken as
     /// 1.54 wheelbases: 0.2 m for the paper's.
     margin_m: Option<f64> = None, in 0.0..=10.0, otherwise 0.2;
-    // Nobody but the operator knows it: the fence and the watch of every stop rest on it.
+    // Without a default: only the operator can measure it, and geofence and stop watch need it.
     /// Deceleration that the car really reaches with the motor at neutral. To measure it,
-    /// let the car roll out on your floor from speed v over the distance s, which gives
-    /// v * v / (2 * s); take the lowest of several, less 20 %.
-    braking_m_s2: f64, in up_to(50.0), example 1.2;
+    /// let the car roll out on your floor, from 0.3 m/s and from the highest speed: v over
+    /// the distance s gives v * v / (2 * s). Take the lowest of several, less 20 %.
+    braking_m_s2: f64, in up_to(50.0), example 0.9;
 }
 
 /// Length of a 1:10 car per wheelbase: the paper's is 0.4 m long.

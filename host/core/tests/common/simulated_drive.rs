@@ -20,7 +20,7 @@ use singletrack_sim::{Destination, SimulationConfig, World};
 
 pub(crate) const PERIOD_US: u64 = 10_000;
 /// A lower bound of the simulated car's deceleration at neutral.
-const BRAKING_M_S2: f64 = 1.4;
+const BRAKING_M_S2: f64 = 0.9;
 const STEP_US: u64 = 500;
 
 /// The capacity of the simulated line, in bytes.
