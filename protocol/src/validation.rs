@@ -26,6 +26,9 @@ const INTEGRAL_LIMIT_US: RangeInclusive<u16> = 0..=700;
 const PULSE_DISTANCE_UM: RangeInclusive<u16> = 100..=30_000;
 const MAX_ROLL_OUT_MS: RangeInclusive<u16> = 200..=30_000;
 const MAX_SPEED_MM_S: u16 = 20_000;
+/// Pulses in a millisecond at the top speed. The board takes 16; where more come, it
+/// measures less than the true speed, and its speed loop adds throttle.
+const PULSES_PER_MS: u16 = 12;
 
 /// A value of a [`Configuration`] outside its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -106,12 +109,9 @@ fn check(
 }
 
 impl EscKind {
-    /// An ESC that has no reverse must not be asked for it.
-    const fn max_reverse_mm_s(self) -> u16 {
-        match self {
-            Self::Vesc => 0,
-            Self::Car | Self::ForwardReverse => MAX_SPEED_MM_S,
-        }
+    /// Whether it can drive backward.
+    const fn has_reverse(self) -> bool {
+        !matches!(self, Self::Vesc)
     }
 
     /// Whether a pulse below neutral brakes, at least after driving forward.
@@ -180,16 +180,12 @@ impl Configuration {
             speed.integral_limit_us,
             INTEGRAL_LIMIT_US,
         )?;
-        check(
-            Field::MaxForward,
-            speed.max_forward_mm_s,
-            1..=MAX_SPEED_MM_S,
-        )?;
-        check(
-            Field::MaxReverse,
-            speed.max_reverse_mm_s,
-            0..=self.esc.kind.max_reverse_mm_s(),
-        )?;
+        // µm/ms are mm/s.
+        let measurable_mm_s = speed.pulse_distance_um.saturating_mul(PULSES_PER_MS);
+        let fastest = measurable_mm_s.min(MAX_SPEED_MM_S);
+        check(Field::MaxForward, speed.max_forward_mm_s, 1..=fastest)?;
+        let backward = if esc.kind.has_reverse() { fastest } else { 0 };
+        check(Field::MaxReverse, speed.max_reverse_mm_s, 0..=backward)?;
 
         let ceiling = MAX_POSE_AGE_CEILING_MS;
         check(Field::MaxPoseAge, self.max_pose_age_ms, 1..=ceiling)?;

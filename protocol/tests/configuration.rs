@@ -62,6 +62,7 @@ fn values_are_accepted_at_their_limits_and_refused_beyond() {
         }),
         (Field::PulseDistance, 100, 30_000, |c, v| {
             c.speed.pulse_distance_um = v as u16;
+            (c.speed.max_forward_mm_s, c.speed.max_reverse_mm_s) = (1_200, 0);
         }),
         (Field::FeedForward, 0, 5_000, |c, v| {
             c.speed.feed_forward_us_per_m_s = v as u16;
@@ -103,6 +104,33 @@ fn values_are_accepted_at_their_limits_and_refused_beyond() {
                 "{field} = {value}: {:?}",
                 changed.validate()
             );
+        }
+    }
+}
+
+#[test]
+fn the_top_speeds_are_at_most_12_pulses_a_millisecond() {
+    for (distance, fastest) in [(100, 1_200), (125, 1_500), (1_666, 19_992), (1_667, 20_000)] {
+        let changes: [(Field, Change); 2] = [
+            (Field::MaxForward, |c, v| {
+                c.speed.max_forward_mm_s = v as u16;
+            }),
+            (Field::MaxReverse, |c, v| {
+                c.speed.max_reverse_mm_s = v as u16;
+            }),
+        ];
+        for (field, change) in changes {
+            let mut changed = configuration();
+            changed.speed.pulse_distance_um = distance;
+            (
+                changed.speed.max_forward_mm_s,
+                changed.speed.max_reverse_mm_s,
+            ) = (1, 0);
+            change(&mut changed, fastest);
+            assert_eq!(changed.validate(), Ok(()), "{field}, {distance} um");
+            change(&mut changed, fastest + 1);
+            let error = changed.validate().unwrap_err();
+            assert_eq!((error.field, error.highest), (field, fastest));
         }
     }
 }

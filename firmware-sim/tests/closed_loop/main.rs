@@ -93,6 +93,7 @@ fn more_edges_than_the_interrupt_accepts_are_refused_as_by_the_image() {
     config.car.motor_sensor.pulse_distance_um = 10.0;
     let mut bench = ScriptedDrive::new(config).unwrap();
     bench.configuration.speed.pulse_distance_um = 100;
+    bench.configuration.speed.max_forward_mm_s = 1_200;
     bench.run_ms(200);
     bench.prepare();
     let mut fastest = 0;

@@ -105,6 +105,7 @@ fn ringing_on_the_sensors_wire_keeps_neither_supervisor_nor_host_from_stopping_t
     simulation.car.motor_sensor.pulse_distance_um = 10.0;
     let mut configuration = default_board_configuration();
     configuration.speed.pulse_distance_um = 100;
+    configuration.speed.max_forward_mm_s = 1_200;
     let mut drive = asked_to_arm(simulation, configuration);
     let before = drive.host.records;
     drive.drive(100, 1_500, 0, |_| {});

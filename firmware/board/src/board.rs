@@ -224,7 +224,7 @@ impl Board {
         if self.odometer.has_failed() {
             self.safety.fail(StopCause::MotorSensor);
         }
-        if self.roll_out.lasts_too_long(self.odometer.count()) {
+        if self.roll_out.lasts_too_long(self.odometer.count()) || self.roll_out.keeps_its_speed() {
             self.safety.latch(StopCause::RunsAtNeutral);
         }
         if self.has_stop_input() {
@@ -401,10 +401,8 @@ impl Board {
         };
         if control_due {
             self.odometer.measure(configuration.speed.pulse_distance_um);
-            let speed_mm_s = self.odometer.speed_mm_s().unsigned_abs();
-            if self.roll_out.keeps_its_speed(speed_mm_s) {
-                self.safety.latch(StopCause::RunsAtNeutral);
-            }
+            self.roll_out
+                .measured(self.odometer.speed_mm_s().unsigned_abs());
         }
         self.steering.advance(elapsed_us);
         let motion = Motion {

@@ -99,8 +99,8 @@ enum Gear {
 pub(crate) struct Esc {
     gear: Gear,
     in_gear: Stopwatch,
-    /// Whether a pulse below neutral brakes: the ESC was driven forward and has not
-    /// been braked since.
+    /// Whether a pulse below neutral brakes: the ESC was driven forward, and has been
+    /// neither braked since nor in another gear.
     can_brake: bool,
     /// Time for which the pulse has been beyond the deadband, forward.
     driven: Stopwatch,
@@ -145,9 +145,6 @@ impl Esc {
     pub(crate) fn release(&mut self) {
         self.braking = None;
         self.neutral();
-        if self.gear == Gear::Braking {
-            self.can_brake = false;
-        }
         // The ESC stays in reverse, so the gear does too.
         if self.gear != Gear::Reverse {
             self.gear = Gear::Forward;
@@ -307,9 +304,7 @@ impl Esc {
             unchanged => unchanged,
         };
         if gear != self.gear {
-            if self.gear == Gear::Braking {
-                self.can_brake = false;
-            }
+            self.can_brake = false;
             self.gear = gear;
             self.in_gear = Stopwatch::started();
             self.before_reverse = Brake::started();

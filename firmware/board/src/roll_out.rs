@@ -88,15 +88,15 @@ impl RollOut {
         self.rolling.elapsed_us() >= longest_us && way_um >= LEAST_MM * 1_000
     }
 
-    /// Call once per control period: whether the wheels do not slow down.
-    pub(crate) fn keeps_its_speed(&mut self, speed_mm_s: u16) -> bool {
+    /// Call once per control period.
+    pub(crate) fn measured(&mut self, speed_mm_s: u16) {
         let rolling_us = self.rolling.elapsed_us();
         if !self.after_drive || rolling_us == 0 {
-            return false;
+            return;
         }
         if rolling_us < SETTLE_US {
             self.fastest_mm_s = self.fastest_mm_s.max(speed_mm_s);
-            return false;
+            return;
         }
         let fastest = u32::from(self.fastest_mm_s);
         // Below 2^15 both; see `lasts_too_long` for what comes after the roll-out.
@@ -108,6 +108,10 @@ impl RollOut {
         } else {
             0
         };
+    }
+
+    /// Whether the wheels do not slow down after a drive.
+    pub(crate) const fn keeps_its_speed(&self) -> bool {
         self.above_line >= ABOVE_LINE
     }
 }

@@ -247,3 +247,37 @@ fn a_brake_in_reverse_is_not_given() {
     let pulses = brake_for(&mut rig, 200, 0);
     assert_eq!(count(&pulses[20..], NEUTRAL), 180, "{pulses:?}");
 }
+
+#[test]
+fn a_drive_forward_does_not_earn_a_brake_in_reverse() {
+    let mut without_brake = of_kind(EscKind::ForwardReverse);
+    without_brake.speed.max_reverse_mm_s = 500;
+    let mut rig = Rig::driving_with(without_brake);
+    rig.drive_for(100 * MS, -300, 0);
+    rig.pulse_period_us = None;
+    rig.drive_for(300 * MS, -300, 0);
+    assert!(rig.esc_us() < NEUTRAL - 20);
+    rig.disarm();
+    rig.run(200 * MS);
+    // The same ESC, as one that brakes.
+    let braking = Configuration {
+        failsafe: FailsafeAction::Brake,
+        esc: EscCalibration {
+            kind: EscKind::Car,
+            ..without_brake.esc
+        },
+        ..without_brake
+    };
+    assert_eq!(rig.configure(braking), Ok(()));
+    assert_eq!(rig.arm(), Ok(()));
+    rig.pulse_period_us = Some(16_667);
+    rig.drive_for(300 * MS, -300, 0);
+    assert!(rig.esc_us() < NEUTRAL - 20);
+    for _ in 0..300 {
+        rig.run(MS);
+        if rig.board.mode() == BoardMode::Failsafe {
+            assert_eq!(rig.esc_us(), NEUTRAL);
+        }
+    }
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+}

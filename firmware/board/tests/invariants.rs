@@ -129,10 +129,11 @@ fn any_configuration() -> impl Strategy<Value = Configuration> {
             proportional_us_per_m_s: speed.2,
             integral_us_per_m: speed.3,
             integral_limit_us: speed.4,
-            max_forward_mm_s: limits.0,
+            // At most 12 pulses a millisecond.
+            max_forward_mm_s: limits.0.min(speed.0.saturating_mul(12)),
             max_reverse_mm_s: match rest.0 {
                 EscKind::Vesc => 0,
-                EscKind::Car | EscKind::ForwardReverse => limits.1,
+                EscKind::Car | EscKind::ForwardReverse => limits.1.min(speed.0.saturating_mul(12)),
             },
         },
         failsafe: if limits.3 && rest.0.has_brake() {

@@ -12,6 +12,7 @@ fn with_pulse_distance(pulse_distance_um: u16) -> Configuration {
     Configuration {
         speed: SpeedLoop {
             pulse_distance_um,
+            max_forward_mm_s: 2_000.min(12 * pulse_distance_um.min(1_000)),
             ..configuration().speed
         },
         ..configuration()

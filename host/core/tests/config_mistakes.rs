@@ -154,6 +154,7 @@ motion_capture.pose | max_speed_m_s = 1.0 | motion_capture.pose.max_speed_m_s | 
 law | kind = "velocity-point" | law.kind | velocity-point | "front-point" only
 law | front_axle_distance_m = 0.3 | law.front_axle_distance_m | 0.3 | 0.26
 limits | max_speed_m_s = 3.0 | limits.max_speed_m_s | 3 | board.speed.max_forward_mm_s
+board.speed | pulse_distance_um = 100 | board.speed.max_forward_mm_s | 1500 | 1 to 1200: the board measures no more than 12 pulses
 limits | max_reverse_speed_m_s = 0.5 | limits.max_reverse_speed_m_s | 0.5 | board.speed.max_reverse_mm_s
 limits | max_steering_rad = 0.6 | limits.max_steering_rad | 0.6 | 0.525 rad
 limits | max_lateral_acceleration_m_s2 = 5.0 | limits.max_lateral_acceleration_m_s2 | 5 | vehicle.friction

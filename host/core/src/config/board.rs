@@ -153,9 +153,10 @@ section! {
     integral_us_per_m: u16 => integral_us_per_m, text "0 to 5000", example 250;
     /// Limit of the integral term.
     integral_limit_us: u16 => integral_limit_us, text "0 to 700", example 60;
-    /// Top speed forward; faster commands are clamped.
+    /// Top speed forward; faster commands are clamped. At most 12 mm/s for each
+    /// micrometre of `pulse_distance_um`: the board cannot count more pulses.
     max_forward_mm_s: u16 => max_forward_mm_s, text "1 to 20000", example 1500;
-    /// Top speed in reverse; 0 refuses reverse.
+    /// Top speed in reverse; 0 refuses reverse. At most as for `max_forward_mm_s`.
     max_reverse_mm_s: u16 = 0 => max_reverse_mm_s, text "0 to 20000";
 }
 

@@ -94,6 +94,9 @@ impl ConfigError {
     }
 }
 
+/// Top speed of the finest pulses that do not limit it.
+const TOP_SPEED_MM_S: u16 = 20_000;
+
 fn board_message(error: &ConfigurationError) -> String {
     if error.field == ConfigurationField::ServoGainMagnitude {
         return format!(
@@ -101,7 +104,16 @@ fn board_message(error: &ConfigurationError) -> String {
             error.value, error.lowest, error.highest
         );
     }
-    format!("board.{error}")
+    let coarse = match error.field {
+        ConfigurationField::MaxForward | ConfigurationField::MaxReverse
+            if (1..i32::from(TOP_SPEED_MM_S)).contains(&error.highest) =>
+        {
+            ": the board measures no more than 12 pulses of board.speed.pulse_distance_um in a \
+             millisecond; use a sensor with fewer edges per turn or a lower speed"
+        }
+        _ => "",
+    };
+    format!("board.{error}{coarse}")
 }
 
 fn prefix(path: &Option<PathBuf>) -> String {
