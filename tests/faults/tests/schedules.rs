@@ -4,7 +4,7 @@
 
 use proptest::prelude::*;
 use singletrack_faults::{
-    Campaign, Untampered, Until, drive,
+    Campaign, Untampered, Until, Violation, drive,
     schedule::{Deviation, FaultKind, OperatorRequest, Schedule},
 };
 use singletrack_sim::BoardKind;
@@ -129,4 +129,27 @@ fn the_number_of_threads_has_no_effect_and_nothing_is_violated() {
     assert_eq!(one, campaign(3).run(&|| ()).unwrap());
     assert_eq!(one.failures, []);
     assert!(one.driven_s > 15.0, "{}", one.driven_s);
+}
+
+/// The first violation of a schedule without a planted bug.
+fn violation(text: &str) -> Option<Violation> {
+    let schedule: Schedule = text.parse().unwrap();
+    let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
+    outcome.violation
+}
+
+#[test]
+fn a_reload_before_the_first_tick_of_a_daemon_belongs_to_that_daemon() {
+    let text = "seed 15920; end_ms 7000; ask reload at 5893; ask arm at 6500; \
+                fault daemon-killed at 5000 for 893 severity 1";
+    assert_eq!(violation(text), None);
+}
+
+#[test]
+fn an_arm_while_the_last_command_of_a_failed_drive_is_in_force_counts() {
+    // The board stops each of these drives, because no motor pulse comes.
+    let text = "seed 17319; camera_latency_ms 3; serial_delay_us 6557; board_skew_ppm -2857; \
+                board_clock_ms 1193085; end_ms 26960; ask arm at 25458; ask arm at 25778; \
+                ask arm at 25887; fault esc-stuck at 2011 for 1 severity 1";
+    assert_eq!(violation(text), None);
 }

@@ -1,7 +1,7 @@
 //! Authority: the car drives only on request, and stops on request.
 
 use singletrack_pilot::{Event, Mode, PilotRequest};
-use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, ToBoard, UNSOLICITED};
+use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, Sequence, ToBoard, UNSOLICITED};
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{observation::Observation, schedule::FaultKind};
@@ -26,8 +26,14 @@ const IN_FORCE_US: u32 = COMMAND_TIME_TO_LIVE_US + 2_000;
 pub(super) struct Unarmed {
     armed: bool,
     session: Option<(u32, u16)>,
+    /// The last request to arm; repeated, it does not arm again.
+    arm_request: Option<Sequence>,
     /// Board time of the telemetry behind the command in force.
     command_us: Option<u32>,
+    /// That command is older than the last request to arm. The board may have stopped for a
+    /// reason that this model does not know, so that the request has armed it again: the
+    /// end of the command does not end that.
+    command_is_old: bool,
     /// Time and cause of the last withdrawal.
     withdrawn: Option<(u64, &'static str)>,
     board_since_us: Option<u64>,
@@ -42,6 +48,16 @@ impl Unarmed {
         self.command_us = None;
     }
 
+    fn expire(&mut self, now_us: u64) {
+        let cause = "the last command expired";
+        if self.command_is_old {
+            self.withdrawn = Some((now_us, cause));
+            self.command_us = None;
+        } else {
+            self.withdraw(now_us, cause);
+        }
+    }
+
     fn receive(&mut self, time_us: u64, board_time_us: u32, message: &ToBoard) {
         match message {
             ToBoard::Hello(hello) if hello.nonce != UNSOLICITED => {
@@ -51,12 +67,16 @@ impl Unarmed {
                     self.withdraw(time_us, "a greeting of another session");
                 }
             }
-            ToBoard::Arm(_) => self.armed = true,
+            ToBoard::Arm(arm) => {
+                self.command_is_old |= self.arm_request.replace(arm.request) != Some(arm.request);
+                self.armed = true;
+            }
             ToBoard::Disarm(_) => self.withdraw(time_us, "a disarm request"),
             ToBoard::EmergencyStop(_) => self.withdraw(time_us, "an emergency stop request"),
             ToBoard::Drive(drive) if self.armed => {
                 if board_time_us.wrapping_sub(drive.telemetry_time_us) <= IN_FORCE_US {
                     self.command_us = Some(drive.telemetry_time_us);
+                    self.command_is_old = false;
                 }
             }
             ToBoard::Drive(_) | ToBoard::Hello(_) | ToBoard::Configure(_) => {}
@@ -85,7 +105,7 @@ impl Invariant for Unarmed {
             if let Some(command_us) = self.command_us {
                 let age_us = pulse.board_time_us.wrapping_sub(command_us);
                 if age_us < u32::MAX / 2 && age_us > IN_FORCE_US {
-                    self.withdraw(pulse.time_us, "the last command expired");
+                    self.expire(pulse.time_us);
                 }
             }
             if !pulse.drives() || (self.armed && self.command_us.is_some()) {

@@ -7,17 +7,16 @@ use super::{Invariant, Verdict};
 use crate::observation::Observation;
 
 /// `replayed`: a pilot that gets the recorded inputs of the ticks makes the same
-/// decisions, to the bit. The replay restarts with every daemon.
+/// decisions, to the bit. The replay restarts with every daemon: a configuration that a
+/// daemon is given before its first tick belongs to it.
 pub(super) struct Replayed {
-    config: PilotConfig,
     replay: Replay,
 }
 
 impl Replayed {
     pub(super) fn new(config: PilotConfig) -> Self {
         Self {
-            replay: Replay::new(config.clone()),
-            config,
+            replay: Replay::new(config),
         }
     }
 }
@@ -29,16 +28,13 @@ impl Invariant for Replayed {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         match observation.configuration {
-            Some((1, pilot)) => self.config = pilot.clone(),
+            Some((1, pilot)) => self.replay = Replay::new(pilot.clone()),
             Some((number, pilot)) => self.replay.configuration(*number, pilot.clone()),
             None => {}
         }
         let Some(tick) = observation.tick.filter(|_| observation.is_replayed) else {
             return Ok(());
         };
-        if tick.index == 0 {
-            self.replay = Replay::new(self.config.clone());
-        }
         let output = self
             .replay
             .tick(tick)
