@@ -111,7 +111,10 @@ mod tests {
         assert_eq!(same, hash(|config| config.limits.max_speed_m_s = 1.0));
         assert_eq!(same, hash(|config| config.supervisor.hold_ms = 200));
         assert_eq!(same, hash(|config| config.fence.margin_m = Some(0.3)));
-        assert_eq!(same, hash(|config| config.fence.corners_m[0] = [-2.0, -2.0]));
+        assert_eq!(
+            same,
+            hash(|config| config.fence.corners_m[0] = [-2.0, -2.0])
+        );
         let changes: [fn(&mut Config); 7] = [
             |config| config.fence.braking_m_s2 = 0.8,
             |config| config.board.servo.gain_us_per_rad = 801,

@@ -9,6 +9,7 @@ mod config;
 mod consistency;
 mod imu;
 mod proving;
+mod roll_out;
 mod speed;
 mod start;
 mod steps;

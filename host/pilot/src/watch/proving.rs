@@ -5,10 +5,7 @@ use core::f64::consts::TAU;
 use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::{
-    steps::Step,
-    stop::{MOST, UNBRAKED, deceleration},
-};
+use super::{roll_out::RollOut, steps::Step};
 use crate::supervisor::Reason;
 
 /// The highest speed until everything has been compared, m/s.
@@ -109,8 +106,7 @@ enum Coast {
     Ahead,
     Begun {
         since: Time,
-        /// Speed, m/s, and driven way, m, when the motor was free.
-        from: Option<(f64, f64)>,
+        roll_out: RollOut,
     },
     Over,
 }
@@ -200,27 +196,23 @@ impl Proving {
         start_judged: bool,
     ) -> ProvingTick {
         let elapsed = self.last.replace(now).map(|last| now.seconds_since(last));
-        self.way += fabs(speed) * elapsed.unwrap_or(0.0);
+        let way = fabs(speed) * elapsed.unwrap_or(0.0);
+        self.way += way;
         let mut tick = ProvingTick::default();
         match &mut self.coast {
             Coast::Ahead if self.way >= COAST_AT && speed > COAST_FROM => {
                 self.coast = Coast::Begun {
                     since: now,
-                    from: None,
+                    roll_out: RollOut::begin(speed),
                 };
                 tick.coast = true;
             }
-            Coast::Begun { since, from } => {
+            Coast::Begun { since, roll_out } => {
                 let rolled = now.seconds_since(*since);
+                roll_out.tick(rolled, fabs(speed), way);
                 tick.coast = rolled < COAST_FOR && speed > COAST_UNTIL;
-                if from.is_none() && rolled >= UNBRAKED {
-                    *from = Some((speed, self.way));
-                }
                 if !tick.coast {
-                    // A car that stands before its motor is free brakes well.
-                    let measured = from.map_or(MOST, |(first, way)| {
-                        deceleration(first, fabs(speed), self.way - way)
-                    });
+                    let measured = roll_out.deceleration(fabs(speed));
                     tick.coasted = Some(measured);
                     if measured < COAST_SHARE * braking && self.found.is_none() {
                         self.found = Some(Reason::BrakesLessThanConfigured);

@@ -3,6 +3,8 @@
 use libm::fabs;
 use singletrack_control::Time;
 
+use super::roll_out::{REACTION, RollOut};
+
 /// Watches every end of a drive: the speed must fall, and the way to standstill gives the
 /// deceleration.
 #[derive(Clone, Copy, Debug, Default)]
@@ -18,16 +20,13 @@ struct Run {
     begin: Time,
     /// The tick before.
     last: Time,
-    /// The speed when it began to fall, m/s.
-    speed: f64,
-    /// Way since that speed, m.
-    way: f64,
+    roll_out: RollOut,
     /// The speed that is commanded at the beginning, m/s: a ramp leads from there to zero. The
     /// board follows it, also upward if the brake was too strong.
     commanded: f64,
-    /// Speed (m/s) and way (m) when the motor was free: after the reaction time the car was
-    /// faster than the ramp.
-    free: Option<(f64, f64)>,
+    /// The part of it with a free motor: after the reaction time the car was faster than the
+    /// ramp.
+    free: Option<RollOut>,
     /// The fall of the speed by motor and by cameras.
     falls: [Fall; 2],
     /// Since when the car has stood.
@@ -102,9 +101,6 @@ pub(crate) struct StopLimits {
     pub(crate) standing: f64,
 }
 
-/// The time after which a stop must show, s: command, ESC, and the span of the cameras'
-/// speed.
-const REACTION: f64 = 0.25;
 /// The share of the configured deceleration that the car must reach at least. It is low: a
 /// car that only rolls well is weak, and does not disobey.
 const LEAST_SHARE: f64 = 0.15;
@@ -124,12 +120,8 @@ const STANDS: f64 = 0.2;
 /// The longest stop beyond its reaction time at [`LEAST_SHARE`], s. Afterwards a car that
 /// moves is one that somebody carries or pushes.
 const LONGER: f64 = 1.0;
-/// The time that passes before the deceleration begins, s: as the geofence has it.
-pub(super) const UNBRAKED: f64 = 0.1;
 /// The lowest speed from which a stop measures the deceleration, m/s.
 const MEASURED_FROM: f64 = 0.25;
-/// The highest deceleration that a stop can measure, m/s².
-pub(super) const MOST: f64 = 10.0;
 /// A stop below this share of the configured deceleration is weak...
 const WEAK: f64 = 0.9;
 /// ...and below this one is enough to refuse the next drive.
@@ -146,8 +138,7 @@ impl StopWatch {
         self.run = Some(Run {
             begin: now,
             last: now,
-            speed: speed.unwrap_or(0.0),
-            way: 0.0,
+            roll_out: RollOut::begin(speed.unwrap_or(0.0)),
             commanded: fabs(commanded),
             free: None,
             falls: [Fall::default(); 2],
@@ -185,12 +176,11 @@ impl StopWatch {
         let elapsed = now.seconds_since(run.begin);
         let worst = speeds.worst();
         let pace = speeds.estimate.map(fabs).or(worst).unwrap_or(0.0);
-        run.way += pace * now.seconds_since(run.last);
+        let way = pace * now.seconds_since(run.last);
         run.last = now;
-        if elapsed <= UNBRAKED || (elapsed < REACTION && pace > run.speed) {
-            // It does not slow down yet.
-            run.speed = pace;
-            run.way = 0.0;
+        run.roll_out.tick(elapsed, pace, way);
+        if let Some(free) = &mut run.free {
+            free.tick(elapsed, pace, way);
         }
         let least = LEAST_SHARE * limits.braking;
         if elapsed >= REACTION {
@@ -199,7 +189,7 @@ impl StopWatch {
             let floor = SLOW.max(behind);
             let ramp = run.commanded - limits.ramp * elapsed;
             if run.free.is_none() && pace > ramp + TOLERANCE {
-                run.free = Some((pace, run.way));
+                run.free = Some(RollOut::begin(pace));
             }
             motor.tick(now, speeds.motor, least, floor);
             cameras.tick(now, speeds.cameras, least, floor);
@@ -220,19 +210,17 @@ impl StopWatch {
             None
         };
         let stood = since.is_some_and(|since| now.seconds_since(since) >= STANDS);
-        let late = elapsed > REACTION + LONGER + run.speed / least;
+        let late = elapsed > REACTION + LONGER + run.roll_out.from() / least;
         if stood || late || verdict.disobeyed {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            let whole = (ended.speed, ended.way);
             // A ramp that the motor follows hides how the car slows down without it.
-            let free = ended.free.map(|(speed, way)| (speed, ended.way - way));
-            verdict.measured = [Some(whole), free]
+            verdict.measured = [Some(ended.roll_out), ended.free]
                 .into_iter()
                 .flatten()
-                .filter(|(speed, _)| *speed >= MEASURED_FROM)
-                .map(|(speed, braked)| deceleration(speed, left, braked))
+                .filter(|roll_out| roll_out.from() >= MEASURED_FROM)
+                .map(|roll_out| roll_out.deceleration(left))
                 .reduce(f64::min);
             if let Some(measured) = verdict.measured {
                 self.coasted(measured);
@@ -244,17 +232,6 @@ impl StopWatch {
     /// A measurement of the deceleration besides the stops, m/s².
     pub(crate) const fn coasted(&mut self, measured: f64) {
         self.measured = [Some(measured), self.measured[0]];
-    }
-}
-
-/// The deceleration of a car that has slowed down from `speed` to `left` (m/s) on this way
-/// (m), in m/s².
-pub(super) fn deceleration(speed: f64, left: f64, braked: f64) -> f64 {
-    let fallen = (speed * speed - left * left).max(0.0);
-    if braked <= fallen / (2.0 * MOST) {
-        MOST
-    } else {
-        fallen / (2.0 * braked)
     }
 }
 

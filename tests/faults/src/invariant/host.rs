@@ -59,7 +59,10 @@ impl Invariant for CommandRate {
             return Ok(());
         };
         if tick.output.command.is_none() {
-            self.last = None;
+            // A stopping car whose estimate restarts has no command for a tick.
+            if !tick.output.mode.is_underway() {
+                self.last = None;
+            }
             return Ok(());
         }
         let actuation = tick.output.actuation;
