@@ -1,6 +1,7 @@
 //! Attitude of a car on a floor: yaw and a small tilt; and of what is mounted on it.
 
 use libm::{cos, sin, sqrt};
+use singletrack_protocol::{ImuAxes, ImuAxis};
 
 /// The unit quaternion w, x, y, z of a yaw after a small roll and pitch, in rad.
 pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
@@ -53,6 +54,42 @@ impl Rotation {
     }
 }
 
+/// The angles of a sensor whose axes are mounted so.
+pub(crate) fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
+    let direction = |axis: ImuAxis| -> [f64; 3] {
+        core::array::from_fn(
+            |i| match (usize::from(axis.index()) == i, axis.is_negative()) {
+                (false, _) => 0.0,
+                (true, true) => -1.0,
+                (true, false) => 1.0,
+            },
+        )
+    };
+    let right_angles = || [0.0, 90.0, 180.0, 270.0].into_iter();
+    let mut mountings = right_angles().flat_map(|roll| {
+        right_angles().flat_map(move |pitch| right_angles().map(move |yaw| [roll, pitch, yaw]))
+    });
+    mountings
+        .find(|&angles| {
+            // Without a rotation the axes are those of the car.
+            let turned = |axis: [f64; 3]| {
+                Rotation::from_degrees(angles).map_or(axis, |mounting| mounting.into_turned(axis))
+            };
+            [
+                ([1.0, 0.0, 0.0], axes.forward),
+                ([0.0, 1.0, 0.0], axes.left),
+                ([0.0, 0.0, 1.0], axes.up),
+            ]
+            .into_iter()
+            .all(|(axis, chip)| {
+                let error = turned(axis).into_iter().zip(direction(chip));
+                error.into_iter().all(|(a, b)| (a - b).abs() < 1e-6)
+            })
+        })
+        // A left-handed set of axes, which the board refuses.
+        .unwrap_or_default()
+}
+
 /// The product of two quaternions w, x, y, z.
 fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
     [
@@ -77,5 +114,28 @@ mod tests {
             assert!((forward[0] - cos(yaw)).abs() < 1e-3);
             assert!((forward[1] - sin(yaw)).abs() < 1e-3);
         }
+    }
+
+    #[test]
+    fn all_mountings_at_right_angles_have_angles() {
+        use singletrack_protocol::ImuAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        let axes = [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ];
+        let mut found = 0;
+        for forward in axes {
+            for left in axes {
+                for up in axes {
+                    let mounting = ImuAxes { forward, left, up };
+                    found += u32::from(mounting_deg(mounting) != [0.0; 3]);
+                }
+            }
+        }
+        // And the one without a turn.
+        assert_eq!(found, 23);
+        let turned = ImuAxes {
+            forward: MinusY,
+            left: PlusX,
+            up: PlusZ,
+        };
+        assert_eq!(mounting_deg(turned), [0.0, 0.0, 90.0]);
     }
 }

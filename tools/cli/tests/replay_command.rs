@@ -11,10 +11,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use singletrack_control::VehicleParameters;
-use singletrack_core::config::{
-    Config, LawKind, LawSection, OuterLoopSection, ReferenceSection, WaypointSection,
-};
+use singletrack_core::config::{Config, ReferenceSection, WaypointSection};
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, Recorder, TickRecord, part_path};
 use singletrack_scenario::{
@@ -248,7 +245,6 @@ fn a_tick_that_is_missing_ends_a_replay_by_name() {
 
 /// From waypoints to others, while the car stands.
 fn reconfigured(path: &Path, tell: bool) {
-    let vehicle = VehicleParameters::paper();
     let reference = |x_m: f64| ReferenceSection::WaypointList {
         waypoints: vec![
             WaypointSection {
@@ -263,19 +259,7 @@ fn reconfigured(path: &Path, tell: bool) {
             },
         ],
     };
-    let mut config: Config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: true,
-        },
-        reference: reference(1.5),
-    });
+    let mut config: Config = daemon_config(Drive::following(reference(1.5)));
     let mut drive = VirtualDrive::new(config.clone(), 1, SimulationConfig::default()).unwrap();
     let mut record = VirtualRecord::start(path, &mut drive, &config, 1).unwrap();
     config.reference = reference(2.0);

@@ -7,6 +7,8 @@ use std::{
     process::{Command, Output},
 };
 
+use tempfile::TempDir;
+
 fn scenario(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../scenarios")
@@ -50,11 +52,7 @@ fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
 
 /// Changes a scenario, and expects an error that says all of `words`.
 fn assert_refused(from: &str, to: &str, words: &[&str]) {
-    let text = std::fs::read_to_string(scenario("circle-sampled.toml")).unwrap();
-    assert!(text.contains(from), "{from:?} is not in the scenario");
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scenario.toml");
-    std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+    let (_folder, path) = changed("circle-sampled.toml", &[(from, to)]);
     let output = simulate(&path);
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(!output.status.success(), "{to:?} was taken");
@@ -145,8 +143,8 @@ fn a_file_that_is_not_there_is_named() {
     );
 }
 
-/// Runs a scenario that was changed; returns what was said.
-fn run_changed(name: &str, changes: &[(&str, &str)]) -> Output {
+/// A changed scenario, in a folder of its own.
+fn changed(name: &str, changes: &[(&str, &str)]) -> (TempDir, PathBuf) {
     let mut text = std::fs::read_to_string(scenario(name)).unwrap();
     for (from, to) in changes {
         assert!(text.contains(from), "{from:?} is not in the scenario");
@@ -155,6 +153,12 @@ fn run_changed(name: &str, changes: &[(&str, &str)]) -> Output {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scenario.toml");
     std::fs::write(&path, text).unwrap();
+    (folder, path)
+}
+
+/// Runs a scenario that was changed; returns what was said.
+fn run_changed(name: &str, changes: &[(&str, &str)]) -> Output {
+    let (_folder, path) = changed(name, changes);
     simulate(&path)
 }
 
@@ -209,14 +213,7 @@ fn a_loss_of_frames_that_are_under_way_is_refused_on_the_car() {
 
 /// Runs a changed scenario with a summary.
 fn summarise(name: &str, changes: &[(&str, &str)]) -> Output {
-    let mut text = std::fs::read_to_string(scenario(name)).unwrap();
-    for (from, to) in changes {
-        assert!(text.contains(from), "{from:?} is not in the scenario");
-        text = text.replacen(from, to, 1);
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scenario.toml");
-    std::fs::write(&path, text).unwrap();
+    let (_folder, path) = changed(name, changes);
     Command::new(env!("CARGO_BIN_EXE_singletrack"))
         .arg("simulate")
         .arg(&path)

@@ -1,11 +1,11 @@
 //! Drives well calibrated cars of all kinds, at random, and counts the drives that a watch
-//! ends: there must be none.
+//! ends: there must be none. At the end it prints how often each kind was drawn.
 //!
 //! ```sh
 //! cargo run --release -p singletrack-scenario --example false_alarms -- --count 10000
 //! ```
 
-use std::{env, error::Error};
+use std::{collections::BTreeMap, env, error::Error};
 
 #[path = "../tests/common/calibrated.rs"]
 mod calibrated;
@@ -26,10 +26,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mut alarms = 0;
     let mut proved = 0;
+    // Drives and false alarms of each kind.
+    let mut kinds: BTreeMap<String, [u64; 2]> = BTreeMap::new();
     for seed in first..first + count {
         let car = CalibratedCar::random(seed);
         let drive = car.drive()?;
         proved += u64::from(drive.proved);
+        let alarm = matches!(drive.ended, Ended::Alarm(_));
+        for kind in car.kinds() {
+            let [drives, ended] = kinds.entry(kind.clone()).or_default();
+            *drives += 1;
+            *ended += u64::from(alarm);
+        }
         if let Ended::Alarm(reason) = drive.ended {
             alarms += 1;
             println!(
@@ -42,6 +50,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         if done.is_multiple_of(100) {
             println!("{done} of {count} drives, {proved} proved, {alarms} false alarms");
         }
+    }
+    for (kind, [drives, ended]) in kinds {
+        println!("{drives:>7} {ended:>4}  {kind}");
     }
     println!("{count} drives, {proved} proved, {alarms} false alarms");
     Ok(())

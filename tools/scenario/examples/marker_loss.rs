@@ -8,10 +8,9 @@
 
 use std::error::Error;
 
-use singletrack_control::VehicleParameters;
 use singletrack_core::{
     HostOptions,
-    config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection},
+    config::{Config, ReferenceSection},
 };
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
@@ -22,8 +21,6 @@ use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
 
 /// Radius of the circle that P is driven on, in m.
 const RADIUS: f64 = 1.5;
-/// P beyond the front axle, in m.
-const POINT_DISTANCE: f64 = 0.35;
 /// Drives for each line of the table.
 const DRIVES: u64 = 24;
 /// The first loss, in s after the start: on the circle by then.
@@ -94,24 +91,11 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn config(budget: &Budget, speed: f64) -> Config {
-    let vehicle = VehicleParameters::paper();
-    let mut config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: POINT_DISTANCE,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: true,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: RADIUS,
-            angular_velocity_rad_s: speed / RADIUS,
-            centre_m: [0.0, 0.0],
-        },
-    });
+    let mut config = daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: RADIUS,
+        angular_velocity_rad_s: speed / RADIUS,
+        centre_m: [0.0, 0.0],
+    }));
     (budget.set)(&mut config);
     config
 }
@@ -130,9 +114,10 @@ fn lose(
         ..SimulationConfig::default()
     };
     let vehicle = simulation.car.vehicle;
+    let point_distance = config.law.point_distance_m;
     // P where the circle begins, nearly along it.
     let yaw_rad = 1.3_f64;
-    let reach = vehicle.front_axle_distance_m + POINT_DISTANCE;
+    let reach = vehicle.front_axle_distance_m + point_distance;
     simulation.car.start = StartPose {
         x_m: RADIUS - reach * yaw_rad.cos(),
         y_m: -reach * yaw_rad.sin(),
@@ -163,7 +148,7 @@ fn lose(
             continue;
         }
         let truth = tick.truth;
-        let [x, y] = truth.point_p(vehicle.front_axle_distance_m, POINT_DISTANCE);
+        let [x, y] = truth.point_p(vehicle.front_axle_distance_m, point_distance);
         worst.off_path = worst.off_path.max((x.hypot(y) - RADIUS).abs());
         if let Some([x, y]) = last {
             way += (truth.x - x).hypot(truth.y - y);

@@ -4,7 +4,7 @@ use std::net::Ipv4Addr;
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawSection,
+    BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawKind, LawSection,
     LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
     ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
     WatchSection,
@@ -34,6 +34,31 @@ pub struct Drive {
     pub outer_loop: OuterLoopSection,
     /// Where P should be.
     pub reference: ReferenceSection,
+}
+
+impl Drive {
+    /// The paper's car with P 0.35 m in front of its front axle. P follows the reference with
+    /// unit gain and feed-forward; velocity steps, which have no position, are passed on.
+    #[must_use]
+    pub fn following(reference: ReferenceSection) -> Self {
+        let vehicle = VehicleParameters::paper();
+        Self {
+            vehicle,
+            law: LawSection {
+                kind: LawKind::FrontPoint,
+                point_distance_m: 0.35,
+                front_axle_distance_m: vehicle.front_axle_distance_m,
+            },
+            outer_loop: match reference {
+                ReferenceSection::VelocitySteps { .. } => OuterLoopSection::OpenLoop {},
+                _ => OuterLoopSection::Proportional {
+                    gain_per_s: [1.0, 1.0],
+                    feed_forward: true,
+                },
+            },
+            reference,
+        }
+    }
 }
 
 /// The daemon's configuration for the simulated car, with the calibration of its

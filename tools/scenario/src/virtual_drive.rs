@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use singletrack_control::Time;
+use singletrack_control::{Setpoint, Time};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
@@ -232,6 +232,11 @@ impl VirtualDrive {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.request(request)
+    }
+
+    /// Gives an external reference its newest set-point.
+    pub fn send_setpoint(&self, setpoint: &Setpoint) {
+        self.host.parts().setpoints.send(setpoint);
     }
 
     /// Changes the configuration at the next tick. Returns its number.

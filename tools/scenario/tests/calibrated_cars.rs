@@ -4,6 +4,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+use std::collections::BTreeSet;
+
 #[path = "common/calibrated.rs"]
 mod calibrated;
 
@@ -14,6 +16,7 @@ const DRIVES: u64 = 36;
 #[test]
 fn random_drives_of_calibrated_cars_have_no_false_alarm() {
     let mut proved = 0;
+    let mut kinds = BTreeSet::new();
     for seed in 1..=DRIVES {
         let car = CalibratedCar::random(seed);
         let outcome = car.drive().unwrap();
@@ -25,7 +28,12 @@ fn random_drives_of_calibrated_cars_have_no_false_alarm() {
             car.describe()
         );
         proved += u64::from(outcome.proved);
+        kinds.extend(car.kinds().iter().cloned());
     }
     // Half of them begin unproved; the slowest need more than the time of the drive.
     assert!(3 * proved >= DRIVES, "{proved} of {DRIVES}");
+    for (of, count) in [("reference: ", 6), ("ESC: ", 5), ("failsafe: ", 2)] {
+        let drawn = kinds.iter().filter(|kind| kind.starts_with(of));
+        assert_eq!(drawn.count(), count, "{kinds:?}");
+    }
 }

@@ -2,10 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_control::{Position, VehicleParameters};
-use singletrack_core::config::{
-    Config, FenceSection, LawKind, LawSection, OuterLoopSection, ReferenceSection, StepSection,
-};
+use singletrack_control::Position;
+use singletrack_core::config::{Config, FenceSection, ReferenceSection, StepSection};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{BRAKING_M_S2, Drive, daemon_config},
@@ -17,24 +15,7 @@ use singletrack_sim::{LossWindow, SimulationConfig};
 const TOLERANCE: f64 = 0.005;
 
 fn config(reference: ReferenceSection, fence: FenceSection) -> Config {
-    let vehicle = VehicleParameters::paper();
-    let outer_loop = match reference {
-        ReferenceSection::Circle { .. } => OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: true,
-        },
-        _ => OuterLoopSection::OpenLoop {},
-    };
-    let mut config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop,
-        reference,
-    });
+    let mut config = daemon_config(Drive::following(reference));
     config.fence = fence;
     config
 }

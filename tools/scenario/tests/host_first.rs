@@ -2,10 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_control::VehicleParameters;
 use singletrack_core::{
     HostOptions,
-    config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection, StepSection},
+    config::{Config, ReferenceSection, StepSection},
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::{
@@ -17,23 +16,13 @@ use singletrack_sim::{LossWindow, SimulationConfig};
 /// A slow car, and the lowest age of a pose at which the board stops it that once passed the
 /// check of the configuration: `blind_ms` and 150 ms.
 fn config(period_ms: u32) -> Config {
-    let vehicle = VehicleParameters::paper();
-    let mut config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::OpenLoop {},
-        reference: ReferenceSection::VelocitySteps {
-            steps: vec![StepSection {
-                duration_s: 60.0,
-                v_x_m_s: 0.3,
-                v_y_m_s: 0.0,
-            }],
-        },
-    });
+    let mut config = daemon_config(Drive::following(ReferenceSection::VelocitySteps {
+        steps: vec![StepSection {
+            duration_s: 60.0,
+            v_x_m_s: 0.3,
+            v_y_m_s: 0.0,
+        }],
+    }));
     config.control.period_ms = period_ms;
     config.watch.max_gap_ms = 95;
     config.watch.max_missed_ticks_per_s = 15;

@@ -6,10 +6,9 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-use singletrack_control::VehicleParameters;
 use singletrack_core::{
     HostOptions, Proof, Proofs,
-    config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection},
+    config::{Config, ReferenceSection},
 };
 use singletrack_pilot::{Event, Mode};
 use singletrack_record::{Entry, Replay};
@@ -23,24 +22,11 @@ use singletrack_sim::{SimulationConfig, StartPose};
 const SLOW: f64 = 0.3 + 0.05;
 
 fn config() -> Config {
-    let vehicle = VehicleParameters::paper();
-    let mut config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: true,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: 1.5,
-            angular_velocity_rad_s: 0.5,
-            centre_m: [0.0, 0.0],
-        },
-    });
+    let mut config = daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: 1.5,
+        angular_velocity_rad_s: 0.5,
+        centre_m: [0.0, 0.0],
+    }));
     config.supervisor.prove_first_metre = true;
     config
 }

@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_control::{Position, VehicleParameters};
-use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_control::Position;
+use singletrack_core::config::{Config, ReferenceSection};
 use singletrack_pilot::Mode;
 use singletrack_protocol::StopCause;
 use singletrack_scenario::{
@@ -15,24 +15,11 @@ use singletrack_sim::{MotorSensorFault, SimulationConfig};
 
 /// The circle of the paper: 1.5 m, P at 0.4 m/s.
 fn circle(pulse_distance_um: u16) -> Config {
-    let vehicle = VehicleParameters::paper();
-    let mut config = daemon_config(Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: true,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: 1.5,
-            angular_velocity_rad_s: 0.4 / 1.5,
-            centre_m: [0.0, 0.0],
-        },
-    });
+    let mut config = daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: 1.5,
+        angular_velocity_rad_s: 0.4 / 1.5,
+        centre_m: [0.0, 0.0],
+    }));
     config.board.speed.pulse_distance_um = pulse_distance_um;
     config
 }

@@ -9,8 +9,7 @@ use std::{
     thread,
 };
 
-use singletrack_control::VehicleParameters;
-use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_core::config::ReferenceSection;
 use singletrack_scenario::simulated::{Drive, daemon_config};
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, UdpConfig};
 use singletrackd::{Daemon, StartOptions};
@@ -69,23 +68,11 @@ fn a_running_daemon_tells_what_its_board_reports() {
         ..RealTimeConfig::default()
     })
     .unwrap();
-    let mut config = daemon_config(Drive {
-        vehicle: VehicleParameters::paper(),
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: 0.35,
-            front_axle_distance_m: VehicleParameters::paper().front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [1.0, 1.0],
-            feed_forward: false,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: 1.0,
-            angular_velocity_rad_s: 0.5,
-            centre_m: [0.0, 0.0],
-        },
-    });
+    let mut config = daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: 1.0,
+        angular_velocity_rad_s: 0.5,
+        centre_m: [0.0, 0.0],
+    }));
     config.serial.port = simulator.pty_path().to_owned();
     config.motion_capture.command_port = simulator.command_address().port();
     config.motion_capture.data_port = simulator.data_address().port();
