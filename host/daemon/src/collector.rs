@@ -12,7 +12,7 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{Report, cameras::CameraReport, diagnosis::Diagnosis};
+use singletrack_core::{Proof, Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
@@ -27,6 +27,9 @@ use crate::{
 
 /// The longest sleep: the control thread wakes the collector after every tick.
 const NAP: Duration = Duration::from_millis(20);
+
+/// Interval of the attempts to write a state file that could not be written.
+const STATE_RETRY_NS: u64 = 10_000_000_000;
 
 /// The collector and its inputs and outputs.
 pub(crate) struct Collector {
@@ -47,6 +50,8 @@ pub(crate) struct Collector {
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
     /// Where newly proved configurations are kept.
     pub(crate) state: StateFile,
+    /// When the state file was last tried again.
+    pub(crate) state_tried_ns: u64,
     /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
@@ -59,6 +64,8 @@ impl Collector {
             let stopping = self.stop.load(Ordering::Acquire);
             self.distribute();
             if stopping {
+                // A failure has been logged.
+                let _ = self.state.retry();
                 return;
             }
             thread::park_timeout(NAP);
@@ -73,6 +80,11 @@ impl Collector {
                 Level::Info,
                 format!("{step}; times in the record are not affected"),
             );
+        }
+        if now_ns.saturating_sub(self.state_tried_ns) >= STATE_RETRY_NS {
+            self.state_tried_ns = now_ns;
+            // The first failure has been logged.
+            let _ = self.state.retry();
         }
         while let Ok(entry) = self.entries.try_recv() {
             self.entry(entry);
@@ -131,12 +143,29 @@ impl Collector {
                 self.log(time_ns, Level::Info, text);
                 if let Err(error) = self.state.add(proof) {
                     let text = format!(
-                        "the proof can't be kept in state.directory: {error}; after a restart the \
-                         first drive begins slowly again"
+                        "the proof can't be kept in state.directory: {error}; until it can, the \
+                         first drive after a restart begins slowly again"
                     );
                     self.log(time_ns, Level::Warning, text);
                 }
             }
+            Report::Disproved { time_ns, proof } => self.disproved(time_ns, proof),
+        }
+    }
+
+    /// Forgets a proof, also for the next start.
+    fn disproved(&mut self, time_ns: u64, proof: Proof) {
+        let text = format!(
+            "the configuration no longer counts as proved on car {}: its next drive begins slowly",
+            proof.car_id
+        );
+        self.log(time_ns, Level::Warning, text);
+        if let Err(error) = self.state.remove(proof) {
+            let text = format!(
+                "the proof can't be removed from state.directory: {error}; delete proved.json there \
+                 before the next start"
+            );
+            self.log(time_ns, Level::Error, text);
         }
     }
 

@@ -227,6 +227,7 @@ impl Daemon {
             record_dropped: 0,
             logged_mode: None,
             state,
+            state_tried_ns: 0,
             stop: Arc::clone(&daemon.collector_stop),
         };
         let collector = spawn("collector", move || collector.run())?;
