@@ -19,6 +19,7 @@ use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
+    reconfigure::Reconfigurer,
     shared_status::SharedStatus,
     snapshot::TickView,
     state_file::StateFile,
@@ -41,6 +42,8 @@ pub(crate) struct Collector {
     /// Detects steps of the wall clock.
     pub(crate) wall: WallWatch,
     pub(crate) status: Arc<SharedStatus>,
+    /// Knows what is configured.
+    pub(crate) reconfigurer: Reconfigurer,
     pub(crate) record: Option<FeedInput>,
     /// The live view gets the same entries as the record.
     pub(crate) live: Option<FeedInput>,
@@ -102,8 +105,8 @@ impl Collector {
         while let Some(tick) = self.ticks.pop() {
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             if let Some(measured) = tick.output.braking_measured {
-                let text = format!("the stop measured a deceleration of {measured:.2} m/s2");
-                self.log(tick.start_ns, Level::Info, text);
+                let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
+                self.log(tick.start_ns, level, text);
             }
             {
                 let mut latest = self.status.latest();
@@ -243,6 +246,20 @@ impl Collector {
     }
 }
 
+/// The level and the text of a measured deceleration for the log.
+fn describe_braking(measured: f64, configured: f64) -> (Level, String) {
+    let text = format!("the car slowed down with {measured:.2} m/s2");
+    // A NaN is a warning.
+    if measured >= configured {
+        return (Level::Info, text);
+    }
+    let text = format!(
+        "{text}, less than fence.braking_m_s2 = {configured}: lower the key to what the car \
+         reaches; a much weaker stop, or a second one, refuses the next drive"
+    );
+    (Level::Warning, text)
+}
+
 /// The level and the text of a link event for the log.
 fn describe(event: &LinkEvent) -> (Level, String) {
     let version = |[major, minor, patch]: [u8; 3]| format!("{major}.{minor}.{patch}");
@@ -291,5 +308,22 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
             (Level::Debug, "message from the board".to_owned())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_deceleration_below_the_configured_one_is_a_warning_with_both() {
+        assert_eq!(describe_braking(1.2, 1.2).0, Level::Info);
+        let (level, text) = describe_braking(1.19, 1.2);
+        assert_eq!(level, Level::Warning);
+        assert!(
+            text.contains("1.19 m/s2") && text.contains("fence.braking_m_s2 = 1.2"),
+            "{text}"
+        );
+        assert_eq!(describe_braking(f64::NAN, 1.2).0, Level::Warning);
     }
 }

@@ -222,6 +222,7 @@ impl Daemon {
             entries,
             wall: WallWatch::default(),
             status,
+            reconfigurer: daemon.handle.reconfigurer.clone(),
             record,
             live,
             record_dropped: 0,
