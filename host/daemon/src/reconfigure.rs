@@ -133,6 +133,18 @@ impl Reconfigurer {
         self.published().braking_m_s2
     }
 
+    /// Delays every change and every reader of the configuration for as long as it is held.
+    #[cfg(test)]
+    pub(crate) fn pause(&self) -> impl Drop + '_ {
+        self.0.state.lock().unwrap()
+    }
+
+    /// Looks as if the configuration had changed.
+    #[cfg(test)]
+    pub(crate) fn renumber(&self) {
+        self.published().view.number += 1;
+    }
+
     fn published(&self) -> MutexGuard<'_, Published> {
         let published = self.0.published.lock();
         published.unwrap_or_else(PoisonError::into_inner)
