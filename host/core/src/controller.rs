@@ -118,6 +118,18 @@ impl Controller {
         })
     }
 
+    /// A drive contradicted the configuration in force on this car: it counts as unproved, and
+    /// the pilot is told so before its next tick. Returns the proof that is void, for the state
+    /// file; `None` if there was none.
+    pub fn disproved(&mut self) -> Option<Proof> {
+        let proof = self.proof()?;
+        let was_proved = self.proofs.remove(proof);
+        if was_proved {
+            self.tell_proved();
+        }
+        was_proved.then_some(proof)
+    }
+
     /// Tells the pilot whether the configuration in force is proved on this car.
     fn tell_proved(&mut self) {
         let proved = self
@@ -529,5 +541,35 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
             BoardMode::PoweringUp => BoardState::PoweringUp,
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+
+    #[test]
+    fn a_disproved_configuration_is_unproved_for_the_pilot_and_on_this_car_alone() {
+        let config =
+            Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
+        let proof = |car_id| Proof {
+            configuration: 5,
+            car_id,
+        };
+        let mut controller = Controller::new(
+            Session::new(config.link(1)).unwrap(),
+            Pilot::new(config.pilot().unwrap()),
+            5,
+            Proofs::of(&[proof(1), proof(2)]),
+        );
+        assert_eq!(controller.disproved(), None, "before the board's number");
+        controller.car_id = Some(1);
+        assert_eq!(controller.disproved(), Some(proof(1)));
+        assert_eq!(controller.events.as_slice(), [Event::Proved(false)]);
+        assert!(controller.proofs.contains(proof(2)));
+        // It is void already.
+        assert_eq!(controller.disproved(), None);
+        assert_eq!(controller.events.len(), 1);
     }
 }

@@ -141,7 +141,8 @@ pub(crate) struct CameraWatch {
     past: heapless::Deque<PlanarCounters, WINDOW>,
     /// The cause found last, and since when.
     found: Option<(Cause, u64)>,
-    reported: Option<Cause>,
+    /// The cause reported last, and when.
+    reported: Option<(Cause, u64)>,
     wrong_transport: bool,
 }
 
@@ -167,15 +168,22 @@ impl CameraWatch {
         let _ = self.past.push_back(counters);
         let cause = self.cause(now_ns, session, &before, &counters);
         let since_ns = match self.found {
-            Some((found, since_ns)) if found == cause => since_ns,
+            // Details, such as the newest reason of a rejection, may alternate.
+            Some((found, since_ns)) if found.word() == cause.word() => since_ns,
             _ => now_ns,
         };
         self.found = Some((cause, since_ns));
-        let is_due = now_ns.saturating_sub(since_ns) >= cause.patience_ns();
-        if !is_due || self.reported == Some(cause) {
+        let has_lasted = |since_ns: u64| now_ns.saturating_sub(since_ns) >= cause.patience_ns();
+        let is_news = match self.reported {
+            Some((reported, _)) if reported == cause => false,
+            // Other details of the same word: not more often than its patience.
+            Some((reported, at_ns)) if reported.word() == cause.word() => has_lasted(at_ns),
+            _ => true,
+        };
+        if !is_news || !has_lasted(since_ns) {
             return None;
         }
-        self.reported = Some(cause);
+        self.reported = Some((cause, now_ns));
         Some(Diagnosis {
             word: cause.word(),
             text: describe(cause, session),

@@ -46,6 +46,13 @@ impl Proofs {
         }
         let _ = self.0.push(proof);
     }
+
+    /// Forgets a proof. Returns whether there was one.
+    pub fn remove(&mut self, proof: Proof) -> bool {
+        let count = self.0.len();
+        self.0.retain(|other| *other != proof);
+        self.0.len() < count
+    }
 }
 
 /// The hash of the parts of a configuration that the first metre of a drive proves: the
@@ -140,5 +147,19 @@ mod tests {
         assert!(!known.contains(proof(0)) && known.contains(proof(1)));
         known.insert(proof(1));
         assert!(known.contains(proof(2)));
+    }
+
+    #[test]
+    fn a_removed_proof_counts_no_more_and_the_others_do() {
+        let proof = |configuration, car_id| Proof {
+            configuration,
+            car_id,
+        };
+        let mut known = Proofs::of(&[proof(1, 1), proof(1, 2), proof(2, 1)]);
+        assert!(known.remove(proof(1, 1)));
+        assert_eq!(known, Proofs::of(&[proof(1, 2), proof(2, 1)]));
+        assert!(!known.remove(proof(1, 1)));
+        known.insert(proof(1, 1));
+        assert!(known.contains(proof(1, 1)));
     }
 }

@@ -29,6 +29,13 @@ pub enum Report {
         /// The configuration and the car.
         proof: Proof,
     },
+    /// A proof is void: a drive contradicted the configuration.
+    Disproved {
+        /// When the contradiction was found.
+        time_ns: u64,
+        /// The configuration and the car.
+        proof: Proof,
+    },
 }
 
 /// Counts of the line to the board.
@@ -51,7 +58,10 @@ impl Report {
         match self {
             Self::Telemetry(record) => Some(Entry::Telemetry(record)),
             Self::Status(record) => Some(Entry::Status(record)),
-            Self::Link { .. } | Self::Counters(_) | Self::Proved { .. } => None,
+            Self::Link { .. }
+            | Self::Counters(_)
+            | Self::Proved { .. }
+            | Self::Disproved { .. } => None,
         }
     }
 

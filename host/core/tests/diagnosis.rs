@@ -236,6 +236,40 @@ fn every_word_of_a_diagnosis_is_in_the_documentation() {
 }
 
 #[test]
+fn rejections_for_alternating_reasons_are_reported_and_not_at_every_change() {
+    let mut scene = Scene::new("car", UpAxis::Y, good);
+    scene.run(2_000);
+    assert_text(scene.last(), "good", &[]);
+    let before = scene.found.len();
+    for step in 0..600 {
+        let faults = scene.world.cameras_mut().faults_mut();
+        // No reason lasts for the patience of a second.
+        faults.not_a_number = step / 25 % 2 == 0;
+        // To and fro, so that no place becomes plausible.
+        faults.jump_m = [if step % 2 == 0 { 300.0 } else { -300.0 }, 0.0, 0.0];
+        scene.run(10);
+        // A second until no good pose is among the last, and the patience.
+        if step == 250 {
+            assert_text(scene.last(), "rejected", &["rejected: "]);
+        }
+    }
+    let reported = &scene.words()[before..];
+    assert!(
+        reported.iter().all(|word| *word == "rejected"),
+        "{reported:?}"
+    );
+    let texts: Vec<&str> = scene.found[before..]
+        .iter()
+        .map(|(_, found)| found.text.as_str())
+        .collect();
+    assert!(texts.len() <= 6, "{texts:?}");
+    for reason in ["not-finite", "jump"] {
+        let named = |text: &&str| text.contains(reason);
+        assert!(texts.iter().any(|text| named(text)), "{reason}: {texts:?}");
+    }
+}
+
+#[test]
 fn a_short_gap_is_not_reported() {
     let mut scene = Scene::new("car", UpAxis::Y, good);
     scene.run(2_000);

@@ -67,16 +67,18 @@ pub(crate) fn run(path: &Path, config: &Config, stand: Option<Stand>) -> ExitCod
     ExitCode::SUCCESS
 }
 
-/// Logs what [`run`] would print: the daemon starts in any case, and the supervisor stops a car
-/// that leaves the geofence.
-pub(crate) fn log(config: &Config) {
+/// Logs what [`run`] would print. The daemon starts in any case: a client may set another
+/// reference. Returns whether the car can drive its reference from some place.
+pub(crate) fn log(config: &Config) -> bool {
     // An error is reported by the start.
-    for finding in judge(config, None).unwrap_or_default().findings {
+    let judgement = judge(config, None).unwrap_or_default();
+    for finding in &judgement.findings {
         match finding.severity {
             Severity::Warning => tracing::warn!("{finding}"),
             Severity::Impossible => tracing::error!("{finding}"),
         }
     }
+    judgement.is_possible()
 }
 
 /// The folders that the daemon writes to, if this user can't.

@@ -12,13 +12,14 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{Report, cameras::CameraReport, diagnosis::Diagnosis};
+use singletrack_core::{Proof, Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
+    reconfigure::Reconfigurer,
     shared_status::SharedStatus,
     snapshot::TickView,
     state_file::StateFile,
@@ -27,6 +28,9 @@ use crate::{
 
 /// The longest sleep: the control thread wakes the collector after every tick.
 const NAP: Duration = Duration::from_millis(20);
+
+/// Interval of the attempts to write a state file that could not be written.
+const STATE_RETRY_NS: u64 = 10_000_000_000;
 
 /// The collector and its inputs and outputs.
 pub(crate) struct Collector {
@@ -38,6 +42,8 @@ pub(crate) struct Collector {
     /// Detects steps of the wall clock.
     pub(crate) wall: WallWatch,
     pub(crate) status: Arc<SharedStatus>,
+    /// Knows what is configured.
+    pub(crate) reconfigurer: Reconfigurer,
     pub(crate) record: Option<FeedInput>,
     /// The live view gets the same entries as the record.
     pub(crate) live: Option<FeedInput>,
@@ -47,6 +53,8 @@ pub(crate) struct Collector {
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
     /// Where newly proved configurations are kept.
     pub(crate) state: StateFile,
+    /// When the state file was last tried again.
+    pub(crate) state_tried_ns: u64,
     /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
@@ -59,6 +67,8 @@ impl Collector {
             let stopping = self.stop.load(Ordering::Acquire);
             self.distribute();
             if stopping {
+                // A failure has been logged.
+                let _ = self.state.retry();
                 return;
             }
             thread::park_timeout(NAP);
@@ -73,6 +83,11 @@ impl Collector {
                 Level::Info,
                 format!("{step}; times in the record are not affected"),
             );
+        }
+        if now_ns.saturating_sub(self.state_tried_ns) >= STATE_RETRY_NS {
+            self.state_tried_ns = now_ns;
+            // The first failure has been logged.
+            let _ = self.state.retry();
         }
         while let Ok(entry) = self.entries.try_recv() {
             self.entry(entry);
@@ -90,8 +105,8 @@ impl Collector {
         while let Some(tick) = self.ticks.pop() {
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             if let Some(measured) = tick.output.braking_measured {
-                let text = format!("the stop measured a deceleration of {measured:.2} m/s2");
-                self.log(tick.start_ns, Level::Info, text);
+                let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
+                self.log(tick.start_ns, level, text);
             }
             {
                 let mut latest = self.status.latest();
@@ -131,12 +146,29 @@ impl Collector {
                 self.log(time_ns, Level::Info, text);
                 if let Err(error) = self.state.add(proof) {
                     let text = format!(
-                        "the proof can't be kept in state.directory: {error}; after a restart the \
-                         first drive begins slowly again"
+                        "the proof can't be kept in state.directory: {error}; until it can, the \
+                         first drive after a restart begins slowly again"
                     );
                     self.log(time_ns, Level::Warning, text);
                 }
             }
+            Report::Disproved { time_ns, proof } => self.disproved(time_ns, proof),
+        }
+    }
+
+    /// Forgets a proof, also for the next start.
+    fn disproved(&mut self, time_ns: u64, proof: Proof) {
+        let text = format!(
+            "the configuration no longer counts as proved on car {}: its next drive begins slowly",
+            proof.car_id
+        );
+        self.log(time_ns, Level::Warning, text);
+        if let Err(error) = self.state.remove(proof) {
+            let text = format!(
+                "the proof can't be removed from state.directory: {error}; delete proved.json there \
+                 before the next start"
+            );
+            self.log(time_ns, Level::Error, text);
         }
     }
 
@@ -214,6 +246,20 @@ impl Collector {
     }
 }
 
+/// The level and the text of a measured deceleration for the log.
+fn describe_braking(measured: f64, configured: f64) -> (Level, String) {
+    let text = format!("the car slowed down with {measured:.2} m/s2");
+    // A NaN is a warning.
+    if measured >= configured {
+        return (Level::Info, text);
+    }
+    let text = format!(
+        "{text}, less than fence.braking_m_s2 = {configured}: lower the key to what the car \
+         reaches; a much weaker stop, or a second one, refuses the next drive"
+    );
+    (Level::Warning, text)
+}
+
 /// The level and the text of a link event for the log.
 fn describe(event: &LinkEvent) -> (Level, String) {
     let version = |[major, minor, patch]: [u8; 3]| format!("{major}.{minor}.{patch}");
@@ -262,5 +308,22 @@ fn describe(event: &LinkEvent) -> (Level, String) {
         LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
             (Level::Debug, "message from the board".to_owned())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_deceleration_below_the_configured_one_is_a_warning_with_both() {
+        assert_eq!(describe_braking(1.2, 1.2).0, Level::Info);
+        let (level, text) = describe_braking(1.19, 1.2);
+        assert_eq!(level, Level::Warning);
+        assert!(
+            text.contains("1.19 m/s2") && text.contains("fence.braking_m_s2 = 1.2"),
+            "{text}"
+        );
+        assert_eq!(describe_braking(f64::NAN, 1.2).0, Level::Warning);
     }
 }

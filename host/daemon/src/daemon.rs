@@ -222,11 +222,13 @@ impl Daemon {
             entries,
             wall: WallWatch::default(),
             status,
+            reconfigurer: daemon.handle.reconfigurer.clone(),
             record,
             live,
             record_dropped: 0,
             logged_mode: None,
             state,
+            state_tried_ns: 0,
             stop: Arc::clone(&daemon.collector_stop),
         };
         let collector = spawn("collector", move || collector.run())?;

@@ -30,6 +30,8 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Arm once, as soon as every arming check passes: the car then moves by itself
+    ///
+    /// A configuration that --check finds impossible is not armed.
     #[arg(long)]
     arm: bool,
     /// Judge the configuration, and end: mistakes, values left as in the example, and whether
@@ -87,9 +89,16 @@ fn main() -> ExitCode {
     }
     let _log = start_log(arguments.log_format);
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
-    check::log(&config);
+    let is_possible = check::log(&config);
+    if arguments.arm && !is_possible {
+        error!(
+            "--arm: not armed: the car can't drive its reference; change the configuration, or set \
+             another reference and arm with `singletrack arm`"
+        );
+    }
     let options = StartOptions {
-        arm: arguments.arm,
+        // A client's request to arm is refused for the same configuration.
+        arm: arguments.arm && is_possible,
         lock_memory: true,
         ..StartOptions::default()
     };

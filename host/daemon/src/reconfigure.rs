@@ -5,7 +5,7 @@
 
 use std::{
     path::Path,
-    sync::{Arc, Mutex, PoisonError, mpsc},
+    sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc},
     thread,
     time::Duration,
 };
@@ -57,7 +57,15 @@ struct Shared {
     /// Held for as long as a change is under way.
     state: Mutex<State>,
     /// For the status. It is locked for short times only.
-    view: Mutex<(ConfigurationView, bool)>,
+    published: Mutex<Published>,
+}
+
+/// What other threads may know of the configuration in force.
+#[derive(Debug)]
+struct Published {
+    view: ConfigurationView,
+    takes_setpoints: bool,
+    braking_m_s2: f64,
 }
 
 #[derive(Debug)]
@@ -76,13 +84,14 @@ impl Reconfigurer {
         Self(Arc::new(Shared {
             requests,
             entries,
-            view: Mutex::new((
-                ConfigurationView {
+            published: Mutex::new(Published {
+                view: ConfigurationView {
                     number: configurations.number(),
                     last_change: None,
                 },
-                takes_setpoints(configurations.in_force()),
-            )),
+                takes_setpoints: takes_setpoints(configurations.in_force()),
+                braking_m_s2: configurations.in_force().fence.braking_m_s2,
+            }),
             state: Mutex::new(State {
                 configurations,
                 by: "",
@@ -111,14 +120,34 @@ impl Reconfigurer {
     }
 
     pub(crate) fn view(&self) -> ConfigurationView {
-        let view = self.0.view.lock();
-        view.unwrap_or_else(PoisonError::into_inner).0.clone()
+        self.published().view.clone()
     }
 
     /// Whether the reference in force is external, so that set-points have an effect.
     pub(crate) fn takes_setpoints(&self) -> bool {
-        let view = self.0.view.lock();
-        view.unwrap_or_else(PoisonError::into_inner).1
+        self.published().takes_setpoints
+    }
+
+    /// `fence.braking_m_s2` of the configuration in force.
+    pub(crate) fn braking_m_s2(&self) -> f64 {
+        self.published().braking_m_s2
+    }
+
+    /// Delays every change and every reader of the configuration for as long as it is held.
+    #[cfg(test)]
+    pub(crate) fn pause(&self) -> impl Drop + '_ {
+        self.0.state.lock().unwrap()
+    }
+
+    /// Looks as if the configuration had changed.
+    #[cfg(test)]
+    pub(crate) fn renumber(&self) {
+        self.published().view.number += 1;
+    }
+
+    fn published(&self) -> MutexGuard<'_, Published> {
+        let published = self.0.published.lock();
+        published.unwrap_or_else(PoisonError::into_inner)
     }
 
     fn change(
@@ -207,15 +236,15 @@ impl Reconfigurer {
             level,
             text,
         }));
-        let mut view = self.0.view.lock().unwrap_or_else(PoisonError::into_inner);
-        view.0.number = number;
-        view.1 = takes_setpoints(configurations.in_force());
-        view.0.last_change = Some(ChangeView { by, error: None });
+        let mut published = self.published();
+        published.view.number = number;
+        published.view.last_change = Some(ChangeView { by, error: None });
+        published.takes_setpoints = takes_setpoints(configurations.in_force());
+        published.braking_m_s2 = configurations.in_force().fence.braking_m_s2;
     }
 
     fn publish(&self, change: ChangeView) {
-        let mut view = self.0.view.lock().unwrap_or_else(PoisonError::into_inner);
-        view.0.last_change = Some(change);
+        self.published().view.last_change = Some(change);
     }
 }
 

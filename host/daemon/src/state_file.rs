@@ -44,6 +44,8 @@ struct Entry {
 pub(crate) struct StateFile {
     path: PathBuf,
     proofs: Vec<Proof>,
+    /// The last attempt to write failed: the file has other proofs.
+    is_behind: bool,
 }
 
 impl StateFile {
@@ -62,7 +64,11 @@ impl StateFile {
                 Vec::new()
             }
         };
-        Self { path, proofs }
+        Self {
+            path,
+            proofs,
+            is_behind: false,
+        }
     }
 
     /// For the control loop.
@@ -74,15 +80,45 @@ impl StateFile {
     ///
     /// # Errors
     ///
-    /// The system's error: the proof is then forgotten at the end of the process.
+    /// The system's error: unless [`retry`](Self::retry) succeeds, the proof is forgotten at the
+    /// end of the process.
     pub(crate) fn add(&mut self, proof: Proof) -> io::Result<()> {
-        if self.proofs.contains(&proof) {
-            return Ok(());
+        if !self.proofs.contains(&proof) {
+            self.proofs.push(proof);
+            let too_many = self.proofs.len().saturating_sub(MAX_PROOFS);
+            self.proofs.drain(..too_many);
+            self.is_behind = true;
         }
-        self.proofs.push(proof);
-        let too_many = self.proofs.len().saturating_sub(MAX_PROOFS);
-        self.proofs.drain(..too_many);
-        self.write()
+        self.retry()
+    }
+
+    /// Removes a proof and replaces the file. If that fails, the file is deleted, which also
+    /// works on a full disk: rather no proof than a wrong one.
+    ///
+    /// # Errors
+    ///
+    /// The system's error, if the file could neither be replaced nor deleted.
+    pub(crate) fn remove(&mut self, proof: Proof) -> io::Result<()> {
+        let count = self.proofs.len();
+        self.proofs.retain(|other| *other != proof);
+        self.is_behind |= self.proofs.len() < count;
+        self.retry().or_else(|error| {
+            // The first error says more than that of the deletion.
+            fs::remove_file(&self.path).map_err(|_| error)
+        })
+    }
+
+    /// Writes the file if the last attempt failed.
+    ///
+    /// # Errors
+    ///
+    /// The system's error: the file is still behind.
+    pub(crate) fn retry(&mut self) -> io::Result<()> {
+        if self.is_behind {
+            self.write()?;
+            self.is_behind = false;
+        }
+        Ok(())
     }
 
     fn write(&self) -> io::Result<()> {
@@ -231,5 +267,62 @@ mod tests {
             state.proofs().contains(PROOFS[0]),
             "until the end of the process"
         );
+    }
+
+    /// Makes every write in the folder fail, also for root: the name of the new file is taken.
+    fn obstruct(folder: &Path) -> PathBuf {
+        let obstacle = folder.join("proved.json.new");
+        fs::create_dir(&obstacle).unwrap();
+        obstacle
+    }
+
+    #[test]
+    fn a_proof_that_could_not_be_written_is_written_by_the_next_attempt() {
+        let folder = tempfile::tempdir().unwrap();
+        let obstacle = obstruct(folder.path());
+        let mut state = StateFile::load(folder.path());
+        assert!(state.add(PROOFS[0]).is_err());
+        // It is not taken for written because it is known.
+        assert!(state.add(PROOFS[0]).is_err());
+        assert!(state.retry().is_err());
+        fs::remove_dir(obstacle).unwrap();
+        state.retry().unwrap();
+        assert_eq!(read(&folder.path().join(NAME)).unwrap(), PROOFS[..1]);
+    }
+
+    #[test]
+    fn a_removed_proof_is_forgotten_after_a_restart_too_and_can_be_added_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(NAME);
+        let mut state = StateFile::load(folder.path());
+        for proof in PROOFS {
+            state.add(proof).unwrap();
+        }
+        state.remove(PROOFS[0]).unwrap();
+        assert_eq!(state.proofs(), Proofs::of(&PROOFS[1..]));
+        assert_eq!(read(&path).unwrap(), PROOFS[1..]);
+        let mut state = StateFile::load(folder.path());
+        // An unknown one changes nothing.
+        state.remove(PROOFS[0]).unwrap();
+        assert_eq!(read(&path).unwrap(), PROOFS[1..]);
+        state.add(PROOFS[0]).unwrap();
+        assert_eq!(read(&path).unwrap(), [PROOFS[1], PROOFS[0]]);
+    }
+
+    #[test]
+    fn a_removal_that_cannot_be_written_leaves_no_file_until_it_can() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(NAME);
+        let mut state = StateFile::load(folder.path());
+        for proof in PROOFS {
+            state.add(proof).unwrap();
+        }
+        let obstacle = obstruct(folder.path());
+        state.remove(PROOFS[0]).unwrap();
+        assert!(!path.exists());
+        assert_eq!(StateFile::load(folder.path()).proofs(), Proofs::default());
+        fs::remove_dir(obstacle).unwrap();
+        state.retry().unwrap();
+        assert_eq!(read(&path).unwrap(), PROOFS[1..]);
     }
 }

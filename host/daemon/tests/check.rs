@@ -6,7 +6,12 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-use std::{fs, path::Path, process::Command};
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::Path,
+    process::{Command, Stdio},
+};
 
 const EXAMPLE: &str = include_str!("../singletrackd.example.toml");
 
@@ -149,4 +154,55 @@ fn the_tutorial_starts_the_car_where_it_can_drive() {
     let folder = tempfile::tempdir().unwrap();
     let (status, _, error) = check(folder.path(), &example(folder.path()), &["--start", start]);
     assert_eq!(status, 0, "{error}");
+}
+
+/// The log of a daemon with `--arm`, up to the start of its control thread.
+fn log_with_arm(folder: &Path, text: &str) -> Vec<String> {
+    let path = folder.join("car.toml");
+    fs::write(&path, text).unwrap();
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
+        .args(["--arm", "--config"])
+        .arg(&path)
+        .env("NO_COLOR", "1")
+        .env_remove("NOTIFY_SOCKET")
+        .env_remove("RUST_LOG")
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut log = Vec::new();
+    for line in BufReader::new(daemon.stderr.take().unwrap()).lines() {
+        log.push(line.unwrap());
+        if log.last().unwrap().contains("control thread started") {
+            break;
+        }
+    }
+    daemon.kill().unwrap();
+    daemon.wait().unwrap();
+    log
+}
+
+#[test]
+fn the_daemon_does_not_arm_by_itself_what_its_check_finds_impossible() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = example(folder.path()).replace(
+        "server = \"192.168.1.10\"",
+        "server = \"127.0.0.1\"\ncommand_port = 9",
+    );
+    let refused = |log: &[String]| log.iter().any(|line| line.contains("--arm: not armed"));
+    let log = log_with_arm(
+        folder.path(),
+        &good.replace("radius_m = 0.85", "radius_m = 0.6"),
+    );
+    assert!(refused(&log), "{log:?}");
+    // The daemon runs: a client may set another reference.
+    assert!(
+        log.last().unwrap().contains("control thread started"),
+        "{log:?}"
+    );
+    let log = log_with_arm(folder.path(), &good);
+    assert!(!refused(&log), "{log:?}");
+    assert!(
+        log.last().unwrap().contains("control thread started"),
+        "{log:?}"
+    );
 }

@@ -158,7 +158,7 @@ fn a_hang_up_is_detected_at_once_and_the_port_is_opened_again() {
 }
 
 #[test]
-fn a_daemon_whose_car_stands_ends_within_50_ms() {
+fn a_daemon_whose_car_stands_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("board");
     let terminal = Terminal::open();
@@ -166,11 +166,10 @@ fn a_daemon_whose_car_stands_ends_within_50_ms() {
     let daemon = start(&port);
     let mut board = Board::new(terminal);
     board.connect(&daemon);
-    let begin = std::time::Instant::now();
+    // That it takes one tick is tested in virtual time: a busy machine takes longer.
     let summary = daemon.stop().unwrap();
-    let took = begin.elapsed();
-    assert!(took < Duration::from_millis(50), "{took:?}");
     assert!(summary.figures.ticks > 0);
+    assert_eq!(summary.figures.driving_ticks, 0);
 }
 
 #[test]

@@ -118,7 +118,7 @@ impl Consistency {
     }
 }
 
-/// FNV-1a of a datagram: it distinguishes contents, and resists nobody.
+/// FNV-1a of a datagram: it distinguishes contents; it is not cryptographic.
 pub(crate) fn digest(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)

@@ -33,7 +33,7 @@ pub struct ArmArgs {
     /// Drive for this time, such as 60s, and stop; also if this command ends
     #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
     time: Option<Duration>,
-    /// Arm and return: nobody attends the drive, which goes on until something stops it
+    /// Arm and return: the drive is unattended and continues until a stop
     #[arg(long, conflicts_with = "time")]
     unattended: bool,
 }

@@ -79,7 +79,7 @@ fn the_first_metre_of_an_unproved_car_finds_what_contradicts_within_half_a_metre
             );
             let way = summary.way_m + summary.way_after_m;
             assert!(way <= MOST_WAY, "{differs}{course}: {summary:?}");
-            // Double pulses let the car drive twice as fast until they show.
+            // With half of the pulses the car drives twice as fast until that shows.
             let speed = if reason == "motor-speed-mismatch" {
                 2.0 * SPEED
             } else {
@@ -121,6 +121,11 @@ fn what_shows_before_arming_refuses_it() {
         (
             "[truth.cameras]\nfrozen_from_s = 0.0\nfrozen_ms = 60000\n[operator]\narm = false\n",
             "pose-frozen",
+        ),
+        // The bound on the error of a mid-exposure is half an echo's way, over 0.1 ms.
+        (
+            "[watch]\nmax_capture_uncertainty_ms = 0.05\n",
+            "capture-time-uncertain",
         ),
         ("[truth.imu]\nself_test = 11\n", "imu-fault"),
         ("[truth.battery]\ndivider_open = true\n", "battery-open"),

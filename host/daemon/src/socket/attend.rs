@@ -1,4 +1,4 @@
-//! A drive that somebody attends: the connection that armed it, or a time, holds it.
+//! An attended drive: the connection that armed it, or a time limit, holds it.
 //!
 //! The control loop wants a renewal at least every 0.5 s. For `hold` every renewal comes from
 //! the client; for `timed` a task of this thread renews until the time is over. If this thread
@@ -27,7 +27,10 @@ use tokio::{
 
 use super::{
     command::{Attendance, Command, SOCKET_VERSION},
-    serve::{LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, not_ready, send, skip_line},
+    serve::{
+        LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, not_ready, pass_setpoint, send,
+        skip_line,
+    },
 };
 use crate::{
     clock::monotonic_ns,
@@ -371,10 +374,8 @@ async fn attend(
             Ok(Command::Ask(question)) => {
                 send(write, &answer(question, daemon).await).await?;
             }
-            Ok(Command::Setpoint(setpoint)) if daemon.reconfigurer.takes_setpoints() => {
-                daemon.setpoints.send(&setpoint);
-            }
-            Ok(_) => {
+            Ok(Command::Setpoint(setpoint)) => pass_setpoint(write, daemon, &setpoint).await?,
+            Ok(Command::Arm(_) | Command::SetReference(_) | Command::Watch { .. }) => {
                 let error = "this connection holds a drive: it takes hold, status, disarm, stop \
                              and setpoint";
                 send(write, &failure(error)).await?;
@@ -408,7 +409,226 @@ fn ended(mode: Mode, reason: Option<Reason>) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use core::{
+        pin::pin,
+        task::{Context, Poll, Waker},
+    };
+    use std::sync::mpsc;
+
+    use rtrb::{Consumer, RingBuffer};
+    use singletrack_core::{Config, Host, HostOptions, Requests};
+    use singletrack_record::LinkPhase;
+    use tokio::{
+        io::AsyncWriteExt,
+        net::UnixStream,
+        runtime::{Builder, Runtime},
+    };
+
     use super::*;
+    use crate::{
+        realtime::RealTimeStatus,
+        reconfigure::Reconfigurer,
+        shared_status::SharedStatus,
+        socket::{command::Question, serve::serve},
+    };
+
+    /// A daemon without threads: the test sets the mode, and requests stay in their ring.
+    struct Bench {
+        daemon: DaemonHandle,
+        requests: Consumer<ControlRequest>,
+        runtime: Runtime,
+    }
+
+    impl Bench {
+        /// With the example's circle, which can be driven.
+        fn ready() -> Self {
+            let text = include_str!("../../singletrackd.example.toml");
+            let host = Host::<crate::serial_port::WriteHalf>::new(
+                Config::from_toml(text).unwrap(),
+                HostOptions::default(),
+            )
+            .unwrap();
+            let (ring, requests) = RingBuffer::new(16);
+            let ring = Requests::new(ring);
+            let (entries, _) = mpsc::channel();
+            let daemon = DaemonHandle {
+                status: Arc::new(SharedStatus::new()),
+                reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
+                requests: ring,
+                setpoints: host.setpoints,
+                realtime: RealTimeStatus {
+                    fifo_priority: None,
+                    memory_locked: false,
+                    idle_bounded: false,
+                    refusals: Vec::new(),
+                },
+                drives: Drives::default(),
+                live: None,
+            };
+            let bench = Self {
+                daemon,
+                requests,
+                runtime: Builder::new_current_thread().enable_all().build().unwrap(),
+            };
+            bench.tick(Mode::Ready);
+            bench
+        }
+
+        /// The pilot has this mode after a tick.
+        fn tick(&self, mode: Mode) {
+            self.daemon.status.latest().tick = Some(TickView {
+                index: 0,
+                start_ns: monotonic_ns(),
+                mode,
+                reason: None,
+                preflight: None,
+                link: LinkPhase::Ready,
+                held: false,
+                drive_time_s: None,
+                estimate: None,
+                point: None,
+                reference: None,
+                steering_rad: 0.0,
+                speed_m_s: 0.0,
+            });
+        }
+
+        /// The outcome of an `arm` during whose judgement something happens.
+        fn arm_while(&self, happens: impl FnOnce(&Self)) -> Result<(), String> {
+            let _context = self.runtime.enter();
+            let judging = self.daemon.reconfigurer.pause();
+            let mut begun = pin!(begin(&self.daemon, Attendance::Unattended));
+            // It runs up to the judgement, which waits for the configuration.
+            let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            assert!(polled.is_pending());
+            happens(self);
+            drop(judging);
+            self.runtime.block_on(begun).map(drop)
+        }
+
+        /// The refusal of an `arm`, without waiting for anything.
+        fn refusal_now(&self) -> String {
+            let begun = pin!(begin(&self.daemon, Attendance::Unattended));
+            match begun.poll(&mut Context::from_waker(Waker::noop())) {
+                Poll::Ready(Err(error)) => error,
+                Poll::Ready(Ok(_)) => "armed".to_owned(),
+                Poll::Pending => "judged".to_owned(),
+            }
+        }
+
+        fn ask(&self, question: Question) {
+            let answered = self.runtime.block_on(answer(question, &self.daemon));
+            assert_eq!(answered["ok"], true);
+        }
+
+        /// The requests that have reached the pilot.
+        fn requests(&mut self) -> Vec<ControlRequest> {
+            core::iter::from_fn(|| self.requests.pop().ok()).collect()
+        }
+    }
+
+    #[test]
+    fn a_second_arm_is_refused_while_the_first_is_judged_and_until_it_has_reached_the_pilot() {
+        let mut bench = Bench::ready();
+        let result = bench.arm_while(|bench| {
+            let error = bench.refusal_now();
+            assert!(error.contains("another client is being judged"), "{error}");
+        });
+        assert_eq!(result, Ok(()));
+        let error = bench.refusal_now();
+        assert!(error.contains("another client has just armed"), "{error}");
+        assert_eq!(bench.requests(), [ControlRequest::Pilot(PilotRequest::Arm)]);
+    }
+
+    #[test]
+    fn what_comes_while_an_arm_is_judged_ends_it() {
+        type Happens = fn(&Bench);
+        let cases: [(Happens, &str, Option<PilotRequest>); 4] = [
+            (
+                |bench| bench.ask(Question::Disarm),
+                "a disarm or a stop has come meanwhile",
+                Some(PilotRequest::Disarm),
+            ),
+            (
+                |bench| bench.ask(Question::Stop),
+                "a disarm or a stop has come meanwhile",
+                Some(PilotRequest::EmergencyStop),
+            ),
+            (
+                |bench| bench.daemon.reconfigurer.renumber(),
+                "the configuration has changed meanwhile",
+                None,
+            ),
+            (|bench| bench.tick(Mode::Idle), "mode idle", None),
+        ];
+        for (happens, refusal, request) in cases {
+            let mut bench = Bench::ready();
+            let error = bench.arm_while(happens).unwrap_err();
+            assert!(error.contains(refusal), "{refusal}: {error}");
+            let passed: Vec<_> = request.into_iter().map(ControlRequest::Pilot).collect();
+            assert_eq!(bench.requests(), passed, "{refusal}");
+            if request.is_some() {
+                // It voids no later one.
+                assert_eq!(bench.arm_while(|_| {}), Ok(()), "{refusal}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_client_that_hangs_up_while_its_arm_is_judged_arms_nothing() {
+        let mut bench = Bench::ready();
+        {
+            let _context = bench.runtime.enter();
+            let judging = bench.daemon.reconfigurer.pause();
+            let mut begun = Box::pin(begin(&bench.daemon, Attendance::Hold));
+            let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            assert!(polled.is_pending());
+            drop(begun);
+            // The judgement goes on for its own sake, one at a time.
+            let error = bench.refusal_now();
+            assert!(error.contains("another client is being judged"), "{error}");
+            drop(judging);
+        }
+        let judging = Arc::clone(&bench.daemon.drives.0.judging);
+        drop(bench.runtime.block_on(judging.lock()));
+        assert_eq!(bench.requests(), []);
+        assert_eq!(bench.arm_while(|_| {}), Ok(()));
+    }
+
+    #[test]
+    fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_drive_too() {
+        let mut bench = Bench::ready();
+        let answers = bench.runtime.block_on(async {
+            let (client, server) = UnixStream::pair().unwrap();
+            let client = async move {
+                let (read, mut write) = client.into_split();
+                let lines = concat!(
+                    r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+                    "\n",
+                    r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#,
+                    "\n",
+                    r#"{"version":2,"command":"watch"}"#,
+                    "\n",
+                );
+                write.write_all(lines.as_bytes()).await.unwrap();
+                let mut read = BufReader::new(read).lines();
+                [
+                    read.next_line().await.unwrap().unwrap(),
+                    read.next_line().await.unwrap().unwrap(),
+                ]
+            };
+            let (served, answers) = tokio::join!(serve(server, &bench.daemon), client);
+            served.unwrap();
+            answers
+        });
+        assert!(
+            answers[0].contains("set-points are not in use"),
+            "{answers:?}"
+        );
+        assert!(answers[1].contains("it takes hold, status"), "{answers:?}");
+        let requests = [PilotRequest::ArmHeld, PilotRequest::OperatorGone];
+        assert_eq!(bench.requests(), requests.map(ControlRequest::Pilot));
+    }
 
     #[test]
     fn a_ticket_of_an_earlier_drive_is_void() {

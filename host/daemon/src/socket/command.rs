@@ -35,9 +35,9 @@ pub enum Command {
 pub enum Attendance {
     /// The client: the drive ends when it stops to renew it, or when its connection ends.
     Hold,
-    /// Nobody, and the drive ends after this time.
+    /// No client; the drive ends after this time.
     Timed(Duration),
-    /// Nobody: the drive goes on until something stops it.
+    /// No client; the drive continues until a stop.
     Unattended,
 }
 

@@ -4,6 +4,7 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
+use singletrack_control::Setpoint;
 use singletrack_core::{ControlRequest, config::ReferenceSection, reconfigure::ChangeError};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
@@ -102,17 +103,26 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 send(&mut write, &set_reference(reference, daemon).await).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {
-                if daemon.reconfigurer.takes_setpoints() {
-                    daemon.setpoints.send(&setpoint);
-                } else {
-                    let error = "set-points are not in use: reference.kind is not \"external\"; \
-                                 change it with set-reference or in the configuration";
-                    send(&mut write, &failure(error)).await?;
-                }
+                pass_setpoint(&mut write, daemon, &setpoint).await?;
             }
             Err(error) => send(&mut write, &failure(error)).await?,
         }
     }
+}
+
+/// Passes a set-point on, or answers why it has no effect.
+pub(super) async fn pass_setpoint(
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+    setpoint: &Setpoint,
+) -> io::Result<()> {
+    if daemon.reconfigurer.takes_setpoints() {
+        daemon.setpoints.send(setpoint);
+        return Ok(());
+    }
+    let error = "set-points are not in use: reference.kind is not \"external\"; change it with \
+                 set-reference or in the configuration";
+    send(write, &failure(error)).await
 }
 
 /// Reads and discards up to the end of the line or of the stream.
