@@ -226,14 +226,17 @@ impl<L: Line> ControlLoop<L> {
         let tick = controller.tick(now, &mut write, &mut |event| {
             dropped += tell(&mut rings.reports, now.0, event);
         });
-        if tick.output.proved
-            && let Some(proof) = controller.proof()
-        {
-            let report = Report::Proved {
-                time_ns: now.0,
-                proof,
-            };
-            dropped += u64::from(rings.reports.push(report).is_err());
+        if let Some(proof) = controller.proof() {
+            let time_ns = now.0;
+            let proved = Report::Proved { time_ns, proof };
+            let disproved = Report::Disproved { time_ns, proof };
+            for (happened, report) in [
+                (tick.output.proved, proved),
+                (tick.output.disproved, disproved),
+            ] {
+                let lost = happened && rings.reports.push(report).is_err();
+                dropped += u64::from(lost);
+            }
         }
         let record = TickRecord {
             index: self.index,

@@ -121,7 +121,7 @@ impl Controller {
     /// A drive contradicted the configuration in force on this car: it counts as unproved, and
     /// the pilot is told so before its next tick. Returns the proof that is void, for the state
     /// file; `None` if there was none.
-    pub fn disproved(&mut self) -> Option<Proof> {
+    fn disproved(&mut self) -> Option<Proof> {
         let proof = self.proof()?;
         let was_proved = self.proofs.remove(proof);
         if was_proved {
@@ -300,6 +300,9 @@ impl Controller {
             && let Some(proof) = self.proof()
         {
             self.proofs.insert(proof);
+        }
+        if output.disproved {
+            self.disproved();
         }
 
         // The drive command is written first: it must not be late.
