@@ -119,15 +119,11 @@ impl Controller {
     }
 
     /// A drive contradicted the configuration in force on this car: it counts as unproved, and
-    /// the pilot is told so before its next tick. Returns the proof that is void, for the state
-    /// file; `None` if there was none.
-    fn disproved(&mut self) -> Option<Proof> {
-        let proof = self.proof()?;
-        let was_proved = self.proofs.remove(proof);
-        if was_proved {
+    /// the pilot is told so before its next tick.
+    fn disproved(&mut self) {
+        if self.proof().is_some_and(|proof| self.proofs.remove(proof)) {
             self.tell_proved();
         }
-        was_proved.then_some(proof)
     }
 
     /// Tells the pilot whether the configuration in force is proved on this car.
@@ -566,13 +562,18 @@ mod tests {
             5,
             Proofs::of(&[proof(1), proof(2)]),
         );
-        assert_eq!(controller.disproved(), None, "before the board's number");
+        controller.disproved();
+        assert!(
+            controller.proofs.contains(proof(1)),
+            "before the board's number"
+        );
         controller.car_id = Some(1);
-        assert_eq!(controller.disproved(), Some(proof(1)));
+        controller.disproved();
+        assert!(!controller.proofs.contains(proof(1)));
         assert_eq!(controller.events.as_slice(), [Event::Proved(false)]);
         assert!(controller.proofs.contains(proof(2)));
         // It is void already.
-        assert_eq!(controller.disproved(), None);
+        controller.disproved();
         assert_eq!(controller.events.len(), 1);
     }
 }

@@ -10,7 +10,7 @@ use singletrack_core::{
     HostOptions, Proof, Proofs,
     config::{Config, ReferenceSection},
 };
-use singletrack_pilot::{Event, Mode};
+use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_record::{Entry, Replay};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -31,19 +31,26 @@ fn config() -> Config {
     config
 }
 
-fn drive(proofs: &[Proof]) -> VirtualDrive {
+fn simulation() -> SimulationConfig {
     let mut simulation = SimulationConfig::default();
     simulation.car.start = StartPose {
         x_m: 1.5,
         y_m: -0.5,
         yaw_rad: core::f64::consts::FRAC_PI_2,
     };
-    let options = HostOptions {
+    simulation
+}
+
+fn options(proofs: &[Proof]) -> HostOptions {
+    HostOptions {
         nonce_seed: 3,
         proofs: Proofs::of(proofs),
         ..HostOptions::default()
-    };
-    VirtualDrive::with_options(config(), simulation, options).unwrap()
+    }
+}
+
+fn drive(proofs: &[Proof]) -> VirtualDrive {
+    VirtualDrive::with_options(config(), simulation(), options(proofs)).unwrap()
 }
 
 /// What a drive of eight seconds came to.
@@ -153,4 +160,37 @@ fn a_replay_repeats_the_proving_run_bit_for_bit() {
         proved += usize::from(output.proved);
     }
     assert_eq!(proved, 1);
+}
+
+#[test]
+fn a_contradiction_of_a_proved_car_makes_its_next_drive_slow_again() {
+    let proof = run(drive(&[])).proof;
+    let mut turned = simulation();
+    turned.car.servo.gain_us_per_rad = 800.0;
+    let mut drive = VirtualDrive::with_options(config(), turned, options(&[proof])).unwrap();
+    let start = drive.start().unwrap().now;
+    let mut disproved = 0;
+    let mut speeds = [0.0_f64; 2];
+    let mut again = false;
+    loop {
+        let tick = drive.step();
+        let elapsed = tick.now.seconds_since(start);
+        let output = &tick.tick.output;
+        disproved += usize::from(output.disproved);
+        let part = &mut speeds[usize::from(again)];
+        *part = part.max(tick.truth.speed);
+        if output.mode == Mode::Idle && !again {
+            assert_eq!(output.reason, Some(Reason::SteeringDiffers));
+            again = true;
+            drive.request(PilotRequest::Disarm);
+        } else if again && output.mode == Mode::Ready {
+            drive.request(PilotRequest::Arm);
+        }
+        if elapsed > 8.0 {
+            break;
+        }
+    }
+    assert_eq!(disproved, 1);
+    assert!(again && speeds[0] > 2.0 * SLOW, "{speeds:?}");
+    assert!(speeds[1] > 0.2 && speeds[1] <= SLOW, "{speeds:?}");
 }
