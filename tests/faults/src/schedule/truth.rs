@@ -107,6 +107,18 @@ deviations! {
     Ringing = "ringing-edges", 0..=0, of 0..=20;
     /// The battery has given v mAh.
     Drained = "drained-mah", 0..=800, of 0..=3_000;
+    /// v in 1000 IMU samples are torn: their low bytes are those of the sample before.
+    ImuTorn = "imu-torn-permille", 0..=0, of 0..=1_000;
+    /// The IMU's calibration of its parts, 0 (none) to 3 (full).
+    ImuCalibration = "imu-calibration", 3..=3, of 0..=3;
+    /// The IMU's register `SYS_STATUS`; 5 while its fusion runs.
+    ImuStatus = "imu-status", 5..=5, of 0..=255;
+    /// The IMU's register `SYS_ERR`.
+    ImuError = "imu-error", 0..=0, of 0..=255;
+    /// The IMU's register `ST_RESULT`; 15 if all self-tests passed.
+    ImuSelfTest = "imu-self-test", 15..=15, of 0..=15;
+    /// 1: the battery is not connected to the board.
+    DividerOpen = "divider-open", 0..=0, of 0..=1;
 }
 
 impl Deviation {
