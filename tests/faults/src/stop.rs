@@ -89,11 +89,26 @@ impl Stop {
     }
 
     /// Whether the car brakes less than configured although its motor is free.
+    ///
+    /// It must brake: a car that has hardly slowed down when board and host must have
+    /// noticed is not weak, its motor drives. They notice after the longest roll-out and
+    /// half a second; the ESC may then hold its last pulse for the true time of signal
+    /// loss.
     pub(crate) fn is_weak(&self, spec: &Spec) -> bool {
-        self.deceleration()
-            .is_some_and(|(deceleration, _)| deceleration < spec.braking)
+        let noticed_us = spec.max_roll_out_us + NOTICED_US + spec.true_signal_loss_us;
+        let may_keep_its_speed = self.now_us <= self.began_us + self.held_us + noticed_us;
+        self.deceleration().is_some_and(|(deceleration, _)| {
+            deceleration < spec.braking
+                && (may_keep_its_speed || deceleration >= LEAST_SHARE * spec.braking)
+        })
     }
 }
+
+/// Time in which a board or a host notices that the wheels do not come to rest, in µs.
+const NOTICED_US: u64 = 500_000;
+
+/// The share of the configured deceleration below which a stop is not obeyed.
+pub(crate) const LEAST_SHARE: f64 = 0.15;
 
 /// Tolerances of way and time: the noise of the speed when the stop begins.
 const WAY_M: f64 = 0.05;
