@@ -214,6 +214,12 @@ fn true_car(schedule: &Schedule) -> CarParameters {
     if let Some(viscous) = stated(Deviation::Viscous) {
         motor.viscous_per_s = 1e-3 * viscous;
     }
+    if let Some(dead_time) = stated(Deviation::EscDeadTime) {
+        motor.dead_time_us = (1e3 * dead_time) as u64;
+    }
+    if let Some(lag) = stated(Deviation::MotorLag) {
+        motor.lag_s = 1e-3 * lag;
+    }
     motor.kind = truth.esc.unwrap_or(situation.esc_kind);
     motor.signal_loss_us = motor.kind.signal_loss_us();
     motor.kill_relay = situation.kill_output;

@@ -7,10 +7,10 @@ use crate::{
     pins::{Effect, Pulse},
 };
 
-/// Time from the decision to stop until the car decelerates, in µs: 120 ms for which the
-/// last command may be obeyed if the host dies with it, one servo frame, the dead time of
-/// an ESC and the lag of a motor.
-pub(crate) const REACTION_US: u64 = 120_000 + 20_000 + 20_000 + 110_000;
+/// Time from the decision to stop until the car decelerates, in µs, as it is promised: 120 ms
+/// to the neutral pulse if the host dies with its last command, and the 0.1 s of reaction
+/// that the geofence assumes.
+pub(crate) const REACTION_US: u64 = 120_000 + 100_000;
 
 /// Time from a neutral pulse until the motor is free, in µs.
 const RELEASE_US: u64 = 100_000;

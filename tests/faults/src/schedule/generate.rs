@@ -185,8 +185,11 @@ fn gross(random: &mut Random, car: &TrueCar) -> (Deviation, i32) {
         D::MotorGain => random.choose(-500, &[-300, 300, 600, 1_000]),
         D::Rolling => random.choose(150, &[200, 250, 2_000, 4_000]),
         D::Viscous => random.signed(1_200, 5_000),
-        D::EscNeutral => sign * random.signed(15, 80),
+        // Farther off, no brake pulse fits below the deadband.
+        D::EscNeutral => sign * random.signed(15, 70),
         D::EscDeadband => random.choose(-26, &[-15, 15, 30, 100]),
+        D::EscDeadTime => random.choose(0, &[100, 150, 200]),
+        D::MotorLag => random.choose(20, &[150, 250, 400]),
         D::SignalLoss => random.choose(20, &[50, 1_500, 2_000, 3_000]),
         D::BodyYaw => sign * random.spread(60, 3_142) as i32,
         D::PivotForward | D::PivotLeft => sign * random.spread(20, 400) as i32,

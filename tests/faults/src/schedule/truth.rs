@@ -63,6 +63,10 @@ deviations! {
     EscNeutral = "esc-neutral-us", -10..=10, of -200..=200;
     /// The half width of the ESC's deadband is v µs larger.
     EscDeadband = "esc-deadband-us", -8..=8, of -26..=100;
+    /// Time from a pulse to the motor's response, in ms.
+    EscDeadTime = "esc-dead-time-ms", 10..=60, of 0..=500;
+    /// Time constant of the motor's lag, in ms.
+    MotorLag = "motor-lag-ms", 50..=100, of 20..=1_000;
     /// Time without pulses after which the ESC releases the motor, in ms.
     SignalLoss = "esc-signal-loss-ms", 100..=1_000, of 20..=3_000;
     /// The axes of the rigid body are turned by v mrad.
