@@ -39,6 +39,9 @@ pub(crate) struct Spec {
     pub(crate) max_roll_out_us: u64,
     /// Time without pulses after which the true ESC releases the motor.
     pub(crate) true_signal_loss_us: u64,
+    /// Time from a neutral pulse until the true motor is free, in µs: the dead time of its
+    /// ESC, and 80 ms.
+    pub(crate) true_release_us: u64,
     /// True over configured distance of a motor pulse.
     pub(crate) true_pulse_share: f64,
     /// How much younger than they are the server's stamps make poses: in µs, and its
@@ -81,6 +84,7 @@ impl Spec {
             braking: config.fence.braking_m_s2,
             max_roll_out_us: us(board.max_roll_out_ms.into()),
             true_signal_loss_us: world.car.motor.signal_loss_us,
+            true_release_us: world.car.motor.dead_time_us + 80_000,
             true_pulse_share: world.car.motor_sensor.pulse_distance_um
                 / f64::from(board.speed.pulse_distance_um),
             true_stamp_error: [
@@ -111,10 +115,10 @@ impl Spec {
         (bias_us + growth * now_us as f64).max(0.0) as u64
     }
 
-    /// Whether the stamps leave the frames by more than 0.5 ms a second.
+    /// Whether the stamps leave the frames by more than 0.05 ms a second.
     pub(crate) const fn stamps_drift(&self) -> bool {
         let [_, growth] = self.true_stamp_error;
-        growth.abs() > 5e-4
+        growth.abs() > 5e-5
     }
 
     /// Whether the board may brake.

@@ -12,9 +12,6 @@ use crate::{
 /// that the geofence assumes.
 pub(crate) const REACTION_US: u64 = 120_000 + 100_000;
 
-/// Time from a neutral pulse until the motor is free, in µs.
-const RELEASE_US: u64 = 100_000;
-
 /// A car that is slower stands, in m/s.
 pub(crate) const STANDING: f64 = 0.03;
 
@@ -217,11 +214,11 @@ impl Stops {
         }
         if let Some(rolling) = &mut stop.rolling
             && rolling.from.is_none()
-            && now_us >= rolling.since_us + RELEASE_US
+            && now_us >= rolling.since_us + step.spec.true_release_us
         {
             rolling.from = Some((speed, stop.way));
         }
-        stop.stood |= speed < STANDING && now_us > stop.began_us + RELEASE_US;
+        stop.stood |= speed < STANDING && now_us > stop.began_us + step.spec.true_release_us;
     }
 
     fn begin(&mut self, step: &Step<'_>) {
