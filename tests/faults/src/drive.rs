@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use singletrack_control::{Setpoint, Velocity};
 use singletrack_core::config::Config;
-use singletrack_pilot::{PilotRequest, Reason};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, ReceivedMessage, World};
@@ -23,7 +23,7 @@ use crate::{
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
     stage,
-    stop::{Step, Stops},
+    stop::{STANDING, Step, Stops},
     tamper::{Tamper, TamperedPins},
 };
 
@@ -138,6 +138,12 @@ struct Drive<'a> {
     pulses: u64,
     /// Whether the running daemon has proved its configuration, or need not.
     is_proved: bool,
+    /// True way of the car when it was last armed, in m.
+    armed_at_m: f64,
+    /// The car has not stood since somebody pushed it.
+    is_pushed: bool,
+    /// The last tick followed the reference.
+    was_driving: bool,
     /// The configuration in force, and those that have been proved.
     toml: String,
     proved: BTreeSet<String>,
@@ -200,6 +206,9 @@ impl<'a> Drive<'a> {
             resets: 0,
             pulses: 0,
             is_proved: schedule.situation.proved,
+            armed_at_m: 0.0,
+            is_pushed: false,
+            was_driving: false,
             toml: String::new(),
             proved: BTreeSet::new(),
             pins: Pins::default(),
@@ -527,7 +536,9 @@ impl<'a> Drive<'a> {
             tamper.tick(tick);
         }
         let truth = self.world.truth();
-        let board_mode = self.world.board().telemetry().map(|record| record.mode);
+        let telemetry = self.world.board().telemetry();
+        let board_mode = telemetry.map(|record| record.mode);
+        let board_cause = telemetry.map(|record| record.stop_cause);
         let board_is_armed = is_running
             && matches!(
                 board_mode,
@@ -536,8 +547,19 @@ impl<'a> Drive<'a> {
         let moved_by_hand = self.schedule.faults.iter().any(|fault| {
             let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
             let rolls_us = (2e6 / self.spec.braking) as u64;
-            fault.kind == FaultKind::Push && (from..to + rolls_us + 500_000).contains(&now_us)
+            if fault.kind != FaultKind::Push || !(from..to + rolls_us + 500_000).contains(&now_us) {
+                return false;
+            }
+            // A blow acts within the step.
+            self.is_pushed |= now_us <= to + LOOK_US;
+            self.is_pushed &= now_us <= to + LOOK_US || truth.speed.abs() >= STANDING;
+            self.is_pushed
         });
+        let tick_mode = tick.as_ref().map(|tick| tick.output.mode);
+        if tick_mode == Some(Mode::Arming) {
+            self.armed_at_m = truth.way;
+        }
+        let way_since_arm = truth.way - self.armed_at_m;
         self.stops.step(&Step {
             now_us,
             spec: &self.spec,
@@ -546,7 +568,7 @@ impl<'a> Drive<'a> {
             pulses,
             board_is_armed,
             moved_by_hand,
-            mode: tick.as_ref().map(|tick| tick.output.mode),
+            mode: tick_mode,
         });
         let observation = Observation {
             now_us,
@@ -557,8 +579,10 @@ impl<'a> Drive<'a> {
             board_received: heard,
             board_since_us: self.board_since_us,
             board_mode,
+            board_cause,
             board_is_armed,
             is_proved: self.is_proved,
+            way_since_arm,
             esc_has_power: self.world.car().esc_has_power(),
             moved_by_hand,
             tick: tick.as_ref(),
@@ -594,15 +618,29 @@ impl<'a> Drive<'a> {
                     false
                 }
             });
-        // From the next tick on.
-        if tick.as_ref().is_some_and(|tick| tick.output.proved) {
-            self.is_proved = true;
-            self.proved.insert(self.toml.clone());
+        if let Some(tick) = &tick {
+            self.note_proof(tick, way_since_arm);
         }
         if has_ticked {
             self.pending_requests.clear();
         }
         Ok(())
+    }
+
+    /// A proof counts from the next tick on, if the car has driven far enough for it (see
+    /// `false-proof`). A contradiction revokes it.
+    fn note_proof(&mut self, tick: &TickRecord, way_since_arm: f64) {
+        let output = &tick.output;
+        if output.proved && way_since_arm >= invariant::METRE {
+            self.is_proved = true;
+            self.proved.insert(self.toml.clone());
+        }
+        let drives = matches!(output.mode, Mode::Driving | Mode::Slowing);
+        let ends = core::mem::replace(&mut self.was_driving, drives) && !drives;
+        if ends && output.reason.is_some_and(invariant::is_contradiction) {
+            self.proved.remove(&self.toml);
+            self.is_proved = self.schedule.situation.proved;
+        }
     }
 
     /// Passes the bytes that the daemon wrote to the line.

@@ -404,10 +404,15 @@ impl Network {
                 move_by(&mut other, metres);
                 content.bodies.extend(other);
             }
-            FaultKind::CameraSpoofed => {
+            FaultKind::CameraSpoofed | FaultKind::CameraForged => {
                 // Half a frame later, in content and in time.
-                let (car, ticks) = (content.car, content.ticks);
-                move_by(&mut content.car, metres);
+                let (car, ticks, number) = (content.car, content.ticks, content.number);
+                if fault.kind == FaultKind::CameraForged {
+                    content.number = number.wrapping_add(1);
+                    move_by(&mut content.car, metres * since_s(now_us, fault));
+                } else {
+                    move_by(&mut content.car, metres);
+                }
                 let later = HALF_FRAME_US * (TICKS_PER_SECOND / 1_000_000);
                 content.ticks.mid_exposure += later;
                 content.ticks.received += later;
@@ -423,10 +428,10 @@ impl Network {
                 }
                 content.car = car;
                 content.ticks = ticks;
+                content.number = number;
             }
             FaultKind::CameraDrift => {
-                let since_s = (now_us / 1_000).saturating_sub(fault.at_ms.into()) as f32 * 1e-3;
-                move_by(&mut content.car, metres * since_s);
+                move_by(&mut content.car, metres * since_s(now_us, fault));
                 content.exposure.falsified = true;
             }
             _ => {}
@@ -524,6 +529,11 @@ impl Network {
 
 fn is_active(faults: &[Fault], kind: FaultKind) -> bool {
     faults.iter().any(|fault| fault.kind == kind)
+}
+
+/// Time since the onset of the fault, in s.
+fn since_s(now_us: u64, fault: &Fault) -> f32 {
+    (now_us / 1_000).saturating_sub(fault.at_ms.into()) as f32 * 1e-3
 }
 
 fn move_by(body: &mut Option<RigidBody>, metres: f32) {

@@ -3,7 +3,7 @@
 
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
-use singletrack_protocol::{BoardMode, Configuration, EscKind, ToBoard};
+use singletrack_protocol::{BoardMode, Configuration, EscKind, StopCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{ReceivedMessage, SimulationConfig, Truth};
 
@@ -39,6 +39,11 @@ pub(crate) struct Spec {
     pub(crate) max_roll_out_us: u64,
     /// Time without pulses after which the true ESC releases the motor.
     pub(crate) true_signal_loss_us: u64,
+    /// Time from a neutral pulse until the true motor is free, in µs: the dead time of its
+    /// ESC, and 80 ms.
+    pub(crate) true_release_us: u64,
+    /// True over configured distance of a motor pulse.
+    pub(crate) true_pulse_share: f64,
     /// How much younger than they are the server's stamps make poses: in µs, and its
     /// growth per µs.
     true_stamp_error: [f64; 2],
@@ -79,6 +84,9 @@ impl Spec {
             braking: config.fence.braking_m_s2,
             max_roll_out_us: us(board.max_roll_out_ms.into()),
             true_signal_loss_us: world.car.motor.signal_loss_us,
+            true_release_us: world.car.motor.dead_time_us + 80_000,
+            true_pulse_share: world.car.motor_sensor.pulse_distance_um
+                / f64::from(board.speed.pulse_distance_um),
             true_stamp_error: [
                 1e3 * world.cameras.stamp_bias_ms,
                 1e-6 * world.cameras.stamp_drift_ppm,
@@ -107,10 +115,10 @@ impl Spec {
         (bias_us + growth * now_us as f64).max(0.0) as u64
     }
 
-    /// Whether the stamps leave the frames by more than 0.5 ms a second.
+    /// Whether the stamps leave the frames by more than 0.05 ms a second.
     pub(crate) const fn stamps_drift(&self) -> bool {
         let [_, growth] = self.true_stamp_error;
-        growth.abs() > 5e-4
+        growth.abs() > 5e-5
     }
 
     /// Whether the board may brake.
@@ -159,10 +167,14 @@ pub(crate) struct Observation<'a> {
     pub(crate) board_since_us: Option<u64>,
     /// Mode in the board's last telemetry.
     pub(crate) board_mode: Option<BoardMode>,
+    /// Cause of its last stop, there.
+    pub(crate) board_cause: Option<StopCause>,
     /// Whether the running board was armed at that time.
     pub(crate) board_is_armed: bool,
     /// Whether the configuration in force is proved.
     pub(crate) is_proved: bool,
+    /// True way since the car was armed, in m.
+    pub(crate) way_since_arm: f64,
     /// Whether the ESC has its supply.
     pub(crate) esc_has_power: bool,
     /// Whether somebody pushes the car, or it still rolls from that.
@@ -281,8 +293,10 @@ pub(crate) mod scene {
                 board_received: &[],
                 board_since_us: Some(65_000),
                 board_mode: None,
+                board_cause: None,
                 board_is_armed: true,
                 is_proved: true,
+                way_since_arm: 2.0,
                 esc_has_power: true,
                 moved_by_hand: false,
                 tick: None,

@@ -55,11 +55,39 @@ pub(crate) const BRAKE_US: u64 = 500_000 + 20_000 + 10_000 + 2_500;
 /// Neutral before any configuration.
 const NEUTRAL_US: u16 = 1_500;
 
+/// Frames beyond the deadband after which an ESC has seen that it is driven forward: 60 ms.
+const DRIVEN_FRAMES: u8 = 3;
+
+/// Whether an ESC has been driven forward, so that the next pulse below neutral brakes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Forward {
+    frames: u8,
+    driven: bool,
+}
+
+impl Forward {
+    /// Takes a frame without a brake pulse.
+    pub(crate) fn frame(&mut self, spec: &Spec, record: &PulseRecord) {
+        let esc = &spec.board.esc;
+        let drives = record.esc_us > esc.neutral_us + esc.deadband_us && !record.cut;
+        self.frames = if drives {
+            self.frames.saturating_add(1)
+        } else {
+            0
+        };
+        self.driven |= self.frames >= DRIVEN_FRAMES;
+    }
+
+    pub(crate) const fn has_driven(&self) -> bool {
+        self.driven
+    }
+}
+
 /// Follows the pulses.
 #[derive(Debug, Default)]
 pub(crate) struct Pins {
     /// Driven forward since the last brake pulse.
-    driven_forward: bool,
+    forward: Forward,
     /// Start of the present brake pulse.
     brake_since_us: Option<u64>,
 }
@@ -69,10 +97,9 @@ impl Pins {
         let effect = self.effect(spec, &record);
         if effect != Effect::Brake {
             if self.brake_since_us.take().is_some() {
-                self.driven_forward = false;
+                self.forward = Forward::default();
             }
-            let forward = record.esc_us > spec.board.esc.neutral_us + TOLERANCE_US;
-            self.driven_forward |= forward && !record.cut;
+            self.forward.frame(spec, &record);
         }
         Pulse { record, effect }
     }
@@ -93,7 +120,7 @@ impl Pins {
         }
         let since_us = self.brake_since_us.or_else(|| {
             // Without a drive forward before it, the pulse is reverse.
-            self.driven_forward.then_some(record.time_us)
+            self.forward.has_driven().then_some(record.time_us)
         });
         match since_us {
             Some(since_us) if record.time_us - since_us <= BRAKE_US => {
@@ -128,38 +155,42 @@ mod tests {
             pulses.iter().map(effect).collect::<Vec<_>>()
         };
         use Effect::{Absent, Brake, Drive, Neutral};
-        let drive = [
-            (0, 1_500),
-            (20, 1_560),
-            (40, 1_350),
-            (500, 1_350),
-            (560, 1_350),
-        ];
+        let driven = [(0, 1_560), (20, 1_560), (40, 1_560)];
+        let drive = |rest: &[(u64, u16)]| [&driven, rest].concat();
+        let brakes = drive(&[(60, 1_350), (500, 1_350), (600, 1_350)]);
         scene.spec.board.esc.kind = EscKind::ForwardReverse;
         assert_eq!(
-            effects(&scene.spec, &drive),
-            [Neutral, Drive, Drive, Drive, Drive],
+            effects(&scene.spec, &brakes),
+            [Drive; 6],
             "an ESC without a brake"
         );
         scene.spec.board.esc.kind = EscKind::Car;
         assert_eq!(
-            effects(&scene.spec, &drive),
-            [Neutral, Drive, Brake, Brake, Brake]
-        );
-        assert_eq!(
-            effects(&scene.spec, &[(20, 1_560), (40, 1_350), (580, 1_350)]),
-            [Drive, Brake, Drive],
+            effects(&scene.spec, &brakes),
+            [Drive, Drive, Drive, Brake, Brake, Drive],
             "too long"
+        );
+        let paused = [
+            (0, 1_560),
+            (20, 1_560),
+            (40, 1_500),
+            (60, 1_560),
+            (80, 1_350),
+        ];
+        assert_eq!(
+            effects(&scene.spec, &paused),
+            [Drive, Drive, Neutral, Drive, Drive],
+            "not driven for three frames without a pause"
         );
         assert_eq!(
             effects(&scene.spec, &[(0, 1_500), (20, 1_350)]),
             [Neutral, Drive],
             "never driven"
         );
-        let twice = [(0, 1_560), (20, 1_350), (40, 1_500), (60, 1_350), (80, 0)];
+        let twice = drive(&[(60, 1_350), (80, 1_500), (100, 1_350), (120, 0)]);
         assert_eq!(
-            effects(&scene.spec, &twice),
-            [Drive, Brake, Neutral, Drive, Absent]
+            effects(&scene.spec, &twice)[3..],
+            [Brake, Neutral, Drive, Absent]
         );
     }
 

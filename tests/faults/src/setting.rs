@@ -214,6 +214,12 @@ fn true_car(schedule: &Schedule) -> CarParameters {
     if let Some(viscous) = stated(Deviation::Viscous) {
         motor.viscous_per_s = 1e-3 * viscous;
     }
+    if let Some(dead_time) = stated(Deviation::EscDeadTime) {
+        motor.dead_time_us = (1e3 * dead_time) as u64;
+    }
+    if let Some(lag) = stated(Deviation::MotorLag) {
+        motor.lag_s = 1e-3 * lag;
+    }
     motor.kind = truth.esc.unwrap_or(situation.esc_kind);
     motor.signal_loss_us = motor.kind.signal_loss_us();
     motor.kill_relay = situation.kill_output;
@@ -238,6 +244,14 @@ fn true_car(schedule: &Schedule) -> CarParameters {
     imu.acceleration_scale = factor(Deviation::AccelerationScale);
     imu.vibration_m_s2 = 1e-3 * value(Deviation::Vibration);
     imu.leak_s = stated(Deviation::ImuLeak).map(|ms| 1e-3 * ms);
+    imu.torn = 1e-3 * value(Deviation::ImuTorn);
+    let register = |deviation| truth.get(deviation).map(|value| value as u8);
+    imu.calibration =
+        register(Deviation::ImuCalibration).map_or(imu.calibration, |value| [value; 3]);
+    imu.system_status = register(Deviation::ImuStatus).unwrap_or(imu.system_status);
+    imu.system_error = register(Deviation::ImuError).unwrap_or(imu.system_error);
+    imu.self_test = register(Deviation::ImuSelfTest).unwrap_or(imu.self_test);
+    car.battery.divider_open = value(Deviation::DividerOpen) > 0.0;
     if let Some(mv) = stated(Deviation::Supply) {
         car.battery.supply_v = 1e-3 * mv;
     }

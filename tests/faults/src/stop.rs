@@ -7,13 +7,10 @@ use crate::{
     pins::{Effect, Pulse},
 };
 
-/// Time from the decision to stop until the car decelerates, in µs: 120 ms for which the
-/// last command may be obeyed if the host dies with it, one servo frame, the dead time of
-/// an ESC and the lag of a motor.
-pub(crate) const REACTION_US: u64 = 120_000 + 20_000 + 20_000 + 110_000;
-
-/// Time from a neutral pulse until the motor is free, in µs.
-const RELEASE_US: u64 = 100_000;
+/// Time from the decision to stop until the car decelerates, in µs, as it is promised: 120 ms
+/// to the neutral pulse if the host dies with its last command, and the 0.1 s of reaction
+/// that the geofence assumes.
+pub(crate) const REACTION_US: u64 = 120_000 + 100_000;
 
 /// A car that is slower stands, in m/s.
 pub(crate) const STANDING: f64 = 0.03;
@@ -89,11 +86,26 @@ impl Stop {
     }
 
     /// Whether the car brakes less than configured although its motor is free.
+    ///
+    /// It must brake: a car that has hardly slowed down when board and host must have
+    /// noticed is not weak, its motor drives. They notice after the longest roll-out and
+    /// half a second; the ESC may then hold its last pulse for the true time of signal
+    /// loss.
     pub(crate) fn is_weak(&self, spec: &Spec) -> bool {
-        self.deceleration()
-            .is_some_and(|(deceleration, _)| deceleration < spec.braking)
+        let noticed_us = spec.max_roll_out_us + NOTICED_US + spec.true_signal_loss_us;
+        let may_keep_its_speed = self.now_us <= self.began_us + self.held_us + noticed_us;
+        self.deceleration().is_some_and(|(deceleration, _)| {
+            deceleration < spec.braking
+                && (may_keep_its_speed || deceleration >= LEAST_SHARE * spec.braking)
+        })
     }
 }
+
+/// Time in which a board or a host notices that the wheels do not come to rest, in µs.
+const NOTICED_US: u64 = 500_000;
+
+/// The share of the configured deceleration below which a stop is not obeyed.
+pub(crate) const LEAST_SHARE: f64 = 0.15;
 
 /// Tolerances of way and time: the noise of the speed when the stop begins.
 const WAY_M: f64 = 0.05;
@@ -202,11 +214,11 @@ impl Stops {
         }
         if let Some(rolling) = &mut stop.rolling
             && rolling.from.is_none()
-            && now_us >= rolling.since_us + RELEASE_US
+            && now_us >= rolling.since_us + step.spec.true_release_us
         {
             rolling.from = Some((speed, stop.way));
         }
-        stop.stood |= speed < STANDING && now_us > stop.began_us + RELEASE_US;
+        stop.stood |= speed < STANDING && now_us > stop.began_us + step.spec.true_release_us;
     }
 
     fn begin(&mut self, step: &Step<'_>) {

@@ -41,7 +41,8 @@ fn nothing_is_found_without_the_bugs() {
     for example in examples {
         let outcome = drive(&schedule(example), &mut Untampered, Until::End).unwrap();
         assert_eq!(outcome.violation, None, "{example}");
-        assert!(outcome.driven_ms > 500, "{example}");
+        let runs = outcome.reasons.contains("runs-at-neutral");
+        assert!(outcome.driven_ms > 500 || runs, "{example}");
     }
 }
 

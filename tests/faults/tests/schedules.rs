@@ -20,7 +20,7 @@ proptest! {
     #[test]
     fn a_generated_schedule_is_within_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
-        prop_assert!((1..=7).contains(&schedule.faults.len()));
+        prop_assert!((1..=9).contains(&schedule.faults.len()));
         prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
         prop_assert!(schedule.requests.is_sorted_by_key(|ask| ask.at_ms));
         for fault in &schedule.faults {
@@ -66,6 +66,42 @@ fn no_car_is_quite_as_configured_and_some_are_not_at_all() {
     let tolerable = schedules.iter().filter(|schedule| schedule.is_tolerable());
     let tolerable = tolerable.count();
     assert!((300..700).contains(&tolerable), "{tolerable}");
+}
+
+#[test]
+fn every_property_of_the_car_is_far_outside_its_tolerance_in_some_schedules() {
+    let schedules: Vec<_> = (0..8_000)
+        .map(|seed| Schedule::generate(seed, BoardKind::Native))
+        .collect();
+    for &deviation in Deviation::ALL {
+        // Every heading is tolerable.
+        if deviation == Deviation::SlopeHeading {
+            continue;
+        }
+        let outside = |proved: bool| {
+            let outside = schedules.iter().filter(|schedule| {
+                let value = schedule.truth.get(deviation).unwrap();
+                !deviation.tolerable().contains(&value) && schedule.situation.proved == proved
+            });
+            outside.count()
+        };
+        for proved in [false, true] {
+            assert!(outside(proved) >= 3, "{} {proved}", deviation.name());
+        }
+    }
+}
+
+#[test]
+fn some_cars_run_at_neutral() {
+    let runs = (0..500)
+        .map(|seed| Schedule::generate(seed, BoardKind::Native))
+        .filter(|schedule| schedule.situation.neutral_us != 1_500)
+        .filter(|schedule| {
+            let outcome = drive(schedule, &mut Untampered, Until::Violation).unwrap();
+            outcome.reasons.contains("runs-at-neutral")
+        });
+    let count = runs.count();
+    assert!(count >= 5, "{count}");
 }
 
 #[test]

@@ -1,19 +1,23 @@
 //! Brake pulses, the silence after an emergency stop, and the kill output.
 
-use singletrack_protocol::BoardMode;
+use singletrack_protocol::{BoardMode, StopCause};
 
-use super::{Invariant, Verdict};
-use crate::{observation::Observation, pins::BRAKE_US};
+use super::{Invariant, SERVO_US, Verdict};
+use crate::{
+    observation::{Observation, TOLERANCE_US},
+    pins::{BRAKE_US, Forward},
+};
 
 /// `brake-pulse`: while reverse is disabled, a pulse below the deadband is the brake pulse
-/// of a board that may brake. It comes once after driving forward, lasts at most half a
+/// of a board that may brake. It comes once after driving forward beyond the deadband for
+/// 60 ms (three servo frames without a pause, so that the ESC has seen it), lasts at most half a
 /// second, and ends when the wheels have stood for as long as the board needs to tell; it
 /// can't tell where interference makes edges.
 #[derive(Default)]
 pub(super) struct BrakePulse {
     since_us: Option<u64>,
     last_us: u64,
-    driven_forward: bool,
+    forward: Forward,
     stood_us: Option<u64>,
 }
 
@@ -46,16 +50,16 @@ impl Invariant for BrakePulse {
                 pulse.esc_us != 0 && !pulse.cut && pulse.esc_us < esc.neutral_us - esc.deadband_us;
             if !below {
                 if self.since_us.take().is_some() {
-                    self.driven_forward = false;
+                    self.forward = Forward::default();
                 }
-                self.driven_forward |= pulse.drives();
+                self.forward.frame(spec, pulse);
                 continue;
             }
             self.last_us = pulse.time_us;
             let since_us = *self.since_us.get_or_insert(pulse.time_us);
             let found = if !spec.brakes() {
                 "of a board that must not brake"
-            } else if !self.driven_forward {
+            } else if !self.forward.has_driven() {
                 "without a drive forward before it"
             } else if pulse.time_us - since_us > BRAKE_US {
                 "for over half a second"
@@ -78,17 +82,23 @@ impl Invariant for BrakePulse {
     }
 }
 
-/// `silent-stop`: a board that has latched an emergency stop gives neutral for a short
-/// time, then no ESC pulses until it is reset: an ESC that takes the configured neutral
-/// for a drive stops too.
+/// `silent-stop`: a board that has latched an emergency stop gives a pulse of 1500 µs for
+/// 200 ms, then no ESC pulses until it is reset: an ESC that takes the configured neutral
+/// for a drive stops too. One that has latched because the car runs at neutral gives no
+/// more pulse. In both cases the frame in progress is completed first.
 #[derive(Default)]
 pub(super) struct SilentStop {
     latched_us: Option<u64>,
     board_since_us: Option<u64>,
 }
 
-/// Neutral after an emergency stop, at most.
-const NEUTRAL_US: u64 = 500_000;
+/// The pulse after an emergency stop, which trusts no configuration.
+const NEUTRAL_US: u16 = 1_500;
+
+/// Time for which it is given, on a clock that may be 0.5 % slow; the frame in progress at
+/// its end; and the period of the telemetry that shows the stop.
+const NEUTRAL_FOR_US: u64 = 201_000;
+const TELEMETRY_US: u64 = 10_000;
 
 impl Invariant for SilentStop {
     fn name(&self) -> &'static str {
@@ -106,15 +116,25 @@ impl Invariant for SilentStop {
         let Some(latched_us) = self.latched_us else {
             return Ok(());
         };
-        let late = observation
-            .pulses
-            .iter()
-            .find(|pulse| pulse.esc_us != 0 && pulse.time_us > latched_us + NEUTRAL_US);
-        match late {
+        let runs = observation.board_cause == Some(StopCause::RunsAtNeutral);
+        let neutral_us = if runs { 0 } else { NEUTRAL_FOR_US };
+        let found = observation.pulses.iter().find(|pulse| {
+            // The telemetry may arrive before the pulse that it describes.
+            let after_us = pulse.time_us.saturating_sub(latched_us + SERVO_US + 1_000);
+            let is_neutral = pulse.esc_us.abs_diff(NEUTRAL_US) <= TOLERANCE_US;
+            let is_late = after_us > neutral_us + TELEMETRY_US;
+            pulse.esc_us != 0 && after_us > 0 && (is_late || !is_neutral)
+        });
+        match found {
             Some(pulse) => Err(format!(
-                "ESC pulse {} µs {} ms after an emergency stop was latched",
+                "ESC pulse {} µs {} ms after a stop was latched{}",
                 pulse.esc_us,
-                (pulse.time_us - latched_us) / 1_000
+                (pulse.time_us - latched_us) / 1_000,
+                if runs {
+                    ", because the car runs at neutral"
+                } else {
+                    ""
+                }
             )),
             None => Ok(()),
         }

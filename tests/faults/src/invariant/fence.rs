@@ -1,10 +1,12 @@
 //! The true position of the car.
 
+use std::collections::VecDeque;
+
 use singletrack_control::Position;
 use singletrack_pilot::Mode;
 
 use super::{Invariant, Verdict};
-use crate::observation::Observation;
+use crate::{observation::Observation, schedule::FaultKind};
 
 /// `fence`: the true centre of mass goes no farther beyond the geofence than the pilot's
 /// estimate is wrong.
@@ -14,19 +16,20 @@ use crate::observation::Observation;
 ///
 /// - 120 ms for which the last command is obeyed, if the daemon is silenced at that moment;
 ///   with a dead board, also the time for which the ESC has held its last pulse;
-/// - the largest error that the pilot's estimate of the position has had in this drive.
-///   Lies of the cameras appear here and nowhere else: the car is judged while they last
-///   and after them, and `estimate` bounds how long they may be believed;
+/// - the largest error of the pilot's estimate of the position in the last second in which
+///   it commanded the drive; what the pilot believes after the decision to stop drives
+///   nothing. Lies of the cameras appear here and nowhere else: the car is judged while they
+///   last and after them, and `estimate` bounds how long they may be believed;
 /// - 0.1 m for a bend that changes meanwhile.
 ///
 /// A car whose motor is free and that brakes less than configured may roll farther, see
 /// `stands`. A car that was armed outside, or that somebody pushed there, is not judged
-/// until it is inside again.
+/// until it is inside again; nor is one that runs at neutral without a drive (`unarmed-motion`).
 pub(super) struct Fence {
     /// Recent maximum of the speed, in m/s; frozen at the crossing.
     speed: f64,
-    /// Largest error of the estimate in this drive, in m.
-    error: f64,
+    /// The errors of the estimate in the last ticks that followed the reference, in m.
+    errors: VecDeque<f64>,
     excused: bool,
 }
 
@@ -35,7 +38,7 @@ impl Default for Fence {
     fn default() -> Self {
         Self {
             speed: 0.0,
-            error: 0.0,
+            errors: VecDeque::new(),
             excused: true,
         }
     }
@@ -43,6 +46,9 @@ impl Default for Fence {
 
 const SILENCE_S: f64 = 0.12;
 const BEND_M: f64 = 0.1;
+/// Time in which a pilot whose estimate becomes right again finds that the car is outside,
+/// in s.
+const RECENT_S: f64 = 1.0;
 
 impl Invariant for Fence {
     fn name(&self) -> &'static str {
@@ -55,13 +61,18 @@ impl Invariant for Fence {
         let clearance = observation.spec.fence.clearance(&position);
         if let Some(tick) = observation.tick {
             if tick.output.mode == Mode::Arming {
-                self.error = 0.0;
+                self.errors.clear();
                 self.speed = 0.0;
                 self.excused = clearance < 0.0;
             }
-            if let Some(estimate) = &tick.output.estimate {
-                let error = (estimate.position - position).norm();
-                self.error = self.error.max(error);
+            if matches!(tick.output.mode, Mode::Driving | Mode::Slowing)
+                && let Some(estimate) = &tick.output.estimate
+            {
+                let recent = (RECENT_S / observation.spec.period_s) as usize;
+                while self.errors.len() >= recent.max(1) {
+                    self.errors.pop_front();
+                }
+                self.errors.push_back((estimate.position - position).norm());
             }
             if clearance >= 0.0 {
                 let slower = self.speed - 2.0 * observation.spec.period_s;
@@ -73,20 +84,29 @@ impl Invariant for Fence {
             return Ok(());
         }
         self.speed = self.speed.max(truth.speed.abs());
-        self.excused |= observation.is_moved_by_hand();
         let stop = observation.stop;
+        // Somebody pushes it, or it runs at neutral without a drive: see `unarmed-motion`.
+        let stopping = stop.is_some_and(|stop| !stop.stood);
+        let unarmed = !observation.board_is_armed && !stopping;
+        self.excused |= observation.is_moved_by_hand() || unarmed;
         let held_s = stop.map_or(0.0, |stop| stop.held_us as f64 * 1e-6);
-        let allowed = (SILENCE_S + held_s) * self.speed + self.error + BEND_M;
+        let error = self.errors.iter().copied().fold(0.0, f64::max);
+        let allowed = (SILENCE_S + held_s) * self.speed + error + BEND_M;
         if -clearance <= allowed || self.excused {
             return Ok(());
         }
         if stop.is_some_and(|stop| stop.is_weak(observation.spec)) {
+            return Ok(());
+        }
+        let stuck = observation.is_active(FaultKind::EscStuck);
+        if stuck && !observation.spec.situation.kill_output {
+            // Nothing stops it.
             self.excused = true;
             return Ok(());
         }
         Err(format!(
             "{:.3} m beyond the fence, {allowed:.3} allowed from {:.2} m/s with an estimate {:.3} m off",
-            -clearance, self.speed, self.error
+            -clearance, self.speed, error
         ))
     }
 }
@@ -96,7 +116,7 @@ impl Invariant for Fence {
 /// time and 0.4 s: a lie of the cameras is found or makes no difference.
 ///
 /// A lie from before the drive can't be found until it ends, so that only the growth since
-/// the drive began counts.
+/// the car was armed counts; a pause in [`Mode::Slowing`] is not a new drive.
 #[derive(Default)]
 pub(super) struct EstimateError {
     offset: Option<[f64; 2]>,
@@ -115,8 +135,13 @@ impl Invariant for EstimateError {
         let Some(tick) = observation.tick else {
             return Ok(());
         };
-        let (Some(estimate), Mode::Driving) = (&tick.output.estimate, tick.output.mode) else {
-            *self = Self::default();
+        if tick.output.mode == Mode::Arming {
+            self.offset = None;
+        }
+        let (Some(estimate), Mode::Driving | Mode::Slowing) =
+            (&tick.output.estimate, tick.output.mode)
+        else {
+            self.since_us = None;
             return Ok(());
         };
         let truth = &observation.truth;

@@ -16,6 +16,8 @@ mod stand;
 
 use singletrack_pilot::PilotConfig;
 
+pub(crate) use proving::{METRE, is_contradiction};
+
 use crate::{
     SetupError,
     observation::Observation,
@@ -83,11 +85,13 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<stand::WeakBrakes>::default(),
         Box::<stand::StopNotObeyed>::default(),
         Box::<stand::UnarmedMotion>::default(),
+        Box::<stand::ArmingMotion>::default(),
         Box::<stand::Backward>::default(),
         Box::<brake::BrakePulse>::default(),
         Box::<brake::SilentStop>::default(),
         Box::<brake::KillOutput>::default(),
         Box::<proving::ProvingSpeed>::default(),
+        Box::<proving::FalseProof>::default(),
         Box::<proving::Acknowledged>::default(),
         Box::<proving::FaultClears>::default(),
         Box::<proving::FalseAlarm>::default(),

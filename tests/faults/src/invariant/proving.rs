@@ -24,7 +24,7 @@ pub(super) struct ProvingSpeed {
 /// Time in which the board's speed loop settles, in µs.
 const SETTLES_US: u64 = 500_000;
 
-const METRE: f64 = 0.8;
+pub(crate) const METRE: f64 = 0.8;
 
 const PROVING_MM_S: i16 = 300;
 const PROVING_M_S: f64 = 0.3 * 1.34 + 0.1;
@@ -70,6 +70,46 @@ impl Invariant for ProvingSpeed {
     }
 }
 
+/// `false-proof`: a configuration is proved only by a car that has truly driven a metre
+/// since it was armed, within the tolerance of `proving-speed`.
+///
+/// Only where the cameras show the true car, and nobody has pushed it.
+#[derive(Default)]
+pub(super) struct FalseProof {
+    deceived: bool,
+}
+
+impl Invariant for FalseProof {
+    fn name(&self) -> &'static str {
+        "false-proof"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let Some(tick) = observation.tick else {
+            return Ok(());
+        };
+        if tick.output.mode == Mode::Arming {
+            self.deceived = false;
+        }
+        self.deceived |= observation.moved_by_hand
+            || observation
+                .faults
+                .iter()
+                .any(|fault| fault.kind.falsifies_pose() || fault.kind.forges_frames());
+        let way = observation.way_since_arm;
+        if tick.output.proved && way < METRE && !self.deceived {
+            return Err(format!("proved after {way:.2} m"));
+        }
+        Ok(())
+    }
+}
+
+/// Whether a drive that ended by this showed that sensors, actuators and configuration
+/// contradict each other: it revokes a proof.
+pub(crate) fn is_contradiction(reason: Reason) -> bool {
+    CONTRADICTIONS.contains(&reason)
+}
+
 /// Words of sensors, actuators and configuration that contradict each other.
 const CONTRADICTIONS: &[Reason] = &[
     Reason::SteeringReversed,
@@ -100,7 +140,11 @@ const ALARMS: &[Reason] = &[
 ];
 
 /// `acknowledged`: after a contradiction has ended a drive, nothing is armed until somebody
-/// has asked for a disarm.
+/// has asked for a disarm; an emergency stop is none. While the configuration is unproved,
+/// motor and cameras that differ count too.
+///
+/// A daemon that was started or reconfigured since may arm. It has no proof any more, so
+/// that `proving-speed` holds.
 #[derive(Default)]
 pub(super) struct Acknowledged {
     contradiction: Option<Reason>,
@@ -128,8 +172,7 @@ impl Invariant for Acknowledged {
         let mode = tick.output.mode;
         let before = self.mode.replace(mode);
         let disarm = Event::Request(PilotRequest::Disarm);
-        let stop = Event::Request(PilotRequest::EmergencyStop);
-        if tick.events.contains(&disarm) || tick.events.contains(&stop) {
+        if tick.events.contains(&disarm) {
             self.contradiction = None;
         }
         if mode == Mode::Arming
@@ -140,10 +183,10 @@ impl Invariant for Acknowledged {
         let ends = matches!(before, Some(Mode::Driving | Mode::Slowing))
             && !matches!(mode, Mode::Driving | Mode::Slowing);
         if ends {
-            self.contradiction = tick
-                .output
-                .reason
-                .filter(|reason| CONTRADICTIONS.contains(reason));
+            self.contradiction = tick.output.reason.filter(|&reason| {
+                let differs = reason == Reason::MotorSpeedMismatch;
+                is_contradiction(reason) || (differs && !observation.is_proved)
+            });
         }
         Ok(())
     }

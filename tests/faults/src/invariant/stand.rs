@@ -1,12 +1,13 @@
 //! The true car stands after every stop, or is not armed again.
 
 use singletrack_pilot::{Mode, Reason};
+use singletrack_protocol::BoardMode;
 
 use super::{Invariant, Verdict};
 use crate::{
     observation::Observation,
     schedule::FaultKind,
-    stop::{STANDING, Stop},
+    stop::{LEAST_SHARE, STANDING, Stop},
 };
 
 /// `stands`: after a stop the true car stands within the time and the way that the
@@ -15,8 +16,9 @@ use crate::{
 /// of signal loss, which is added.
 ///
 /// A car whose motor is free and that brakes less than configured may take longer: what
-/// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`. An ESC whose
-/// throttle is stuck is stopped by a kill output once the host has noticed it.
+/// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`. One that keeps
+/// its speed may not: see [`Stop::is_weak`]. An ESC whose throttle is stuck is stopped by a
+/// kill output once the host has noticed it.
 #[derive(Default)]
 pub(super) struct Stands;
 
@@ -157,6 +159,10 @@ const KEPT: f64 = 0.9;
 const KEPT_US: u64 = 1_000_000;
 const DECLARED_US: u64 = 500_000;
 
+/// The tolerance of the host's measurement of a speed, in m/s: a low configured deceleration
+/// takes as much longer to show.
+const SPEED_TOLERANCE: f64 = 0.03;
+
 impl Invariant for StopNotObeyed {
     fn name(&self) -> &'static str {
         "stop-not-obeyed"
@@ -166,6 +172,7 @@ impl Invariant for StopNotObeyed {
         let speed = observation.truth.speed.abs();
         let keeps = observation.stop.is_some_and(|stop| {
             observation.daemon_since_us < Some(stop.began_us)
+                && !stop.stood
                 && stop.free_us() > KEPT_US
                 && stop
                     .deceleration()
@@ -177,12 +184,19 @@ impl Invariant for StopNotObeyed {
         }
         let since_us = *self.since_us.get_or_insert(observation.now_us);
         let is_fault = observation.tick.is_none_or(|tick| {
-            tick.output.mode == Mode::Fault
-                && (tick.output.reason == Some(Reason::StopNotObeyed)
-                    || tick.output.reason == Some(Reason::EmergencyStop)
-                    || tick.output.reason == Some(Reason::RunsAtNeutral))
+            let output = &tick.output;
+            // Acknowledged; the board is silent and there is nothing left to do.
+            let latched = observation.board_mode == Some(BoardMode::EmergencyStopped)
+                && output.reason == Some(Reason::EmergencyStop);
+            let declared = matches!(
+                output.reason,
+                Some(Reason::StopNotObeyed | Reason::EmergencyStop | Reason::RunsAtNeutral)
+            );
+            latched || (output.mode == Mode::Fault && declared)
         });
-        if is_fault || observation.now_us < since_us + DECLARED_US {
+        let least = LEAST_SHARE * observation.spec.braking;
+        let shows_us = (1e6 * SPEED_TOLERANCE / least) as u64;
+        if is_fault || observation.now_us < since_us + DECLARED_US + shows_us {
             return Ok(());
         }
         Err(format!("{speed:.2} m/s, and the host declares no fault"))
@@ -194,12 +208,22 @@ impl Invariant for StopNotObeyed {
 /// roll-out.
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
-/// sensor the board can't notice anything, and an ESC whose throttle is stuck is stopped by
-/// a kill output alone.
+/// sensor the board can't notice anything, a reset makes it begin again, and half a metre by
+/// its configured pulse distance counts as nothing. An ESC whose throttle is stuck is stopped
+/// by a kill output alone.
 #[derive(Default)]
 pub(super) struct UnarmedMotion {
     since_us: Option<u64>,
+    last_us: u64,
+    way: f64,
+    /// When that was enough for the board.
+    told_us: Option<u64>,
+    board_since_us: Option<u64>,
 }
+
+/// Way by which a board tells wheels that turn from interference, with a tenth of tolerance,
+/// in m.
+const TOLD_APART_M: f64 = 0.55;
 
 /// Slower wheels stand, as far as the board can tell, in m/s.
 const CREEPING: f64 = 0.06;
@@ -217,20 +241,35 @@ impl Invariant for UnarmedMotion {
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
         let is_unstoppable =
             observation.is_active(FaultKind::EscStuck) && !spec.situation.kill_output;
+        let elapsed_us =
+            observation.now_us - core::mem::replace(&mut self.last_us, observation.now_us);
+        let restarted = core::mem::replace(&mut self.board_since_us, observation.board_since_us)
+            != observation.board_since_us;
         if observation.board_is_armed
+            || restarted
+            || observation.is_without_motor_pulses()
             || stopping
             || is_unstoppable
             || speed < CREEPING
             || observation.is_moved_by_hand()
         {
             self.since_us = None;
+            self.told_us = None;
+            self.way = 0.0;
             return Ok(());
         }
+        self.way += speed * elapsed_us as f64 * 1e-6;
         let since_us = *self.since_us.get_or_insert(observation.now_us);
         let after_us = observation.now_us - since_us;
         let rolls_us = (2e6 * speed / spec.braking) as u64;
-        let limit_us = spec.max_roll_out_us + NOTICED_US + spec.true_signal_loss_us + rolls_us;
-        if after_us <= limit_us || observation.is_without_motor_pulses() {
+        if self.way > TOLD_APART_M * spec.true_pulse_share.max(1.0) {
+            self.told_us.get_or_insert(observation.now_us);
+        }
+        let told_after_us = self.told_us.map_or(u64::MAX, |told_us| told_us - since_us);
+        let noticed_us = spec.max_roll_out_us.max(told_after_us);
+        let ends_us = NOTICED_US + spec.true_signal_loss_us + rolls_us;
+        let limit_us = noticed_us.saturating_add(ends_us);
+        if after_us <= limit_us {
             return Ok(());
         }
         Err(format!(
@@ -242,9 +281,58 @@ impl Invariant for UnarmedMotion {
     }
 }
 
+/// `arming-motion`: while the board powers up or is armed, and has not been commanded to
+/// drive yet, the wheels turn for half a second at most: the host notices it and disarms.
+///
+/// Only where the host can see it, and not where somebody moves the car. An ESC whose
+/// throttle is stuck is stopped by a kill output alone.
+#[derive(Default)]
+pub(super) struct ArmingMotion {
+    since_us: Option<u64>,
+}
+
+/// Slower wheels may stand, as far as a coarse motor sensor shows, in m/s.
+const TURNING: f64 = 0.15;
+
+impl Invariant for ArmingMotion {
+    fn name(&self) -> &'static str {
+        "arming-motion"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        let waits = matches!(
+            observation.board_mode,
+            Some(BoardMode::PoweringUp | BoardMode::Armed)
+        );
+        let speed = observation.truth.wheel_speed.abs();
+        let is_unstoppable =
+            observation.is_active(FaultKind::EscStuck) && !observation.spec.situation.kill_output;
+        if !(observation.board_is_armed && waits)
+            || speed < TURNING
+            || is_unstoppable
+            || observation.is_moved_by_hand()
+            || observation.is_blinded()
+        {
+            self.since_us = None;
+            return Ok(());
+        }
+        let since_us = *self.since_us.get_or_insert(observation.now_us);
+        let after_us = observation.now_us - since_us;
+        if after_us <= NOTICED_US {
+            return Ok(());
+        }
+        Err(format!(
+            "{:.2} m/s for {} ms without a command, while the board arms",
+            observation.truth.wheel_speed,
+            after_us / 1_000
+        ))
+    }
+}
+
 /// `backward`: while reverse is disabled, the true car moves backward no farther than it
 /// takes to notice that the motor turns the wrong way: half a metre and the roll-out from
-/// there, or 0.25 m if it began with a pulse below neutral, which no car has asked for.
+/// there, or 0.25 m if it began with a pulse below neutral, which no car has asked for. A car
+/// that runs while the board is not armed is the subject of `unarmed-motion`.
 #[derive(Default)]
 pub(super) struct Backward {
     way: f64,
@@ -286,6 +374,9 @@ impl Invariant for Backward {
         if self.way == 0.0 {
             self.by_brake =
                 self.braked_us > 0 && observation.now_us < self.braked_us + BRAKE_ACTS_US;
+        }
+        if !self.by_brake && !observation.board_is_armed {
+            return Ok(());
         }
         self.way += libm::hypot(truth.x - last_x, truth.y - last_y);
         self.fastest = self.fastest.max(-truth.speed);

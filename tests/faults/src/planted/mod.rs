@@ -17,7 +17,7 @@ use singletrack_core::config::Config;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_protocol::Drive;
 use singletrack_record::TickRecord;
-use singletrack_sim::BoardKind;
+use singletrack_sim::{BoardKind, PulseRecord};
 
 use crate::{
     SetupError, Until, Violation,
@@ -28,9 +28,10 @@ use crate::{
 
 pub use tampers::prolonged;
 use tampers::{
-    Brakes, Commands, Configurations, Host, LosesStops, NeutralForSilence, NeverReleases, Power,
-    Records, Repeats, Ticks, WritesOn, arms_at_once, commanding, creeping, creeping_after_a_stop,
-    drives_at_neutral, drives_on, driving, forgets, steering_by_turns, unwatched, wandering,
+    Brakes, Commands, Configurations, DrivesWhileArming, Host, LateSilence, LosesStops, NEUTRAL_US,
+    NeutralForSilence, NeutralThatDrives, NeverReleases, Power, Pulses, Records, Repeats, Ticks,
+    WritesOn, arms_at_once, commanding, creeping, creeping_after_a_stop, drives_at_neutral,
+    drives_on, driving, forgets, proves_early, steering_by_turns, unwatched, wandering,
 };
 
 /// Where a bug is planted.
@@ -192,6 +193,27 @@ bugs! {
     Board "brakes without a drive before", "brake-pulse", "", |_| Brakes::at_once();
     Board "gives neutral instead of silence after an emergency stop", "silent-stop",
         "ask stop at 6000", |_| NeutralForSilence;
+    Board "gives neutral for longer after an emergency stop", "silent-stop", "ask stop at 6000",
+        |_| LateSilence::default();
+    Board "gives neutral after it has found that the car runs at neutral", "silent-stop",
+        "neutral_us 1550; end_ms 16000; fault daemon-killed at 1 for 2200 severity 1",
+        |_| LateSilence::default();
+    Board "gives the configured neutral after an emergency stop", "silent-stop",
+        "neutral_us 1450; truth esc-neutral-us -50; ask stop at 6000", |_| Pulses(|pulse: &mut PulseRecord| {
+            if pulse.time_us > 6_000_000 && pulse.esc_us == NEUTRAL_US {
+                pulse.esc_us = 1_450;
+            }
+        });
+    Board "brakes after a single frame of driving", "brake-pulse", "brake true",
+        |_| Brakes::after_one_frame();
+    Board "gives 1500 µs for its neutral after a drive, and does not watch", "stands",
+        "neutral_us 1440; truth esc-neutral-us -60; end_ms 14000; ask disarm at 6000",
+        |_| NeutralThatDrives::default();
+    Board "gives 1500 µs for its neutral outside of the fence, and does not watch", "fence",
+        "neutral_us 1440; truth esc-neutral-us -60; end_ms 16000; reference steps; \
+         fence_mm -200; speed_mm_s 800; ask arm at 5000", |_| NeutralThatDrives::default();
+    Board "drives while it arms, and hears no disarm", "arming-motion", "kill_output true",
+        |_| DrivesWhileArming;
     Board "takes a pulse that drives for neutral", "unarmed-motion", "end_ms 16000",
         |_| drives_at_neutral();
     Line "repeats the last command as a new one", "host-silence",
@@ -282,6 +304,8 @@ bugs! {
         |_| Power;
     Host "does not prove its configuration", "proving-speed", "proved false",
         |_| Host(|config: &mut Config| config.supervisor.prove_first_metre = false);
+    Host "proves its configuration after 0.1 m", "false-proof", "proved false",
+        |_| proves_early();
     Host "neither proves nor watches", "steering-sign",
         "proved false; truth servo-gain-permille -2000; fence_mm 4000", |_| Host(unwatched);
     Host "turns the gyroscope's sign", "gyro-sign", "", |_| commanding(|tick| {

@@ -98,7 +98,7 @@ fn frames(bytes: &[u8]) -> impl Iterator<Item = (&[u8], Option<ToBoard>)> {
 
 /// The pulses by which a bug tells what the board does: neutral in every schedule without
 /// a misconfigured ESC, and the brake pulse.
-const NEUTRAL_US: u16 = 1_500;
+pub(super) const NEUTRAL_US: u16 = 1_500;
 const BRAKE_US: u16 = 1_350;
 const DEADBAND_US: u16 = 30;
 
@@ -259,6 +259,91 @@ impl Tamper for Brakes {
             Some(us) => pulse.esc_us = us,
         }
     }
+}
+
+impl Brakes {
+    /// Brakes for ten frames after the first frame of a drive.
+    pub(super) fn after_one_frame() -> AfterOneFrame {
+        AfterOneFrame { left: None }
+    }
+}
+
+/// A board that brakes for ten frames after the first frame of a drive.
+pub(super) struct AfterOneFrame {
+    left: Option<u32>,
+}
+
+impl Tamper for AfterOneFrame {
+    fn pulse(&mut self, pulse: &mut PulseRecord) {
+        match &mut self.left {
+            None if pulse.esc_us > NEUTRAL_US + DEADBAND_US => self.left = Some(10),
+            Some(left) if *left > 0 => {
+                *left -= 1;
+                pulse.esc_us = BRAKE_US;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// A board that gives ten frames of neutral too many before it is silent.
+#[derive(Default)]
+pub(super) struct LateSilence {
+    given: u32,
+}
+
+impl Tamper for LateSilence {
+    fn pulse(&mut self, pulse: &mut PulseRecord) {
+        if pulse.esc_us == 0 && !pulse.cut && self.given < 10 {
+            self.given += 1;
+            pulse.esc_us = NEUTRAL_US;
+        }
+    }
+}
+
+/// A board configured with a neutral of 1440 µs that gives 1500 µs after a drive, for good: a
+/// pulse that every configuration has in its deadband, and that drives this car.
+#[derive(Default)]
+pub(super) struct NeutralThatDrives {
+    driven: bool,
+}
+
+impl Tamper for NeutralThatDrives {
+    fn pulse(&mut self, pulse: &mut PulseRecord) {
+        self.driven |= pulse.esc_us > NEUTRAL_US + DEADBAND_US;
+        if self.driven && pulse.esc_us <= NEUTRAL_US {
+            pulse.esc_us = NEUTRAL_US;
+        }
+    }
+}
+
+/// A board that drives from the request to arm on, and does not hear a disarm.
+pub(super) struct DrivesWhileArming;
+
+impl Tamper for DrivesWhileArming {
+    fn pulse(&mut self, pulse: &mut PulseRecord) {
+        if (4_500_000..5_500_000).contains(&pulse.time_us) {
+            pulse.esc_us = NEUTRAL_US + DEADBAND_US + 40;
+        }
+    }
+
+    fn to_board(&mut self, _: u64, bytes: &mut Vec<u8>) {
+        *bytes = frames(bytes)
+            .filter(|(_, message)| !matches!(message, Some(ToBoard::Disarm(_))))
+            .flat_map(|(frame, _)| frame.to_vec())
+            .collect();
+    }
+}
+
+/// A pilot that takes its configuration for proved 0.4 s after it has begun to drive.
+pub(super) fn proves_early() -> impl Tamper {
+    let mut ticks = 0;
+    Ticks(move |tick: &mut TickRecord| {
+        if tick.output.mode == Mode::Driving {
+            ticks += 1;
+            tick.output.proved |= ticks == 40;
+        }
+    })
 }
 
 /// A board that holds the ESC's supply for good.

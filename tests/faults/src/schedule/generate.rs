@@ -69,6 +69,9 @@ impl Schedule {
                 severity: Fault::WORST,
             });
         }
+        if situation.neutral_us != 1_500 {
+            faults.extend(neutrals(random, end_ms));
+        }
         faults.sort_by_key(|fault| fault.at_ms);
         let mut once = Vec::new();
         faults.retain(|fault| {
@@ -141,8 +144,8 @@ fn true_car(random: &mut Random, situation: &Situation) -> TrueCar {
     if situation.esc_kind == EscKind::Car && random.happens(200) {
         car.esc = Some(EscKind::LearnsNeutral);
     }
-    if random.happens(250) {
-        let (deviation, value) = gross(random);
+    if random.happens(300) {
+        let (deviation, value) = gross(random, &car);
         car.deviations.insert(deviation, value);
     }
     if random.happens(100) {
@@ -160,27 +163,65 @@ fn true_car(random: &mut Random, situation: &Situation) -> TrueCar {
 }
 
 /// A property as no calibrated car has it.
-fn gross(random: &mut Random) -> (Deviation, i32) {
+fn gross(random: &mut Random, car: &TrueCar) -> (Deviation, i32) {
     use Deviation as D;
     let sign = if random.happens(500) { 1 } else { -1 };
-    match random.between(0, 17) {
-        0 | 1 => (D::ServoGain, -2_000 + random.signed(-80, 80)),
-        2 => (D::ServoTrim, sign * random.signed(60, 120)),
-        3 => (D::ServoRate, random.signed(300, 1_500)),
-        4 => (D::BodyYaw, sign * random.signed(175, 3_142)),
-        5 => (D::EscNeutral, -random.signed(40, 80)),
-        6 => (D::PulseDistance, random.choose(-500, &[1_000, -300, 300])),
-        7 => (D::SignalLoss, random.signed(1_000, 2_000)),
-        8 => (D::PivotForward, sign * random.signed(60, 150)),
-        9 | 10 => (D::ImuYaw, random.choose(900, &[-900, 1_800])),
-        11 => (D::ImuRoll, random.choose(1_800, &[900, -900])),
-        12 => (D::StampBias, sign * random.signed(15_000, 60_000)),
-        13 => (D::StampDrift, sign * random.signed(1_000, 5_000)),
-        14 => (D::ServoBacklash, random.signed(40, 120)),
-        15 => (D::EmiDriven, random.signed(20, 2_000)),
-        16 => (D::EmiStanding, random.signed(5, 500)),
-        _ => (D::Ringing, random.signed(1, 3)),
-    }
+    // What no plausible value of another sensor shows at once comes more often.
+    let subtle = [D::ServoGain, D::GyroScale, D::ImuYaw, D::EscNeutral];
+    let all: Vec<_> = Deviation::ALL
+        .iter()
+        .copied()
+        // Every heading is tolerable.
+        .filter(|kind| *kind != D::SlopeHeading)
+        .chain(subtle)
+        .collect();
+    let kind = random.choose(D::ServoTrim, &all);
+    let value = match kind {
+        D::ServoTrim => sign * random.signed(25, 120),
+        // Reversed, or by the wrong arm of the linkage.
+        D::ServoGain => random.choose(-2_000, &[-2_080, -1_920, -400, -150, 150, 400]),
+        D::ServoRate => random.spread(300, 4_000) as i32,
+        D::PulseDistance => random.choose(-500, &[1_000, -300, 300, -100, 100]),
+        D::MotorGain => random.choose(-500, &[-300, 300, 600, 1_000]),
+        D::Rolling => random.choose(150, &[200, 250, 2_000, 4_000]),
+        D::Viscous => random.signed(1_200, 5_000),
+        // Farther off, no brake pulse fits below the deadband.
+        D::EscNeutral => sign * random.signed(15, 70),
+        D::EscDeadband => random.choose(-26, &[-15, 15, 30, 100]),
+        D::EscDeadTime => random.choose(0, &[100, 150, 200]),
+        D::MotorLag => random.choose(20, &[150, 250, 400]),
+        D::SignalLoss => random.choose(20, &[50, 1_500, 2_000, 3_000]),
+        D::BodyYaw => sign * random.spread(60, 3_142) as i32,
+        D::PivotForward | D::PivotLeft => sign * random.spread(20, 400) as i32,
+        D::ServoBacklash => random.signed(20, 120),
+        // As steep as the car may stand on without rolling away.
+        D::Slope => {
+            let rolling = car.get(D::Rolling).unwrap_or(0);
+            random.signed(55, (rolling - 100) * 100 / 171)
+        }
+        D::SlopeHeading => random.signed(0, 359),
+        D::ImuYaw | D::ImuPitch | D::ImuRoll => random.choose(900, &[-900, 1_800, 300, -150, 50]),
+        // Reversed, or off its scale.
+        D::GyroScale => random.choose(-2_000, &[-1_990, -500, -200, 200, 500]),
+        D::AccelerationScale => sign * random.signed(100, 900),
+        D::ImuLeak => random.spread(100, 1_500) as i32,
+        D::Vibration => random.spread(500, 20_000) as i32,
+        D::StampBias => sign * random.spread(5_000, 100_000) as i32,
+        D::StampDrift => sign * random.signed(100, 5_000),
+        D::BodyHeight => random.choose(0, &[40, 250, 1_000]),
+        D::Supply => random.choose(4_000, &[4_300, 5_400]),
+        D::EmiDriven => random.signed(20, 2_000),
+        D::EmiStanding => random.signed(5, 500),
+        D::Ringing => random.signed(1, 3),
+        D::Drained => random.signed(900, 3_000),
+        D::ImuTorn => random.spread(1, 1_000) as i32,
+        D::ImuCalibration => random.signed(0, 2),
+        D::ImuStatus => random.choose(1, &[0, 2, 3, 4, 6]),
+        D::ImuError => random.signed(1, 10),
+        D::ImuSelfTest => random.signed(0, 14),
+        D::DividerOpen => 1,
+    };
+    (kind, value)
 }
 
 /// `control.stop_deceleration_m_s2`, which a configuration must not exceed.
@@ -193,14 +234,21 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
         // As measured, less a fifth.
         rolling * 4 / 5
     } else {
-        (rolling * random.between(12, 40) / 10).min(MAX_BRAKING_MM_S2)
-    };
-    if random.happens(40) {
+        rolling * random.between(12, 40) / 10
+    }
+    .min(MAX_BRAKING_MM_S2);
+    let true_neutral_us = truth.get(Deviation::EscNeutral).unwrap_or(0);
+    let moved = !Deviation::EscNeutral.tolerable().contains(&true_neutral_us);
+    if moved && random.happens(500) {
+        // As it is: then the pulse before the configuration is the one that drives.
+        situation.neutral_us = 1_500_u16.saturating_add_signed(true_neutral_us as i16);
+    } else if random.happens(60) {
         situation.neutral_us = random.choose(1_550, &[1_560, 1_570, 1_440]);
     }
-    // A car that fits its configuration may have been proved.
+    // A car that fits its configuration may have been proved; another one has perhaps
+    // changed since.
     let proved = random.happens(500);
-    situation.proved = proved && truth.is_tolerable();
+    situation.proved = proved && (truth.is_tolerable() || random.happens(500));
     situation.pulse_distance_um = match random.between(0, 2) {
         0 => 3_000,
         1 => random.between(3_000, 12_000),
@@ -215,6 +263,26 @@ fn believe(random: &mut Random, situation: &mut Situation, truth: &TrueCar) {
         // By mistake.
         situation.fence_mm = random.signed(-300, 200);
     }
+}
+
+/// How an ESC gets another neutral after it has armed: it arms at the board's pulse before
+/// the configuration, or at the configured one and the board restarts.
+fn neutrals(random: &mut Random, end_ms: u32) -> [Fault; 2] {
+    let fault = |kind, at_ms, for_ms| Fault {
+        kind,
+        at_ms,
+        for_ms,
+        severity: Fault::WORST,
+    };
+    [
+        // The daemon starts when the ESC has armed.
+        fault(FaultKind::DaemonKilled, 1, random.between(1_500, 2_500)),
+        fault(
+            FaultKind::BoardReset,
+            random.between(FIRST_ARM_MS + 2_000, end_ms),
+            0,
+        ),
+    ]
 }
 
 fn fault(random: &mut Random, end_ms: u32) -> Fault {

@@ -92,6 +92,9 @@ kinds! {
     /// Somebody sends frames between the server's, from its own address, with the car off
     /// by s mm.
     CameraSpoofed = "camera-spoofed", Cameras;
+    /// The same with the next frame's number, so that the true frame seems a repetition, and
+    /// with the car drifting away by s mm/s.
+    CameraForged = "camera-forged", Cameras;
     /// All packets come from another address: the server has a second network card.
     CameraSecondCard = "camera-second-card", Cameras;
     /// The car's pose drifts away by s mm/s.
@@ -186,6 +189,12 @@ impl FaultKind {
                 | Self::CameraFlip
                 | Self::CameraDrift
         )
+    }
+
+    /// Whether somebody else sends frames of the car.
+    #[must_use]
+    pub const fn forges_frames(self) -> bool {
+        matches!(self, Self::CameraSpoofed | Self::CameraForged)
     }
 
     /// The subject of the fault, named by one of its kinds; only one fault per

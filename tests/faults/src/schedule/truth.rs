@@ -63,6 +63,10 @@ deviations! {
     EscNeutral = "esc-neutral-us", -10..=10, of -200..=200;
     /// The half width of the ESC's deadband is v µs larger.
     EscDeadband = "esc-deadband-us", -8..=8, of -26..=100;
+    /// Time from a pulse to the motor's response, in ms.
+    EscDeadTime = "esc-dead-time-ms", 10..=60, of 0..=500;
+    /// Time constant of the motor's lag, in ms.
+    MotorLag = "motor-lag-ms", 50..=100, of 20..=1_000;
     /// Time without pulses after which the ESC releases the motor, in ms.
     SignalLoss = "esc-signal-loss-ms", 100..=1_000, of 20..=3_000;
     /// The axes of the rigid body are turned by v mrad.
@@ -107,6 +111,18 @@ deviations! {
     Ringing = "ringing-edges", 0..=0, of 0..=20;
     /// The battery has given v mAh.
     Drained = "drained-mah", 0..=800, of 0..=3_000;
+    /// v in 1000 IMU samples are torn: their low bytes are those of the sample before.
+    ImuTorn = "imu-torn-permille", 0..=0, of 0..=1_000;
+    /// The IMU's calibration of its parts, 0 (none) to 3 (full).
+    ImuCalibration = "imu-calibration", 3..=3, of 0..=3;
+    /// The IMU's register `SYS_STATUS`; 5 while its fusion runs.
+    ImuStatus = "imu-status", 5..=5, of 0..=255;
+    /// The IMU's register `SYS_ERR`.
+    ImuError = "imu-error", 0..=0, of 0..=255;
+    /// The IMU's register `ST_RESULT`; 15 if all self-tests passed.
+    ImuSelfTest = "imu-self-test", 15..=15, of 0..=15;
+    /// 1: the battery is not connected to the board.
+    DividerOpen = "divider-open", 0..=0, of 0..=1;
 }
 
 impl Deviation {
