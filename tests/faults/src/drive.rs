@@ -637,7 +637,8 @@ impl<'a> Drive<'a> {
         }
         let drives = matches!(output.mode, Mode::Driving | Mode::Slowing);
         let ends = core::mem::replace(&mut self.was_driving, drives) && !drives;
-        if ends && output.reason.is_some_and(invariant::is_contradiction) {
+        let contradicts = ends && output.reason.is_some_and(invariant::is_contradiction);
+        if contradicts || output.disproved {
             self.proved.remove(&self.toml);
             self.is_proved = self.schedule.situation.proved;
         }

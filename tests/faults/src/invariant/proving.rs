@@ -117,12 +117,12 @@ const CONTRADICTIONS: &[Reason] = &[
     Reason::GyroDiffers,
     Reason::BodyYawWrong,
     Reason::AccelerometerDiffers,
+    Reason::SideslipImplausible,
 ];
 
 /// Further words that a calibrated car without a fault must not hear.
 const ALARMS: &[Reason] = &[
     Reason::MotorSpeedMismatch,
-    Reason::SideslipImplausible,
     Reason::EstimateInconsistent,
     Reason::CaptureTimeUncertain,
     Reason::ImuTilted,
