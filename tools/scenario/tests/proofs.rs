@@ -182,9 +182,9 @@ fn a_contradiction_of_a_proved_car_makes_its_next_drive_slow_again() {
         if output.mode == Mode::Idle && !again {
             assert_eq!(output.reason, Some(Reason::SteeringDiffers));
             again = true;
-            drive.request(PilotRequest::Disarm);
+            drive.request(PilotRequest::Disarm).unwrap();
         } else if again && output.mode == Mode::Ready {
-            drive.request(PilotRequest::Arm);
+            drive.request(PilotRequest::Arm).unwrap();
         }
         if elapsed > 8.0 {
             break;
