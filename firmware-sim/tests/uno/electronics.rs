@@ -202,7 +202,6 @@ fn a_car_that_drives_at_the_configured_neutral_gets_no_more_pulses() {
     );
     assert_eq!(telemetry.esc_us, 0);
     assert!(drive.world.truth().wheel_speed.abs() < 0.01);
-    // The longest roll-out at 0.3 m/s, and the start.
-    let longest_s = f64::from(configuration.max_roll_out_ms) * 1e-3;
-    assert!((0.5..0.35 * longest_s).contains(&way_m), "{way_m}");
+    // 3 s at 0.3 m/s, and the way without pulses.
+    assert!((0.5..1.1).contains(&way_m), "{way_m}");
 }

@@ -211,12 +211,8 @@ impl Board {
             target_mm_s,
         };
         self.odometer.observe(now_us, elapsed_us, inputs.motor, esc);
-        self.roll_out.observe(
-            elapsed_us,
-            driven || target_mm_s != 0,
-            self.odometer.is_moving(),
-            self.odometer.count(),
-        );
+        self.roll_out
+            .observe(elapsed_us, driven || target_mm_s != 0, &self.odometer);
         self.imu.observe(now_us, elapsed_us, inputs.imu.as_ref());
 
         let was_driving = self.is_driving();

@@ -166,6 +166,12 @@ impl Odometer {
         self.since_pulse.elapsed_us() < self.standstill_us
     }
 
+    /// Whether the wheels have come to rest: a car that has just been driven may roll
+    /// before its first pulse.
+    pub(crate) const fn is_at_rest(&self) -> bool {
+        !self.is_moving() && self.not_driven.elapsed_us() >= self.standstill_us
+    }
+
     /// Whether the motor has been driven for too long without a pulse: over a
     /// commanded distance, because a pulse takes distance, and over a time, because
     /// a car that is commanded to crawl must move too.

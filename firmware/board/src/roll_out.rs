@@ -1,25 +1,30 @@
 //! The watch over a car that is not driven: its wheels must come to rest.
 //!
 //! An ESC whose neutral is another than the configured one drives the car at
-//! neutral, armed or not; one that is stuck goes on driving. Two signs:
+//! neutral, armed or not; one that is stuck goes on driving. Three signs:
 //!
-//! - The wheels turn for longer than the longest roll-out, over [`LEAST_MM`] at
-//!   least. Shorter motion is a car that rolls out, or that a hand moves; few pulses
-//!   are interference.
+//! - The wheels turn for too long, over [`LEAST_MM`] at least: after a drive for longer
+//!   than the longest roll-out; from standstill, where a hand pushes the car at most,
+//!   for longer than [`PUSHED_MS`]. Few pulses are interference.
+//! - From standstill, they turn for farther than [`PUSHED_MM`].
 //! - After a drive, they do not slow down. The speed must stay below a line that
 //!   falls to zero within the longest roll-out, for which the slowest car that the
 //!   host expects is fast enough.
 
-use crate::clock::Stopwatch;
+use crate::{clock::Stopwatch, odometer::Odometer};
 
 /// Shortest way for the first sign.
 const LEAST_MM: u32 = 500;
+
+/// Time and way for which a hand may push the car without a pause.
+const PUSHED_MS: u16 = 3_000;
+const PUSHED_MM: u32 = 1_000;
 
 /// Time after the end of the drive in which the car may still speed up: a servo
 /// frame, and the lag of ESC and motor.
 const SETTLE_US: u32 = 300_000;
 
-/// Control periods (of 10 ms) above the line for the second sign.
+/// Control periods (of 10 ms) above the line for the third sign.
 const ABOVE_LINE: u8 = 20;
 
 /// Margin of the line, besides an eighth.
@@ -31,12 +36,13 @@ const UNKNOWN_DISTANCE_UM: u16 = 10_000;
 #[derive(Debug)]
 pub(crate) struct RollOut {
     longest_ms: u16,
+    /// Zero before the configuration.
     pulse_distance_um: u16,
     /// Time for which the wheels have turned without being driven.
     rolling: Stopwatch,
     /// Pulses, wrapping, when that began.
     since_count: u16,
-    /// It began with the end of a drive, not from standstill.
+    /// The wheels have not come to rest since a drive.
     after_drive: bool,
     fastest_mm_s: u16,
     above_line: u8,
@@ -46,7 +52,7 @@ impl RollOut {
     pub(crate) const fn new(longest_ms: u16) -> Self {
         Self {
             longest_ms,
-            pulse_distance_um: UNKNOWN_DISTANCE_UM,
+            pulse_distance_um: 0,
             rolling: Stopwatch::started(),
             since_count: 0,
             after_drive: false,
@@ -61,18 +67,16 @@ impl RollOut {
     }
 
     /// Call in every poll. `driven` says whether the ESC is driven or commanded to
-    /// move; `count` is the number of pulses so far.
-    pub(crate) const fn observe(
-        &mut self,
-        elapsed_us: u32,
-        driven: bool,
-        moving: bool,
-        count: u16,
-    ) {
-        if driven || !moving {
+    /// move.
+    pub(crate) fn observe(&mut self, elapsed_us: u32, driven: bool, odometer: &Odometer) {
+        if driven {
+            self.after_drive = true;
+        } else if odometer.is_at_rest() {
+            self.after_drive = false;
+        }
+        if driven || !odometer.is_moving() {
             self.rolling = Stopwatch::started();
-            self.since_count = count;
-            self.after_drive = driven;
+            self.since_count = odometer.count();
             self.fastest_mm_s = 0;
             self.above_line = 0;
         } else {
@@ -80,12 +84,24 @@ impl RollOut {
         }
     }
 
-    /// Call in every poll: whether the wheels have turned for too long.
-    pub(crate) const fn lasts_too_long(&self, count: u16) -> bool {
+    /// Call in every poll: whether the wheels have turned for too long or too far.
+    pub(crate) fn lasts_too_long(&self, count: u16) -> bool {
+        let is_known = self.pulse_distance_um != 0;
+        let distance_um = if is_known {
+            self.pulse_distance_um
+        } else {
+            UNKNOWN_DISTANCE_UM
+        };
+        let longest_ms = if self.after_drive {
+            self.longest_ms
+        } else {
+            self.longest_ms.min(PUSHED_MS)
+        };
         // Two products of 16 bits each.
-        let longest_us = self.longest_ms as u32 * 1_000;
-        let way_um = count.wrapping_sub(self.since_count) as u32 * self.pulse_distance_um as u32;
-        self.rolling.elapsed_us() >= longest_us && way_um >= LEAST_MM * 1_000
+        let way_um = u32::from(count.wrapping_sub(self.since_count)) * u32::from(distance_um);
+        let too_long = self.rolling.elapsed_us() >= u32::from(longest_ms) * 1_000;
+        let too_far = is_known && !self.after_drive && way_um >= PUSHED_MM * 1_000;
+        too_far || (too_long && way_um >= LEAST_MM * 1_000)
     }
 
     /// Call once per control period.
@@ -94,7 +110,8 @@ impl RollOut {
         if !self.after_drive || rolling_us == 0 {
             return;
         }
-        if rolling_us < SETTLE_US {
+        // Pulses that are far apart give no speed until the second one.
+        if rolling_us < SETTLE_US || self.fastest_mm_s == 0 {
             self.fastest_mm_s = self.fastest_mm_s.max(speed_mm_s);
             return;
         }

@@ -57,7 +57,7 @@ fn a_braking_stop_brakes_until_the_wheels_stand_still() {
     assert_eq!(rig.esc_us(), NEUTRAL);
     // Pushed by hand, it does not brake again.
     rig.pulse_period_us = Some(5_000);
-    rig.run(1_000 * MS);
+    rig.run(900 * MS);
     assert_eq!(rig.esc_us(), NEUTRAL);
 }
 

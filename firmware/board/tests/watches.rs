@@ -2,9 +2,7 @@
 
 mod rig;
 
-use singletrack_protocol::{
-    BoardMode, Configuration, EscKind, LONGEST_ROLL_OUT_MS, SpeedLoop, StopCause,
-};
+use singletrack_protocol::{BoardMode, Configuration, EscKind, SpeedLoop, StopCause};
 
 use rig::{MS, NEUTRAL, Rig, configuration};
 
@@ -135,44 +133,50 @@ fn until_latched(rig: &mut Rig, for_ms: u32) -> Option<u32> {
 }
 
 #[test]
-fn an_unarmed_car_that_drives_at_neutral_latches_after_the_longest_roll_out() {
-    for max_roll_out_ms in [1_000, 2_700] {
+fn an_unarmed_car_that_drives_at_neutral_latches_after_3_s_or_a_metre() {
+    for (speed_mm_s, max_roll_out_ms, expected_ms) in [
+        (600, 1_000, 1_000),
+        (300, 2_700, 2_700),
+        (300, 3_500, 3_000),
+        (300, 30_000, 3_000),
+        (600, 30_000, 1_667),
+        (2_000, 2_700, 500),
+    ] {
         let mut rig = Rig::ready_with(Configuration {
             max_roll_out_ms,
             ..configuration()
         });
-        // 0.6 m/s.
-        rig.pulse_period_us = Some(8_333);
+        rig.pulse_period_us = Some(5_000_000 / speed_mm_s);
         let latched_ms = until_latched(&mut rig, 10_000).unwrap();
-        let expected = u32::from(max_roll_out_ms);
         assert!(
-            (expected..=expected + 20).contains(&latched_ms),
-            "{latched_ms}"
+            (expected_ms - 20..=expected_ms + 20).contains(&latched_ms),
+            "{speed_mm_s} mm/s, {max_roll_out_ms} ms: {latched_ms}"
         );
     }
 }
 
 #[test]
 fn a_car_that_drives_at_neutral_before_any_configuration_latches_too() {
-    let mut rig = Rig::new();
-    rig.pulse_period_us = Some(10_000);
-    let latched_ms = until_latched(&mut rig, 10_000).unwrap();
-    let expected = u32::from(LONGEST_ROLL_OUT_MS);
-    assert!((expected..=expected + 30).contains(&latched_ms));
+    // Ten or 100 pulses, of unknown distance, in a tenth of a second.
+    for period_us in [10_000, 1_000] {
+        let mut rig = Rig::new();
+        rig.pulse_period_us = Some(period_us);
+        let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+        assert!((3_000..=3_030).contains(&latched_ms), "{latched_ms}");
+    }
 }
 
 #[test]
 fn a_car_that_is_moved_by_hand_for_a_while_does_not_latch() {
-    let mut rig = Rig::ready_with(Configuration {
-        max_roll_out_ms: 3_000,
-        ..configuration()
-    });
+    let mut rig = Rig::ready_with(configuration());
     for _ in 0..5 {
-        // 0.5 m/s over 1.4 m, then it stands.
-        rig.pulse_period_us = Some(10_000);
-        rig.run(2_800 * MS);
-        rig.pulse_period_us = None;
-        rig.run(200 * MS);
+        // 0.33 m/s over 0.95 m, or 1 m/s over 0.95 m, then it stands.
+        for (period_us, ms) in [(15_000, 2_850), (5_000, 950)] {
+            rig.pulse_period_us = Some(period_us);
+            rig.run(ms * MS);
+            rig.pulse_period_us = None;
+            rig.run(200 * MS);
+        }
     }
     assert_eq!(rig.board.mode(), BoardMode::Neutral);
 }
@@ -191,6 +195,10 @@ fn edges_of_interference_at_standstill_do_not_latch() {
 
 /// Turns the wheels as a car does that slows down from 1 m/s.
 fn roll_out(rig: &mut Rig, deceleration_mm_s2: u32) {
+    let configuration = rig.board.configuration().copied();
+    let distance_um = configuration.map_or(0, |configuration| {
+        u32::from(configuration.speed.pulse_distance_um)
+    });
     rig.pulse_period_us = None;
     let mut way_um = 0;
     for ms in 0..20_000_u32 {
@@ -199,8 +207,8 @@ fn roll_out(rig: &mut Rig, deceleration_mm_s2: u32) {
             return;
         }
         way_um += speed;
-        if way_um >= 5_000 {
-            way_um -= 5_000;
+        if way_um >= distance_um {
+            way_um -= distance_um;
             rig.inputs.motor.count = rig.inputs.motor.count.wrapping_add(1);
             rig.inputs.motor.last_edge_us = rig.now;
         }
@@ -239,6 +247,51 @@ fn a_car_that_rolls_out_as_slowly_as_configured_does_not_latch() {
         roll_out(&mut rig, deceleration / 4);
         assert_eq!(rig.board.stop_cause(), StopCause::RunsAtNeutral);
     }
+}
+
+#[test]
+fn a_drive_that_ends_before_the_first_pulse_is_one() {
+    let ended = || {
+        let mut rig = Rig::armed_with(Configuration {
+            max_roll_out_ms: 4_300,
+            ..with_pulse_distance(25_000)
+        });
+        rig.drive_for(100 * MS, 1_000, 0);
+        assert!(rig.esc_us() > NEUTRAL + 20);
+        rig.disarm();
+        rig.run(MS);
+        rig
+    };
+    // 1.7 m in 3.3 s.
+    let mut rig = ended();
+    roll_out(&mut rig, 300);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+    // 0.1 m/s: the first speed is measured after the time in which the car may speed up.
+    let mut rig = ended();
+    for period_us in [350_000, 400_000, 450_000] {
+        rig.pulse_period_us = Some(period_us);
+        rig.run(900 * MS);
+    }
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+    // It goes on with 0.5 m/s: a metre would take 2 s.
+    let mut rig = ended();
+    rig.pulse_period_us = Some(50_000);
+    let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+    assert!((300..=1_500).contains(&latched_ms), "{latched_ms}");
+}
+
+#[test]
+fn wheels_that_have_come_to_rest_after_a_drive_are_pushed() {
+    let mut rig = Rig::driving_with(Configuration {
+        max_roll_out_ms: 10_000,
+        ..configuration()
+    });
+    rig.pulse_period_us = None;
+    rig.disarm();
+    rig.run(300 * MS);
+    rig.pulse_period_us = Some(20_000);
+    let latched_ms = until_latched(&mut rig, 10_000).unwrap();
+    assert!((3_000..=3_020).contains(&latched_ms), "{latched_ms}");
 }
 
 #[test]

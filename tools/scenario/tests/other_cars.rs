@@ -324,15 +324,37 @@ fn nobody_arms_and_time_counts_from_the_start() {
     assert!(!standing.armed);
     assert_eq!((standing.mode, standing.ended_s), ("ready", None));
     assert_eq!((standing.way_m, standing.way_after_m), (0.0, 0.0));
-    // Its true neutral is 60 us below the one that is believed, 30 us beyond band and
-    // breakaway: 0.3 m/s as soon as the board is configured.
-    let runs = summary(
-        "[operator]\narm = false\n[board.esc]\nneutral_us = 1560\ndeadband_us = 60\n\
-         [truth.esc]\nneutral_us = 1500\n",
-    );
-    assert!(!runs.armed && runs.way_m == 0.0);
-    assert!(runs.way_after_m > 0.1, "{runs:?}");
-    assert!((runs.speed_max_m_s - 0.3).abs() < 0.03, "{runs:?}");
+}
+
+#[test]
+fn an_unarmed_car_that_drives_stops_after_a_metre_whatever_braking_is_configured() {
+    // The true neutral is below the one that is believed, beyond band and breakaway: the
+    // car drives as soon as the board is configured.
+    for (neutral_us, speed_m_s, braking_m_s2) in [
+        (1560, 0.3, 1.4),
+        (1560, 0.3, 0.3),
+        (1560, 0.3, 0.1),
+        (1600, 0.63, 0.3),
+        (1640, 0.9, 0.3),
+    ] {
+        let deadband_us = neutral_us - 1500;
+        let adds = format!(
+            "{PROVED}[operator]\narm = false\n[board.esc]\nneutral_us = {neutral_us}\n\
+             deadband_us = {deadband_us}\nmax_us = 1900\n[truth.esc]\nneutral_us = 1500\n\
+             [fence]\nbraking_m_s2 = {braking_m_s2}\n"
+        );
+        let text = text(&adds).replace("duration_s = 4.0", "duration_s = 12.0");
+        let scenario = Scenario::from_toml(&text, Path::new("test.toml")).unwrap();
+        let runs = summarised(&scenario).summary.unwrap();
+        assert!(!runs.armed && runs.way_m == 0.0);
+        let rolls_m = runs.speed_max_m_s * (0.1 + runs.speed_max_m_s / 2.0);
+        assert!(
+            (0.8..1.05 + rolls_m).contains(&runs.way_after_m),
+            "{runs:?}"
+        );
+        assert!((runs.speed_max_m_s - speed_m_s).abs() < 0.1, "{runs:?}");
+        assert_eq!(runs.speed_end_m_s, 0.0, "{runs:?}");
+    }
 }
 
 #[test]
