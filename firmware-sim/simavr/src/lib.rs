@@ -32,11 +32,13 @@
 
 mod bno055;
 mod message;
+mod motion;
 mod pipe;
 
-pub use bno055::{Bno055, ImuRegisters, Motion};
+pub use bno055::{Bno055, ImuRegisters};
 pub use message::{
     BusFault, CYCLES_PER_US, Figures, Hang, Interrupt, Pin, Pulse, Reply, Report, Request,
     ResetFlags, Run,
 };
+pub use motion::Motion;
 pub use pipe::{PipeError, receive, send};
