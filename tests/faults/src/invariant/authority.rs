@@ -42,6 +42,16 @@ impl Unarmed {
         self.command_us = None;
     }
 
+    /// Withdraws the authority of a command that is older than it may become.
+    fn expire(&mut self, time_us: u64, board_time_us: u32, oldest_us: u32) {
+        if let Some(command_us) = self.command_us {
+            let age_us = board_time_us.wrapping_sub(command_us);
+            if age_us < u32::MAX / 2 && age_us > oldest_us {
+                self.withdraw(time_us, "the last command expired");
+            }
+        }
+    }
+
     fn receive(&mut self, time_us: u64, board_time_us: u32, message: &ToBoard) {
         match message {
             ToBoard::Hello(hello) if hello.nonce != UNSOLICITED => {
@@ -51,7 +61,12 @@ impl Unarmed {
                     self.withdraw(time_us, "a greeting of another session");
                 }
             }
-            ToBoard::Arm(_) => self.armed = true,
+            ToBoard::Arm(_) => {
+                // The board ends a command before it reads what has come: one that has
+                // expired does not end what is armed now.
+                self.expire(time_us, board_time_us, COMMAND_TIME_TO_LIVE_US);
+                self.armed = true;
+            }
             ToBoard::Disarm(_) => self.withdraw(time_us, "a disarm request"),
             ToBoard::EmergencyStop(_) => self.withdraw(time_us, "an emergency stop request"),
             ToBoard::Drive(drive) if self.armed => {
@@ -82,12 +97,7 @@ impl Invariant for Unarmed {
             self.withdraw(observation.now_us, "the stop switch opened");
         }
         for pulse in observation.pulses {
-            if let Some(command_us) = self.command_us {
-                let age_us = pulse.board_time_us.wrapping_sub(command_us);
-                if age_us < u32::MAX / 2 && age_us > IN_FORCE_US {
-                    self.withdraw(pulse.time_us, "the last command expired");
-                }
-            }
+            self.expire(pulse.time_us, pulse.board_time_us, IN_FORCE_US);
             if !pulse.drives() || (self.armed && self.command_us.is_some()) {
                 continue;
             }
