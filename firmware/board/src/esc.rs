@@ -340,3 +340,38 @@ impl Gear {
 fn offset_us(pulse_us: u16, calibration: &EscCalibration) -> i16 {
     (i32::from(pulse_us) - i32::from(calibration.neutral_us)) as i16
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Brake, MAX_BRAKE_US, Motion};
+
+    const fn rolling(speed_mm_s: i16) -> Motion {
+        Motion {
+            moving: true,
+            speed_mm_s,
+        }
+    }
+
+    #[test]
+    fn a_brake_ends_above_its_slowest_speed_by_a_quarter_and_50_mm_s() {
+        for (slowest, fastest) in [(0, 50), (300, 425), (1_001, 1_301)] {
+            let mut brake = Brake::started();
+            assert!(!brake.ends(1_000, rolling(slowest + 200)));
+            assert!(!brake.ends(1_000, rolling(slowest)));
+            assert!(!brake.ends(1_000, rolling(fastest)), "{slowest}");
+            assert!(brake.ends(1_000, rolling(fastest + 1)), "{slowest}");
+        }
+    }
+
+    #[test]
+    fn a_brake_ends_after_half_a_second_or_at_standstill() {
+        let mut brake = Brake::started();
+        assert!(!brake.ends(MAX_BRAKE_US - 1, rolling(500)));
+        assert!(brake.ends(1, rolling(500)));
+        let still = Motion {
+            moving: false,
+            speed_mm_s: 500,
+        };
+        assert!(Brake::started().ends(0, still));
+    }
+}
