@@ -250,6 +250,19 @@ fn a_car_that_rolls_out_as_slowly_as_configured_does_not_latch() {
 }
 
 #[test]
+fn a_car_that_still_speeds_up_as_the_drive_ends_does_not_latch() {
+    let mut rig = Rig::driving_with(configuration());
+    rig.pulse_period_us = Some(10_000);
+    rig.drive_for(200 * MS, 1_000, 0);
+    rig.disarm();
+    rig.run(50 * MS);
+    rig.pulse_period_us = Some(5_000);
+    rig.run(200 * MS);
+    roll_out(&mut rig, 1_400);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+}
+
+#[test]
 fn a_drive_that_ends_before_the_first_pulse_is_one() {
     let ended = || {
         let mut rig = Rig::armed_with(Configuration {
