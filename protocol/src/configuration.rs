@@ -30,8 +30,8 @@ structure! {
         /// Whether the ESC's supply is switched by the kill output: on only while
         /// the board is armed and healthy.
         pub kill_output: bool,
-        /// The longest time that the car rolls at neutral, in milliseconds: motor
-        /// pulses beyond it mean that the ESC drives at neutral.
+        /// The longest time that the car rolls at neutral after a drive, in
+        /// milliseconds: motor pulses beyond it mean that the ESC drives at neutral.
         #[serde(with = "postcard::fixint::le")]
         pub max_roll_out_ms: u16,
         /// The car that this configuration is for; it must be the board's

@@ -28,7 +28,7 @@ const MAX_ROLL_OUT_MS: RangeInclusive<u16> = 200..=30_000;
 const MAX_SPEED_MM_S: u16 = 20_000;
 /// Pulses in a millisecond at the top speed. The board takes 16; where more come, it
 /// measures less than the true speed, and its speed loop adds throttle.
-const PULSES_PER_MS: u16 = 12;
+const PULSES_PER_MS: u32 = 12;
 
 /// A value of a [`Configuration`] outside its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -181,8 +181,8 @@ impl Configuration {
             INTEGRAL_LIMIT_US,
         )?;
         // µm/ms are mm/s.
-        let measurable_mm_s = speed.pulse_distance_um.saturating_mul(PULSES_PER_MS);
-        let fastest = measurable_mm_s.min(MAX_SPEED_MM_S);
+        let measurable_mm_s = u32::from(speed.pulse_distance_um) * PULSES_PER_MS;
+        let fastest = measurable_mm_s.min(MAX_SPEED_MM_S.into()) as u16;
         check(Field::MaxForward, speed.max_forward_mm_s, 1..=fastest)?;
         let backward = if esc.kind.has_reverse() { fastest } else { 0 };
         check(Field::MaxReverse, speed.max_reverse_mm_s, 0..=backward)?;

@@ -215,10 +215,8 @@ impl Esc {
         self.braking
             .take_if(|braking| braking.ends(elapsed_us, motion) || !brake || slow);
         self.in_gear.advance(elapsed_us);
-        let speeds_up = self.gear == Gear::Braking
-            && self.before_reverse.ends(elapsed_us, motion)
-            && motion.moving;
-        self.shift(calibration.kind, target_mm_s, motion.moving, speeds_up);
+        let brake_ends = self.gear == Gear::Braking && self.before_reverse.ends(elapsed_us, motion);
+        self.shift(calibration.kind, target_mm_s, motion.moving, brake_ends);
         if self.gear == Gear::Braking {
             self.target_us = offset_us(calibration.brake_us, calibration);
         } else if !self.gear.drives(target_mm_s) {
@@ -290,15 +288,14 @@ impl Esc {
         };
     }
 
-    fn shift(&mut self, kind: EscKind, target_mm_s: i16, moving: bool, speeds_up: bool) {
+    fn shift(&mut self, kind: EscKind, target_mm_s: i16, moving: bool, brake_ends: bool) {
         let backward = target_mm_s < 0;
         let time_us = self.in_gear.elapsed_us();
         let gear = match self.gear {
             Gear::Forward if backward && self.can_brake && kind == EscKind::Car => Gear::Braking,
             Gear::Forward if backward => Gear::Pausing,
             Gear::Braking | Gear::Pausing if !backward => Gear::Forward,
-            Gear::Braking if time_us >= MAX_BRAKE_US || speeds_up => Gear::Pausing,
-            Gear::Braking if time_us >= BRAKE_US && !moving => Gear::Pausing,
+            Gear::Braking if brake_ends && (moving || time_us >= BRAKE_US) => Gear::Pausing,
             Gear::Pausing if time_us >= PAUSE_US && !moving => Gear::Reverse,
             Gear::Reverse if target_mm_s > 0 && !moving => Gear::Forward,
             unchanged => unchanged,
@@ -339,4 +336,39 @@ impl Gear {
 /// A validated pulse relative to neutral: at most 1400 µs either way.
 fn offset_us(pulse_us: u16, calibration: &EscCalibration) -> i16 {
     (i32::from(pulse_us) - i32::from(calibration.neutral_us)) as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Brake, MAX_BRAKE_US, Motion};
+
+    const fn rolling(speed_mm_s: i16) -> Motion {
+        Motion {
+            moving: true,
+            speed_mm_s,
+        }
+    }
+
+    #[test]
+    fn a_brake_ends_above_its_slowest_speed_by_a_quarter_and_50_mm_s() {
+        for (slowest, fastest) in [(0, 50), (300, 425), (1_001, 1_301)] {
+            let mut brake = Brake::started();
+            assert!(!brake.ends(1_000, rolling(slowest + 200)));
+            assert!(!brake.ends(1_000, rolling(slowest)));
+            assert!(!brake.ends(1_000, rolling(fastest)), "{slowest}");
+            assert!(brake.ends(1_000, rolling(fastest + 1)), "{slowest}");
+        }
+    }
+
+    #[test]
+    fn a_brake_ends_after_half_a_second_or_at_standstill() {
+        let mut brake = Brake::started();
+        assert!(!brake.ends(MAX_BRAKE_US - 1, rolling(500)));
+        assert!(brake.ends(1, rolling(500)));
+        let still = Motion {
+            moving: false,
+            speed_mm_s: 500,
+        };
+        assert!(Brake::started().ends(0, still));
+    }
 }

@@ -96,13 +96,18 @@ mod tests {
 
     #[test]
     fn mountings_have_the_data_sheets_registers() {
-        // BST-BNO055-DS000, 3.4: placements P1 (as printed), P0 and P5.
+        // BST-BNO055-DS000, 3.4: placements P0 to P7. P1 is as printed.
         let [x, y, z] = [ImuAxis::PlusX, ImuAxis::PlusY, ImuAxis::PlusZ];
-        let [minus_y, minus_z] = [ImuAxis::MinusY, ImuAxis::MinusZ];
+        let [minus_x, minus_y, minus_z] = [ImuAxis::MinusX, ImuAxis::MinusY, ImuAxis::MinusZ];
         for (forward, left, up, registers) in [
-            (x, y, z, [0x24, 0x00]),
             (minus_y, x, z, [0x21, 0x04]),
+            (x, y, z, [0x24, 0x00]),
+            (minus_x, minus_y, z, [0x24, 0x06]),
+            (y, minus_x, z, [0x21, 0x02]),
+            (x, minus_y, minus_z, [0x24, 0x03]),
             (y, x, minus_z, [0x21, 0x01]),
+            (minus_y, minus_x, minus_z, [0x21, 0x07]),
+            (minus_x, y, minus_z, [0x24, 0x05]),
         ] {
             let axes = ImuAxes { forward, left, up };
             assert!(axes.is_mounting());

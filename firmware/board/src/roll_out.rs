@@ -132,3 +132,54 @@ impl RollOut {
         self.above_line >= ABOVE_LINE
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{ABOVE_LINE, RollOut, SETTLE_US};
+    use crate::clock::Stopwatch;
+
+    fn after_drive() -> RollOut {
+        RollOut {
+            after_drive: true,
+            ..RollOut::new(4_000)
+        }
+    }
+
+    #[test]
+    fn a_speed_above_the_line_for_200_ms_does_not_fall() {
+        let mut roll_out = after_drive();
+        roll_out.rolling = Stopwatch::started_ago(SETTLE_US - 1);
+        roll_out.measured(800);
+        // Too late to count as speeding up.
+        roll_out.rolling = Stopwatch::started_ago(SETTLE_US);
+        roll_out.measured(810);
+        // A quarter of the roll-out: 800, an eighth and 50 more, and a quarter less.
+        roll_out.rolling = Stopwatch::started_ago(1_000 << 10);
+        for _ in 0..ABOVE_LINE {
+            roll_out.measured(750);
+            assert!(!roll_out.keeps_its_speed());
+        }
+        for _ in 1..ABOVE_LINE {
+            roll_out.measured(751);
+            assert!(!roll_out.keeps_its_speed());
+        }
+        roll_out.measured(750);
+        for _ in 1..ABOVE_LINE {
+            roll_out.measured(751);
+            assert!(!roll_out.keeps_its_speed());
+        }
+        roll_out.measured(751);
+        assert!(roll_out.keeps_its_speed());
+    }
+
+    #[test]
+    fn the_first_speed_may_come_late() {
+        let mut roll_out = after_drive();
+        roll_out.rolling = Stopwatch::started_ago(2 * SETTLE_US);
+        roll_out.measured(0);
+        for _ in 0..2 * ABOVE_LINE {
+            roll_out.measured(100);
+        }
+        assert!(!roll_out.keeps_its_speed());
+    }
+}

@@ -67,8 +67,10 @@ fn without_the_flag_a_car_that_is_too_fast_gets_neutral() {
 #[test]
 fn a_car_that_is_hardly_too_fast_is_not_braked() {
     let mut rig = Rig::driving_with(configuration());
-    let pulses = brake_for(&mut rig, 300, 900);
+    let pulses = brake_for(&mut rig, 300, 850);
     assert_eq!(count(&pulses, BRAKE), 0, "{pulses:?}");
+    let pulses = brake_for(&mut rig, 30, 849);
+    assert!(count(&pulses, BRAKE) > 0, "{pulses:?}");
 }
 
 #[test]
@@ -78,7 +80,10 @@ fn the_brake_ends_at_the_commanded_speed() {
     assert!(count(&pulses, BRAKE) >= 85, "{pulses:?}");
     // 0.48 m/s.
     rig.pulse_period_us = Some(10_400);
-    brake_for(&mut rig, 40, 500);
+    let ends = brake_for(&mut rig, 40, 500);
+    // From neutral, by 60 us in 20 ms.
+    let first = ends.iter().find(|&&pulse| pulse != BRAKE);
+    assert!(first.is_some_and(|&pulse| (NEUTRAL..=NEUTRAL + 3).contains(&pulse)));
     let pulses = brake_for(&mut rig, 100, 500);
     assert_eq!(count(&pulses, BRAKE), 0, "{pulses:?}");
     // The speed loop goes on.
@@ -166,8 +171,8 @@ fn a_brake_pulse_that_drives_ends_when_the_speed_rises() {
                 })
                 .collect()
         };
-        while by_failsafe && rig.board.mode() == BoardMode::Driving {
-            rig.run(MS);
+        if by_failsafe {
+            rig.run_until(|rig| rig.board.mode() == BoardMode::Failsafe);
         }
         for period_us in [6_000, 10_000, 20_000, 50_000] {
             rig.pulse_period_us = Some(period_us);
@@ -209,6 +214,36 @@ fn a_disarm_at_a_crawl_does_not_brake() {
     rig.drive_for(200 * MS, 120, 0);
     rig.disarm();
     assert_eq!(rig.esc_us(), NEUTRAL);
+}
+
+#[test]
+fn a_disarm_brakes_above_150_mm_s() {
+    for (period_us, pulse) in [(33_333, NEUTRAL), (33_000, BRAKE)] {
+        let mut rig = Rig::driving_with(configuration());
+        rig.pulse_period_us = Some(period_us);
+        rig.drive_for(500 * MS, 160, 0);
+        rig.disarm();
+        assert_eq!(rig.esc_us(), pulse, "{period_us}");
+    }
+}
+
+#[test]
+fn a_brake_pulse_continues_through_a_configuration_that_brakes() {
+    let braking = Configuration {
+        failsafe: FailsafeAction::Brake,
+        ..configuration()
+    };
+    for (next, pulse) in [
+        (braking, BRAKE),
+        (configuration(), NEUTRAL),
+        (of_kind(EscKind::ForwardReverse), NEUTRAL),
+    ] {
+        let mut rig = Rig::driving_with(braking);
+        rig.run_until(|rig| rig.esc_us() == BRAKE);
+        assert_eq!(rig.configure(next), Ok(()));
+        rig.run(100 * MS);
+        assert_eq!(rig.esc_us(), pulse, "{next:?}");
+    }
 }
 
 #[test]

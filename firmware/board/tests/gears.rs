@@ -93,6 +93,31 @@ fn braking_before_reverse_is_limited() {
 }
 
 #[test]
+fn braking_before_reverse_ends_when_the_speed_rises() {
+    let mut rig = Rig::driving_with(with_reverse());
+    rig.pulse_period_us = Some(10_000);
+    phases(&mut rig, 100, -300);
+    rig.pulse_period_us = Some(20_000);
+    phases(&mut rig, 60, -300);
+    assert_eq!(rig.esc_us(), configuration().esc.brake_us);
+    rig.pulse_period_us = Some(10_000);
+    phases(&mut rig, 60, -300);
+    assert_eq!(rig.esc_us(), NEUTRAL);
+}
+
+#[test]
+fn braking_before_reverse_lasts_for_200_ms_at_standstill() {
+    let mut rig = Rig::driving_with(with_reverse());
+    rig.pulse_period_us = None;
+    // Standing after 150 ms. The pulse reaches the brake gradually.
+    let all = phases(&mut rig, 350, -300);
+    assert!(
+        matches!(all[..], [(0, ..=10), (-1, 190..=200), (0, _)]),
+        "{all:?}"
+    );
+}
+
+#[test]
 fn the_brake_pulse_is_not_repeated_after_braking() {
     for braked_ms in [50, 300] {
         let mut rig = Rig::driving_with(with_reverse());

@@ -64,9 +64,7 @@ fn a_braking_stop_brakes_until_the_wheels_stand_still() {
 #[test]
 fn a_braking_stop_ends_after_half_a_second() {
     let mut rig = Rig::driving_with(braking());
-    while rig.esc_us() != BRAKE {
-        rig.run(MS);
-    }
+    rig.run_until(|rig| rig.esc_us() == BRAKE);
     rig.run(498 * MS);
     assert_eq!(rig.esc_us(), BRAKE);
     rig.run(2 * MS);
@@ -233,7 +231,7 @@ fn driving_for_150_ms_without_a_pulse_is_a_failed_sensor() {
     let mut rig = Rig::armed_with(configuration());
     rig.drive(1_000, 0);
     let mut beyond_deadband_since = None;
-    while rig.board.mode() != BoardMode::Failsafe {
+    for _ in 0..1_000 {
         rig.run(MS);
         rig.drive(1_000, 0);
         if rig.esc_us() > NEUTRAL + 20 {
@@ -245,6 +243,9 @@ fn driving_for_150_ms_without_a_pulse_is_a_failed_sensor() {
             rig.board.mode() == BoardMode::Failsafe,
             "{driven}"
         );
+        if rig.board.mode() == BoardMode::Failsafe {
+            break;
+        }
     }
     assert_eq!(rig.board.stop_cause(), StopCause::MotorSensor);
     assert_eq!(rig.esc_us(), NEUTRAL);

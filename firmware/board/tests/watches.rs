@@ -195,8 +195,10 @@ fn edges_of_interference_at_standstill_do_not_latch() {
 
 /// Turns the wheels as a car does that slows down from 1 m/s.
 fn roll_out(rig: &mut Rig, deceleration_mm_s2: u32) {
-    let distance_um = rig.board.configuration().unwrap().speed.pulse_distance_um;
-    let distance_um = u32::from(distance_um);
+    let configuration = rig.board.configuration().copied();
+    let distance_um = configuration.map_or(0, |configuration| {
+        u32::from(configuration.speed.pulse_distance_um)
+    });
     rig.pulse_period_us = None;
     let mut way_um = 0;
     for ms in 0..20_000_u32 {
@@ -245,6 +247,19 @@ fn a_car_that_rolls_out_as_slowly_as_configured_does_not_latch() {
         roll_out(&mut rig, deceleration / 4);
         assert_eq!(rig.board.stop_cause(), StopCause::RunsAtNeutral);
     }
+}
+
+#[test]
+fn a_car_that_still_speeds_up_as_the_drive_ends_does_not_latch() {
+    let mut rig = Rig::driving_with(configuration());
+    rig.pulse_period_us = Some(10_000);
+    rig.drive_for(200 * MS, 1_000, 0);
+    rig.disarm();
+    rig.run(50 * MS);
+    rig.pulse_period_us = Some(5_000);
+    rig.run(200 * MS);
+    roll_out(&mut rig, 1_400);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
 }
 
 #[test]

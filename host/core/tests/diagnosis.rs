@@ -265,7 +265,7 @@ fn rejections_for_alternating_reasons_are_reported_and_not_at_every_change() {
     assert!(texts.len() <= 6, "{texts:?}");
     for reason in ["not-finite", "jump"] {
         let named = |text: &&str| text.contains(reason);
-        assert!(texts.iter().any(|text| named(text)), "{reason}: {texts:?}");
+        assert!(texts.iter().any(named), "{reason}: {texts:?}");
     }
 }
 

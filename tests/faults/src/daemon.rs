@@ -24,7 +24,7 @@ pub(crate) const fn host_ns(now_us: u64) -> u64 {
 /// A running daemon.
 #[derive(Debug)]
 pub(crate) struct Daemon {
-    host: VirtualHost<WriteHalf>,
+    host: Box<VirtualHost<WriteHalf>>,
     /// The source address of its datagrams.
     pub(crate) address: SocketAddr,
 }
@@ -43,8 +43,10 @@ impl Daemon {
             ..HostOptions::default()
         };
         Ok(Self {
-            host: VirtualHost::new(config.clone(), options, host_ns(now_us))
-                .map_err(SetupError::Config)?,
+            host: Box::new(
+                VirtualHost::new(config.clone(), options, host_ns(now_us))
+                    .map_err(SetupError::Config)?,
+            ),
             address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000 + number),
         })
     }

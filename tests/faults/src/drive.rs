@@ -104,7 +104,7 @@ struct Drive<'a> {
     newest_setpoint_ns: Option<u64>,
     spec: Spec,
     now_us: u64,
-    world: World,
+    world: Box<World>,
     network: Network,
     port: Port,
     daemon: Option<Daemon>,
@@ -172,7 +172,7 @@ impl<'a> Drive<'a> {
         let mut drive = Self {
             spec: Spec::new(schedule, world.config(), &config).map_err(SetupError::Config)?,
             now_us: 0,
-            world,
+            world: Box::new(world),
             network: Network::new(schedule.seed),
             port: Port::new(schedule.situation.queue_shows),
             daemon: None,

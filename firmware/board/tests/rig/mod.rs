@@ -186,6 +186,17 @@ impl Rig {
         }
     }
 
+    /// Advances time by milliseconds until the condition holds, for ten seconds at most.
+    pub(crate) fn run_until(&mut self, condition: impl Fn(&Self) -> bool) {
+        for _ in 0..10_000 {
+            if condition(self) {
+                return;
+            }
+            self.run(MS);
+        }
+        panic!("the condition has never held");
+    }
+
     /// Sends a message to the board and polls.
     pub(crate) fn send(&mut self, message: impl Into<ToBoard>) {
         self.poll(message.into().encode().as_bytes());
