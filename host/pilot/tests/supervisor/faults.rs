@@ -1,0 +1,153 @@
+//! What only a person clears: faults, contradictions, and what the watches find.
+
+use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PilotRequest, Reason};
+
+use crate::bench::{Bench, steps};
+
+#[test]
+fn an_earlier_emergency_stop_does_not_clear_a_fault_of_the_law() {
+    let mut bench = Bench::driving();
+    bench.ask(PilotRequest::EmergencyStop);
+    bench.supervisor.handle_board(BoardState::EmergencyStopped);
+    assert_eq!(bench.step().0, Mode::Fault);
+    bench.supervisor.handle_board(BoardState::Neutral);
+    bench.conditions = Bench::new().conditions;
+    bench.step();
+    bench.ask(PilotRequest::Arm);
+    bench.supervisor.handle_board(BoardState::Armed);
+    assert_eq!(bench.step().0, Mode::Driving);
+    let now = bench.conditions.now;
+    bench.supervisor.fault(Reason::LawSingular, now);
+    bench.supervisor.handle_board(BoardState::Neutral);
+    for _ in 0..100 {
+        assert_eq!(bench.step(), (Mode::Fault, Some(Reason::LawSingular), None));
+    }
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
+}
+
+#[test]
+fn a_configuration_refused_for_an_emergency_stop_has_that_reason() {
+    let mut bench = Bench::new();
+    bench.supervisor.handle_link(LinkState::EmergencyStopped);
+    assert_eq!(
+        bench.step(),
+        (Mode::Disconnected, Some(Reason::EmergencyStop), None)
+    );
+}
+
+#[test]
+fn a_latched_run_at_neutral_is_a_fault_until_the_board_is_reset() {
+    let mut bench = Bench::driving();
+    bench.supervisor.handle_board(BoardState::RunsAtNeutral);
+    assert_eq!(
+        bench.step(),
+        (Mode::Fault, Some(Reason::RunsAtNeutral), None)
+    );
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Fault);
+    bench.supervisor.handle_board(BoardState::Booting);
+    assert_eq!(bench.step().0, Mode::Idle);
+
+    let mut bench = Bench::new();
+    bench.supervisor.handle_board(BoardState::RunsAtNeutral);
+    assert_eq!(
+        bench.ask(PilotRequest::Arm),
+        (Mode::Idle, Some(Reason::RunsAtNeutral), None)
+    );
+}
+
+#[test]
+fn a_contradiction_needs_an_acknowledgement_before_the_next_drive() {
+    let in_the_first_metre: fn(&mut Bench, Reason) =
+        |bench, reason| bench.conditions.contradiction = Some(reason);
+    let later: fn(&mut Bench, Reason) =
+        |bench, reason| bench.conditions.implausible_motion = Some(reason);
+    for (find, reason) in [
+        (in_the_first_metre, Reason::SteeringReversed),
+        (in_the_first_metre, Reason::MotorSpeedMismatch),
+        (later, Reason::SteeringDiffers),
+        (later, Reason::AccelerometerDiffers),
+        (later, Reason::SideslipImplausible),
+    ] {
+        let mut bench = Bench::driving();
+        find(&mut bench, reason);
+        assert_eq!(bench.step(), (Mode::Stopping, Some(reason), None));
+        // A disarm while it still stops acknowledges nothing.
+        assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Stopping);
+        bench.conditions = Bench::new().conditions;
+        assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+        bench.supervisor.handle_board(BoardState::Neutral);
+        for request in [
+            PilotRequest::Arm,
+            PilotRequest::ArmHeld,
+            PilotRequest::TimeUp,
+            PilotRequest::Arm,
+        ] {
+            assert_eq!(bench.ask(request), (Mode::Idle, Some(reason), None));
+            assert_eq!(bench.supervisor.preflight(), Some(reason));
+        }
+        assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
+        assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+    }
+}
+
+#[test]
+fn what_the_watches_find_refuses_and_stops() {
+    let preflight: fn(&mut Bench) =
+        |bench| bench.conditions.preflight = Some(Reason::BrakesLessThanConfigured);
+    let doubt: fn(&mut Bench) = |bench| bench.conditions.doubt = Some(Reason::PoseFrozen);
+    let motion: fn(&mut Bench) =
+        |bench| bench.conditions.implausible_motion = Some(Reason::SideslipImplausible);
+    for (cause, reason, refuses, stops) in [
+        (preflight, Reason::BrakesLessThanConfigured, true, false),
+        (doubt, Reason::PoseFrozen, true, true),
+        (motion, Reason::SideslipImplausible, false, true),
+    ] {
+        let (mode, found, _) = Bench::new().after(cause);
+        let expected = if refuses {
+            (Mode::Idle, Some(reason))
+        } else {
+            (Mode::Ready, None)
+        };
+        assert_eq!((mode, found), expected);
+        let (mode, found, _) = Bench::driving().after(cause);
+        let expected = if stops {
+            (Mode::Stopping, Some(reason))
+        } else {
+            (Mode::Driving, None)
+        };
+        assert_eq!((mode, found), expected);
+    }
+}
+
+#[test]
+fn a_stop_that_was_not_obeyed_is_cleared_by_a_disarm_of_a_standing_car_only() {
+    let mut bench = Bench::driving();
+    let now = bench.conditions.now;
+    assert_eq!(
+        bench.supervisor.stop_not_obeyed(now),
+        BoardRequest::EmergencyStop
+    );
+    let stays = (Mode::Fault, Some(Reason::StopNotObeyed), None);
+    bench.conditions.stands = false;
+    bench.supervisor.handle_board(BoardState::EmergencyStopped);
+    assert_eq!(bench.step(), stays);
+    assert_eq!(bench.ask(PilotRequest::Disarm), stays);
+    // A reset of the board, a lost link and a standing car clear nothing.
+    bench.supervisor.handle_board(BoardState::Booting);
+    assert_eq!(bench.step(), stays);
+    bench.supervisor.handle_link(LinkState::Down);
+    assert_eq!(bench.step(), stays);
+    bench.conditions.stands = true;
+    assert_eq!(steps(&mut bench, 5_000), stays);
+    assert_eq!(bench.ask(PilotRequest::OperatorGone), stays);
+    // Another emergency stop does not hide it.
+    assert_eq!(
+        bench.ask(PilotRequest::EmergencyStop),
+        (
+            Mode::Fault,
+            Some(Reason::StopNotObeyed),
+            Some(BoardRequest::EmergencyStop)
+        )
+    );
+    assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
+}
