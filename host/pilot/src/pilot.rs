@@ -2,7 +2,7 @@
 
 use core::f64::consts::PI;
 
-use libm::{copysign, cos, fabs, sin};
+use libm::{copysign, cos, fabs, rint, sin};
 use singletrack_control::{
     Actuation, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits, OuterLoop,
     PoseSample, PoseVerdict, Position, Reference, ReferencePoint, Time, TrackingLoop, Velocity,
@@ -154,6 +154,7 @@ pub struct Pilot {
     pose_time: Option<Time>,
     motor_speed: f64,
     drive_start: Option<Time>,
+    last_tick: Option<Time>,
 }
 
 impl Pilot {
@@ -185,6 +186,7 @@ impl Pilot {
             pose_time: None,
             motor_speed: 0.0,
             drive_start: None,
+            last_tick: None,
             config,
         }
     }
@@ -229,6 +231,7 @@ impl Pilot {
         for event in events {
             held &= !self.handle(event);
         }
+        let last_tick = self.last_tick.replace(now);
         let steering = self.law.actuation().steering;
         let estimate = self.estimator.estimate(now, steering);
         if estimate.is_none() {
@@ -357,7 +360,12 @@ impl Pilot {
                     }
                 }
                 Mode::Slowing | Mode::Stopping => {
-                    let actuation = self.law.slow_down(self.config.stop_deceleration, period);
+                    // Ticks that are late or left out must not make the stop longer.
+                    let elapsed = last_tick.map_or(period, |last| now.seconds_since(last));
+                    let periods = rint(elapsed / period).max(1.0);
+                    let actuation = self
+                        .law
+                        .slow_down(self.config.stop_deceleration, periods * period);
                     output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
                     output.actuation = actuation;
                     output.command = Some(command(estimate, &actuation, true));

@@ -569,6 +569,9 @@ impl<'a> Drive<'a> {
             board_is_armed,
             moved_by_hand,
             mode: tick_mode,
+            commanded: tick
+                .as_ref()
+                .map_or(0.0, |tick| tick.output.actuation.speed.abs()),
         });
         let observation = Observation {
             now_us,

@@ -52,8 +52,9 @@ impl Pulse {
 /// loop apart, on a clock that may be 0.5 % slow.
 pub(crate) const BRAKE_US: u64 = 500_000 + 20_000 + 10_000 + 2_500;
 
-/// Neutral before any configuration.
-const NEUTRAL_US: u16 = 1_500;
+/// The pulse before any configuration and after an emergency stop, which trusts none: the
+/// neutral of most ESCs.
+pub(crate) const START_PULSE_US: u16 = 1_500;
 
 /// Frames beyond the deadband after which an ESC has seen that it is driven forward: 60 ms.
 const DRIVEN_FRAMES: u8 = 3;
@@ -112,7 +113,7 @@ impl Pins {
         // A pulse cut by a reset drives only if it is longer than neutral.
         let short = record.cut && record.esc_us < esc.neutral_us;
         let is = |us: u16| record.esc_us.abs_diff(us) <= TOLERANCE_US;
-        if short || is(esc.neutral_us) || is(NEUTRAL_US) {
+        if short || is(esc.neutral_us) || is(START_PULSE_US) {
             return Effect::Neutral;
         }
         if !(spec.brakes() && record.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US) {

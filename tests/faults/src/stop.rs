@@ -35,6 +35,9 @@ pub(crate) struct Stop {
     /// Time for which the ESC held the last pulse of a board that gave no more, in µs; at
     /// most the true time of signal loss.
     pub(crate) held_us: u64,
+    /// Time that the host's ramp takes from the command to the speed of a car that lags
+    /// behind it, in µs.
+    lead_us: u64,
     /// Whether the car has stood since.
     pub(crate) stood: bool,
     rolling: Option<Rolling>,
@@ -45,7 +48,7 @@ pub(crate) struct Stop {
 impl Stop {
     /// Time after which the car decelerates, in µs.
     pub(crate) const fn reaction_us(&self) -> u64 {
-        REACTION_US + self.held_us
+        REACTION_US + self.held_us + self.lead_us
     }
 
     /// The deceleration that the configuration promises, in m/s²: a stop by the host
@@ -124,6 +127,8 @@ pub(crate) struct Step<'a> {
     pub(crate) moved_by_hand: bool,
     /// Mode after a tick in this step.
     pub(crate) mode: Option<Mode>,
+    /// The speed that the tick commanded, in m/s.
+    pub(crate) commanded: f64,
 }
 
 /// Follows the stops.
@@ -160,7 +165,8 @@ impl Stops {
                 self.stop = None;
                 self.driven = false;
             } else if drives(before) && !drives(Some(mode)) {
-                self.begin(step);
+                let lead = (step.commanded - step.speed.abs()) / step.spec.stop_deceleration;
+                self.begin(step, (1e6 * lead.max(0.0)) as u64);
             }
         }
         for pulse in step.pulses {
@@ -187,7 +193,7 @@ impl Stops {
         }
         // A slowing car that stands may drive on, as long as the board is armed.
         if self.driven && !step.board_is_armed {
-            self.begin(step);
+            self.begin(step, 0);
         }
         if step.moved_by_hand {
             self.stop = None;
@@ -221,13 +227,14 @@ impl Stops {
         stop.stood |= speed < STANDING && now_us > stop.began_us + step.spec.true_release_us;
     }
 
-    fn begin(&mut self, step: &Step<'_>) {
+    fn begin(&mut self, step: &Step<'_>, lead_us: u64) {
         let speed = step.speed.abs();
         self.stop.get_or_insert(Stop {
             began_us: step.now_us,
             speed,
             way: 0.0,
             held_us: 0,
+            lead_us,
             stood: false,
             rolling: None,
             now_us: step.now_us,

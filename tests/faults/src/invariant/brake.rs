@@ -5,7 +5,7 @@ use singletrack_protocol::{BoardMode, StopCause};
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{
     observation::{Observation, TOLERANCE_US},
-    pins::{BRAKE_US, Forward},
+    pins::{BRAKE_US, Forward, START_PULSE_US},
 };
 
 /// `brake-pulse`: while reverse is disabled, a pulse below the deadband is the brake pulse
@@ -92,9 +92,6 @@ pub(super) struct SilentStop {
     board_since_us: Option<u64>,
 }
 
-/// The pulse after an emergency stop, which trusts no configuration.
-const NEUTRAL_US: u16 = 1_500;
-
 /// Time for which it is given, on a clock that may be 0.5 % slow; the frame in progress at
 /// its end; and the period of the telemetry that shows the stop.
 const NEUTRAL_FOR_US: u64 = 201_000;
@@ -121,7 +118,7 @@ impl Invariant for SilentStop {
         let found = observation.pulses.iter().find(|pulse| {
             // The telemetry may arrive before the pulse that it describes.
             let after_us = pulse.time_us.saturating_sub(latched_us + SERVO_US + 1_000);
-            let is_neutral = pulse.esc_us.abs_diff(NEUTRAL_US) <= TOLERANCE_US;
+            let is_neutral = pulse.esc_us.abs_diff(START_PULSE_US) <= TOLERANCE_US;
             let is_late = after_us > neutral_us + TELEMETRY_US;
             pulse.esc_us != 0 && after_us > 0 && (is_late || !is_neutral)
         });

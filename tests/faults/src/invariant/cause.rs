@@ -234,7 +234,8 @@ impl Invariant for MotorPulses {
 /// `imu-silence`: the host follows its reference no longer than the configured time
 /// after the last IMU sample that it accepted.
 ///
-/// Counted from the time that samples stop, when the last one is at most 10 ms old.
+/// Counted from the time that samples stop, when the last one is at most 10 ms old, and that
+/// nothing delays the line.
 #[derive(Default)]
 pub(super) struct ImuSilence {
     silent_us: Option<u64>,
@@ -246,7 +247,8 @@ impl Invariant for ImuSilence {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        if observation.is_effective(FaultKind::ImuSilent) {
+        let is_delayed = observation.is_active(FaultKind::LineDelay);
+        if observation.is_effective(FaultKind::ImuSilent) && !is_delayed {
             self.silent_us.get_or_insert(observation.now_us);
         } else {
             self.silent_us = None;

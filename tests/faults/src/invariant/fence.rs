@@ -15,7 +15,8 @@ use crate::{observation::Observation, schedule::FaultKind};
 /// `fence.braking_m_s2`, time without a pose) leaves the geofence. The car may need more:
 ///
 /// - 120 ms for which the last command is obeyed, if the daemon is silenced at that moment;
-///   with a dead board, also the time for which the ESC has held its last pulse;
+///   with a dead board, also the time for which the ESC has held its last pulse; and what
+///   the ESC takes longer than the 0.1 s of reaction to release its motor;
 /// - the largest error of the pilot's estimate of the position in the last second in which
 ///   it commanded the drive; what the pilot believes after the decision to stop drives
 ///   nothing. Lies of the cameras appear here and nowhere else: the car is judged while they
@@ -46,6 +47,7 @@ impl Default for Fence {
 
 const SILENCE_S: f64 = 0.12;
 const BEND_M: f64 = 0.1;
+const REACTION_S: f64 = 0.1;
 /// Time in which a pilot whose estimate becomes right again finds that the car is outside,
 /// in s.
 const RECENT_S: f64 = 1.0;
@@ -91,7 +93,9 @@ impl Invariant for Fence {
         self.excused |= observation.is_moved_by_hand() || unarmed;
         let held_s = stop.map_or(0.0, |stop| stop.held_us as f64 * 1e-6);
         let error = self.errors.iter().copied().fold(0.0, f64::max);
-        let allowed = (SILENCE_S + held_s) * self.speed + error + BEND_M;
+        let release_s = observation.spec.true_release_us as f64 * 1e-6;
+        let late_s = (release_s - REACTION_S).max(0.0);
+        let allowed = (SILENCE_S + held_s + late_s) * self.speed + error + BEND_M;
         if -clearance <= allowed || self.excused {
             return Ok(());
         }

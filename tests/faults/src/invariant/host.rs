@@ -1,5 +1,6 @@
 //! The host's commands and outputs, whether obeyed or not.
 
+use singletrack_control::Time;
 use singletrack_pilot::{Mode, Output};
 use singletrack_protocol::ToBoard;
 
@@ -42,10 +43,11 @@ impl Invariant for CommandLimits {
 /// `command-rate`: between two commands, the speed of G changes by no more than the
 /// configured acceleration (or stop deceleration) allows in a period, and the
 /// steering angle by no more than its rate does. A drive starts at zero speed. While the
-/// car is told to roll out, the speed falls with it.
+/// car is told to roll out, the speed falls with it; a stop makes up for late ticks.
 #[derive(Default)]
 pub(super) struct CommandRate {
     last: Option<(f64, f64)>,
+    last_tick: Option<Time>,
     rolled: bool,
 }
 
@@ -58,6 +60,7 @@ impl Invariant for CommandRate {
         let Some(tick) = observation.tick else {
             return Ok(());
         };
+        let last_tick = self.last_tick.replace(tick.pilot_time);
         if tick.output.command.is_none() {
             // A stopping car whose estimate restarts has no command for a tick.
             if !tick.output.mode.is_underway() {
@@ -77,7 +80,13 @@ impl Invariant for CommandRate {
             .is_some_and(|command| command.rear_speed == 0.0);
         let falls = actuation.speed < speed && (rolls || self.rolled);
         self.rolled = rolls;
-        if change > most + 1e-9 && !falls {
+        let elapsed = last_tick.map_or(0.0, |last| tick.pilot_time.seconds_since(last));
+        let periods = if tick.output.mode == Mode::Driving {
+            1.0
+        } else {
+            libm::rint(elapsed / spec.period_s).max(1.0)
+        };
+        if change > periods * most + 1e-9 && !falls {
             return Err(format!(
                 "speed commanded from {speed} to {} m/s in a period, {most} allowed",
                 actuation.speed

@@ -17,6 +17,9 @@ use crate::observation::Observation;
 pub(super) struct ProvingSpeed {
     /// True way at the arm, in m.
     from: f64,
+    /// Whether the drive began, or went on, with a proved configuration: a contradiction that
+    /// ends it counts from the next drive on.
+    was_proved: bool,
     /// When the loop has settled after the last fault.
     settled_us: u64,
 }
@@ -44,8 +47,10 @@ impl Invariant for ProvingSpeed {
         }
         if arms || observation.configuration.is_some() {
             self.from = way;
+            self.was_proved = false;
         }
-        if observation.is_proved || way - self.from > METRE {
+        self.was_proved |= observation.is_proved;
+        if self.was_proved || way - self.from > METRE {
             return Ok(());
         }
         for message in observation.written {

@@ -3,7 +3,10 @@
 use singletrack_sim::PulseRecord;
 
 use super::{Invariant, SERVO_US, Verdict};
-use crate::observation::{Observation, Spec, TOLERANCE_US};
+use crate::{
+    observation::{Observation, Spec, TOLERANCE_US},
+    pins::START_PULSE_US,
+};
 
 /// `pulse-limits`: every pulse is absent or within the configured limits, and none
 /// drives in reverse, which no configuration here allows.
@@ -83,7 +86,8 @@ impl Invariant for ServoSlew {
 }
 
 /// `esc-slew`: away from neutral the ESC's pulse changes by no more than
-/// configured; changes to neutral and to the brake are immediate.
+/// configured; changes to neutral, to the brake, and to the start pulse of an emergency stop
+/// are immediate.
 #[derive(Default)]
 pub(super) struct EscSlew {
     last: Option<PulseRecord>,
@@ -109,7 +113,7 @@ impl Invariant for EscSlew {
                 Self::above_neutral(observation.spec, pulse),
             );
             let most = slew_us(observation.spec.board.esc.slew_us_per_20ms, &last, pulse);
-            if to.saturating_sub(from) > most {
+            if to.saturating_sub(from) > most && pulse.esc_us != START_PULSE_US {
                 return Err(format!(
                     "ESC pulse from {} to {} µs, at most {most} µs more allowed",
                     last.esc_us, pulse.esc_us

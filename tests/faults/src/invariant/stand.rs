@@ -6,6 +6,7 @@ use singletrack_protocol::BoardMode;
 use super::{Invariant, Verdict};
 use crate::{
     observation::Observation,
+    pins::START_PULSE_US,
     schedule::FaultKind,
     stop::{LEAST_SHARE, STANDING, Stop},
 };
@@ -18,7 +19,8 @@ use crate::{
 /// A car whose motor is free and that brakes less than configured may take longer: what
 /// follows from that is the subject of `weak-brakes` and `stop-not-obeyed`. One that keeps
 /// its speed may not: see [`Stop::is_weak`]. An ESC whose throttle is stuck is stopped by a
-/// kill output once the host has noticed it.
+/// kill output once the host has noticed it. A board that restarts gives the start pulse,
+/// which drives a car whose neutral is another one: see `unarmed-motion`.
 #[derive(Default)]
 pub(super) struct Stands;
 
@@ -35,6 +37,13 @@ impl Invariant for Stands {
             return Ok(());
         };
         let spec = observation.spec;
+        let esc = &spec.board.esc;
+        let restarted = observation
+            .board_since_us
+            .is_none_or(|us| us >= stop.began_us);
+        if restarted && esc.neutral_us.abs_diff(START_PULSE_US) > esc.deadband_us {
+            return Ok(());
+        }
         let after_us = observation.now_us - stop.began_us;
         let (mut allowed_way, mut allowed_us) = (stop.allowed_way(spec), stop.allowed_us(spec));
         if observation.is_active(FaultKind::EscStuck) {

@@ -98,7 +98,7 @@ fn frames(bytes: &[u8]) -> impl Iterator<Item = (&[u8], Option<ToBoard>)> {
 
 /// The pulses by which a bug tells what the board does: neutral in every schedule without
 /// a misconfigured ESC, and the brake pulse.
-pub(super) const NEUTRAL_US: u16 = 1_500;
+pub(super) use crate::pins::START_PULSE_US as NEUTRAL_US;
 const BRAKE_US: u16 = 1_350;
 const DEADBAND_US: u16 = 30;
 
