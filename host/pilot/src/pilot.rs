@@ -2,7 +2,7 @@
 
 use core::f64::consts::PI;
 
-use libm::{copysign, cos, fabs, rint, sin};
+use libm::{copysign, cos, fabs, rint, sin, tan};
 use singletrack_control::{
     Actuation, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits, OuterLoop,
     PoseSample, PoseVerdict, Position, Reference, ReferencePoint, Time, TrackingLoop, Velocity,
@@ -618,17 +618,19 @@ impl Pilot {
     /// Whether the car is inside the geofence, and stays inside if it stops now.
     ///
     /// The path ahead is the distance since the last pose, the reaction distance and the
-    /// braking distance v²/2a, at the speed `pace` (m/s). It follows the present curvature,
-    /// because a stop holds the steering.
+    /// braking distance v²/2a, at the speed `pace` (m/s). A stop holds the steering, so the
+    /// path follows the commanded curvature; and the present one, from which the wheels turn
+    /// there.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
         let braking = 0.5 * pace * pace / self.braking();
         let ahead = self.blind.distance() + pace * REACTION + braking;
-        let curvature = if fabs(estimate.speed) > BENDS_FROM {
+        let present = if fabs(estimate.speed) > BENDS_FROM {
             estimate.yaw_rate / estimate.speed
         } else {
             0.0
         };
-        let way = |distance: f64| {
+        let commanded = tan(self.commanded_steering) / self.config.estimator.wheelbase;
+        let way = |curvature: f64, distance: f64| {
             let distance = copysign(distance, estimate.speed);
             // The arc turns by this angle; its chord is sin(turn/2)/(turn/2) as long.
             let turn = (curvature * distance).clamp(-PI, PI);
@@ -639,10 +641,12 @@ impl Pilot {
             };
             chord * direction(estimate.yaw + estimate.sideslip + 0.5 * turn)
         };
-        let (half, whole) = (way(0.5 * ahead), way(ahead));
         let fence = &self.config.fence;
-        fence.contains_way(&estimate.position, &half)
-            && fence.contains_way(&(estimate.position + half), &(whole - half))
+        [present, commanded].into_iter().all(|curvature| {
+            let (half, whole) = (way(curvature, 0.5 * ahead), way(curvature, ahead));
+            fence.contains_way(&estimate.position, &half)
+                && fence.contains_way(&(estimate.position + half), &(whole - half))
+        })
     }
 
     fn handle_board(&mut self, sample: &BoardSample) {

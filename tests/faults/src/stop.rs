@@ -171,8 +171,9 @@ impl Stops {
         }
         for pulse in step.pulses {
             let released = match pulse.effect {
-                // The ESC holds what it had.
+                // The ESC holds what it had; it takes no pulse that a reset cut short.
                 Effect::Absent => !self.last_drives,
+                Effect::Neutral if pulse.cut => !self.last_drives,
                 _ => {
                     self.last_pulse_us = pulse.time_us;
                     self.last_drives = !pulse.releases(step.spec);

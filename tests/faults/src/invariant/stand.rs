@@ -24,6 +24,9 @@ use crate::{
 #[derive(Default)]
 pub(super) struct Stands;
 
+/// Time between the restart of a board and its first telemetry, in µs.
+const RESETS_US: u64 = 20_000;
+
 /// Time in which the host notices that a stop is not obeyed, in µs.
 const KILLED_US: u64 = 1_000_000;
 
@@ -40,8 +43,8 @@ impl Invariant for Stands {
         let esc = &spec.board.esc;
         let restarted = observation
             .board_since_us
-            .is_none_or(|us| us >= stop.began_us);
-        if restarted && esc.neutral_us.abs_diff(START_PULSE_US) > esc.deadband_us {
+            .is_none_or(|us| us + RESETS_US >= stop.began_us);
+        if restarted && esc.neutral_us != START_PULSE_US {
             return Ok(());
         }
         let after_us = observation.now_us - stop.began_us;

@@ -280,11 +280,11 @@ bugs! {
         }
     });
     Host "follows a false estimate", "estimate", "", |_| wandering();
-    Host "assumes that it brakes ten times as well", "fence",
+    Host "assumes that it stops at once", "fence",
         "esc_kind forward-reverse; reference steps; speed_mm_s 1500; fence_mm -2200",
         |_| Host(|config: &mut Config| {
-            config.fence.braking_m_s2 *= 10.0;
-            config.control.stop_deceleration_m_s2 *= 10.0;
+            config.fence.braking_m_s2 = 50.0;
+            config.control.stop_deceleration_m_s2 = 50.0;
         });
     Host "has another fence", "fence", "reference steps; speed_mm_s 1000; fence_mm -1000",
         |_| Host(|config: &mut Config| {
