@@ -179,3 +179,295 @@ impl InnovationWatch {
         *self = Self::default();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use libm::atan;
+    use singletrack_control::{Position, direction};
+
+    use super::*;
+
+    fn at(ms: u64) -> Time {
+        Time(1_000_000_000 + ms * 1_000_000)
+    }
+
+    fn pose(ms: u64, x: f64, y: f64, yaw: f64) -> PoseSample {
+        PoseSample {
+            capture: at(ms),
+            receive: at(ms + 5),
+            frame: 0,
+            position: Position::new(x, y),
+            yaw,
+        }
+    }
+
+    fn frozen(poses: impl IntoIterator<Item = PoseSample>, config: &WatchConfig) -> bool {
+        let mut watch = FrozenWatch::default();
+        for pose in poses {
+            watch.pose(&pose, config);
+        }
+        watch.is_frozen()
+    }
+
+    #[test]
+    fn poses_that_repeat_for_three_tenths_of_a_second_are_frozen() {
+        let config = WatchConfig::paper();
+        for still in [[1.0, 2.0, 3.0], [f64::NAN; 3]] {
+            let same = |ms| pose(ms, still[0], still[1], still[2]);
+            assert!(!frozen([same(0)], &config));
+            assert!(!frozen([same(0), same(100), same(299)], &config));
+            assert!(frozen([same(0), same(100), same(300)], &config));
+            assert!(frozen([same(0), same(300), same(310)], &config));
+        }
+    }
+
+    #[test]
+    fn a_pose_that_differs_by_one_bit_ends_and_restarts_the_repetition() {
+        let config = WatchConfig::paper();
+        let same = |ms| pose(ms, 0.0, 0.0, 0.0);
+        for other in [
+            pose(300, -0.0, 0.0, 0.0),
+            pose(300, 0.0, -0.0, 0.0),
+            pose(300, 0.0, 0.0, -0.0),
+        ] {
+            let before = [same(0), same(200), other];
+            assert!(!frozen(before, &config));
+            let after = [same(310), same(609)];
+            assert!(!frozen(before.into_iter().chain(after), &config));
+            let after = [same(310), same(610)];
+            assert!(frozen(before.into_iter().chain(after), &config));
+            assert!(!frozen([same(0), same(290), same(301), other], &config));
+        }
+    }
+
+    #[test]
+    fn a_time_of_zero_disables_the_watch_for_frozen_poses() {
+        let off = WatchConfig {
+            frozen_poses: 0.0,
+            ..WatchConfig::paper()
+        };
+        assert!(!frozen((0..100).map(|i| pose(10 * i, 1.0, 2.0, 3.0)), &off));
+    }
+
+    /// A step of a sixteenth of a metre, and of a second, at `angle` to the yaw.
+    fn slid(angle: f64) -> Step {
+        Step {
+            time: 0.0625,
+            rear: 0.0625 * direction(0.7 + angle),
+            yaw: 0.7,
+            turn: 0.0,
+            gyro_turn: 0.0,
+            forward: 0.0,
+            left: 0.0,
+            steering: 0.0,
+            motor_way: 0.0625,
+        }
+    }
+
+    /// The number of equal steps after which the sideslip is exceeded.
+    fn sideslip(step: Step) -> Option<usize> {
+        let mut watch = SideslipWatch::default();
+        (1..=1_000).find(|_| {
+            watch.step(&step, &WatchConfig::paper());
+            watch.is_exceeded()
+        })
+    }
+
+    #[test]
+    fn two_means_of_the_sideslip_beyond_the_limit_are_implausible() {
+        // The sum of sixteenths is not exact for every angle.
+        let soon = 8..=10;
+        for (angle, exceeded) in [
+            (0.0, false),
+            (0.139, false),
+            (-0.139, false),
+            (0.141, true),
+            (-0.141, true),
+            (3.0, true),
+        ] {
+            let steps = sideslip(slid(angle));
+            assert_eq!(steps.is_some(), exceeded, "{angle}");
+            assert!(steps.is_none_or(|steps| soon.contains(&steps)), "{steps:?}");
+        }
+    }
+
+    #[test]
+    fn a_car_in_a_bend_may_slide_by_what_its_tyres_add() {
+        // A lateral acceleration of 2 m/s² adds 0.06 rad.
+        for turn in [0.125, -0.125] {
+            let slid = |angle| Step {
+                turn,
+                ..slid(angle)
+            };
+            assert_eq!(sideslip(slid(0.199)), None);
+            assert!(sideslip(slid(0.201)).is_some());
+        }
+        let slid = Step {
+            turn: f64::NAN,
+            ..slid(0.0)
+        };
+        assert!(sideslip(slid).is_some());
+    }
+
+    #[test]
+    fn short_steps_and_steps_in_reverse_have_no_sideslip() {
+        // Along the world's axis, so that the length of a step is exact.
+        let short = |way| Step {
+            rear: Position::new(way, 0.0).coords,
+            yaw: 0.3,
+            ..slid(0.0)
+        };
+        assert_eq!(sideslip(short(0.0029)), None);
+        assert!(sideslip(short(0.003)).is_some());
+        let motor = |motor_way| Step {
+            motor_way,
+            ..slid(0.3)
+        };
+        assert_eq!(sideslip(motor(-0.001)), None);
+        assert!(sideslip(motor(0.0)).is_some());
+    }
+
+    #[test]
+    fn a_good_mean_and_a_reset_forget_the_sideslip() {
+        let mut watch = SideslipWatch::default();
+        let mut slide = |angle: f64, reset: bool| {
+            if reset {
+                watch.reset();
+            }
+            // One long step makes a mean.
+            let step = Step {
+                rear: 0.3 * direction(0.7 + angle),
+                ..slid(0.0)
+            };
+            watch.step(&step, &WatchConfig::paper());
+            watch.is_exceeded()
+        };
+        for (angle, reset, exceeded) in [
+            (0.3, false, false),
+            (0.0, false, false),
+            (0.3, false, false),
+            (0.3, false, true),
+            (0.3, false, true),
+            (0.3, true, false),
+            (0.3, false, true),
+            (0.0, false, false),
+        ] {
+            assert_eq!(slide(angle, reset), exceeded);
+        }
+    }
+
+    #[test]
+    fn the_angle_is_that_of_the_whole_way() {
+        let mut watch = SideslipWatch::default();
+        for i in 0..40 {
+            let angle = if i % 2 == 0 { 0.5 } else { -0.5 };
+            watch.step(&slid(angle), &WatchConfig::paper());
+            assert!(!watch.is_exceeded());
+        }
+    }
+
+    const WHEELBASE: f64 = 0.25;
+
+    /// A step of an eighth of a metre whose steering wants a turn of 0.2 rad.
+    fn steered(turn: f64) -> Step {
+        Step {
+            rear: 0.125 * direction(0.7),
+            turn,
+            steering: atan(0.4),
+            ..slid(0.0)
+        }
+    }
+
+    /// The number of equal steps after which the turn differs from the steering.
+    fn steering(step: Step) -> Option<usize> {
+        let mut watch = SteeringWatch::default();
+        (1..=1_000).find(|_| {
+            watch.step(&step, WHEELBASE, &WatchConfig::paper());
+            watch.is_exceeded()
+        })
+    }
+
+    #[test]
+    fn a_car_that_turns_otherwise_than_steered_is_implausible_after_two_ways() {
+        // 4 steps want 0.8 rad, to within 0.2 rad and the half of it.
+        for (turn, steps) in [
+            (0.2, None),
+            (0.051, None),
+            (0.049, Some(8)),
+            (-0.2, Some(8)),
+            (0.349, None),
+            (0.351, Some(8)),
+            (f64::NAN, Some(8)),
+        ] {
+            assert_eq!(steering(steered(turn)), steps, "{turn}");
+            let reverse = Step {
+                motor_way: -0.01,
+                ..steered(-turn)
+            };
+            assert_eq!(steering(reverse), steps, "{turn} in reverse");
+        }
+    }
+
+    #[test]
+    fn a_fitting_way_and_a_reset_forget_the_turns() {
+        let mut watch = SteeringWatch::default();
+        let mut steer = |turn: f64, reset: bool| {
+            if reset {
+                watch.reset();
+            }
+            for _ in 0..4 {
+                watch.step(&steered(turn), WHEELBASE, &WatchConfig::paper());
+            }
+            watch.is_exceeded()
+        };
+        for (turn, reset, exceeded) in [
+            (0.0, false, false),
+            (0.2, false, false),
+            (0.0, false, false),
+            (0.0, false, true),
+            (0.0, false, true),
+            (0.0, true, false),
+            (0.0, false, true),
+            (0.2, false, false),
+        ] {
+            assert_eq!(steer(turn, reset), exceeded);
+        }
+    }
+
+    /// The number of poses with the innovation after which they are inconsistent.
+    fn innovations(watch: &mut InnovationWatch, innovation: f64) -> Option<usize> {
+        (1..=1_000).find(|_| {
+            watch.pose(innovation, &WatchConfig::paper());
+            watch.is_inconsistent()
+        })
+    }
+
+    #[test]
+    fn fifty_poses_with_too_high_a_mean_innovation_are_inconsistent() {
+        let first = |innovation| innovations(&mut InnovationWatch::default(), innovation);
+        assert_eq!(first(199.0), None);
+        // The mean is 400 (1 - 0.98^n): above 200 from the 35th pose on.
+        assert_eq!(first(400.0), Some(84));
+        assert_eq!(first(f64::NAN), Some(50));
+    }
+
+    #[test]
+    fn a_mean_within_its_limit_and_a_reset_forget_the_innovations() {
+        let config = WatchConfig::paper();
+        let mut watch = InnovationWatch::default();
+        for _ in 0..83 {
+            watch.pose(400.0, &config);
+        }
+        // The mean of 325 is within its limit again after 25 poses.
+        for _ in 0..40 {
+            watch.pose(0.0, &config);
+        }
+        assert!(!watch.is_inconsistent());
+        watch.reset();
+        assert_eq!(innovations(&mut watch, 400.0), Some(84));
+        assert!(watch.is_inconsistent());
+        watch.reset();
+        assert!(!watch.is_inconsistent());
+        assert_eq!(innovations(&mut watch, 400.0), Some(84));
+    }
+}

@@ -222,3 +222,245 @@ impl Steps {
         self.sums = Sums::default();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+
+    use super::*;
+
+    const EXACT: f64 = 1e-9;
+
+    fn at(ms: u64) -> Time {
+        Time(1_000_000_000 + ms * 1_000_000)
+    }
+
+    fn pose(steps: &mut Steps, ms: u64, x: f64) -> Option<Step> {
+        steps.pose(at(ms), Position::new(x, 0.0), 0.0, 0.2)
+    }
+
+    fn inertial(steps: &mut Steps, ms: u64, values: [f64; 3], rests: bool) {
+        let [yaw_rate, forward_acceleration, left_acceleration] = values;
+        let sample = InertialSample {
+            time: at(ms),
+            yaw_rate,
+            forward_acceleration,
+            left_acceleration,
+        };
+        steps.inertial(&sample, rests);
+    }
+
+    /// The step between two poses of a standing car, with what happens between them.
+    fn step_with(between: impl FnOnce(&mut Steps)) -> Step {
+        let mut steps = Steps::default();
+        assert_eq!(pose(&mut steps, 0, 0.0), None);
+        between(&mut steps);
+        pose(&mut steps, 100, 0.0).unwrap()
+    }
+
+    fn assert_near<const N: usize>(actual: [f64; N], expected: [f64; N]) {
+        let near = |(a, e): (&f64, &f64)| (a - e).abs() < EXACT;
+        assert!(
+            actual.iter().zip(&expected).all(near),
+            "{actual:?} {expected:?}"
+        );
+    }
+
+    fn sums(step: &Step) -> [f64; 3] {
+        [step.gyro_turn, step.forward, step.left]
+    }
+
+    #[test]
+    fn a_step_has_the_motion_of_the_rear_axle_and_the_mean_yaw() {
+        let mut steps = Steps::default();
+        let none = steps.pose(at(0), Position::new(1.0, 2.0), 0.0, 0.2);
+        assert_eq!(none, None);
+        let step = steps
+            .pose(at(50), Position::new(1.1, 2.0), FRAC_PI_2, 0.2)
+            .unwrap();
+        assert_near(
+            [step.time, step.yaw, step.turn],
+            [0.05, FRAC_PI_4, FRAC_PI_2],
+        );
+        assert_near([step.rear.x, step.rear.y], [0.3, -0.2]);
+        // Along and across a yaw of 45 degrees.
+        let diagonal = 0.5_f64.sqrt();
+        assert_near(
+            [step.along(), step.across()],
+            [0.1 * diagonal, -0.5 * diagonal],
+        );
+    }
+
+    #[test]
+    fn a_turn_across_half_a_turn_is_short() {
+        let mut steps = Steps::default();
+        let origin = Position::origin();
+        assert_eq!(steps.pose(at(0), origin, 3.1, 0.2), None);
+        let step = steps.pose(at(50), origin, -3.1, 0.2).unwrap();
+        let turn = 2.0 * (core::f64::consts::PI - 3.1);
+        assert_near([step.turn, step.yaw], [turn, 3.1 + 0.5 * turn]);
+    }
+
+    #[test]
+    fn a_step_takes_from_40_to_120_ms() {
+        let mut steps = Steps::default();
+        for (ms, time) in [
+            (0, None),
+            (39, None),
+            (40, Some(0.04)),
+            (79, None),
+            (81, Some(0.041)),
+            (201, Some(0.12)),
+            (322, None),
+            // The pose after too long a time starts the next step.
+            (372, Some(0.05)),
+        ] {
+            let step = pose(&mut steps, ms, 0.0);
+            assert_eq!(step.map(|step| step.time), time, "{ms} ms");
+        }
+    }
+
+    #[test]
+    fn each_inertial_sample_counts_until_the_next_one() {
+        let step = step_with(|steps| {
+            inertial(steps, 0, [1.0, 2.0, 4.0], false);
+            inertial(steps, 20, [2.0, 3.0, 5.0], false);
+            inertial(steps, 70, [9.0, 9.0, 9.0], false);
+        });
+        assert_near(sums(&step), [0.12, 0.19, 0.33]);
+    }
+
+    #[test]
+    fn inertial_samples_do_not_count_over_a_gap_nor_back_in_time() {
+        let step = step_with(|steps| {
+            inertial(steps, 0, [1.0; 3], false);
+            inertial(steps, 51, [1.0; 3], false);
+            inertial(steps, 41, [f64::INFINITY; 3], false);
+            inertial(steps, 41, [1.0; 3], false);
+        });
+        assert_eq!(sums(&step), [0.0; 3]);
+    }
+
+    #[test]
+    fn the_mean_of_a_standing_car_is_taken_from_the_samples() {
+        let step = step_with(|steps| {
+            inertial(steps, 0, [1.0, 2.0, 4.0], true);
+            inertial(steps, 20, [1.0, 2.0, 4.0], true);
+        });
+        let rest = 0.02 * 0.97 * 0.97;
+        assert_near(sums(&step), [rest, 2.0 * rest, 4.0 * rest]);
+    }
+
+    #[test]
+    fn the_centripetal_part_of_the_speed_before_is_taken_from_the_acceleration_to_the_left() {
+        let mut steps = Steps::default();
+        pose(&mut steps, 0, 0.0);
+        assert!(pose(&mut steps, 50, 0.15).is_some(), "3 m/s");
+        inertial(&mut steps, 50, [0.5, 0.0, 4.0], false);
+        inertial(&mut steps, 70, [0.0; 3], false);
+        let step = pose(&mut steps, 100, 0.15).unwrap();
+        assert_near(sums(&step), [0.01, 0.0, 0.02 * 2.5]);
+        // It stood during the last step.
+        inertial(&mut steps, 110, [0.5, 0.0, 4.0], false);
+        inertial(&mut steps, 130, [0.0; 3], false);
+        let step = pose(&mut steps, 150, 0.15).unwrap();
+        assert_near(sums(&step), [0.01, 0.0, 0.08]);
+    }
+
+    #[test]
+    fn the_way_of_the_motor_is_the_sum_of_its_speed_since_the_time_before() {
+        let step = step_with(|steps| {
+            for (ms, speed) in [
+                (0, 9.0),
+                (20, 2.0),
+                (70, 3.0),
+                // Not over a gap, nor without time, nor back in time.
+                (121, 9.0),
+                (121, f64::INFINITY),
+                (101, 9.0),
+            ] {
+                steps.motor(at(ms), speed);
+            }
+        });
+        assert_near([step.motor_way], [0.04 + 0.15]);
+    }
+
+    #[test]
+    fn the_mean_steering_lags_behind_the_commanded_one() {
+        let step = step_with(|steps| {
+            for ms in [0, 30, 60] {
+                steps.tick(at(ms), 0.4);
+            }
+        });
+        // The lag is 60 ms: 0.2 rad after 30 ms, and 0.3 rad after 60 ms.
+        assert_near([step.steering], [0.25]);
+        let step = step_with(|steps| {
+            for (ms, commanded) in [(0, 0.4), (15, 0.4), (60, 0.4)] {
+                steps.tick(at(ms), commanded);
+            }
+        });
+        // 0.1 rad for 15 ms, then 0.325 rad for 45 ms.
+        assert_near([step.steering], [0.25 * 0.1 + 0.75 * 0.325]);
+    }
+
+    #[test]
+    fn a_late_tick_counts_as_a_gap_and_a_step_without_ticks_has_the_last_steering() {
+        let mut steps = Steps::default();
+        steps.tick(at(0), 0.0);
+        steps.tick(at(900), 0.6);
+        pose(&mut steps, 1_000, 0.0);
+        let step = pose(&mut steps, 1_050, 0.0).unwrap();
+        assert_near([step.steering], [0.5]);
+        steps.tick(at(800), 0.0);
+        let step = pose(&mut steps, 1_100, 0.0).unwrap();
+        assert_near([step.steering], [0.5]);
+    }
+
+    fn camera_speed(poses: impl IntoIterator<Item = (u64, f64)>, now: u64) -> Option<f64> {
+        let mut steps = Steps::default();
+        for (ms, x) in poses {
+            pose(&mut steps, ms, x);
+        }
+        steps.camera_speed(at(now))
+    }
+
+    #[test]
+    fn the_speed_of_the_cameras_needs_poses_that_are_recent_and_50_ms_apart() {
+        let poses = [(0, 0.0), (50, 0.1)];
+        assert_near([camera_speed(poses, 50).unwrap()], [2.0]);
+        assert_near([camera_speed(poses, 150).unwrap()], [2.0]);
+        assert_eq!(camera_speed(poses, 151), None);
+        assert_eq!(camera_speed([(0, 0.0), (49, 0.1)], 49), None);
+        assert_eq!(camera_speed([(0, 0.0)], 0), None);
+        assert_eq!(camera_speed([], 0), None);
+    }
+
+    #[test]
+    fn the_speed_of_the_cameras_is_that_of_the_last_tenth_of_a_second() {
+        // A pose may be older by the 8 ms that the poses are apart.
+        let speed = camera_speed([(0, 0.0), (55, 0.0), (105, -0.21)], 105);
+        assert_near([speed.unwrap()], [2.0]);
+        let speed = camera_speed([(0, 0.0), (60, 0.0), (110, -0.21)], 110);
+        assert_near([speed.unwrap()], [4.2]);
+    }
+
+    #[test]
+    fn fast_cameras_fill_the_span_of_the_speed() {
+        let fast = |ms: u64| (ms, 1e-3 * ms as f64);
+        assert_near([camera_speed((0..500).map(fast), 500).unwrap()], [1.0]);
+    }
+
+    #[test]
+    fn a_reset_forgets_the_poses_and_the_sums() {
+        let mut steps = Steps::default();
+        pose(&mut steps, 0, 0.0);
+        pose(&mut steps, 50, 0.1);
+        steps.motor(at(50), 1.0);
+        steps.motor(at(60), 1.0);
+        steps.reset();
+        assert_eq!(steps.camera_speed(at(60)), None);
+        assert_eq!(pose(&mut steps, 100, 0.1), None);
+        let step = pose(&mut steps, 150, 0.1).unwrap();
+        assert_eq!(step.motor_way, 0.0);
+    }
+}
