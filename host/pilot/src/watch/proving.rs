@@ -233,3 +233,356 @@ impl Proving {
         tick
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::FRAC_1_SQRT_2;
+
+    use singletrack_control::Velocity;
+
+    use super::*;
+
+    const PULSE: f64 = 0.003;
+
+    /// A step along (m) and to the left (m) of the yaw, as the motor counts it.
+    fn motion(along: f64, across: f64) -> Step {
+        Step {
+            time: 0.05,
+            rear: Velocity::new(along, across),
+            yaw: 0.0,
+            turn: 0.0,
+            gyro_turn: 0.0,
+            forward: 0.0,
+            left: 0.0,
+            steering: 0.0,
+            motor_way: along,
+        }
+    }
+
+    fn after(steps: &[Step]) -> Proving {
+        let mut proving = Proving::default();
+        for step in steps {
+            proving.step(step, 0.25, PULSE);
+        }
+        proving
+    }
+
+    fn is_near(value: f64, expected: f64) -> bool {
+        (value - expected).abs() < 1e-12
+    }
+
+    #[test]
+    fn a_car_moves_across_its_yaw_beyond_noise_and_half_a_right_angle() {
+        for (along, across, expected) in [
+            (0.0, 0.0, false),
+            (0.01, 0.01, false),
+            (0.01, 0.011, true),
+            (0.01, -0.011, true),
+            (-0.01, 0.009, false),
+            (0.003, 0.004, false),
+            (0.003, 0.004_1, true),
+        ] {
+            let proving = after(&[motion(along, across)]);
+            assert_eq!(proving.moves_across(), expected, "{along} {across}");
+        }
+    }
+
+    #[test]
+    fn the_ways_are_summed_beyond_noise() {
+        let step = Step {
+            motor_way: 0.015,
+            ..motion(0.02, 0.001)
+        };
+        let noise = Step {
+            motor_way: 0.1,
+            ..motion(0.002, 0.0)
+        };
+        let proving = after(&[step, noise, step]);
+        assert!(is_near(proving.along, 0.04), "{}", proving.along);
+        assert!(is_near(proving.across, 0.002), "{}", proving.across);
+        assert!(is_near(proving.motor_way, 0.03), "{}", proving.motor_way);
+    }
+
+    #[test]
+    fn the_turn_that_the_steering_should_make_has_the_sign_of_steering_and_motor() {
+        // 0.02 m at 0.2 rad.
+        let expected = 0.02 * tan(0.2) / 0.25;
+        for (motor_way, steering, sign) in [
+            (0.02, 0.2, 1.0),
+            (0.02, -0.2, -1.0),
+            (-0.02, 0.2, -1.0),
+            (-0.02, -0.2, 1.0),
+        ] {
+            let step = Step {
+                motor_way,
+                steering,
+                turn: 0.01,
+                ..motion(0.02, 0.0)
+            };
+            let proving = after(&[step, step]);
+            assert!(is_near(proving.wanted, 2.0 * expected), "{proving:?}");
+            assert!(is_near(proving.made, 0.02 * sign), "{proving:?}");
+        }
+    }
+
+    #[test]
+    fn a_steering_angle_of_trim_and_backlash_proves_nothing() {
+        let step = |steering| Step {
+            steering,
+            ..motion(0.02, 0.0)
+        };
+        assert_eq!(after(&[step(0.04), step(-0.04)]).wanted, 0.0);
+        assert!(after(&[step(0.041)]).wanted > 0.0);
+        assert!(after(&[step(-0.041)]).wanted > 0.0);
+    }
+
+    #[test]
+    fn the_gyro_is_compared_over_spans_with_a_turn_beyond_noise() {
+        let step = |time, turn, gyro_turn| Step {
+            time,
+            turn,
+            gyro_turn,
+            ..motion(0.0, 0.0)
+        };
+        let proving = after(&[step(0.1, 0.01, 0.011), step(0.099, 0.02, 0.022)]);
+        assert_eq!((proving.seen, proving.felt), (0.0, 0.0));
+        let proving = after(&[
+            step(0.15, 0.01, 0.011),
+            step(0.15, 0.02, 0.022),
+            // The other way round, and what is too little.
+            step(0.3, -0.02, -0.021),
+            step(0.3, 0.015, 0.1),
+            step(0.3, -0.015, 0.1),
+        ]);
+        assert!(is_near(proving.seen, 0.05), "{}", proving.seen);
+        assert!(is_near(proving.felt, 0.054), "{}", proving.felt);
+    }
+
+    #[test]
+    fn a_gyro_with_another_gain_or_sign_than_the_cameras_is_found() {
+        for (seen, felt, differs) in [
+            (0.17, 0.12, false),
+            (0.171, 0.12, true),
+            (0.2, 0.149, true),
+            (0.2, 0.151, false),
+            (0.2, 0.259, false),
+            (0.2, 0.261, true),
+            (0.2, f64::NAN, true),
+            (0.08, 0.0, false),
+            (0.081, 0.024, true),
+            (0.081, 0.024_5, false),
+            (0.1, 0.3 * 0.1, false),
+        ] {
+            let proving = Proving {
+                seen,
+                felt,
+                ..Proving::default()
+            };
+            let expected = differs.then_some(Reason::GyroDiffers);
+            assert_eq!(proving.contradiction(PULSE), expected, "{seen} {felt}");
+        }
+    }
+
+    #[test]
+    fn a_servo_with_another_sign_or_gain_is_found() {
+        for (wanted, made, expected) in [
+            (0.08, -0.08, None),
+            (0.1, -0.029, None),
+            (0.1, -0.3 * 0.1, None),
+            (0.1, -0.031, Some(Reason::SteeringReversed)),
+            (0.17, 0.0, None),
+            (0.171, 0.0, Some(Reason::SteeringDiffers)),
+            (0.2, 0.129, Some(Reason::SteeringDiffers)),
+            (0.2, 0.131, None),
+            (0.2, 0.279, None),
+            (0.2, 0.281, Some(Reason::SteeringDiffers)),
+        ] {
+            let proving = Proving {
+                wanted,
+                made,
+                ..Proving::default()
+            };
+            assert_eq!(proving.contradiction(PULSE), expected, "{wanted} {made}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_yaw_of_the_body_is_found_and_one_by_a_right_angle_early() {
+        for (along, across, wrong) in [
+            // Both ways together are 0.15 m, and a little more.
+            (0.125, 0.15 - 0.125, false),
+            (0.125, 0.026, true),
+            (0.125, -0.026, true),
+            // 0.114 and 0.116 rad.
+            (0.19, 0.19 * 0.114_5, false),
+            (0.19, -0.19 * 0.114_5, false),
+            (0.19, 0.19 * 0.117, true),
+            (0.0, 0.04, false),
+            (0.0, 0.041, true),
+            (0.0, -0.041, true),
+            (-0.041, 0.0, true),
+            // 0.98 and 1.01 rad.
+            (0.02, 0.03, false),
+            (0.02, 0.032, true),
+            (0.19, 0.0, false),
+        ] {
+            let proving = Proving {
+                along,
+                across,
+                motor_way: along,
+                ..Proving::default()
+            };
+            let expected = wrong.then_some(Reason::BodyYawWrong);
+            assert_eq!(proving.contradiction(PULSE), expected, "{along} {across}");
+        }
+    }
+
+    #[test]
+    fn a_motor_that_counts_another_way_than_the_cameras_is_found() {
+        for (along, motor_way, pulse, differs) in [
+            (0.2, 0.0, PULSE, false),
+            (0.201, 0.0, PULSE, true),
+            // 0.02 m, two pulses and 15 % are 0.071 m.
+            (0.3, 0.23, PULSE, false),
+            (0.3, 0.228, PULSE, true),
+            (0.23, 0.3, PULSE, false),
+            (0.228, 0.3, PULSE, true),
+            // Just as much as is allowed.
+            (0.5, 0.0, 0.202_5, false),
+            (0.5, 0.0, 0.202, true),
+        ] {
+            let proving = Proving {
+                along,
+                motor_way,
+                ..Proving::default()
+            };
+            let expected = differs.then_some(Reason::MotorSpeedMismatch);
+            assert_eq!(
+                proving.contradiction(pulse),
+                expected,
+                "{along} {motor_way} {pulse}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_first_contradiction_stays() {
+        let crosswise = motion(0.0, 0.05);
+        let mut proving = after(&[crosswise]);
+        assert_eq!(proving.found(), Some(Reason::BodyYawWrong));
+        for _ in 0..10 {
+            proving.step(&motion(0.1, 0.0), 0.25, PULSE);
+        }
+        assert_eq!(proving.found(), Some(Reason::BodyYawWrong));
+        assert_eq!(after(&[motion(0.1, 0.0); 10]).found(), None);
+    }
+
+    fn at(ms: u64) -> Time {
+        Time(1_000_000_000 + ms * 1_000_000)
+    }
+
+    /// A proving run whose way is driven (m), with the turn of its steering (rad).
+    fn driven(way: f64, wanted: f64, coast: Coast) -> Proving {
+        Proving {
+            way,
+            wanted,
+            coast,
+            ..Proving::default()
+        }
+    }
+
+    #[test]
+    fn the_way_is_the_integral_of_the_speed_in_either_direction() {
+        let mut proving = driven(0.1, 0.0, Coast::Ahead);
+        proving.tick(at(0), 5.0, 1.4, true);
+        proving.tick(at(100), -0.5, 1.4, true);
+        proving.tick(at(300), 0.5, 1.4, true);
+        assert!(is_near(proving.way, 0.25), "{}", proving.way);
+    }
+
+    #[test]
+    fn the_car_is_left_to_roll_once_far_and_fast_enough() {
+        for (way, speed, coasts) in [
+            (0.7, 0.221, true),
+            (0.7, 0.22, false),
+            (0.7, 0.1, false),
+            (0.699, 0.3, false),
+        ] {
+            let mut proving = driven(way, 0.0, Coast::Ahead);
+            let tick = proving.tick(at(0), speed, 1.4, true);
+            assert_eq!(tick.coast, coasts, "{way} {speed}");
+            assert_eq!(tick.coasted, None);
+        }
+        let mut proving = driven(0.9, 0.0, Coast::Over);
+        assert!(!proving.tick(at(0), 0.3, 1.4, true).coast);
+    }
+
+    #[test]
+    fn the_roll_ends_after_half_a_second_or_at_a_low_speed() {
+        let mut proving = driven(0.7, 0.0, Coast::Ahead);
+        for tick in 0..50 {
+            assert!(proving.tick(at(10 * tick), 0.3, 1.4, true).coast, "{tick}");
+        }
+        let end = proving.tick(at(500), 0.3, 1.4, true);
+        assert!(!end.coast && end.coasted == Some(0.0), "{end:?}");
+        assert_eq!(proving.found(), Some(Reason::BrakesLessThanConfigured));
+        assert_eq!(proving.tick(at(510), 0.3, 1.4, true).coasted, None);
+
+        for (speed, rolls) in [(0.08, false), (0.081, true), (-0.3, false)] {
+            let mut proving = driven(0.7, 0.0, Coast::Ahead);
+            proving.tick(at(0), 0.3, 1.4, true);
+            let tick = proving.tick(at(10), speed, 1.4, true);
+            assert_eq!(tick.coast, rolls, "{speed}");
+            assert_eq!(tick.coasted.is_none(), rolls, "{speed}");
+        }
+    }
+
+    #[test]
+    fn a_roll_that_loses_less_than_four_fifths_of_the_configured_braking_is_found() {
+        let roll = |braking, found| {
+            let mut proving = driven(0.7, 0.0, Coast::Ahead);
+            proving.found = found;
+            proving.tick(at(0), 0.5, braking, true);
+            // 10 m/s² is the most that is measured.
+            let end = proving.tick(at(10), 0.08, braking, true);
+            assert_eq!(end.coasted, Some(10.0));
+            proving.found()
+        };
+        assert_eq!(roll(12.5, None), None);
+        assert_eq!(roll(12.6, None), Some(Reason::BrakesLessThanConfigured));
+        assert_eq!(
+            roll(12.6, Some(Reason::GyroDiffers)),
+            Some(Reason::GyroDiffers)
+        );
+    }
+
+    #[test]
+    fn the_steering_follows_a_wave_of_the_way_until_it_is_proved() {
+        for (way, wanted) in [(0.062_5, 0.0), (0.062_5, 0.31), (1.062_5, 0.3)] {
+            let mut proving = driven(way, wanted, Coast::Over);
+            let steering = proving.tick(at(0), 0.3, 1.4, true).steering;
+            let expected = 0.18 * FRAC_1_SQRT_2;
+            assert!(is_near(steering, expected), "{way} {wanted}: {steering}");
+        }
+        for way in [1.0, 1.062_5] {
+            let mut proving = driven(way, 0.31, Coast::Over);
+            assert_eq!(proving.tick(at(0), 0.3, 1.4, true).steering, 0.0);
+        }
+    }
+
+    #[test]
+    fn a_run_passes_when_everything_has_been_compared() {
+        let whole = driven(1.0, 0.31, Coast::Over);
+        let passes = |mut proving: Proving, judged| proving.tick(at(0), 0.2, 1.4, judged).passed;
+        assert!(passes(whole, true));
+        assert!(!passes(whole, false));
+        assert!(!passes(driven(0.999, 0.31, Coast::Over), true));
+        assert!(!passes(driven(1.0, 0.3, Coast::Over), true));
+        assert!(!passes(driven(1.0, 0.31, Coast::Ahead), true));
+        let found = Proving {
+            found: Some(Reason::GyroDiffers),
+            ..whole
+        };
+        assert!(!passes(found, true));
+    }
+}

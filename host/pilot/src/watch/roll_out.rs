@@ -101,4 +101,39 @@ mod tests {
         let found = measured(0.5, 0.05, 0.0, 0.0);
         assert!((0.045..0.055).contains(&found), "{found}");
     }
+
+    #[test]
+    fn the_fall_begins_below_the_highest_speed_less_its_noise_or_after_the_reaction_time() {
+        let mut roll_out = RollOut::begin(0.5);
+        for (elapsed, speed, from) in [
+            (0.01, 0.471, 0.471),
+            (0.02, 0.5 - 0.03, 0.471),
+            (0.03, 0.6, 0.6),
+            (0.04, 0.5, 0.6),
+            (0.05, 0.571, 0.571),
+            (0.25, 0.6, 0.571),
+            (0.3, 0.7, 0.571),
+        ] {
+            roll_out.tick(elapsed, speed, 0.1);
+            assert_eq!(roll_out.from(), from, "{elapsed}");
+        }
+        assert!((roll_out.way - 0.2).abs() < 1e-12, "{}", roll_out.way);
+    }
+
+    #[test]
+    fn the_deceleration_is_that_of_the_lost_speed_over_the_way_up_to_a_limit() {
+        // 0.16 m²/s² are lost.
+        for (way, left, expected) in [
+            (0.1, 0.3, 0.8),
+            (0.01, 0.3, 8.0),
+            (0.007, 0.3, 10.0),
+            (0.0, 0.3, 10.0),
+            (0.1, 0.6, 0.0),
+        ] {
+            let mut roll_out = RollOut::begin(0.5);
+            roll_out.tick(0.3, 0.3, way);
+            let found = roll_out.deceleration(left);
+            assert!((found - expected).abs() < 1e-9, "{way} {left}: {found}");
+        }
+    }
 }

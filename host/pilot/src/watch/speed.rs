@@ -184,7 +184,8 @@ mod tests {
             );
             mismatched.push(watch.is_mismatched());
         }
-        assert!(!mismatched[39] && mismatched[41] && !mismatched[99]);
+        // Spans of 0.2 s: from the first pose to those of the ticks 20 and 40.
+        assert!(!mismatched[39] && mismatched[40] && !mismatched[99]);
     }
 
     #[test]
@@ -256,5 +257,24 @@ mod tests {
             watch.tick(2.0, 1.5, &config);
         }
         assert!(!watch.is_overspeed());
+    }
+
+    #[test]
+    fn margin_and_share_and_a_pulse_in_a_span_are_allowed() {
+        // 0.05 m/s, 0.003 m in 0.2 s, and a fifth of the larger speed.
+        for (seen, counted, mismatched) in [
+            (0.0, 0.081, false),
+            (0.0, 0.0815, true),
+            (0.4, 0.256, false),
+            (0.4, 0.254, true),
+            (0.256, 0.4, false),
+            (0.254, 0.4, true),
+        ] {
+            assert_eq!(
+                after_a_second(seen, counted).is_mismatched(),
+                mismatched,
+                "{seen} {counted}"
+            );
+        }
     }
 }

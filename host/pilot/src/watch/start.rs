@@ -60,3 +60,84 @@ impl StartWatch {
         *self = Self::default();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use singletrack_control::Velocity;
+
+    use super::*;
+
+    /// A step with its time (s), its speed (m/s), and what the accelerometer measures forward
+    /// and to the left (m/s).
+    fn step(time: f64, speed: f64, forward: f64, left: f64) -> Step {
+        Step {
+            time,
+            rear: Velocity::new(0.0, speed * time),
+            yaw: 0.0,
+            turn: 0.0,
+            gyro_turn: 0.0,
+            forward,
+            left,
+            steering: 0.0,
+            motor_way: speed * time,
+        }
+    }
+
+    fn after(steps: &[Step]) -> StartWatch {
+        let mut watch = StartWatch::default();
+        for step in steps {
+            watch.step(step);
+        }
+        watch
+    }
+
+    #[test]
+    fn a_start_is_judged_at_its_speed() {
+        assert!(!after(&[]).is_judged());
+        assert!(!after(&[step(0.1, 0.179, 0.0, 0.0)]).is_judged());
+        assert!(after(&[step(0.1, 0.181, 0.0, 0.0)]).is_judged());
+    }
+
+    #[test]
+    fn a_slow_start_is_over_after_half_a_second_and_says_nothing() {
+        let slow = step(0.25, 0.1, 5.0, 5.0);
+        assert!(!after(&[slow]).is_judged());
+        assert!(!after(&[slow, slow]).is_judged());
+        let watch = after(&[slow, slow, slow]);
+        assert!(watch.is_judged() && !watch.differs());
+    }
+
+    #[test]
+    fn the_accelerometer_may_differ_by_a_margin_and_a_share_of_the_speed() {
+        // At 0.3 m/s by 0.2 m/s. The last step counts half.
+        for (forward, left, differs) in [
+            (0.01, 0.0, false),
+            (-0.01, 0.0, true),
+            (0.78, 0.0, false),
+            (0.82, 0.0, true),
+            (0.4, 0.19, false),
+            (0.4, 0.21, true),
+            (0.4, f64::NAN, true),
+            (f64::NAN, 0.0, true),
+        ] {
+            let part = if left == 0.0 { 0.0 } else { 0.05 };
+            let slow = step(0.05, 0.1, 0.05, part);
+            let watch = after(&[slow, slow, step(0.1, 0.3, forward, left)]);
+            assert!(watch.is_judged());
+            assert_eq!(watch.differs(), differs, "{forward} {left}");
+        }
+    }
+
+    #[test]
+    fn the_verdict_stays_until_the_next_drive() {
+        let good = step(0.1, 0.3, 0.6, 0.0);
+        let bad = step(0.1, 0.3, -0.6, 0.0);
+        let mut watch = after(&[bad, good, good]);
+        assert!(watch.differs());
+        watch.reset();
+        assert!(!watch.is_judged() && !watch.differs());
+        watch.step(&good);
+        watch.step(&bad);
+        assert!(watch.is_judged() && !watch.differs());
+    }
+}

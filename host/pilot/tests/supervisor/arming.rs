@@ -178,12 +178,14 @@ fn a_board_that_switches_the_supply_on_has_more_time_and_is_not_driving_yet() {
 
 #[test]
 fn a_car_that_moves_while_its_board_arms_is_disarmed() {
-    let motor: fn(&mut Bench) = |bench| bench.conditions.motor_speed = 0.3;
-    let estimate: fn(&mut Bench) = |bench| bench.conditions.speed = -0.3;
+    let motor: fn(&mut Bench) = |bench| bench.conditions.motor_speed = 0.101;
+    let estimate: fn(&mut Bench) = |bench| bench.conditions.speed = -0.101;
     let no_number: fn(&mut Bench) = |bench| bench.conditions.motor_speed = f64::NAN;
     for moves in [motor, estimate, no_number] {
         let mut bench = Bench::arming();
         bench.supervisor.handle_board(BoardState::PoweringUp);
+        // Noise and a first pulse.
+        (bench.conditions.motor_speed, bench.conditions.speed) = (-0.1, 0.1);
         assert_eq!(bench.step().0, Mode::Arming);
         let disarm = Some(BoardRequest::Disarm);
         assert_eq!(

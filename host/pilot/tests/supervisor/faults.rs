@@ -151,3 +151,70 @@ fn a_stop_that_was_not_obeyed_is_cleared_by_a_disarm_of_a_standing_car_only() {
     );
     assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Idle);
 }
+
+#[test]
+fn a_stop_that_contradicts_no_proof_needs_no_acknowledgement() {
+    for reason in [Reason::EstimateInconsistent, Reason::PoseHeight] {
+        let mut bench = Bench::driving();
+        bench.conditions.implausible_motion = Some(reason);
+        assert_eq!(bench.step(), (Mode::Stopping, Some(reason), None));
+        assert!(!bench.supervisor.is_contradicted());
+        bench.conditions = Bench::new().conditions;
+        assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
+        bench.supervisor.handle_board(BoardState::Neutral);
+        assert_eq!(bench.step().0, Mode::Ready);
+        assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+    }
+}
+
+#[test]
+fn a_contradiction_is_shown_until_it_is_acknowledged() {
+    let mut bench = Bench::driving();
+    assert!(!bench.supervisor.is_contradicted());
+    bench.conditions.contradiction = Some(Reason::GyroDiffers);
+    bench.step();
+    assert!(bench.supervisor.is_contradicted());
+    bench.conditions = Bench::new().conditions;
+    bench.step();
+    bench.supervisor.handle_board(BoardState::Neutral);
+    bench.ask(PilotRequest::TimeUp);
+    assert!(bench.supervisor.is_contradicted());
+    bench.ask(PilotRequest::Disarm);
+    assert!(!bench.supervisor.is_contradicted());
+}
+
+#[test]
+fn an_emergency_stop_hides_every_other_fault_than_a_stop_that_was_not_obeyed() {
+    let emergency = (
+        Mode::Fault,
+        Some(Reason::EmergencyStop),
+        Some(BoardRequest::EmergencyStop),
+    );
+    let mut bench = Bench::driving();
+    let now = bench.conditions.now;
+    bench.supervisor.fault(Reason::LawSingular, now);
+    assert_eq!(bench.ask(PilotRequest::EmergencyStop), emergency);
+
+    // One that was cleared is no fault any more.
+    let mut bench = Bench::driving();
+    bench.supervisor.stop_not_obeyed(now);
+    assert_eq!(
+        bench.ask(PilotRequest::Disarm),
+        (
+            Mode::Idle,
+            Some(Reason::StopNotObeyed),
+            Some(BoardRequest::Disarm)
+        )
+    );
+    assert_eq!(bench.ask(PilotRequest::EmergencyStop), emergency);
+}
+
+#[test]
+fn a_mode_begins_at_the_tick_that_enters_it() {
+    let mut bench = Bench::driving();
+    bench.ask(PilotRequest::Disarm);
+    let begin = bench.conditions.now;
+    steps(&mut bench, 500);
+    assert_eq!(bench.supervisor.mode(), Mode::Stopping);
+    assert_eq!(bench.supervisor.since(), begin);
+}

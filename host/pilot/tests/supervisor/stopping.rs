@@ -99,8 +99,9 @@ fn a_stopping_car_is_disarmed_when_motor_and_cameras_see_it_stand() {
     for (motor_speed, camera_speed, disarms) in [
         (0.0, Some(0.0), true),
         (0.0, None, true),
-        (0.031, Some(0.0), false),
-        (0.0, Some(0.031), false),
+        (0.03, Some(0.0), false),
+        (0.0, Some(0.03), false),
+        (0.0, Some(0.029), true),
     ] {
         let mut bench = stopping();
         bench.conditions.motor_speed = motor_speed;

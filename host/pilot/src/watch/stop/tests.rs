@@ -1,0 +1,374 @@
+//! Stops that obey and stops that do not, and what they measure.
+
+use super::*;
+
+const LIMITS: StopLimits = StopLimits {
+    braking: 1.4,
+    ramp: 2.4,
+    standing: 0.03,
+};
+
+fn at(ms: u64) -> Time {
+    Time(1_000_000_000 + ms * 1_000_000)
+}
+
+/// A stop from `speed` with the deceleration of each moment, by its speed; the time of
+/// the alarm in ms, and the measured deceleration.
+fn stop(
+    watch: &mut StopWatch,
+    speed: f64,
+    deceleration: impl Fn(f64) -> f64,
+    seen: impl Fn(f64) -> Speeds,
+) -> (Option<u64>, Option<f64>) {
+    let mut speed = speed;
+    let mut measured = None;
+    watch.begin(at(0), &seen(speed), speed);
+    for tick in 1..600 {
+        // The geofence's reaction time is allowed for.
+        if tick > 5 {
+            speed = (speed - 0.01 * deceleration(speed)).max(0.0);
+        }
+        let verdict = watch.tick(at(10 * tick), &seen(speed), &LIMITS);
+        measured = measured.or(verdict.measured);
+        if verdict.disobeyed {
+            return (Some(10 * tick), measured);
+        }
+    }
+    (None, measured)
+}
+
+const fn all(speed: f64) -> Speeds {
+    Speeds {
+        motor: Some(speed),
+        cameras: Some(speed),
+        estimate: Some(speed),
+    }
+}
+
+#[test]
+fn a_speed_that_does_not_fall_is_disobeyed_within_half_a_second() {
+    for speed in [0.2, 0.5, 1.5] {
+        for deceleration in [0.0, 0.05, -1.0] {
+            let (alarm, _) = stop(&mut StopWatch::default(), speed, |_| deceleration, all);
+            assert!(alarm.is_some_and(|ms| ms <= 550), "{speed}: {alarm:?}");
+        }
+    }
+}
+
+#[test]
+fn either_of_motor_and_cameras_shows_a_stop_that_is_not_obeyed() {
+    let motor = |_| Speeds {
+        motor: Some(0.5),
+        cameras: Some(0.0),
+        estimate: Some(0.0),
+    };
+    let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 1.4, motor);
+    assert!(alarm.is_some_and(|ms| ms <= 900), "{alarm:?}");
+    let cameras = |_| Speeds {
+        motor: None,
+        cameras: Some(0.5),
+        estimate: None,
+    };
+    let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 1.4, cameras);
+    assert!(alarm.is_some_and(|ms| ms <= 550), "{alarm:?}");
+}
+
+#[test]
+fn a_car_that_rolls_well_obeys_and_its_weak_deceleration_refuses_the_next_drive() {
+    let mut watch = StopWatch::default();
+    let (alarm, measured) = stop(&mut watch, 1.0, |speed| 0.3 + 0.2 * speed, all);
+    assert_eq!(alarm, None);
+    let measured = measured.unwrap();
+    assert!((0.3..0.5).contains(&measured), "{measured}");
+    assert!(watch.is_too_weak(LIMITS.braking));
+    assert_eq!(watch.lowest(), measured);
+    // A lower belief, which the stop supports, allows to drive; a higher one does not.
+    assert!(!watch.is_too_weak(measured));
+    assert!(watch.is_too_weak(2.0));
+}
+
+#[test]
+fn a_motor_that_follows_the_ramp_does_not_hide_a_weak_roll_out() {
+    let mut watch = StopWatch::default();
+    // The motor follows the ramp of 2.4 m/s² down to 0.5 m/s, and rolls from there.
+    let (alarm, measured) = stop(
+        &mut watch,
+        1.0,
+        |speed| if speed > 0.5 { 2.4 } else { 0.6 },
+        all,
+    );
+    assert_eq!(alarm, None);
+    assert!((0.5..0.8).contains(&measured.unwrap()), "{measured:?}");
+    assert!(watch.is_too_weak(LIMITS.braking));
+}
+
+#[test]
+fn one_stop_a_little_too_weak_is_a_warning_and_the_second_refuses() {
+    let mut watch = StopWatch::default();
+    let (_, measured) = stop(&mut watch, 0.8, |_| 1.0, all);
+    assert!((0.95..1.2).contains(&measured.unwrap()), "{measured:?}");
+    assert!(!watch.is_too_weak(LIMITS.braking));
+    stop(&mut watch, 0.8, |_| 1.0, all);
+    assert!(watch.is_too_weak(LIMITS.braking));
+
+    let mut watch = StopWatch::default();
+    for deceleration in [1.0, 1.5, 1.0, 1.5] {
+        stop(&mut watch, 0.8, |_| deceleration, all);
+        assert!(!watch.is_too_weak(LIMITS.braking));
+    }
+}
+
+#[test]
+fn a_car_that_follows_the_ramp_upward_obeys() {
+    let mut watch = StopWatch::default();
+    watch.begin(at(0), &all(1.0), 1.0);
+    for tick in 1..100 {
+        let elapsed = 0.01 * tick as f64;
+        // The brake was too strong, and the board catches up with the ramp.
+        let speed = if (0.2..0.3).contains(&elapsed) {
+            0.25
+        } else {
+            (1.0 - 2.4 * (elapsed - 0.1)).clamp(0.0, 1.0)
+        };
+        let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+        assert!(!verdict.disobeyed, "{elapsed}");
+    }
+}
+
+#[test]
+fn a_first_speed_of_a_coarse_motor_sensor_after_the_reaction_time_is_no_alarm() {
+    let mut watch = StopWatch::default();
+    let mut speed = 0.3;
+    watch.begin(at(0), &all(speed), 0.3);
+    for tick in 1..100 {
+        speed = f64::max(speed - 0.01, 0.0);
+        let speeds = Speeds {
+            motor: Some(if (26..60).contains(&tick) { 0.18 } else { 0.0 }),
+            ..all(speed)
+        };
+        let verdict = watch.tick(at(10 * tick), &speeds, &LIMITS);
+        assert!(!verdict.disobeyed, "{tick}");
+    }
+}
+
+#[test]
+fn a_car_that_sets_off_after_its_stop_was_slow_is_disobeyed() {
+    let mut watch = StopWatch::default();
+    watch.begin(at(0), &all(0.1), 0.1);
+    let disobeyed = (1..150).find(|tick| {
+        let speed = if *tick < 40 {
+            0.05
+        } else {
+            0.05 + 0.01 * f64::from(tick - 40)
+        };
+        watch
+            .tick(at(10 * *tick as u64), &all(speed), &LIMITS)
+            .disobeyed
+    });
+    assert!(disobeyed.is_some_and(|tick| tick <= 60), "{disobeyed:?}");
+}
+
+#[test]
+fn a_stop_of_a_car_that_still_speeds_up_is_measured_from_its_highest_speed() {
+    let mut watch = StopWatch::default();
+    let mut speed = 0.25;
+    let mut measured = None;
+    watch.begin(at(0), &all(speed), 0.5);
+    for tick in 1..200 {
+        let acceleration = if tick <= 10 { 1.0 } else { -1.4 };
+        speed = f64::max(speed + 0.01 * acceleration, 0.0);
+        let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+        measured = measured.or(verdict.measured);
+    }
+    assert!((1.3..2.0).contains(&measured.unwrap()), "{measured:?}");
+}
+
+#[test]
+fn a_car_that_is_pushed_after_it_stood_is_no_alarm() {
+    let mut watch = StopWatch::default();
+    assert_eq!(stop(&mut watch, 0.5, |_| 1.4, all).0, None);
+    for tick in 600..1_000 {
+        let verdict = watch.tick(at(10 * tick), &all(1.0), &LIMITS);
+        assert_eq!(verdict, StopVerdict::default());
+    }
+}
+
+#[test]
+fn a_stop_from_a_low_speed_measures_nothing() {
+    let (alarm, measured) = stop(&mut StopWatch::default(), 0.2, |_| 1.4, all);
+    assert_eq!((alarm, measured), (None, None));
+}
+
+#[test]
+fn a_measured_speed_must_fall_by_the_least_deceleration() {
+    let fallen = |from, elapsed, speed, floor| {
+        let mut fall = Fall {
+            from: Some((from, at(0))),
+            too_fast: 0,
+        };
+        fall.tick(at(elapsed), speed, 0.2, floor);
+        fall.too_fast == 0
+    };
+    for (from, elapsed, speed, floor, obeys) in [
+        // Just as much as is allowed.
+        (0.5, 0, 0.5 + 0.03, 0.0, true),
+        (0.5, 100, 0.509, 0.0, true),
+        (0.5, 100, 0.511, 0.0, false),
+        (0.5, 100, -0.511, 0.0, false),
+        (0.5, 100, f64::NAN, 0.0, false),
+        (0.5, 100, 0.599, 0.6, true),
+        (0.5, 100, 0.601, 0.6, false),
+        // From a slow speed nothing is judged.
+        (0.08, 0, 0.2, 0.0, false),
+        (0.079, 0, 0.2, 0.0, true),
+    ] {
+        let found = fallen(from, elapsed, Some(speed), floor);
+        assert_eq!(found, obeys, "{from} {elapsed} {speed} {floor}");
+    }
+    assert!(fallen(0.5, 100, None, 0.0));
+}
+
+#[test]
+fn the_worst_speed_is_the_larger_one_of_those_measured() {
+    for (motor, cameras, expected) in [
+        (None, None, None),
+        (Some(-0.5), None, Some(0.5)),
+        (None, Some(-0.4), Some(0.4)),
+        (Some(-0.5), Some(0.4), Some(0.5)),
+        (Some(0.5), Some(-0.6), Some(0.6)),
+    ] {
+        let speeds = Speeds {
+            motor,
+            cameras,
+            estimate: None,
+        };
+        assert_eq!(speeds.worst(), expected);
+    }
+}
+
+#[test]
+fn both_stops_below_nine_tenths_or_one_below_six_tenths_are_too_weak() {
+    for (one, other, weak) in [
+        (None, None, false),
+        (Some(1.8), Some(1.8), false),
+        (Some(1.79), Some(1.79), true),
+        (Some(1.79), Some(1.81), false),
+        (Some(1.79), None, false),
+        (Some(1.2), None, false),
+        (Some(1.19), None, true),
+        (Some(3.0), Some(1.19), true),
+    ] {
+        let watch = StopWatch {
+            run: None,
+            measured: [one, other],
+        };
+        assert_eq!(watch.is_too_weak(2.0), weak, "{one:?} {other:?}");
+    }
+    let mut watch = StopWatch::default();
+    assert_eq!(watch.lowest(), f64::INFINITY);
+    for (measured, lowest) in [(1.9, 1.9), (0.7, 0.7), (1.5, 0.7), (1.6, 1.5)] {
+        watch.coasted(measured);
+        assert_eq!(watch.lowest(), lowest);
+    }
+}
+
+#[test]
+fn the_next_drive_ends_the_watch_of_a_stop() {
+    let mut watch = StopWatch::default();
+    watch.begin(at(0), &all(1.0), 1.0);
+    watch.end();
+    for tick in 1..200 {
+        let verdict = watch.tick(at(10 * tick), &all(1.0), &LIMITS);
+        assert_eq!(verdict, StopVerdict::default());
+    }
+}
+
+#[test]
+fn a_deceleration_below_fifteen_hundredths_of_the_configured_one_is_disobeyed() {
+    let alarm = |deceleration| {
+        let watch = &mut StopWatch::default();
+        stop(watch, 1.0, |_| deceleration, all).0.is_some()
+    };
+    assert!(alarm(0.19) && !alarm(0.23));
+}
+
+#[test]
+fn a_speed_up_to_a_fifth_of_a_second_behind_the_ramp_obeys() {
+    for (beyond, obeys) in [(-0.01, true), (0.01, false)] {
+        let mut watch = StopWatch::default();
+        watch.begin(at(0), &all(1.0), 1.0);
+        let disobeyed = (1..50).any(|tick| {
+            let behind = 1.0 - 2.4 * (0.01 * tick as f64 - 0.2);
+            let speed = if tick < 30 { 0.1 } else { behind + beyond };
+            let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+            verdict.disobeyed
+        });
+        assert_eq!(disobeyed, !obeys, "{beyond}");
+    }
+}
+
+#[test]
+fn a_car_faster_than_the_ramp_rolls_free_from_then_on() {
+    let elapsed = at(300).seconds_since(at(0));
+    let ramp = 1.0 - 2.4 * elapsed;
+    for (speed, free) in [
+        (ramp, false),
+        (ramp + 0.03, false),
+        (ramp + 0.031, true),
+        (ramp + 0.2, true),
+    ] {
+        let mut watch = StopWatch::default();
+        watch.begin(at(0), &all(1.0), 1.0);
+        watch.tick(at(300), &all(speed), &LIMITS);
+        let from = |watch: &StopWatch| watch.run.and_then(|run| run.free).map(|free| free.from());
+        let expected = free.then_some(speed);
+        assert_eq!(from(&watch), expected, "{speed}");
+        if free {
+            watch.tick(at(310), &all(speed - 0.01), &LIMITS);
+            assert_eq!(from(&watch), expected, "{speed}");
+        }
+    }
+}
+
+#[test]
+fn wheels_that_turn_have_longer_to_stop_if_the_cameras_see_the_car_stand() {
+    for (seen, least_ms, most_ms) in [(0.08, 400, 450), (0.079, 750, 850)] {
+        let wheels = |_| Speeds {
+            motor: Some(0.5),
+            cameras: Some(seen),
+            estimate: Some(0.5),
+        };
+        let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 0.0, wheels);
+        assert!(
+            alarm.is_some_and(|ms| (least_ms..=most_ms).contains(&ms)),
+            "{seen}: {alarm:?}"
+        );
+    }
+}
+
+#[test]
+fn a_stop_ends_when_the_car_has_stood_for_a_fifth_of_a_second_or_takes_too_long() {
+    // Without a measurement of motor or cameras the car may still move.
+    let unseen = Speeds {
+        motor: None,
+        cameras: None,
+        estimate: Some(0.430_5),
+    };
+    // 0.25 s, 1 s, and the way down from 0.4305 m/s at 0.21 m/s².
+    for (speeds, last_ms) in [(unseen, 3_300), (all(0.03), 3_300), (all(0.029), 210)] {
+        let mut watch = StopWatch::default();
+        watch.begin(at(0), &unseen, 0.430_5);
+        let first = Speeds {
+            estimate: Some(0.430_5),
+            ..speeds
+        };
+        let ended = (1..400).find(|tick| {
+            watch.tick(at(10 * tick), &first, &LIMITS);
+            watch.run.is_none()
+        });
+        assert!(
+            ended.is_some_and(|tick| (10 * tick).abs_diff(last_ms) <= 10),
+            "{speeds:?}: {ended:?}"
+        );
+    }
+}
