@@ -150,7 +150,8 @@ impl Line {
             (None, _) => Err(
                 "arm needs an attendance: \"hold\" (send {\"command\":\"hold\"} every 100 ms on \
                  this connection; the drive ends when it does), \"timed\" with for_s, or \
-                 \"unattended\" (the drive goes on until something stops it)"
+                 \"unattended\" (nobody holds it: the drive goes on until a stop, a disarm or a \
+                 safeguard ends it)"
                     .to_owned(),
             ),
         }

@@ -68,19 +68,20 @@ impl SideslipWatch {
         self.across += step.across();
         self.allowed += way * (config.max_sideslip + SLIP * lateral);
         self.way += way;
-        if self.way >= WAY {
-            let angle = fabs(atan2(self.across, self.along));
-            // A NaN exceeds it.
-            self.exceeded = if angle <= self.allowed / self.way {
+        // A NaN is no way that is too short, and exceeds the limit.
+        if self.way < WAY {
+            return;
+        }
+        let angle = fabs(atan2(self.across, self.along));
+        let fits = angle <= self.allowed / self.way;
+        *self = Self {
+            exceeded: if fits {
                 0
             } else {
                 self.exceeded.saturating_add(1)
-            };
-            *self = Self {
-                exceeded: self.exceeded,
-                ..Self::default()
-            };
-        }
+            },
+            ..Self::default()
+        };
     }
 
     /// Whether the sideslip is implausible.
@@ -117,19 +118,20 @@ impl SteeringWatch {
         self.wanted += copysign(way, step.motor_way) * tan(step.steering) / wheelbase;
         self.made += step.turn;
         self.way += way;
-        if self.way >= STEERED_WAY {
-            let allowed = STEERED_MARGIN + config.steering_ratio * fabs(self.wanted);
-            // A NaN exceeds it.
-            let fits = fabs(self.made - self.wanted) <= allowed;
-            *self = Self {
-                exceeded: if fits {
-                    0
-                } else {
-                    self.exceeded.saturating_add(1)
-                },
-                ..Self::default()
-            };
+        // A NaN is no way that is too short, and exceeds the limit.
+        if self.way < STEERED_WAY {
+            return;
         }
+        let allowed = STEERED_MARGIN + config.steering_ratio * fabs(self.wanted);
+        let fits = fabs(self.made - self.wanted) <= allowed;
+        *self = Self {
+            exceeded: if fits {
+                0
+            } else {
+                self.exceeded.saturating_add(1)
+            },
+            ..Self::default()
+        };
     }
 
     /// Whether the car turns otherwise than it is steered.
@@ -307,6 +309,16 @@ mod tests {
             ..slid(0.0)
         };
         assert!(sideslip(slid).is_some());
+    }
+
+    #[test]
+    fn a_way_that_is_no_number_exceeds_both_limits() {
+        let lost = Step {
+            rear: f64::NAN * direction(0.7),
+            ..slid(0.0)
+        };
+        assert_eq!(sideslip(lost), Some(2));
+        assert_eq!(steering(lost), Some(2));
     }
 
     #[test]

@@ -91,10 +91,11 @@ impl SpeedWatch {
 
     /// A tick with the estimated speed and the speed limit, in m/s.
     pub(crate) fn tick(&mut self, speed: f64, max_speed: f64, config: &WatchConfig) {
-        self.too_fast = if fabs(speed) > max_speed + config.overspeed_margin {
-            self.too_fast.saturating_add(1)
-        } else {
+        // A NaN is too fast: the comparison is false.
+        self.too_fast = if fabs(speed) <= max_speed + config.overspeed_margin {
             0
+        } else {
+            self.too_fast.saturating_add(1)
         };
     }
 
@@ -232,8 +233,8 @@ mod tests {
     }
 
     #[test]
-    fn five_fast_ticks_are_an_overspeed_in_either_direction() {
-        for speed in [2.0, -2.0] {
+    fn five_fast_ticks_are_an_overspeed_in_either_direction_and_so_is_a_nan() {
+        for speed in [2.0, -2.0, f64::NAN] {
             let mut watch = SpeedWatch::default();
             for _ in 0..4 {
                 watch.tick(speed, 1.5, &WatchConfig::paper());
