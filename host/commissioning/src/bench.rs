@@ -1,0 +1,227 @@
+//! The car and its operator, as a procedure sees them.
+
+use singletrack_control::{Position, Time, Velocity};
+use singletrack_core::Config;
+use singletrack_pilot::{Mode, Reason};
+use singletrack_protocol::{BoardMode, StopCause};
+
+use crate::{Answer, Live, Question};
+
+/// A car, its daemon and a person beside it.
+pub trait Bench {
+    /// Lets time pass until the next tick of the daemon, and appends what was observed since
+    /// the last call, in the order of its arrival.
+    ///
+    /// # Errors
+    ///
+    /// The operator interrupts, or the daemon is gone.
+    fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted>;
+
+    /// Puts a question to the operator and waits for the answer; what is observed meanwhile is
+    /// lost. A question with [`Answers::Begin`](crate::Answers::Begin) is answered as soon as
+    /// the operator is ready to act: the action is then observed with [`Bench::wait`].
+    ///
+    /// # Errors
+    ///
+    /// The operator interrupts, or the daemon is gone.
+    fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted>;
+
+    /// Shows how a measurement goes on. It is called in every tick.
+    fn show(&mut self, live: &Live<'_>);
+
+    /// Asks the daemon to arm, and waits for its answer. The drive is held: it ends with the
+    /// procedure.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn arm(&mut self, attendance: Attendance) -> Result<(), Refused>;
+
+    /// The wanted pulses of an armed jog, which must be renewed at least every 0.2 s.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn jog(&mut self, jog: Jog) -> Result<(), Refused>;
+
+    /// What the point P is to do in a drive, which must be renewed at least every 0.2 s: its
+    /// velocity in m/s and position in m, in the frame of the cameras.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn drive(&mut self, velocity: Velocity, position: Option<Position>) -> Result<(), Refused>;
+
+    /// Slows down, stops and disarms; it does not wait for that.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn disarm(&mut self) -> Result<(), Refused>;
+
+    /// Emergency stop.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn emergency_stop(&mut self) -> Result<(), Refused>;
+
+    /// The configuration in force.
+    fn configuration(&self) -> &Config;
+
+    /// Puts other values of the configuration in force, each a key as `board.servo.centre_us`
+    /// and a value as TOML, and waits until they are. The file is written before.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason against it.
+    fn change(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<(), Refused>;
+}
+
+/// What a request for arming is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Attendance {
+    /// To give pulses to servo and ESC, without poses: see [`Bench::jog`].
+    Jog,
+    /// To drive after [`Bench::drive`]; the configuration need not be calibrated.
+    Drive,
+}
+
+/// Pulses for servo and ESC, in µs. The board limits both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Jog {
+    /// Of the servo.
+    pub servo_us: u16,
+    /// Of the ESC.
+    pub esc_us: u16,
+}
+
+/// Why a procedure cannot go on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Interrupted {
+    /// By the operator.
+    #[error("interrupted by the operator")]
+    ByOperator,
+    /// The daemon has ended, or the connection to it.
+    #[error("the daemon is gone: {0}")]
+    DaemonGone(String),
+    /// What the procedure found could not be kept.
+    #[error("the findings can't be written: {0}")]
+    NotKept(String),
+}
+
+/// The reason for which the daemon does not do what it is asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Refused(pub String);
+
+/// Something that was observed. Times are those of the host's monotonic clock.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Observation {
+    /// Telemetry of the board.
+    Board(BoardReading),
+    /// The board's own condition, every 0.2 s.
+    Health(Health),
+    /// A pose of the cameras.
+    Pose(PoseReading),
+    /// A frame without a pose, and why, in a word of the record's `state`.
+    NoPose {
+        /// When the frame arrived.
+        receive: Time,
+        /// Why, such as `untracked`.
+        state: &'static str,
+    },
+    /// A tick of the pilot.
+    Tick(TickReading),
+    /// The line to the board went down (`false`) or is ready (`true`).
+    Link(bool),
+}
+
+/// Telemetry of the board, in the axes of the car: forward, left, up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoardReading {
+    /// When the board made it.
+    pub time: Time,
+    /// When it arrived.
+    pub receive: Time,
+    /// The sample of the IMU, if it is a new one.
+    pub inertial: Option<Inertial>,
+    /// Speed of the rear axle by the motor's pulses, m/s, with the believed distance of a pulse.
+    pub motor_speed: f64,
+    /// Pulse of the servo, µs; 0 while it is silent.
+    pub servo_us: u16,
+    /// Pulse of the ESC, µs; 0 while it is silent.
+    pub esc_us: u16,
+    /// State of the safety machine.
+    pub mode: BoardMode,
+    /// Why it last went to neutral.
+    pub stop_cause: StopCause,
+}
+
+/// A sample of the IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inertial {
+    /// When it was taken.
+    pub time: Time,
+    /// Acceleration without gravity, m/s².
+    pub acceleration: [f64; 3],
+    /// Angular velocity, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// Roll, left side up positive, rad.
+    pub roll: f64,
+    /// Pitch, nose down positive, rad.
+    pub pitch: f64,
+}
+
+/// The board's own condition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Health {
+    /// When it arrived.
+    pub receive: Time,
+    /// The record as the board sent it.
+    pub status: singletrack_protocol::Status,
+}
+
+/// A pose of the rigid body in the world frame, z up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseReading {
+    /// Mid-exposure.
+    pub capture: Time,
+    /// When the frame arrived.
+    pub receive: Time,
+    /// Bound on the error of `capture`, s.
+    pub uncertainty: f64,
+    /// Number of the frame.
+    pub frame: i32,
+    /// Position of the body's origin, m.
+    pub position: [f64; 3],
+    /// Yaw, -π to π, rad: of the body, not of the car.
+    pub yaw: f64,
+    /// Roll, left side up positive, rad.
+    pub roll: f64,
+    /// Pitch, nose down positive, rad.
+    pub pitch: f64,
+    /// Mean distance of the markers from the model, m.
+    pub mean_error: f64,
+}
+
+/// What the pilot did in a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickReading {
+    /// The time of the tick.
+    pub time: Time,
+    /// The mode after it.
+    pub mode: Mode,
+    /// Why the car does not drive, or stopped.
+    pub reason: Option<Reason>,
+    /// Why an arm request would be refused now.
+    pub preflight: Option<Reason>,
+    /// The estimate: position of the centre of mass in m and yaw in rad.
+    pub pose: Option<([f64; 2], f64)>,
+    /// The commanded speed of the rear axle, m/s, and steering angle, rad.
+    pub command: Option<(f64, f64)>,
+    /// Position of P, m.
+    pub point: Option<Position>,
+    /// The deceleration of the stop that ended in this tick, m/s².
+    pub braking_measured: Option<f64>,
+}

@@ -1,0 +1,26 @@
+//! From the parts to the first drive: what is checked, moved and measured on a new car, and in
+//! which order.
+//!
+//! Three procedures follow each other: the *doctor*, which moves nothing; the *bring-up*, with
+//! the wheels off the floor; the *calibration*, on the floor. Each is a list of [`Step`]s that
+//! see a car and its operator through [`Bench`]. The command line implements it with the control
+//! socket of the daemon and a terminal, the tests with a simulated car and scripted hands: a
+//! procedure cannot tell which. Time passes only in [`Bench::wait`] and [`Bench::ask`].
+//!
+//! What a step found is a [`Finding`], with the [`Parameter`]s that it measured. Whoever runs the
+//! procedure keeps the findings, so that it can be resumed.
+
+mod bench;
+mod finding;
+mod parameter;
+mod procedure;
+mod question;
+
+pub use bench::{
+    Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
+    Refused, TickReading,
+};
+pub use finding::{Finding, Verdict};
+pub use parameter::{Interval, Parameter};
+pub use procedure::{Journal, Step, run};
+pub use question::{Answer, Answers, Live, Question};

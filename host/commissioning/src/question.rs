@@ -1,0 +1,54 @@
+//! What the operator is asked, and shown.
+
+/// A question to the operator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Question {
+    /// Its name, for scripts, such as `push-forward`. It never changes.
+    pub id: &'static str,
+    /// The question or the request, in whole sentences.
+    pub text: String,
+    /// The answers that it takes.
+    pub answers: Answers,
+}
+
+/// The answers that a question takes. Every question can also be skipped.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answers {
+    /// The operator is ready to begin with what `text` asks for.
+    Begin,
+    /// Yes or no.
+    YesNo,
+    /// One of these words.
+    Choice(&'static [&'static str]),
+    /// A number within the bounds, in the unit.
+    Number {
+        /// The unit, such as `deg`.
+        unit: &'static str,
+        /// The lowest and the highest.
+        range: [f64; 2],
+    },
+}
+
+/// The operator's answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Answer {
+    /// Ready.
+    Begin,
+    /// Yes or no.
+    YesNo(bool),
+    /// The index of the word.
+    Choice(usize),
+    /// The number.
+    Number(f64),
+    /// The operator can't or won't do it.
+    Skip,
+}
+
+/// A measurement that is under way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Live<'a> {
+    /// The present values, in words and numbers, on one line.
+    pub text: &'a str,
+    /// How much of it is done, 0 to 1.
+    pub done: f64,
+}
