@@ -181,11 +181,7 @@ fn arming_to_jog_ends_when_the_hand_does_not_hold_it_or_the_wheels_turn() {
     let mut bench = Bench::new();
     bench.ask(PilotRequest::ArmJog);
     bench.conditions.motor_speed = 0.2;
-    let moves = (
-        Mode::Idle,
-        Some(Reason::Moving),
-        Some(BoardRequest::Disarm),
-    );
+    let moves = (Mode::Idle, Some(Reason::Moving), Some(BoardRequest::Disarm));
     assert_eq!(bench.step(), moves);
 }
 
