@@ -5,6 +5,7 @@ pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;
 pub mod dump;
+pub mod jog;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;
