@@ -11,7 +11,10 @@
 //! procedure keeps the findings, so that it can be resumed.
 
 mod bench;
+mod diff;
+pub mod edit;
 mod finding;
+pub mod fit;
 mod parameter;
 mod procedure;
 mod question;
