@@ -12,6 +12,7 @@
 
 mod bench;
 mod diff;
+pub mod doctor;
 pub mod edit;
 mod finding;
 pub mod fit;
