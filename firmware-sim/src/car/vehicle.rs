@@ -289,6 +289,12 @@ impl Car {
         self.hands.wheels_are_up(self.now_us)
     }
 
+    /// Whether the ESC drives the motor, in either direction.
+    #[must_use]
+    pub fn motor_is_driven(&self) -> bool {
+        self.is_driven()
+    }
+
     /// Whether the servo pushes against a mechanical stop: it buzzes.
     #[must_use]
     pub fn servo_strains(&self) -> bool {
