@@ -11,10 +11,15 @@
 //! procedure keeps the findings, so that it can be resumed.
 
 mod bench;
+mod diff;
+pub mod doctor;
+pub mod edit;
 mod finding;
+pub mod fit;
 mod parameter;
 mod procedure;
 mod question;
+pub mod report;
 
 pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
