@@ -1,6 +1,6 @@
 //! The person beside the car: scripted hands, and eyes with reading errors.
 
-use core::f64::consts::PI;
+use core::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use std::collections::VecDeque;
 
 use singletrack_commissioning::{Answer, Answers, Question};
@@ -56,6 +56,7 @@ enum Action {
     PressReset,
     OpenStopSwitch(bool),
     Plug(bool),
+    PlugBattery(bool),
 }
 
 impl Action {
@@ -64,6 +65,7 @@ impl Action {
             Self::SwitchEsc(on) => world.car_mut().set_esc_power(on),
             Self::PressReset => world.press_reset(),
             Self::OpenStopSwitch(open) => world.board_mut().set_stop_input_open(open),
+            Self::PlugBattery(plugged) => world.car_mut().set_battery_plugged(plugged),
             Self::Plug(plugged) => world.set_wire_connected(plugged),
         }
     }
@@ -71,7 +73,7 @@ impl Action {
 
 /// The longest stretch in which the car is rolled without a pause, in m: the board takes wheels
 /// that turn for longer for a motor that runs.
-const STRETCH_M: f64 = 0.45;
+const STRETCH_M: f64 = 0.6;
 /// Speed of a hand that rolls the car, in m/s.
 const ROLL_M_S: f64 = 0.4;
 
@@ -99,6 +101,56 @@ impl Person {
         self.later.clear();
         let id = question.id;
         match id {
+            // Doctor.
+            "voltmeter" => {}
+            "press-reset" if !world.car().wheels_are_up() => {
+                self.later.push(Task::Act(Action::PressReset));
+            }
+            "unplug-battery" => self.later.push(Task::Act(Action::PlugBattery(false))),
+            "plug-battery" => self.later.push(Task::Act(Action::PlugBattery(true))),
+            "open-stop-switch" => self.later.push(Task::Act(Action::OpenStopSwitch(true))),
+            "close-stop-switch" => self.later.push(Task::Act(Action::OpenStopSwitch(false))),
+            "push-wheels" => self.later.push(Task::Pause(5.0)),
+            "stand-still" => self.carry(0.0),
+            "nose-up" => self.tilt_later([0.0, -FRAC_PI_4]),
+            "left-side-up" => self.tilt_later([FRAC_PI_4, 0.0]),
+            "turn-left" => {
+                let angle_rad = FRAC_PI_2 + self.random.normal(0.12);
+                let about_m = [self.random.normal(0.02), self.random.normal(0.01)];
+                self.turn_later(angle_rad, about_m, 0.004, 3.0);
+            }
+            "push-forward" => {
+                self.carry(0.6);
+                let distance_m = 0.5 + self.random.between(-0.03, 0.05);
+                self.roll_later(distance_m);
+            }
+            "twist" => {
+                let amplitude_rad = 30_f64.to_radians() * self.random.between(0.8, 1.2);
+                let about_m = [self.random.normal(0.02), self.random.normal(0.01)];
+                let period_s = self.random.between(0.85, 1.2);
+                self.later.extend([
+                    Task::Pause(0.7),
+                    Task::Move(HandMotion::Twist {
+                        amplitude_rad,
+                        about_m,
+                        period_s,
+                        for_s: 12.0 + self.random.between(0.0, 1.5),
+                    }),
+                ]);
+            }
+            "turn-left-about-rear-axle" | "turn-right-about-rear-axle" => {
+                let side = if id.starts_with("turn-left") { 1.0 } else { -1.0 };
+                let rear = world.config().car.vehicle.rear_axle_distance_m;
+                // How well the middle of the axle is held over its point.
+                let about_m = [-rear + self.random.normal(0.0015), self.random.normal(0.0015)];
+                let angle_rad = side * (2.0 * PI + self.random.normal(0.2));
+                self.turn_later(angle_rad, about_m, 0.001, 10.0);
+            }
+            "roll-forward" => {
+                self.carry(2.2);
+                let distance_m = 2.0 + self.random.normal(0.04);
+                self.roll_later(distance_m);
+            }
             // Bring-up.
             "on-stand" => self.do_now(&[Task::Move(HandMotion::Lift { height_m: 0.1 })]),
             "esc-dark" | "esc-woke" | "kill-switch" | "wheels-still" | "front-wheels"
@@ -129,7 +181,6 @@ impl Person {
             "plug-in" => self.do_now(&[Task::Act(Action::Plug(true)), Task::Pause(3.0)]),
             _ => return None,
         }
-        let _ = world;
         Some(match question.answers {
             Answers::Number { .. } => self.random.between(3.0, 8.0),
             _ => self.random.between(1.0, 3.0),
@@ -142,6 +193,10 @@ impl Person {
         let truth = world.truth();
         let [forward, backward] = self.seen.wheels;
         let answer = match question.id {
+            "voltmeter" => {
+                let read = truth.battery_v * (1.0 + self.random.normal(0.003));
+                Answer::Number((read * 100.0).round() / 100.0)
+            }
             "on-stand" => Answer::YesNo(car.wheels_are_up()),
             "esc-dark" => Answer::YesNo(!car.esc_has_power()),
             "esc-woke" => Answer::YesNo(self.seen.esc_was_on),
@@ -241,6 +296,7 @@ impl Person {
     fn roll_later(&mut self, distance_m: f64) {
         let stretches = (distance_m.abs() / STRETCH_M).ceil().max(1.0);
         let each = distance_m / stretches;
+        self.later.push(Task::Pause(0.7));
         for _ in 0..stretches as u32 {
             let speed_m_s = ROLL_M_S * self.random.between(0.8, 1.2);
             self.later.extend([
@@ -251,6 +307,32 @@ impl Person {
                 Task::Pause(1.3),
             ]);
         }
+    }
+
+    /// Tilts the car to this roll and pitch, after the answer.
+    fn tilt_later(&mut self, [roll, pitch]: [f64; 2]) {
+        let share = self.random.between(0.85, 1.15);
+        self.later.extend([
+            Task::Pause(0.7),
+            Task::Move(HandMotion::Tilt {
+                roll_rad: roll * share,
+                pitch_rad: pitch * share,
+                for_s: self.random.between(3.0, 4.5),
+            }),
+        ]);
+    }
+
+    /// Turns the car, after the answer.
+    fn turn_later(&mut self, angle_rad: f64, about_m: [f64; 2], wander_m: f64, for_s: f64) {
+        self.later.extend([
+            Task::Pause(0.7),
+            Task::Move(HandMotion::Turn {
+                angle_rad,
+                about_m,
+                wander_m: self.random.normal(wander_m),
+                for_s: for_s * self.random.between(0.85, 1.2),
+            }),
+        ]);
     }
 
     /// Carries the car to where it has this much room ahead, before the answer.
