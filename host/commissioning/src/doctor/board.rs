@@ -5,14 +5,14 @@ use singletrack_protocol::{ResetCause, Status};
 
 use super::{
     finding::Checks,
-    gather::{Readings, for_time, until},
+    gather::{Readings, for_time, reset_if_stopped, until},
     questions,
 };
 use crate::{Answer, Bench, Finding, Interrupted, Question};
 
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
 /// one for a second.
-const SLOW_RESET_S: f64 = 2.5;
+const SLOW_RESET_S: f64 = 3.5;
 /// A reset that takes longer was none, or the board does not start.
 const RESET_PATIENCE_S: f64 = 30.0;
 /// The longest wait for a plug or a switch, in s.
@@ -35,7 +35,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "the board's image and configuration are accepted",
             fix,
         );
-        return Ok(checks.finding("board", bench));
+        return checks.finding("board", bench);
     }
     let Some(status) = readings.health.last().map(|health| health.status) else {
         checks.failed(
@@ -43,7 +43,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "telemetry 100 times a second",
             "connect the board, look at serial.port, and flash the image: cargo uno",
         );
-        return Ok(checks.finding("board", bench));
+        return checks.finding("board", bench);
     };
     let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
     checks.check(
@@ -55,7 +55,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     check_line(&readings, &mut checks);
     check_reset_cause(status.reset_cause, &mut checks);
     reset(bench, &mut checks)?;
-    Ok(checks.finding("board", bench))
+    checks.finding("board", bench)
 }
 
 /// Why the daemon does not accept the board, and what to do.
@@ -178,7 +178,7 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "a status five times a second",
             "see step board",
         );
-        return Ok(checks.finding("power", bench));
+        return checks.finding("power", bench);
     };
     if wanted > 0.0 {
         battery(bench, &status, [minimum, wanted], &mut checks)?;
@@ -199,7 +199,7 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         );
     }
     supply(bench, &mut checks)?;
-    Ok(checks.finding("power", bench))
+    checks.finding("power", bench)
 }
 
 fn battery(
@@ -285,6 +285,14 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
             ),
             "seen",
             "wire the switch as in docs/uno.md: normally closed, between its pin and ground",
+        );
+    }
+    // An open switch stops the board until its reset.
+    if !reset_if_stopped(bench)? {
+        checks.failed(
+            "the board is stopped by the switch",
+            "reset after the check",
+            "press the reset button of the board",
         );
     }
     Ok(())

@@ -4,7 +4,7 @@ use singletrack_core::Config;
 use singletrack_pilot::Reason;
 
 use super::{
-    finding::Checks,
+    finding::{Checks, put_in_force},
     gather::{Readings, distance, for_time, motion, seconds, turned, until},
     questions,
 };
@@ -45,7 +45,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "100 poses a second",
             no_pose(bench.configuration(), &readings),
         );
-        return Ok(checks.finding("cameras", bench));
+        return checks.finding("cameras", bench);
     }
     check_stream(bench, &readings, &mut checks);
     check_push(bench, &mut checks)?;
@@ -62,7 +62,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         );
         let key = "motion_capture.pose.height_m";
         let values = [(key, toml_edit::Value::from_iter(band))];
-        if let Err(refused) = bench.change(&values) {
+        if let Err(refused) = put_in_force(bench, &values)? {
             checks.failed(
                 format!("the band is not in force: {refused}"),
                 "in force",
@@ -70,7 +70,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             );
         }
     }
-    Ok(checks.finding("cameras", bench))
+    checks.finding("cameras", bench)
 }
 
 fn heights(readings: &Readings) -> Vec<f64> {
@@ -177,6 +177,9 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
         let moved = moved(readings).max(rolled(readings));
         (format!("{moved:.2} m"), moved / ENOUGH_M)
     })?;
+    if readings.is_latched() {
+        checks.latched();
+    }
     let (moved, rolled) = (moved(&readings), rolled(&readings));
     let found = format!("pushed: body {moved:.2} m, wheels {rolled:.2} m");
     let expected = "0.5 m, both";
@@ -265,7 +268,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let mut checks = Checks::default();
     if bench.ask(&questions::twist())? == Answer::Skip {
         checks.skipped("twist");
-        return Ok(checks.finding("latency", bench));
+        return checks.finding("latency", bench);
     }
     let (readings, is_done) = until(bench, |readings| {
         let gyro = readings.gyro();
@@ -280,7 +283,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     })?;
     let again = "twist the car as asked, in view of the cameras, and run this step again";
     let Some(begin) = readings.ticks.first().map(|tick| tick.time) else {
-        return Ok(checks.finding("latency", bench));
+        return checks.finding("latency", bench);
     };
     let yaw = turned(&readings.poses);
     let angles: Vec<(f64, f64)> = readings
@@ -305,7 +308,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let delay = stamp_delay(&angles, &velocities, GYRO_AGE_S.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
         checks.failed("the car was not twisted", "10 s to and fro", again);
-        return Ok(checks.finding("latency", bench));
+        return checks.finding("latency", bench);
     };
     let scale = delay.scale.value;
     if scale < 0.0 {
@@ -325,7 +328,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     if !checks.has_failed() {
         judge_delay(bench, &mut checks, delay.late.scaled(1e3));
     }
-    Ok(checks.finding("latency", bench))
+    checks.finding("latency", bench)
 }
 
 /// `late` is in ms, beyond the offset that is in force.
@@ -379,10 +382,23 @@ fn number(config: &Config, key: &str) -> Option<f64> {
 
 /// Whether the system lets the car drive, and the car its reference.
 pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    use singletrack_core::feasibility::{Severity, Stand, judge};
+    use singletrack_core::feasibility::{Severity, Stand, judge_reference};
+
+    /// How long the estimate may take to settle, in s.
+    const SETTLED_S: f64 = 8.0;
+    /// The longest drive that is judged, in s.
+    const LONGEST_S: f64 = 60.0;
 
     let mut checks = Checks::default();
-    let readings = for_time(bench, 1.0, "arming check")?;
+    let (readings, _) = until(bench, |readings| {
+        let reason = readings.ticks.last().and_then(|tick| tick.preflight);
+        let is_over = reason.is_none() || readings.duration() > SETTLED_S;
+        let text = reason.map_or("", |reason| reason.name());
+        (
+            format!("arming check: {text}"),
+            f64::from(u8::from(is_over)),
+        )
+    })?;
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {
         None => checks.good("nothing speaks against arming", "nothing"),
@@ -400,7 +416,7 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let stand = tick
         .and_then(|tick| tick.pose)
         .map(|([x_m, y_m], yaw_rad)| Stand { x_m, y_m, yaw_rad });
-    match judge(bench.configuration(), stand) {
+    match judge_reference(bench.configuration(), stand, Some(LONGEST_S)) {
         Err(error) => checks.failed(
             format!("the configuration is invalid: {error}"),
             "valid",
@@ -420,5 +436,5 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             }
         }
     }
-    Ok(checks.finding("drive", bench))
+    checks.finding("drive", bench)
 }

@@ -1,6 +1,7 @@
 //! Several checks of one step become one finding.
 
-use crate::{Bench, Finding, Parameter, Verdict};
+use super::gather::reset_if_stopped;
+use crate::{Bench, Finding, Interrupted, Parameter, Refused, Verdict};
 
 /// The checks of a step.
 #[derive(Debug, Default)]
@@ -60,6 +61,15 @@ impl Checks {
         }
     }
 
+    /// The board took a car that was rolled by hand for one that runs by itself.
+    pub(super) fn latched(&mut self) {
+        self.warning(
+            "the board stopped: it took the rolled wheels for a motor that runs",
+            "at most 1 m or 3 s of rolling without a pause",
+            "press the reset button of the board",
+        );
+    }
+
     pub(super) fn measured(&mut self, parameter: Parameter) {
         self.parameters.push(parameter);
     }
@@ -88,14 +98,22 @@ impl Checks {
 
     /// The finding of a step. Values that were measured are put into the configuration, unless
     /// the step failed.
-    pub(super) fn finding(mut self, step: &'static str, bench: &mut dyn Bench) -> Finding {
+    ///
+    /// # Errors
+    ///
+    /// The operator interrupts, or the daemon is gone.
+    pub(super) fn finding(
+        mut self,
+        step: &'static str,
+        bench: &mut dyn Bench,
+    ) -> Result<Finding, Interrupted> {
         let values: Vec<(&str, toml_edit::Value)> = self
             .parameters
             .iter()
             .filter_map(|parameter| parameter.key.clone())
             .collect();
         if !values.is_empty() && !self.has_failed() {
-            if let Err(refused) = bench.change(&values) {
+            if let Err(refused) = put_in_force(bench, &values)? {
                 self.failed(
                     format!("the measured values are not in force: {refused}"),
                     "in force",
@@ -109,13 +127,29 @@ impl Checks {
                 parameter.key = None;
             }
         }
-        Finding {
+        Ok(Finding {
             step,
             verdict: self.verdict.unwrap_or(Verdict::Skipped),
             found: self.found.join("; "),
             expected: self.expected.join("; "),
             fix: self.fixes.join("; "),
             parameters: self.parameters,
-        }
+        })
     }
+}
+
+/// Puts values into the configuration. A board that is stopped takes none: it is reset before.
+///
+/// # Errors
+///
+/// The operator interrupts, or the daemon is gone.
+pub(super) fn put_in_force(
+    bench: &mut dyn Bench,
+    values: &[(&str, toml_edit::Value)],
+) -> Result<Result<(), Refused>, Interrupted> {
+    if !reset_if_stopped(bench)? {
+        let reason = "the board is stopped: it takes no configuration before its reset";
+        return Ok(Err(Refused(reason.to_owned())));
+    }
+    Ok(bench.change(values))
 }

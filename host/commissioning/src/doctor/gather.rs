@@ -1,9 +1,11 @@
 //! Readings of a while, and when a hand has done what it was asked.
 
 use singletrack_control::Time;
+use singletrack_protocol::{BoardMode, StopCause};
 
+use super::questions;
 use crate::{
-    Bench, BoardReading, Health, Interrupted, Live, Observation, PoseReading, TickReading,
+    Answer, Bench, BoardReading, Health, Interrupted, Live, Observation, PoseReading, TickReading,
 };
 
 /// What was observed for a while, each kind in the order of its arrival.
@@ -78,6 +80,15 @@ impl Readings {
             })
         });
         !turns && !moves
+    }
+
+    /// Whether the board took wheels that were rolled by hand for a motor that runs. It then
+    /// stays stopped until its reset.
+    pub(super) fn is_latched(&self) -> bool {
+        self.boards.last().is_some_and(|board| {
+            board.mode == BoardMode::EmergencyStopped
+                && board.stop_cause == StopCause::RunsAtNeutral
+        })
     }
 
     /// The samples of the IMU, with their times in s from the first tick.
@@ -156,6 +167,31 @@ pub(super) fn motion(
             _ => (text, done.min(0.99)),
         }
     })
+}
+
+/// Has a board that is stopped for good reset by the operator. Whether it is not stopped now.
+pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
+    /// The board holds neutral for two seconds after a reset, and is configured again.
+    const SETTLED_S: f64 = 3.0;
+    let is_stopped = |readings: &Readings| {
+        readings
+            .boards
+            .last()
+            .is_some_and(|board| board.mode == BoardMode::EmergencyStopped)
+    };
+    let readings = for_time(bench, 0.3, "board")?;
+    if !is_stopped(&readings) {
+        return Ok(true);
+    }
+    if bench.ask(&questions::press_reset())? == Answer::Skip {
+        return Ok(false);
+    }
+    let (readings, is_done) = until(bench, |readings| {
+        let is_reset = !is_stopped(readings) && readings.longest_silence() > 0.2;
+        ("reset".to_owned(), f64::from(u8::from(is_reset)))
+    })?;
+    for_time(bench, SETTLED_S, "the board starts")?;
+    Ok(is_done && !is_stopped(&readings))
 }
 
 /// The angle turned by the body so far, unwrapped, in rad.

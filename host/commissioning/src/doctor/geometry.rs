@@ -2,6 +2,8 @@
 
 use core::f64::consts::TAU;
 
+use singletrack_control::Time;
+
 use super::{
     finding::Checks,
     gather::{Readings, distance, motion, seconds, turned, wrap},
@@ -18,20 +20,24 @@ const ROLLS: usize = 4;
 /// An angle that is enough, in rad: three quarters of a turn.
 const ENOUGH_RAD: f64 = 0.75 * TAU;
 /// A way that is enough, in m.
-const ENOUGH_M: f64 = 0.9;
+const ENOUGH_M: f64 = 1.4;
 /// How well a person keeps the middle of an axle over a point, in m.
 const AXLE_M: f64 = 0.004;
 /// A point that wandered more than this was not held, in m.
 const HELD_M: f64 = 0.02;
 /// The angle between the car and the way of its rear axle, in rad: play and toe of the wheels.
 const TOE_RAD: f64 = 0.003;
-/// The share of the wheels' way that is lost by slip, or by a tyre that is loaded otherwise.
-const SLIP: f64 = 0.004;
+/// The share of the wheels' way that is lost by slip, by a tyre that is loaded otherwise, or by
+/// the board's clock: a ceramic resonator is 0.5 % wrong.
+const SLIP: f64 = 0.006;
 /// What is lost by the steps of the board's speed, in m/s: it rounds towards zero.
 const HALF_STEP_M_S: f64 = 0.000_5;
-/// The share of the highest speed from which on a pass counts for the pulses: the board measures
-/// a speed late.
-const STEADY: f64 = 0.7;
+/// The share of the highest speed of a stretch from which on it counts for the pulses.
+const STEADY: f64 = 0.85;
+/// A slower body stands, in m/s.
+const SLOW_M_S: f64 = 0.08;
+/// A shorter stretch is not counted, in s.
+const STRETCH_S: f64 = 0.2;
 /// A roll that turned more than this was not straight, in rad.
 const STRAIGHT_RAD: f64 = 0.6;
 
@@ -39,17 +45,17 @@ const STRAIGHT_RAD: f64 = 0.6;
 pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let mut checks = Checks::default();
     let Some(origins) = turns(bench, &mut checks)? else {
-        return Ok(checks.finding("geometry", bench));
+        return checks.finding("geometry", bench);
     };
     let axis = |index: usize| -> Vec<f64> { origins.iter().map(|origin| origin[index]).collect() };
     let (Some(along), Some(across)) = (
         mean_interval(&axis(0), AXLE_M),
         mean_interval(&axis(1), AXLE_M),
     ) else {
-        return Ok(checks.finding("geometry", bench));
+        return checks.finding("geometry", bench);
     };
     let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
-        return Ok(checks.finding("geometry", bench));
+        return checks.finding("geometry", bench);
     };
     if let Some(yaw) = mean_interval(
         &unwrapped(
@@ -63,7 +69,7 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         place(bench, [along, across], yaw, &mut checks);
     }
     pulses(bench, &passes, &mut checks);
-    Ok(checks.finding("geometry", bench))
+    checks.finding("geometry", bench)
 }
 
 /// The origin of the body from the rear axle, along the body's axes, by each turn.
@@ -126,6 +132,7 @@ fn rolls(
     checks: &mut Checks,
 ) -> Result<Option<Vec<Pass>>, Interrupted> {
     let mut passes = Vec::new();
+    let mut is_latched = false;
     for _ in 0..ROLLS {
         if bench.ask(&questions::roll_forward())? == Answer::Skip {
             checks.skipped("roll");
@@ -141,17 +148,21 @@ fn rolls(
         let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
             checks.failed(
                 "the car was not rolled",
-                "2 m, or 1 m at least",
+                "2 m, or 1.5 m at least",
                 "roll it as asked, and run this step again",
             );
             return Ok(None);
         };
+        is_latched |= readings.is_latched();
         passes.push(Pass {
             direction: found.direction,
             way: found.way,
             turn: found.turn,
             ratio: ratio(&readings, origin),
         });
+    }
+    if is_latched {
+        checks.latched();
     }
     let way = mean(&passes.iter().map(|pass| pass.way).collect::<Vec<_>>()).unwrap_or(0.0);
     let turn = passes
@@ -289,60 +300,88 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     });
 }
 
-/// Way by the cameras over way by the pulses, of the rear axle, while the car was fast.
+/// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car
+/// may have been rolled in several stretches.
+///
+/// The board measures a speed late, by about a pulse. A stretch therefore counts between two
+/// moments at which the car was equally fast: what the pulses lack at its begin they have too
+/// much at its end.
 fn ratio(readings: &Readings, origin: [f64; 2]) -> Option<f64> {
-    let boards = &readings.boards;
-    let highest = boards
-        .iter()
-        .map(|board| board.motor_speed.abs())
-        .fold(0.0, f64::max);
-    let is_fast = |board: &BoardReading| board.motor_speed.abs() > STEADY * highest;
-    let first = boards.iter().position(is_fast)?;
-    let last = boards.iter().rposition(is_fast)?;
-    let fast = boards.get(first..=last)?;
-    let (begin, end) = (fast.first()?.time, fast.last()?.time);
-    let by_pulses: f64 = fast
+    let speeds = speeds(&readings.poses);
+    let mut by_pulses = 0.0;
+    let mut by_cameras = 0.0;
+    for stretch in speeds.chunk_by(|left, right| (left.1 > SLOW_M_S) == (right.1 > SLOW_M_S)) {
+        let highest = stretch.iter().map(|(_, speed)| *speed).fold(0.0, f64::max);
+        let is_fast = |reading: &&(Time, f64)| reading.1 > STEADY * highest;
+        let (Some((begin, _)), Some((end, _))) =
+            (stretch.iter().find(is_fast), stretch.iter().rfind(is_fast))
+        else {
+            continue;
+        };
+        if highest <= SLOW_M_S || seconds(*begin, *end) < STRETCH_S {
+            continue;
+        }
+        by_cameras += way(&readings.poses, origin, *begin, *end)?;
+        by_pulses += wheel_way(&readings.boards, *begin, *end);
+    }
+    (by_pulses > 0.0).then(|| by_cameras / by_pulses)
+}
+
+/// The speed of the body at its poses, over a tenth of a second.
+fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
+    const AROUND: usize = 5;
+    poses
+        .windows(2 * AROUND + 1)
+        .filter_map(|window| {
+            let (first, last) = (window.first()?, window.last()?);
+            let time = seconds(first.capture, last.capture);
+            let speed = distance(first.position, last.position) / time;
+            // A gap is no movement.
+            (time < 0.3).then_some((window.get(AROUND)?.capture, speed))
+        })
+        .collect()
+}
+
+/// The way of the wheels between two moments, by the believed distance of a pulse.
+fn wheel_way(boards: &[BoardReading], begin: Time, end: Time) -> f64 {
+    boards
         .windows(2)
         .map(|pair| {
+            let from = seconds(begin, pair[0].time).max(0.0);
+            let to = seconds(begin, pair[1].time).min(seconds(begin, end));
             let speed = pair[1].motor_speed.abs();
             let speed = if speed > 0.0 {
                 speed + HALF_STEP_M_S
             } else {
                 0.0
             };
-            speed * seconds(pair[0].time, pair[1].time)
+            speed * (to - from).max(0.0)
         })
-        .sum();
-    let poses: Vec<PoseReading> = readings
-        .poses
-        .iter()
-        .filter(|pose| seconds(begin, pose.capture) >= 0.0 && seconds(pose.capture, end) >= 0.0)
-        .copied()
-        .collect();
-    let (from, to) = (poses.first()?, poses.last()?);
-    let covered = seconds(from.capture, to.capture) / seconds(begin, end);
-    let way = along(&floor(&poses), origin)?;
-    (by_pulses > 0.1 && covered > 0.9).then(|| way / covered / by_pulses)
+        .sum()
 }
 
-/// The way of the rear axle from the first pose to the last.
-fn along(poses: &[FloorPose], origin: [f64; 2]) -> Option<f64> {
-    let whole = rolled(poses, origin)?;
-    // What `rolled` leaves over is shorter than its spacing: the chord has it.
-    let (first, last) = (poses.first()?, poses.last()?);
-    let place = |pose: &FloorPose| {
-        let (sin, cos) = pose.yaw.sin_cos();
-        [
-            pose.x - cos * origin[0] + sin * origin[1],
-            pose.y - sin * origin[0] - cos * origin[1],
-        ]
+/// The way of the rear axle between two moments, along its path.
+fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Option<f64> {
+    let at = |time: Time| {
+        let after = poses.partition_point(|pose| seconds(pose.capture, time) >= 0.0);
+        let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
+        let gap = seconds(before.capture, after.capture);
+        let share = seconds(before.capture, time) / gap;
+        let ends = [before, after].map(|pose| {
+            let (sin, cos) = pose.yaw.sin_cos();
+            [
+                pose.position[0] - cos * origin[0] + sin * origin[1],
+                pose.position[1] - sin * origin[0] - cos * origin[1],
+            ]
+        });
+        let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
+        (gap < 0.2).then_some((place, before.yaw))
     };
-    let (from, to) = (place(first), place(last));
+    let ((from, yaw), (to, later)) = (at(begin)?, at(end)?);
     let chord = (to[0] - from[0]).hypot(to[1] - from[1]);
-    // The arc over a chord that turned by this angle.
-    let half = (whole.turn / 2.0).abs();
-    let arc = if half > 1e-3 { half / half.sin() } else { 1.0 };
-    Some(chord * arc)
+    // The arc over a chord, of a car that turned by this angle.
+    let half = wrap(later - yaw).abs() / 2.0;
+    Some(chord * if half > 1e-3 { half / half.sin() } else { 1.0 })
 }
 
 fn floor(poses: &[PoseReading]) -> Vec<FloorPose> {

@@ -3,7 +3,7 @@
 use singletrack_core::config::{ImuAxisName, ImuSection};
 
 use super::{
-    finding::Checks,
+    finding::{Checks, put_in_force},
     gather::{Readings, for_time, motion, norm, seconds},
     questions,
 };
@@ -28,7 +28,7 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let mut checks = Checks::default();
     if bench.ask(&questions::stand_still())? == Answer::Skip {
         checks.skipped("rest");
-        return Ok(checks.finding("rest", bench));
+        return checks.finding("rest", bench);
     }
     // The hand leaves the car.
     for_time(bench, 1.0, "wait")?;
@@ -51,7 +51,7 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         check_tilt(bench, &samples, &readings, &mut checks);
     }
     check_wheels(&readings, &mut checks);
-    Ok(checks.finding("rest", bench))
+    checks.finding("rest", bench)
 }
 
 fn check_registers(readings: &Readings, checks: &mut Checks) {
@@ -207,11 +207,11 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let mut checks = Checks::default();
     let before = bench.configuration().board.imu;
     let Some(found) = mounting(bench, &mut checks)? else {
-        return Ok(checks.finding("imu-axes", bench));
+        return checks.finding("imu-axes", bench);
     };
     if same(found, before) {
         checks.good(format!("axes are {}", words(found)), "as configured");
-        return Ok(checks.finding("imu-axes", bench));
+        return checks.finding("imu-axes", bench);
     }
     let values = [
         ("board.imu.forward", found.forward),
@@ -225,13 +225,13 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         words(found),
         words(before)
     );
-    if let Err(refused) = bench.change(&values) {
+    if let Err(refused) = put_in_force(bench, &values)? {
         checks.failed(
             format!("{text}; not changed: {refused}"),
             "as configured",
             fix,
         );
-        return Ok(checks.finding("imu-axes", bench));
+        return checks.finding("imu-axes", bench);
     }
     // The board restarts the IMU with the new axes.
     for_time(bench, 2.0, "the IMU starts with its new axes")?;
@@ -250,7 +250,7 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             );
         }
     }
-    Ok(checks.finding("imu-axes", bench))
+    checks.finding("imu-axes", bench)
 }
 
 /// How the chip is mounted, by three motions; none if they do not say.
