@@ -131,6 +131,7 @@ fn rolls(
     origin: [f64; 2],
     checks: &mut Checks,
 ) -> Result<Option<Vec<Pass>>, Interrupted> {
+    let believed = 1e-6 * f64::from(bench.configuration().board.speed.pulse_distance_um);
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
@@ -158,7 +159,8 @@ fn rolls(
             direction: found.direction,
             way: found.way,
             turn: found.turn,
-            ratio: ratio(&readings, origin),
+            ratio: ratio(&readings, origin, believed)
+                .and_then(|share| ratio(&readings, origin, share * believed)),
         });
     }
     if is_latched {
@@ -303,10 +305,11 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car
 /// may have been rolled in several stretches.
 ///
-/// The board measures a speed late, by about a pulse. A stretch therefore counts between two
-/// moments at which the car was equally fast: what the pulses lack at its begin they have too
-/// much at its end.
-fn ratio(readings: &Readings, origin: [f64; 2]) -> Option<f64> {
+/// The board measures a speed over the time between two pulses and keeps it until the next one:
+/// on the average it is late by the time of a pulse, with a period of the board on top. The pulse
+/// is `pulse` long, in m.
+fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
+    const PERIOD_S: f64 = 0.005;
     let speeds = speeds(&readings.poses);
     let mut by_pulses = 0.0;
     let mut by_cameras = 0.0;
@@ -321,8 +324,10 @@ fn ratio(readings: &Readings, origin: [f64; 2]) -> Option<f64> {
         if highest <= SLOW_M_S || seconds(*begin, *end) < STRETCH_S {
             continue;
         }
-        by_cameras += way(&readings.poses, origin, *begin, *end)?;
-        by_pulses += wheel_way(&readings.boards, *begin, *end);
+        let way = way(&readings.poses, origin, *begin, *end)?;
+        let late = PERIOD_S + pulse * seconds(*begin, *end) / way;
+        by_cameras += way;
+        by_pulses += wheel_way(&readings.boards, *begin, *end, late);
     }
     (by_pulses > 0.0).then(|| by_cameras / by_pulses)
 }
@@ -342,13 +347,14 @@ fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
         .collect()
 }
 
-/// The way of the wheels between two moments, by the believed distance of a pulse.
-fn wheel_way(boards: &[BoardReading], begin: Time, end: Time) -> f64 {
+/// The way of the wheels between two moments, by the believed distance of a pulse, if their speed
+/// is measured late, in s.
+fn wheel_way(boards: &[BoardReading], begin: Time, end: Time, late: f64) -> f64 {
     boards
         .windows(2)
         .map(|pair| {
-            let from = seconds(begin, pair[0].time).max(0.0);
-            let to = seconds(begin, pair[1].time).min(seconds(begin, end));
+            let from = (seconds(begin, pair[0].time) - late).max(0.0);
+            let to = (seconds(begin, pair[1].time) - late).min(seconds(begin, end));
             let speed = pair[1].motor_speed.abs();
             let speed = if speed > 0.0 {
                 speed + HALF_STEP_M_S
