@@ -12,7 +12,11 @@
 
 mod bench;
 pub mod bring_up;
+mod diff;
+pub mod doctor;
+pub mod edit;
 mod finding;
+pub mod fit;
 mod parameter;
 mod procedure;
 mod question;

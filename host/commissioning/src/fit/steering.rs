@@ -1,6 +1,6 @@
 //! The servo's map from angles that a person has read.
 
-use super::student::t975;
+use super::student_quantile;
 use crate::Interval;
 
 /// What the readings say.
@@ -36,7 +36,7 @@ pub(crate) fn fit_steering(
     let freedom = readings.len() - 2;
     let scatter = (sum(&|reading| residual(reading).powi(2)) / freedom as f64).sqrt();
     let believed = scatter.max(least_scatter);
-    let t = t975(freedom);
+    let t = student_quantile(freedom);
     let random = t * believed / spread.sqrt();
     let half = random.hypot(scale * slope);
     if !slope.is_finite() || slope.abs() <= half {
@@ -59,14 +59,14 @@ pub(crate) fn fit_steering(
 #[cfg(test)]
 mod tests {
     use super::fit_steering;
-    use crate::fit::noise::Noise;
+    use crate::fit::tests::Noise;
 
     #[test]
     fn the_interval_holds_the_gain_in_19_of_20_sets_of_readings() {
         let mut noise = Noise::new(1);
         let mut held = [0; 2];
         for _ in 0..1_000 {
-            let gain = (600.0 + 500.0 * noise.uniform()) * noise.sign();
+            let gain = (600.0 + 500.0 * noise.uniform()) * (1.0_f64).copysign(noise.normal());
             let centre = 1_450.0 + 100.0 * noise.uniform();
             let scale = 1.0 + 0.01 * noise.normal();
             let readings: Vec<_> = (0..12)
