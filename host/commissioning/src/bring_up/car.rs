@@ -30,6 +30,9 @@ const RENEWAL_S: f64 = 0.04;
 /// Time for arming, with a kill output that first starts the ESC, s.
 const ARMING_S: f64 = 12.0;
 
+/// Time without telemetry after which the line is lost, s.
+const SILENT_S: f64 = 0.3;
+
 /// Waits without any news after which there is no time to go by.
 const SILENT_WAITS: u32 = 3_000;
 
@@ -464,6 +467,9 @@ impl<'a> Car<'a> {
             if !self.jogs() {
                 return Err(self.ended(None));
             }
+            if self.is_silent_for(SILENT_S)? {
+                return Err(self.ended(Some("the board sends nothing".into())));
+            }
             let turns = jog.esc_us != self.rest().esc_us;
             self.check_stand(turns)?;
             self.show(what, done);
@@ -571,6 +577,42 @@ impl<'a> Car<'a> {
                 "Cut the supply of the ESC.",
             )
         })
+    }
+
+    /// Whether the board has sent nothing for this long.
+    pub(super) fn is_silent_for(&self, seconds: f64) -> Result<bool, Trouble> {
+        let now = self.now()?;
+        let heard = self.board.map_or(now, |board| board.receive);
+        Ok(!self.linked || now.seconds_since(heard) >= seconds)
+    }
+
+    /// Waits until the board sends telemetry again, 15 s at most.
+    pub(super) fn wait_for_board(bench: &mut dyn Bench) -> Result<(), Trouble> {
+        let lost = || {
+            failed(
+                "the board does not come back",
+                "Check the serial line with `singletrack doctor`.",
+            )
+        };
+        let mut first = None;
+        let mut observed = Vec::new();
+        for _ in 0..SILENT_WAITS {
+            observed.clear();
+            bench.wait(&mut observed)?;
+            for observation in &observed {
+                match observation {
+                    Observation::Board(_) => return Ok(()),
+                    Observation::Tick(tick) => {
+                        let first = *first.get_or_insert(tick.time);
+                        if tick.time.seconds_since(first) > 15.0 {
+                            return Err(lost());
+                        }
+                    }
+                    _ => {}
+                }
+            }
+        }
+        Err(lost())
     }
 
     /// Waits until the motor's pulses have ceased.
