@@ -123,6 +123,36 @@ impl Edit {
         &self.new
     }
 
+    /// Whether a key is written with this value.
+    #[must_use]
+    pub fn has(&self, key: &str, value: &Value) -> bool {
+        is_set(&self.new, key, value)
+    }
+
+    /// The change from the old text of this one to the new text of a later one.
+    #[must_use]
+    pub fn until(&self, later: &Self) -> Self {
+        Self {
+            old: self.old.clone(),
+            new: later.new.clone(),
+        }
+    }
+
+    /// Gives a file that was just written its old text again.
+    ///
+    /// # Errors
+    ///
+    /// It can't be written.
+    pub fn take_back(&self, path: &Path) -> Result<(), EditError> {
+        let path = fs::canonicalize(path).map_err(|source| EditError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let staged = with_suffix(&path, ".new");
+        stage(&path, &staged, &self.old)?;
+        replace(&staged, &path)
+    }
+
     /// What has changed, as a unified diff; empty if nothing has.
     #[must_use]
     pub fn diff(&self, name: &str) -> String {

@@ -20,6 +20,7 @@ pub mod fit;
 mod parameter;
 mod procedure;
 mod question;
+pub mod report;
 
 pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,

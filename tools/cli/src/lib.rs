@@ -1,6 +1,7 @@
 //! The command line of Singletrack, as a library for its tests.
 
 pub mod arm;
+pub mod bench;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;

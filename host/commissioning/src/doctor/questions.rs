@@ -43,7 +43,10 @@ pub(super) fn unplug_battery() -> Question {
 
 /// The operator plugs the battery in again.
 pub(super) fn plug_battery() -> Question {
-    begin("plug-battery", "Press Enter, then plug the battery in again.")
+    begin(
+        "plug-battery",
+        "Press Enter, then plug the battery in again.",
+    )
 }
 
 /// The operator opens the stop switch.
