@@ -7,7 +7,9 @@
 //! passes have in common is added as a stated systematic part.
 
 mod least_squares;
+pub(crate) mod speed_curve;
 mod statistics;
+pub(crate) mod steering;
 
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
