@@ -2,21 +2,18 @@
 
 use std::collections::BTreeMap;
 
+use singletrack_commissioning::edit::{Edit, EditError};
 use singletrack_commissioning::{
     Answer, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live, Observation,
     PoseReading, Question, Refused, TickReading,
 };
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_core::{
-    Config, ConfigError,
-    config::ReferenceSection,
-};
+use singletrack_core::{Config, ConfigError, config::ReferenceSection};
 use singletrack_mocap::PoseState;
 use singletrack_pilot::{PilotRequest, Reason};
 use singletrack_protocol::ImuState;
 use singletrack_record::{Entry, LinkPhase, TelemetryRecord, TickRecord};
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualDriveError};
-use singletrack_commissioning::edit::{Edit, EditError};
 use toml_edit::Value;
 
 use crate::{car::OnboardCar, guard::Guard, person::Person};
@@ -202,7 +199,11 @@ impl VirtualBench {
     /// Why nothing is held any more.
     fn ended(&self) -> Refused {
         let reason = self.drive.controller().pilot().reason();
-        Refused(reason.map_or("the car is not armed", Reason::name).to_owned())
+        Refused(
+            reason
+                .map_or("the car is not armed", Reason::name)
+                .to_owned(),
+        )
     }
 
     fn request(&self, request: PilotRequest) -> Result<(), Refused> {
@@ -331,8 +332,7 @@ impl Bench for VirtualBench {
         if !file.is_changed() {
             return Ok(());
         }
-        let config =
-            Config::from_toml(file.text()).map_err(|error| Refused(error.to_string()))?;
+        let config = Config::from_toml(file.text()).map_err(|error| Refused(error.to_string()))?;
         self.put_in_force(config.clone())?;
         self.has_reference = false;
         self.guard.configure(&config);

@@ -12,9 +12,7 @@ use std::{
     thread,
 };
 
-use singletrack_commissioning::{
-    Finding, Interrupted, Interval, Journal, Step, Verdict, run,
-};
+use singletrack_commissioning::{Finding, Interrupted, Interval, Journal, Step, Verdict, run};
 use singletrack_sim::BoardKind;
 
 use crate::{
@@ -33,12 +31,10 @@ struct Procedure {
 /// The procedures, in their order. The ESC is watched at neutral for a shorter time than on a
 /// real car: a simulated one has no noise that would turn it now and then.
 fn procedures() -> Vec<Procedure> {
-    vec![
-        Procedure {
-            name: "bring-up",
-            steps: singletrack_commissioning::bring_up::steps::<8>().to_vec(),
-        },
-    ]
+    vec![Procedure {
+        name: "bring-up",
+        steps: singletrack_commissioning::bring_up::steps().to_vec(),
+    }]
 }
 
 /// A parameter of a car, as it was measured last.
@@ -136,14 +132,20 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
             let world = bench.drive_of_host().world();
             for finding in findings {
                 for parameter in &finding.parameters {
-                    let truth =
-                        truth_of(parameter.name, world, singletrack_commissioning::Bench::configuration(&bench));
-                    measured.insert(parameter.name, Measured {
-                        name: parameter.name,
-                        unit: parameter.unit,
-                        truth,
-                        estimate: parameter.estimate,
-                    });
+                    let truth = truth_of(
+                        parameter.name,
+                        world,
+                        singletrack_commissioning::Bench::configuration(&bench),
+                    );
+                    measured.insert(
+                        parameter.name,
+                        Measured {
+                            name: parameter.name,
+                            unit: parameter.unit,
+                            truth,
+                            estimate: parameter.estimate,
+                        },
+                    );
                 }
                 let is_failed = finding.verdict == Verdict::Failed;
                 failed |= is_failed;
@@ -225,7 +227,8 @@ impl CarOutcome {
                     m.estimate.value,
                     m.estimate.low,
                     m.estimate.high,
-                    m.truth.map_or("unknown".into(), |truth| format!("{truth:.4}")),
+                    m.truth
+                        .map_or("unknown".into(), |truth| format!("{truth:.4}")),
                 );
             }
         }
@@ -256,7 +259,8 @@ impl Measured {
     /// Whether the interval holds the truth.
     #[must_use]
     pub fn holds(&self) -> bool {
-        self.truth.is_some_and(|truth| self.estimate.contains(truth))
+        self.truth
+            .is_some_and(|truth| self.estimate.contains(truth))
     }
 }
 

@@ -1,8 +1,10 @@
 //! The paper's circle, to compare what a configuration makes of a car.
 
-use singletrack_control::Position;
-use singletrack_core::Config;
-use singletrack_pilot::Mode;
+use singletrack_core::{
+    Config,
+    config::{OuterLoopSection, ReferenceSection},
+};
+use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_scenario::virtual_drive::VirtualDrive;
 use singletrack_sim::StartPose;
 
@@ -30,12 +32,12 @@ const START_S: f64 = 12.0;
 /// Drives the circle with this file; none if it is refused.
 pub(crate) fn drive(car: &OnboardCar, file: &str) -> Option<Circle> {
     let mut config = Config::from_toml(file).ok()?;
-    config.reference = singletrack_core::config::ReferenceSection::Circle {
+    config.reference = ReferenceSection::Circle {
         radius_m: RADIUS_M,
         angular_velocity_rad_s: RATE_RAD_S,
         centre_m: [0.0; 2],
     };
-    config.outer_loop = singletrack_core::config::OuterLoopSection::Proportional {
+    config.outer_loop = OuterLoopSection::Proportional {
         gain_per_s: [1.0; 2],
         feed_forward: true,
     };
@@ -53,33 +55,29 @@ pub(crate) fn drive(car: &OnboardCar, file: &str) -> Option<Circle> {
         error_m: None,
         ended: None,
     };
-    let mut armed = false;
+    let (mut armed, mut driven) = (false, false);
     let (mut sum, mut count) = (0.0, 0_u32);
     loop {
         let now_s = drive.next_tick_us() as f64 * 1e-6;
         if !armed && drive.mode() == Mode::Ready {
-            armed = drive.request(singletrack_pilot::PilotRequest::Arm).is_ok();
+            armed = drive.request(PilotRequest::Arm).is_ok();
         }
         let tick = drive.step();
         let output = &tick.tick.output;
         let Some(time) = output.drive_time else {
-            if now_s > START_S + DRIVE_S || (armed && count == 0 && now_s > START_S) || sum > 0.0 {
-                circle.ended = Some(output.reason.or(output.preflight).map_or("not-started", |reason| reason.name()));
-                return Some(circle);
-            }
-            if now_s > START_S && !armed {
-                circle.ended = Some(output.preflight.map_or("not-started", |reason| reason.name()));
+            if driven || now_s > START_S {
+                let reason = output.reason.or(output.preflight);
+                circle.ended = Some(reason.map_or("not-started", Reason::name));
                 return Some(circle);
             }
             continue;
         };
-        // Also a drive that ends before P has settled has been one.
-        sum += f64::MIN_POSITIVE;
+        driven = true;
         if time > SETTLED_S
-            && let Some(Position { x, y }) = output.reference.and_then(|reference| reference.position).map(|p| Position::new(p.x, p.y))
+            && let Some(wanted) = output.reference.and_then(|reference| reference.position)
         {
-            let [px, py] = tick.truth.point_p(front, p);
-            sum += (px - x) * (px - x) + (py - y) * (py - y);
+            let [x, y] = tick.truth.point_p(front, p);
+            sum += (x - wanted.x).powi(2) + (y - wanted.y).powi(2);
             count += 1;
         }
         if time > DRIVE_S {

@@ -78,15 +78,22 @@ impl Guard {
         let mode = world.board().telemetry().map(|telemetry| telemetry.mode);
         let armed = matches!(
             mode,
-            Some(BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging)
+            Some(
+                BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging
+            )
         );
         let free = !truth.held;
         let driven = free && !armed && world.car().motor_is_driven();
         self.driven_since = driven.then(|| self.driven_since.unwrap_or(now_s));
-        let runs_on = self.driven_since.is_some_and(|since| now_s - since > RUN_ON_S);
-        self.note(0, runs_on, now_s, || "the motor drives an unarmed car".into());
+        let runs_on = self
+            .driven_since
+            .is_some_and(|since| now_s - since > RUN_ON_S);
+        self.note(0, runs_on, now_s, || {
+            "the motor drives an unarmed car".into()
+        });
 
-        let outside = free && truth.speed.abs() > 0.02 && !contains(&self.corners, [truth.x, truth.y]);
+        let outside =
+            free && truth.speed.abs() > 0.02 && !contains(&self.corners, [truth.x, truth.y]);
         self.note(1, outside, now_s, || "outside the fence".into());
 
         let most = self.cap_m_s + OVERSPEED_M_S;
@@ -95,8 +102,12 @@ impl Guard {
 
         let jogs = free && mode == Some(BoardMode::Jogging);
         self.jog_from = jogs.then(|| self.jog_from.unwrap_or(truth.way));
-        let far = self.jog_from.is_some_and(|from| truth.way - from > JOG_WAY_M);
-        self.note(3, far, now_s, || "a jog drives the car over the floor".into());
+        let far = self
+            .jog_from
+            .is_some_and(|from| truth.way - from > JOG_WAY_M);
+        self.note(3, far, now_s, || {
+            "a jog drives the car over the floor".into()
+        });
     }
 
     /// At the end of a procedure, when the car has had its time to roll out.

@@ -16,8 +16,8 @@ mod truths;
 
 pub use bench::{BenchError, VirtualBench};
 pub use campaign::{Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, write_csv};
-pub use circle::Circle;
 pub use car::{HALL_M, OnboardCar, PlantedFault};
+pub use circle::Circle;
 pub use guard::{Guard, Violation};
 pub use random::Random;
 pub use truths::truth_of;
