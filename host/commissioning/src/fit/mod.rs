@@ -9,7 +9,9 @@
 mod body;
 mod delay;
 mod least_squares;
+pub(crate) mod speed_curve;
 mod statistics;
+pub(crate) mod steering;
 
 pub use body::{FloorPose, Rolled, rolled, turned_about};
 pub use delay::{Delay, stamp_delay};
