@@ -10,7 +10,8 @@ use super::{
     questions,
 };
 use crate::{
-    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, PoseReading,
+    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
+    PlotLine, PoseReading,
     fit::{FloorPose, mean, mean_interval, rolled, turned_about},
 };
 
@@ -75,6 +76,7 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 /// The origin of the body from the rear axle, along the body's axes, by each turn.
 fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 2]>>, Interrupted> {
     let mut origins = Vec::new();
+    let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
         let question = if turn % 2 == 0 {
             questions::turn_left_about_rear_axle()
@@ -112,7 +114,32 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             return Ok(None);
         };
         origins.push(origin);
+        for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
+            path.extend(poses.iter().map(|pose| place_of(pose, held)));
+            // The next turn is another line.
+            path.push([f64::NAN; 2]);
+        }
     }
+    let [body, axle] = paths;
+    bench.plot(&Plot {
+        name: "turns",
+        title: "Turns about the rear axle",
+        x: ("x", "m"),
+        y: ("y", "m"),
+        equal: true,
+        lines: vec![
+            PlotLine {
+                name: "body",
+                kind: PlotKind::Measured,
+                points: body,
+            },
+            PlotLine {
+                name: "rear axle",
+                kind: PlotKind::Fitted,
+                points: axle,
+            },
+        ],
+    });
     Ok(Some(origins))
 }
 
@@ -373,13 +400,7 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
         let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
         let gap = seconds(before.capture, after.capture);
         let share = seconds(before.capture, time) / gap;
-        let ends = [before, after].map(|pose| {
-            let (sin, cos) = pose.yaw.sin_cos();
-            [
-                pose.position[0] - cos * origin[0] + sin * origin[1],
-                pose.position[1] - sin * origin[0] - cos * origin[1],
-            ]
-        });
+        let ends = [before, after].map(|pose| place_of(&floor_pose(pose), origin));
         let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
         (gap < 0.2).then_some((place, before.yaw))
     };
@@ -391,14 +412,25 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
 }
 
 fn floor(poses: &[PoseReading]) -> Vec<FloorPose> {
-    poses
-        .iter()
-        .map(|pose| FloorPose {
-            x: pose.position[0],
-            y: pose.position[1],
-            yaw: pose.yaw,
-        })
-        .collect()
+    poses.iter().map(floor_pose).collect()
+}
+
+const fn floor_pose(pose: &PoseReading) -> FloorPose {
+    let [x, y, _] = pose.position;
+    FloorPose {
+        x,
+        y,
+        yaw: pose.yaw,
+    }
+}
+
+/// The place of the point from which the body's origin is at `origin`, along the body's axes.
+fn place_of(pose: &FloorPose, origin: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = pose.yaw.sin_cos();
+    [
+        pose.x - cos * origin[0] + sin * origin[1],
+        pose.y - sin * origin[0] - cos * origin[1],
+    ]
 }
 
 /// Angles near to the first one, also around ±π.
