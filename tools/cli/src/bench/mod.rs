@@ -153,6 +153,17 @@ impl LiveBench {
             .diff(&self.path.display().to_string()))
     }
 
+    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
+    fn report(&self, procedure: &str, result: &str) -> Result<(), ControlError> {
+        let line = json!({
+            "version": SOCKET_VERSION,
+            "command": "commissioned",
+            "procedure": procedure,
+            "result": result,
+        });
+        control::ask(&line, &self.socket).map(drop)
+    }
+
     /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
     fn pump(&mut self) -> Result<Option<Value>, Interrupted> {
         if self.interrupt.is_raised() {

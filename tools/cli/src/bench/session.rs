@@ -65,6 +65,14 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
             Timestamp::now(),
         );
     }
+    let is_resumed = procedure
+        .steps
+        .iter()
+        .any(|step| journal.file.found(step.name).is_some());
+    bench.report(
+        procedure.name,
+        if is_resumed { "resumed" } else { "begun" },
+    )?;
     bench.terminal.say(procedure.about);
     for step in procedure.steps {
         if let Some(finding) = journal.file.found(step.name) {
@@ -84,6 +92,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     let failed = findings
         .iter()
         .any(|finding| finding.verdict == Verdict::Failed);
+    bench.report(procedure.name, if failed { "failed" } else { "passed" })?;
     if !failed {
         bench.terminal.say(procedure.next);
     }
