@@ -349,11 +349,7 @@ impl<'a> Car<'a> {
     }
 
     /// Watches for a time without a request; gives the telemetry.
-    pub(super) fn watch(
-        &mut self,
-        seconds: f64,
-        what: &str,
-    ) -> Result<Vec<BoardReading>, Trouble> {
+    pub(super) fn watch(&mut self, seconds: f64, what: &str) -> Result<Vec<BoardReading>, Trouble> {
         if self.now.is_none() {
             self.tick()?;
         }
@@ -432,8 +428,7 @@ impl<'a> Car<'a> {
 
     /// Whether the board is in an armed jog.
     pub(super) fn jogs(&self) -> bool {
-        self.board
-            .is_some_and(|reading| reading.mode == BoardMode::Jogging)
+        self.board.is_some_and(|reading| is_jogging(reading.mode))
     }
 
     /// Holds these pulses for a time; gives the telemetry.
@@ -481,9 +476,8 @@ impl<'a> Car<'a> {
     }
 
     fn renew(&mut self, jog: Jog, now: Time) -> Result<(), Trouble> {
-        let is_recent = |(at, last): &(Time, Jog)| {
-            *last == jog && now.seconds_since(*at) < RENEWAL_S
-        };
+        let is_recent =
+            |(at, last): &(Time, Jog)| *last == jog && now.seconds_since(*at) < RENEWAL_S;
         if self.renewed.as_ref().is_some_and(is_recent) {
             return Ok(());
         }
@@ -653,6 +647,44 @@ impl<'a> Car<'a> {
         }
     }
 
+    /// Turns the motor while a hand is about to stop it, which may come as soon as the wheels
+    /// turn, and watches until the jog ends, the wheels stand, or the time is over.
+    pub(super) fn spin_for_hand(
+        &mut self,
+        from_us: u16,
+        seconds: f64,
+        what: &str,
+    ) -> Result<Spun, Trouble> {
+        let mut jog = self
+            .first_turn(true, from_us)?
+            .ok_or_else(|| super::kill::never_turned(JOG_LIMIT_US))?;
+        let highest = self.rest().esc_us + JOG_LIMIT_US;
+        let begin = self.now()?;
+        let mut spun = Spun::default();
+        while self.now()?.seconds_since(begin) < seconds {
+            let held = self.hold_until(jog, 0.1, what, |reading| reading.motor_speed == 0.0);
+            match held {
+                Ok(readings) => spun.readings.extend(readings),
+                Err(Trouble::Ended { cause, .. }) => {
+                    spun.ended = Some(cause);
+                    break;
+                }
+                Err(trouble) => return Err(trouble),
+            }
+            let Some(last) = spun.readings.last().map(|last| last.motor_speed.abs()) else {
+                continue;
+            };
+            if last == 0.0 {
+                break;
+            }
+            // Not while it slows down: that is the hand.
+            if last < 0.4 && last >= 0.9 * spun.fastest() {
+                jog.esc_us = (jog.esc_us + 2).min(highest);
+            }
+        }
+        Ok(spun)
+    }
+
     /// Drives in bursts of 0.5 s, each 8 us farther from neutral, until the wheels turn;
     /// gives the pulse that does, which is still held.
     pub(super) fn first_turn(
@@ -688,7 +720,9 @@ impl<'a> Car<'a> {
     pub(super) fn hold_until_standing(&mut self, jog: Jog, seconds: f64) -> Result<(), Trouble> {
         self.hold(jog, seconds, "neutral")?;
         if self.board.is_some_and(|board| board.motor_speed != 0.0) {
-            self.hold_until(jog, 8.0, "rolling out", |reading| reading.motor_speed == 0.0)?;
+            self.hold_until(jog, 8.0, "rolling out", |reading| {
+                reading.motor_speed == 0.0
+            })?;
         }
         Ok(())
     }
@@ -696,6 +730,39 @@ impl<'a> Car<'a> {
     /// What the bench believes.
     pub(super) fn bench(&mut self) -> &mut dyn Bench {
         self.bench
+    }
+}
+
+/// A motor that was turned until a hand stopped it.
+#[derive(Debug, Default)]
+pub(super) struct Spun {
+    /// The telemetry until then.
+    pub(super) readings: Vec<BoardReading>,
+    /// The board's word, if the jog ended.
+    pub(super) ended: Option<StopCause>,
+}
+
+impl Spun {
+    /// Highest speed, m/s.
+    pub(super) fn fastest(&self) -> f64 {
+        let speeds = self.readings.iter().map(|reading| reading.motor_speed.abs());
+        speeds.fold(0.0, f64::max)
+    }
+
+    /// Speed before the end, m/s.
+    pub(super) fn last_speed(&self) -> f64 {
+        let from = self.readings.len().saturating_sub(20);
+        mean_speed(&self.readings[from..])
+    }
+
+    /// Whether the wheels came to rest while their pulse still drove them.
+    pub(super) fn stopped_under_drive(&self) -> bool {
+        let stands = self
+            .readings
+            .last()
+            .is_some_and(|reading| reading.motor_speed == 0.0);
+        // The board takes a motor that does not turn for one without a sensor.
+        stands || self.ended.is_some_and(|cause| cause == StopCause::MotorSensor)
     }
 }
 
@@ -709,6 +776,15 @@ pub(super) fn beyond(neutral_us: u16, offset_us: u16, forward: bool) -> u16 {
     } else {
         neutral_us.saturating_sub(offset_us)
     }
+}
+
+fn is_jogging(mode: BoardMode) -> bool {
+    mode == BoardMode::Driving || mode.name() == "jogging"
+}
+
+fn was_let_go(cause: StopCause) -> bool {
+    matches!(cause, StopCause::CommandTimeout | StopCause::Disarmed)
+        || cause.name() == "jog-timeout"
 }
 
 /// Mean magnitude of the speed; zero without telemetry.
@@ -731,10 +807,9 @@ pub(super) fn armed<T>(
         let result = car.arm().and_then(|()| jog(&mut car));
         let result = result.and_then(|value| car.end().map(|()| value));
         match result {
-            Err(Trouble::Ended {
-                cause: StopCause::CommandTimeout | StopCause::JogTimeout | StopCause::Disarmed,
-                ..
-            }) if attempt < ATTEMPTS => attempt += 1,
+            Err(Trouble::Ended { cause, .. }) if was_let_go(cause) && attempt < ATTEMPTS => {
+                attempt += 1
+            }
             result => return result,
         }
     }
