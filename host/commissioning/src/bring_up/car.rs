@@ -428,7 +428,7 @@ impl<'a> Car<'a> {
 
     /// Whether the board is in an armed jog.
     pub(super) fn jogs(&self) -> bool {
-        self.board.is_some_and(|reading| is_jogging(reading.mode))
+        self.board.is_some_and(|reading| reading.mode == BoardMode::Jogging)
     }
 
     /// Holds these pulses for a time; gives the telemetry.
@@ -778,15 +778,6 @@ pub(super) fn beyond(neutral_us: u16, offset_us: u16, forward: bool) -> u16 {
     }
 }
 
-fn is_jogging(mode: BoardMode) -> bool {
-    mode == BoardMode::Driving || mode.name() == "jogging"
-}
-
-fn was_let_go(cause: StopCause) -> bool {
-    matches!(cause, StopCause::CommandTimeout | StopCause::Disarmed)
-        || cause.name() == "jog-timeout"
-}
-
 /// Mean magnitude of the speed; zero without telemetry.
 pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
     let sum: f64 = readings
@@ -807,9 +798,10 @@ pub(super) fn armed<T>(
         let result = car.arm().and_then(|()| jog(&mut car));
         let result = result.and_then(|value| car.end().map(|()| value));
         match result {
-            Err(Trouble::Ended { cause, .. }) if was_let_go(cause) && attempt < ATTEMPTS => {
-                attempt += 1
-            }
+            Err(Trouble::Ended {
+                cause: StopCause::CommandTimeout | StopCause::JogTimeout | StopCause::Disarmed,
+                ..
+            }) if attempt < ATTEMPTS => attempt += 1,
             result => return result,
         }
     }

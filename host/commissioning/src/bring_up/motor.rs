@@ -6,6 +6,7 @@
 //! creeps.
 
 use singletrack_control::Time;
+use singletrack_protocol::StopCause;
 
 use super::{
     car::{
@@ -16,7 +17,7 @@ use super::{
     questions::{self, WAYS},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter,
+    Bench, Finding, Interrupted, Interval, Jog, Parameter,
     fit::{
         least_squares,
         speed_curve::{SpeedCurve, fit_speed_curve},
@@ -39,6 +40,12 @@ const SLOWEST: f64 = 0.06;
 const FASTEST: f64 = 0.75;
 /// Wanted change of the speed from one level to the next, m/s.
 const STEP: f64 = 0.09;
+
+/// Step of the search for the slowest speed, us.
+const SLOWER_US: u16 = 4;
+
+/// Most levels on one way.
+const MOST_LEVELS: usize = 24;
 
 /// Time for which the motor is driven without a rest, s. The board allows 10.
 const DRIVEN_S: f64 = 5.0;
@@ -81,7 +88,10 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     });
     let turned = match turned {
         // The motor may turn while its sensor does not count.
-        Err(Trouble::Ended { cause, .. }) if cause.name() == "motor-sensor" => None,
+        Err(Trouble::Ended {
+            cause: StopCause::MotorSensor,
+            ..
+        }) => None,
         turned => turned?,
     };
     let seen = ask_word(bench, &questions::driven_wheels(), WAYS)?;
@@ -270,12 +280,25 @@ fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble
 /// Pulses beyond neutral and their settled speeds, up and down again.
 fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>, Trouble> {
     let rest = car.rest();
-    let mut offset_us = rest.esc_us.abs_diff(first.esc_us);
+    let begin_us = rest.esc_us.abs_diff(first.esc_us);
     let mut since = car.now()?;
     let mut levels = Vec::new();
-    let mut last: Option<(u16, f64)> = None;
-    let mut way_up = Vec::new();
-    while offset_us <= JOG_LIMIT_US && way_up.len() < 24 {
+    // The first turn may be well beyond the edge: the pulses are far apart, or the step large.
+    let mut slowest_us = begin_us;
+    loop {
+        let speed = settled(car, &mut since, forward, slowest_us)?;
+        if speed >= SLOWEST {
+            levels.push([slowest_us.into(), speed]);
+        }
+        if speed < 1.5 * SLOWEST || slowest_us < SLOWER_US + 4 {
+            break;
+        }
+        slowest_us -= SLOWER_US;
+    }
+    let mut offset_us = begin_us + SLOWER_US;
+    let mut last: Option<(u16, f64)> = levels.first().map(|[_, speed]| (begin_us, *speed));
+    let mut way_up = vec![begin_us];
+    while offset_us <= JOG_LIMIT_US && way_up.len() < MOST_LEVELS {
         let speed = settled(car, &mut since, forward, offset_us)?;
         if speed >= SLOWEST {
             levels.push([offset_us.into(), speed]);
@@ -287,9 +310,9 @@ fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>,
         let step_us = match last {
             Some((before_us, before)) if speed > before => {
                 let per_us = (speed - before) / f64::from(offset_us - before_us);
-                (STEP.min(0.9 - speed) / per_us).floor().clamp(2.0, 16.0) as u16
+                (STEP.min(0.9 - speed) / per_us).floor().clamp(2.0, 14.0) as u16
             }
-            _ => 4,
+            _ => SLOWER_US,
         };
         last = Some((offset_us, speed));
         offset_us += step_us;
@@ -374,24 +397,15 @@ fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option
         ..rest
     };
     let readings = car.hold(slow, 0.4, "slowing down")?;
-    let line = |reading: &BoardReading| {
-        let at = reading.receive.seconds_since(begin);
-        (at > 0.08 && reading.motor_speed.abs() > 0.15)
-            .then_some(([1.0, at], reading.motor_speed.abs()))
-    };
-    let fit = least_squares(
-        readings
-            .iter()
-            .map_while(|reading| {
-                let early = reading.receive.seconds_since(begin) <= 0.08;
-                if early {
-                    Some(None)
-                } else {
-                    line(reading).map(Some)
-                }
-            })
-            .flatten(),
-    );
+    let falling = readings
+        .iter()
+        .map(|reading| {
+            let at = reading.receive.seconds_since(begin);
+            ([1.0, at], reading.motor_speed.abs())
+        })
+        .skip_while(|([_, at], _)| *at <= 0.08)
+        .take_while(|(_, speed)| *speed > 0.15);
+    let fit = least_squares(falling);
     Ok(fit
         .filter(|fit| fit.count >= 4)
         .map(|fit| -fit.parameters[1]))

@@ -433,7 +433,7 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         straight.value
     );
     let outcome = if scatter > 0.07 {
-        Outcome::warning(found, "Read the angles again: `--again servo-gain`.")
+        Outcome::warning(found, "Read the angles again: run the bring-up with --again.")
     } else {
         Outcome::good(found)
     };

@@ -162,6 +162,9 @@ pub struct MockCar {
     plugged: bool,
     hand: Option<(Hand, Option<u64>)>,
     turned: f64,
+    /// When a hand acted, how fast the wheels were, and for how long they kept that.
+    acted: Option<(u64, f64)>,
+    drove_us: u64,
 }
 
 const EXAMPLE: &str = include_str!("../../../daemon/singletrackd.example.toml");
@@ -222,6 +225,8 @@ impl MockCar {
             plugged: true,
             hand: None,
             turned: 0.0,
+            acted: None,
+            drove_us: 0,
             truth,
         }
     }
@@ -237,7 +242,7 @@ impl MockCar {
     fn is_armed(&self) -> bool {
         matches!(
             self.mode,
-            BoardMode::Armed | BoardMode::PoweringUp | BoardMode::Driving
+            BoardMode::Armed | BoardMode::PoweringUp | BoardMode::Jogging
         )
     }
 
@@ -287,7 +292,7 @@ impl MockCar {
                 self.cause = StopCause::Disarmed;
                 self.jogged = None;
             } else {
-                self.mode = BoardMode::Driving;
+                self.mode = BoardMode::Jogging;
                 let servo = self.config.board.servo;
                 self.servo_target_us = f64::from(jog.servo_us.clamp(servo.min_us, servo.max_us));
             }
@@ -315,9 +320,9 @@ impl MockCar {
         let slew = f64::from(self.config.board.servo.slew_us_per_20ms) / 2.0;
         self.servo_us += (self.servo_target_us - self.servo_us).clamp(-slew, slew);
         self.measure();
-        if self.mode == BoardMode::Driving {
+        if self.mode == BoardMode::Jogging {
             if self.measured > 1.0 {
-                self.fail(StopCause::PoseTooOld);
+                self.fail(StopCause::JogTooFast);
             }
             if self.esc_offset_us == 0.0 && self.measured == 0.0 {
                 self.jogging_us = 0;
@@ -325,7 +330,7 @@ impl MockCar {
                 self.jogging_us += 10_000;
             }
             if self.jogging_us >= 10_000_000 {
-                self.fail(StopCause::PoseTooOld);
+                self.fail(StopCause::JogTooLong);
             }
             if self.esc_offset_us.abs() > f64::from(esc.deadband_us) {
                 self.driven_us += 10_000;
@@ -438,6 +443,11 @@ impl MockCar {
         };
         self.speed += acceleration * 1e-3;
         self.fastest_m_s = self.fastest_m_s.max(self.speed.abs());
+        if let Some((at, speed)) = self.acted
+            && self.speed.abs() > 0.9 * speed
+        {
+            self.drove_us = self.now_us - at;
+        }
         if self.speed.abs() > 0.05 {
             self.turned = self.speed;
         }
@@ -467,6 +477,8 @@ impl MockCar {
             return;
         }
         self.hand = None;
+        self.acted = Some((self.now_us, self.speed.abs()));
+        self.drove_us = 0;
         match hand {
             Hand::CutSupply => self.supply_cut = true,
             Hand::OpenSwitch => self.switch_open = true,
@@ -607,7 +619,11 @@ impl Bench for MockCar {
                 turned if (turned > 0.0) != self.truth.backward => 0,
                 _ => 1,
             }),
-            "stopped-how" => Answer::Choice(if self.speed.abs() > 0.1 { 2 } else { 0 }),
+            "stopped-how" => Answer::Choice(match self.drove_us {
+                _ if self.speed.abs() > 0.1 => 2,
+                drove_us if drove_us > 400_000 => 1,
+                _ => 0,
+            }),
             "cut-supply" => self.prepare(Hand::CutSupply),
             "open-switch" => self.prepare(Hand::OpenSwitch),
             "unplug" => self.prepare(Hand::Unplug),
@@ -670,7 +686,7 @@ impl Bench for MockCar {
     }
 
     fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
-        if !matches!(self.mode, BoardMode::Armed | BoardMode::Driving) {
+        if !matches!(self.mode, BoardMode::Armed | BoardMode::Jogging) {
             return Err(Refused("not-armed".into()));
         }
         self.jogged = Some((self.now_us, jog));
