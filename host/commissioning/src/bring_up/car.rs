@@ -428,7 +428,8 @@ impl<'a> Car<'a> {
 
     /// Whether the board is in an armed jog.
     pub(super) fn jogs(&self) -> bool {
-        self.board.is_some_and(|reading| reading.mode == BoardMode::Jogging)
+        self.board
+            .is_some_and(|reading| reading.mode == BoardMode::Jogging)
     }
 
     /// Holds these pulses for a time; gives the telemetry.
@@ -631,19 +632,28 @@ impl<'a> Car<'a> {
     /// Until the first pulses come the ESC is driven in bursts: the board takes a motor
     /// that is driven for 0.6 s without a pulse for a dead sensor.
     pub(super) fn spin(&mut self, from_us: u16) -> Result<Option<Jog>, Trouble> {
+        self.spin_at(0.4, from_us)
+    }
+
+    /// As [`Self::spin`], at this speed at least if 150 us reach it.
+    pub(super) fn spin_at(&mut self, wanted: f64, from_us: u16) -> Result<Option<Jog>, Trouble> {
         let Some(mut jog) = self.first_turn(true, from_us)? else {
             return Ok(None);
         };
         let highest = jog.esc_us.max(self.rest().esc_us + JOG_LIMIT_US);
         let begin = self.now()?;
+        let mut before = 0.0;
         loop {
-            let readings = self.hold(jog, 0.5, "spinning up")?;
+            let readings = self.hold(jog, 0.4, "spinning up")?;
             let speed = mean_speed(&readings[readings.len() / 2..]);
             let late = self.now()?.seconds_since(begin) > 5.0;
-            if speed >= 0.4 || late || jog.esc_us >= highest {
+            if speed >= wanted || late || jog.esc_us >= highest {
                 return Ok(Some(jog));
             }
-            jog.esc_us = (jog.esc_us + 6).min(highest);
+            // Steps of 0.15 m/s at most, as far as the last one tells.
+            let step_us = if speed - before > 0.15 { 3 } else { 8 };
+            before = speed;
+            jog.esc_us = (jog.esc_us + step_us).min(highest);
         }
     }
 
@@ -745,7 +755,10 @@ pub(super) struct Spun {
 impl Spun {
     /// Highest speed, m/s.
     pub(super) fn fastest(&self) -> f64 {
-        let speeds = self.readings.iter().map(|reading| reading.motor_speed.abs());
+        let speeds = self
+            .readings
+            .iter()
+            .map(|reading| reading.motor_speed.abs());
         speeds.fold(0.0, f64::max)
     }
 
@@ -762,7 +775,10 @@ impl Spun {
             .last()
             .is_some_and(|reading| reading.motor_speed == 0.0);
         // The board takes a motor that does not turn for one without a sensor.
-        stands || self.ended.is_some_and(|cause| cause == StopCause::MotorSensor)
+        stands
+            || self
+                .ended
+                .is_some_and(|cause| cause == StopCause::MotorSensor)
     }
 }
 
@@ -785,6 +801,17 @@ pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
         .map(|reading| reading.motor_speed.abs())
         .sum();
     sum / readings.len().max(1) as f64
+}
+
+/// The way of the wheels by their speed, m.
+pub(super) fn way(readings: &[BoardReading]) -> f64 {
+    readings
+        .windows(2)
+        .map(|pair| {
+            let elapsed = pair[1].receive.seconds_since(pair[0].receive);
+            pair[1].motor_speed.abs() * elapsed
+        })
+        .sum()
 }
 
 /// Runs an armed jog, and again if it was let go.

@@ -433,7 +433,10 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         straight.value
     );
     let outcome = if scatter > 0.07 {
-        Outcome::warning(found, "Read the angles again: run the bring-up with --again.")
+        Outcome::warning(
+            found,
+            "Read the angles again: run the bring-up with --again.",
+        )
     } else {
         Outcome::good(found)
     };
@@ -441,10 +444,7 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
 }
 
 /// Puts values of the servo in force, and lowers the steering limit to what they reach.
-fn change_servo(
-    bench: &mut dyn Bench,
-    values: &[(&'static str, i64)],
-) -> Result<(), Trouble> {
+fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result<(), Trouble> {
     let config = bench.configuration();
     let servo = config.board.servo;
     let limit = config.limits.max_steering_rad;

@@ -10,7 +10,8 @@ use singletrack_protocol::BoardMode;
 
 use super::{
     car::{
-        Car, JOG_LIMIT_US, Outcome, Spun, Trouble, armed, ask, ask_word, conclude, failed, mean_speed,
+        Car, JOG_LIMIT_US, Outcome, Spun, Trouble, armed, ask, ask_word, conclude, failed,
+        mean_speed,
     },
     kill::never_turned,
     questions::{self, STOPS},

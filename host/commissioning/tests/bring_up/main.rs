@@ -111,7 +111,10 @@ fn random_cars_are_brought_up_and_their_intervals_hold_the_truth() {
             }
         }
         let config = Config::from_toml(&car.text).unwrap();
-        let kind = found["esc-kind"].key.as_ref().unwrap().1.as_str().unwrap();
+        let Some(kind) = found.get("esc-kind") else {
+            panic!("{}", explained())
+        };
+        let kind = kind.key.as_ref().unwrap().1.as_str().unwrap();
         assert_eq!(kind, truth.kind.name(), "{}", explained());
         let sign = config.board.servo.gain_us_per_rad.signum();
         assert_eq!(f64::from(sign), truth.gain_us_per_rad.signum());
