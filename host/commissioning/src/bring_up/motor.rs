@@ -66,7 +66,7 @@ const HELD_US: f64 = 5.0;
 
 /// What the edge of a brake is known to, us, besides its scatter: ESCs do not begin to brake at
 /// a microsecond.
-const BRAKE_US: f64 = 3.0;
+const BRAKE_US: f64 = 6.0;
 
 /// Time from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
 const LATE_S: f64 = 0.06;
