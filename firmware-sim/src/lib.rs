@@ -53,7 +53,7 @@ pub use cameras::{
     LossKind, TICKS_PER_SECOND, UpAxis,
 };
 pub use car::{
-    BatteryParameters, Car, CarParameters, EscKind, ImuFault, ImuParameters, ImuReading,
+    BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters, ImuReading,
     MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push, ServoParameters,
     StartPose, Truth,
 };

@@ -22,6 +22,9 @@ const KEYS: [&str; 11] = [
     "for_s",
     "time_ns",
     "kind",
+    "uncalibrated",
+    "procedure",
+    "result",
     "surplus",
 ];
 
@@ -122,6 +125,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
             singletrackd::Question::Stop => "stop",
         },
         Command::Arm(_) => "arm",
+        Command::Commissioned { .. } => "commissioned",
         Command::Hold => "hold",
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",

@@ -5,6 +5,7 @@ pub mod bench;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;
+pub mod doctor;
 pub mod dump;
 pub mod recover;
 pub mod replay;

@@ -6,11 +6,15 @@
 //! give the parameter by itself, with the quantile of Student's distribution, and what all
 //! passes have in common is added as a stated systematic part.
 
+mod body;
+mod delay;
 mod least_squares;
 pub(crate) mod speed_curve;
 mod statistics;
 pub(crate) mod steering;
 
+pub use body::{FloorPose, Rolled, rolled, turned_about};
+pub use delay::{Delay, stamp_delay};
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,

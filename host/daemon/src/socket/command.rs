@@ -4,7 +4,10 @@ use core::{str::FromStr, time::Duration};
 
 use serde::Deserialize;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::{
+    commissioned::{Procedure, ProcedureResult},
+    config::ReferenceSection,
+};
 use singletrack_record::Topic;
 
 /// The version of the protocol. Client and daemon must have the same one.
@@ -16,18 +19,34 @@ pub enum Command {
     /// A question or request, answered by one line.
     Ask(Question),
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
-    Arm(Attendance),
+    Arm(Arm),
     /// Renews the drive that this connection holds; not answered.
     Hold,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
     Setpoint(Setpoint),
+    /// What became of a procedure, answered by one line when it is kept.
+    Commissioned {
+        /// The procedure.
+        procedure: Procedure,
+        /// What became of it.
+        result: ProcedureResult,
+    },
     /// A subscription, answered by a stream of entries.
     Watch {
         /// The topics; empty for all.
         topics: Vec<Topic>,
     },
+}
+
+/// A request to arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Arm {
+    /// Who attends the drive.
+    pub attendance: Attendance,
+    /// Whether the car may drive without having passed doctor, bring-up and calibrate.
+    pub uncalibrated: bool,
 }
 
 /// Who attends a drive.
@@ -60,6 +79,9 @@ struct Line {
     command: String,
     attendance: Option<String>,
     for_s: Option<f64>,
+    uncalibrated: Option<bool>,
+    procedure: Option<String>,
+    result: Option<String>,
     topics: Option<Vec<String>>,
     reference: Option<ReferenceSection>,
     velocity_m_s: Option<[f64; 2]>,
@@ -95,7 +117,10 @@ impl Command {
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
-            "arm" => Self::Arm(line.take_attendance()?),
+            "arm" => Self::Arm(Arm {
+                uncalibrated: line.uncalibrated.take().unwrap_or(false),
+                attendance: line.take_attendance()?,
+            }),
             "hold" => Self::Hold,
             "disarm" => Self::Ask(Question::Disarm),
             "stop" => Self::Ask(Question::Stop),
@@ -105,6 +130,7 @@ impl Command {
                 Self::SetReference(line.reference.take().ok_or(missing)?)
             }
             "setpoint" => Self::Setpoint(line.take_setpoint(now_ns)?),
+            "commissioned" => line.take_commissioned()?,
             "watch" => Self::Watch {
                 topics: line
                     .topics
@@ -116,7 +142,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint or watch"
+                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint, commissioned or watch"
                 ));
             }
         };
@@ -157,6 +183,21 @@ impl Line {
         }
     }
 
+    fn take_commissioned(&mut self) -> Result<Command, String> {
+        let procedure = self.procedure.take().unwrap_or_default();
+        let result = self.result.take().unwrap_or_default();
+        Ok(Command::Commissioned {
+            procedure: Procedure::named(&procedure).ok_or_else(|| {
+                format!("procedure is {procedure:?}: use \"doctor\", \"bring-up\" or \"calibrate\"")
+            })?,
+            result: ProcedureResult::named(&result).ok_or_else(|| {
+                format!(
+                    "result is {result:?}: use \"begun\", \"resumed\", \"passed\" or \"failed\""
+                )
+            })?,
+        })
+    }
+
     fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
         let velocity = self
             .velocity_m_s
@@ -185,6 +226,9 @@ impl Line {
         for (key, is_there, owner) in [
             ("attendance", self.attendance.is_some(), "arm"),
             ("for_s", self.for_s.is_some(), "arm"),
+            ("uncalibrated", self.uncalibrated.is_some(), "arm"),
+            ("procedure", self.procedure.is_some(), "commissioned"),
+            ("result", self.result.is_some(), "commissioned"),
             ("topics", self.topics.is_some(), "watch"),
             ("reference", self.reference.is_some(), "set-reference"),
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
@@ -264,6 +308,18 @@ mod tests {
                 "only setpoint does",
             ),
             (
+                r#"{"version":2,"command":"status","uncalibrated":true}"#,
+                "only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"drive","result":"passed"}"#,
+                "procedure is \"drive\": use \"doctor\"",
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"doctor"}"#,
+                "result is \"\": use \"begun\"",
+            ),
+            (
                 r#"{"version":2,"command":"set-reference"}"#,
                 "needs a reference",
             ),
@@ -311,6 +367,10 @@ mod tests {
 
     #[test]
     fn valid_lines_are_parsed() {
+        let arm = |attendance| Arm {
+            attendance,
+            uncalibrated: false,
+        };
         let setpoint = |position, time| {
             Command::Setpoint(Setpoint {
                 position,
@@ -325,15 +385,29 @@ mod tests {
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold"}"#,
-                Command::Arm(Attendance::Hold),
+                Command::Arm(arm(Attendance::Hold)),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"timed","for_s":1.5}"#,
-                Command::Arm(Attendance::Timed(Duration::from_millis(1_500))),
+                Command::Arm(arm(Attendance::Timed(Duration::from_millis(1_500)))),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
-                Command::Arm(Attendance::Unattended),
+                Command::Arm(arm(Attendance::Unattended)),
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+                Command::Arm(Arm {
+                    attendance: Attendance::Hold,
+                    uncalibrated: true,
+                }),
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
+                Command::Commissioned {
+                    procedure: Procedure::BringUp,
+                    result: ProcedureResult::Passed,
+                },
             ),
             (r#"{"version":2,"command":"hold"}"#, Command::Hold),
             (
