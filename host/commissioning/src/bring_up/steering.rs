@@ -281,7 +281,7 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
-    let mut touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
+    let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
         let pulse_us = limited(servo.min_us, servo.max_us, pulse);
         let back = limited(servo.min_us, servo.max_us, i32::midpoint(centre, pulse));
         armed(bench, |car| {
