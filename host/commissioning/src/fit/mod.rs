@@ -6,14 +6,24 @@
 //! give the parameter by itself, with the quantile of Student's distribution, and what all
 //! passes have in common is added as a stated systematic part.
 
+mod body;
+mod drive_train;
+mod gauss_newton;
 mod least_squares;
 mod statistics;
+mod steering;
+mod track;
 
+pub use body::{Body, body};
+pub use drive_train::{DriveTrain, deceleration, drive_train};
+pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,
 };
+pub use steering::{Steering, Turning, steering};
+pub use track::{Motion, Signal, Track};
 
 #[cfg(test)]
 pub(crate) mod tests {
