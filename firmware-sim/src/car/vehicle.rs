@@ -289,6 +289,12 @@ impl Car {
         self.hands.wheels_are_up(self.now_us)
     }
 
+    /// Whether the ESC drives the motor, in either direction.
+    #[must_use]
+    pub fn motor_is_driven(&self) -> bool {
+        self.is_driven()
+    }
+
     /// Whether the servo pushes against a mechanical stop: it buzzes.
     #[must_use]
     pub fn servo_strains(&self) -> bool {
@@ -330,6 +336,12 @@ impl Car {
         self.cut_esc_without_power();
     }
 
+    /// Unplugs the battery, or plugs it in. The board stays on its USB; the servo is limp.
+    pub fn set_battery_plugged(&mut self, plugged: bool) {
+        self.battery.set_plugged(plugged);
+        self.cut_esc_without_power();
+    }
+
     /// Sets the board's kill output: whether it holds the relay in the ESC's supply. Of no
     /// effect without a relay.
     pub fn set_kill_output(&mut self, held: bool) {
@@ -342,6 +354,7 @@ impl Car {
     #[must_use]
     pub const fn esc_has_power(&self) -> bool {
         self.esc_is_switched_on
+            && self.battery.is_plugged()
             && !self.happened.esc_reboots
             && (self.kill_output || !self.parameters.motor.kill_relay)
     }
@@ -437,7 +450,7 @@ impl Car {
         } else {
             (servo_us, esc_us)
         };
-        if servo_us != 0 && !self.happened.supply_dips {
+        if servo_us != 0 && !self.happened.supply_dips && self.battery.is_plugged() {
             self.servo_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.servo.dead_time_us,
                 pulse_us: servo_us,

@@ -11,6 +11,7 @@
 //! procedure keeps the findings, so that it can be resumed.
 
 mod bench;
+pub mod bring_up;
 pub mod calibrate;
 mod diff;
 pub mod doctor;

@@ -10,9 +10,14 @@ mod body;
 mod drive_train;
 mod gauss_newton;
 mod least_squares;
+pub(crate) mod speed_curve;
 mod statistics;
+<<<<<<< HEAD
 mod steering;
 mod track;
+=======
+pub(crate) mod steering;
+>>>>>>> cdd31e78be8085778cbb287b3faee8368e13fc07
 
 pub use body::{Body, body};
 pub use drive_train::{DriveTrain, deceleration, drive_train};
