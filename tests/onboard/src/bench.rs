@@ -267,13 +267,25 @@ impl Bench for VirtualBench {
                 PilotRequest::ArmHeld
             }
         };
-        self.request(request)?;
-        self.held = Some(attendance);
         let mut unseen = Vec::new();
         for _ in 0..ANSWER_TICKS {
+            if self.drive.mode() == Mode::Ready {
+                break;
+            }
+            self.drive(Velocity::zeros(), None)?;
+            unseen.clear();
+            self.step(&mut unseen);
+        }
+        self.request(request)?;
+        self.held = Some(attendance);
+        for tick in 0..4 * ANSWER_TICKS {
+            self.drive(Velocity::zeros(), None)?;
             unseen.clear();
             self.step(&mut unseen);
             let mode = self.drive.mode();
+            if mode == Mode::Ready && tick < 3 {
+                continue;
+            }
             if mode == Mode::Driving {
                 return Ok(());
             }

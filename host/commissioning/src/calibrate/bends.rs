@@ -3,7 +3,7 @@
 use super::floor::{self, Ends, Figure, SLOW, round};
 use crate::{
     Bench, Finding, Interrupted, Interval, Parameter, Verdict,
-    fit::{self, Body, Motion, Signal, Steering, Track, Turning},
+    fit::{self, Body, Motion, Signal, Track, Turning, Wheels},
 };
 
 /// How often both circles are driven.
@@ -127,12 +127,12 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let late = if of > 0.0 { over / of } else { 0.0 };
     let motion = track.motion(late);
     let (pulses, way) = (track.pulses(0), track.way());
-    let passes: Vec<(Body, Steering)> = bounds
+    let passes: Vec<(Body, Wheels)> = bounds
         .windows(2)
         .map(|ends| pass(&between(&motion, ends[0], ends[1]), &pulses, &way, &believed))
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
-    let interval = |of: &dyn Fn(&(Body, Steering)) -> f64, systematic: f64| {
+    let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
         let values: Vec<f64> = passes.iter().map(of).collect();
         fit::mean_interval(&values, systematic).ok_or_else(undetermined)
     };
@@ -233,9 +233,9 @@ fn pass(
     pulses: &Signal,
     way: &Signal,
     believed: &Believed,
-) -> Option<(Body, Steering)> {
+) -> Option<(Body, Wheels)> {
     let body = fit::body(motion, way, believed.body_yaw, believed.rear_slip)?;
     let speed = motion.rear_speed(body.yaw, body.left, 5);
-    let steering = fit::steering(motion, pulses, &speed, &believed.turning, believed.servo)?;
+    let steering = fit::wheels(motion, pulses, &speed, &believed.turning, believed.servo)?;
     Some((body, steering))
 }

@@ -12,12 +12,9 @@ mod gauss_newton;
 mod least_squares;
 pub(crate) mod speed_curve;
 mod statistics;
-<<<<<<< HEAD
-mod steering;
-mod track;
-=======
 pub(crate) mod steering;
->>>>>>> cdd31e78be8085778cbb287b3faee8368e13fc07
+mod track;
+mod wheels;
 
 pub use body::{Body, body};
 pub use drive_train::{DriveTrain, deceleration, drive_train};
@@ -27,8 +24,8 @@ pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,
 };
-pub use steering::{Steering, Turning, steering};
 pub use track::{Motion, Signal, Track};
+pub use wheels::{Turning, Wheels, wheels};
 
 #[cfg(test)]
 pub(crate) mod tests {
