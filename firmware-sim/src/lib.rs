@@ -53,9 +53,9 @@ pub use cameras::{
     LossKind, TICKS_PER_SECOND, UpAxis,
 };
 pub use car::{
-    BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters, ImuReading,
-    MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push, ServoParameters,
-    StartPose, Truth,
+    BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
+    ImuReading, MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push,
+    ServoParameters, StartPose, Truth,
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;

@@ -314,8 +314,7 @@ impl Cameras {
             let (c, s) = (cos(truth.yaw), sin(truth.yaw));
             pivot[0] += c * along[0] - s * along[1];
             pivot[1] += s * along[0] + c * along[1];
-            pivot[2] = truth.height
-                + p.car.height_m * cos(truth.pitch) * cos(truth.roll)
+            pivot[2] = truth.height + p.car.height_m * cos(truth.pitch) * cos(truth.roll)
                 - on_car[0] * sin(truth.pitch)
                 + on_car[1] * sin(truth.roll);
         }

@@ -130,13 +130,7 @@ struct UnderWay {
 
 impl Hands {
     /// Begins a motion of a car that stands at this position, with this yaw.
-    pub(crate) fn begin(
-        &mut self,
-        motion: HandMotion,
-        now_us: u64,
-        position: [f64; 2],
-        yaw: f64,
-    ) {
+    pub(crate) fn begin(&mut self, motion: HandMotion, now_us: u64, position: [f64; 2], yaw: f64) {
         self.under_way = Some(UnderWay {
             motion,
             begin_us: now_us,
@@ -198,7 +192,10 @@ impl Hands {
     pub(crate) fn motion(&self, now_us: u64) -> Option<Motion> {
         let under_way = self.under_way?;
         let since = under_way.since(now_us);
-        under_way.roll(since).is_none().then(|| under_way.motion(since))
+        under_way
+            .roll(since)
+            .is_none()
+            .then(|| under_way.motion(since))
     }
 }
 

@@ -68,10 +68,10 @@ fn brought_up(seed: u64) -> OnboardCar {
     set("motion_capture.timing", "stamp_offset_ms", Value::from(late));
     let quarter = ((t.imu.mounting_deg[2] / 90.0).round() as i64).rem_euclid(4);
     let (forward, left) = [
-        ("x+", "y+"), ("y-", "x+"), ("x-", "y-"), ("y+", "x-"),
+        ("+x", "+y"), ("-y", "+x"), ("-x", "-y"), ("+y", "-x"),
     ][quarter as usize];
-    set("board.imu", "forward_axis", Value::from(forward));
-    set("board.imu", "left_axis", Value::from(left));
+    set("board.imu", "forward", Value::from(forward));
+    set("board.imu", "left", Value::from(left));
     set("supervisor", "require_calibration", Value::from(false));
     car
 }

@@ -2,27 +2,21 @@
 
 use std::collections::BTreeMap;
 
+use singletrack_commissioning::edit::{Edit, EditError};
 use singletrack_commissioning::{
     Answer, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live, Observation,
     PoseReading, Question, Refused, TickReading,
 };
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_core::{
-    Config, ConfigError,
-    config::{FenceSection, ReferenceSection},
-};
+use singletrack_core::{Config, ConfigError, config::ReferenceSection};
 use singletrack_mocap::PoseState;
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{PilotRequest, Reason};
 use singletrack_protocol::ImuState;
 use singletrack_record::{Entry, LinkPhase, TelemetryRecord, TickRecord};
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualDriveError};
-use singletrack_sim::Truth;
-use toml_edit::{DocumentMut, Value};
+use toml_edit::Value;
 
-use crate::{
-    car::{OnboardCar, write_key},
-    person::Person,
-};
+use crate::{car::OnboardCar, guard::Guard, person::Person};
 
 /// Why there is no such bench.
 #[derive(Debug, thiserror::Error)]
@@ -30,38 +24,38 @@ pub enum BenchError {
     /// The owner's file is refused.
     #[error("the configuration: {0}")]
     Config(#[from] ConfigError),
+    /// The owner's file is no TOML.
+    #[error(transparent)]
+    File(#[from] EditError),
     /// The simulation can't be set up.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
-}
-
-/// What must never happen.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Violation {
-    /// When, in s since the car was switched on.
-    pub at_s: f64,
-    /// What.
-    pub what: &'static str,
 }
 
 /// How often a held drive is renewed, in ticks.
 const RENEW_TICKS: u64 = 10;
 /// The daemon answers a request within, in ticks.
 const ANSWER_TICKS: u32 = 300;
+/// How long the operator waits for a car that is not ready to drive, in ticks.
+const PATIENCE_TICKS: u32 = 500;
 /// How long set-points of a drive last, in ms.
-const SETPOINT_TIMEOUT_MS: u32 = 250;
+const SETPOINT_TIMEOUT_MS: u32 = 200;
 
 /// A simulated car with its host, and scripted hands.
 #[derive(Debug)]
 pub struct VirtualBench {
     drive: VirtualDrive,
-    file: DocumentMut,
+    file: Edit,
     config: Config,
     person: Person,
     guard: Guard,
-    /// Renewed as long as the connection of an operator would.
-    held: Option<Attendance>,
+    /// The drive that the connection of the operator holds.
+    held: bool,
+    /// The reference in force is another than that of the file.
+    has_reference: bool,
     ticks: u64,
+    /// Why an arm request would be refused now.
+    preflight: Option<Reason>,
     link_is_ready: bool,
     /// Questions that nobody could answer, and how often.
     unknown: BTreeMap<String, u32>,
@@ -79,12 +73,14 @@ impl VirtualBench {
         drive.keep_entries();
         let mut bench = Self {
             drive,
-            file: car.file.clone(),
-            guard: Guard::new(&config.fence),
+            file: Edit::new(&car.file.to_string())?,
+            guard: Guard::new(&config),
             config,
             person: Person::new(car.seed),
-            held: None,
+            held: false,
+            has_reference: false,
             ticks: 0,
+            preflight: None,
             link_is_ready: false,
             unknown: BTreeMap::new(),
         };
@@ -111,14 +107,20 @@ impl VirtualBench {
 
     /// The file of the configuration, as the procedures have left it.
     #[must_use]
-    pub const fn file(&self) -> &DocumentMut {
-        &self.file
+    pub fn file(&self) -> &str {
+        self.file.text()
     }
 
-    /// What happened and must not.
+    /// What the campaign has watched.
     #[must_use]
-    pub fn violations(&self) -> &[Violation] {
-        &self.guard.violations
+    pub const fn guard(&self) -> &Guard {
+        &self.guard
+    }
+
+    /// Lets the car roll out, and looks whether it has come to its end: it stands, disarmed.
+    pub fn end_procedure(&mut self) {
+        self.pass(4.0);
+        self.guard.end(&self.drive);
     }
 
     /// The questions that were skipped because no script knows them.
@@ -135,27 +137,26 @@ impl VirtualBench {
 
     /// One tick of the daemon. What was observed is appended.
     fn step(&mut self, observed: &mut Vec<Observation>) {
-        if let Some(attendance) = self.held {
-            if self.ticks.is_multiple_of(RENEW_TICKS) {
-                let _ = self.drive.request(PilotRequest::Hold);
-            }
-            let _ = attendance;
+        if self.held && self.ticks.is_multiple_of(RENEW_TICKS) {
+            let _ = self.drive.request(PilotRequest::Hold);
         }
         self.ticks += 1;
         let tick = self.drive.step();
+        self.preflight = tick.tick.output.preflight;
         self.person.act(self.drive.world_mut());
         self.guard.watch(&self.drive, &tick.truth, &tick.tick);
-        if !tick.tick.output.mode.is_underway() && self.held.is_some() && !self.is_arming() {
-            self.held = None;
-        }
         for entry in self.drive.entries() {
             self.observe(entry, observed);
         }
     }
 
-    /// Whether a request to arm has not been taken yet.
-    const fn is_arming(&self) -> bool {
-        false
+    /// The set-point of a car that stands: without one it can't be armed.
+    fn stand_still(&self) {
+        self.drive.send_setpoint(&Setpoint {
+            time: Time(self.drive.next_tick_us() * 1_000),
+            position: None,
+            velocity: Velocity::zeros(),
+        });
     }
 
     fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
@@ -202,6 +203,16 @@ impl VirtualBench {
             self.step(&mut unseen);
             unseen.clear();
         }
+    }
+
+    /// Why nothing is held any more.
+    fn ended(&self) -> Refused {
+        let reason = self.drive.controller().pilot().reason();
+        Refused(
+            reason
+                .map_or("the car is not armed", Reason::name)
+                .to_owned(),
+        )
     }
 
     fn request(&self, request: PilotRequest) -> Result<(), Refused> {
@@ -252,57 +263,57 @@ impl Bench for VirtualBench {
     fn show(&mut self, _: &Live<'_>) {}
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
-        let request = match attendance {
-            Attendance::Jog => return Err(Refused("not yet".into())),
-            Attendance::Drive => {
-                if !matches!(self.config.reference, ReferenceSection::External { .. }) {
-                    let config = Config {
-                        reference: ReferenceSection::External {
-                            setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
-                        },
-                        ..self.config.clone()
-                    };
-                    self.put_in_force(config)?;
-                }
-                PilotRequest::ArmHeld
-            }
-        };
+        if attendance == Attendance::Drive && !self.has_reference {
+            self.put_in_force(Config {
+                reference: ReferenceSection::External {
+                    setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
+                },
+                ..self.config.clone()
+            })?;
+            self.has_reference = true;
+        }
         let mut unseen = Vec::new();
-        for _ in 0..ANSWER_TICKS {
-            if self.drive.mode() == Mode::Ready {
+        for _ in 0..PATIENCE_TICKS {
+            // As the daemon does, which says why it does not.
+            let waits = attendance == Attendance::Drive && self.preflight.is_some();
+            if !waits {
                 break;
             }
-            self.drive(Velocity::zeros(), None)?;
-            unseen.clear();
+            self.stand_still();
             self.step(&mut unseen);
-        }
-        self.request(request)?;
-        self.held = Some(attendance);
-        for tick in 0..4 * ANSWER_TICKS {
-            self.drive(Velocity::zeros(), None)?;
             unseen.clear();
-            self.step(&mut unseen);
-            let mode = self.drive.mode();
-            if mode == Mode::Ready && tick < 3 {
-                continue;
-            }
-            if mode == Mode::Driving {
-                return Ok(());
-            }
-            if mode != Mode::Arming {
-                let reason = self.drive.controller().pilot().reason();
-                self.held = None;
-                return Err(Refused(reason.map_or("refused", Reason::name).to_owned()));
-            }
         }
-        Err(Refused("the board does not arm".into()))
+        self.stand_still();
+        self.request(match attendance {
+            Attendance::Jog => PilotRequest::ArmJog,
+            Attendance::Drive => PilotRequest::ArmHeld,
+        })?;
+        self.step(&mut unseen);
+        let mode = self.drive.mode();
+        self.held = mode.is_underway();
+        match self.held {
+            true => Ok(()),
+            false => Err(self.ended()),
+        }
     }
 
-    fn jog(&mut self, _: Jog) -> Result<(), Refused> {
-        Err(Refused("not yet".into()))
+    fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
+        if !self.held || !self.drive.mode().is_underway() {
+            self.held = false;
+            return Err(self.ended());
+        }
+        self.drive.send_jog(singletrack_pilot::Jog {
+            servo_us: jog.servo_us,
+            esc_us: jog.esc_us,
+        });
+        Ok(())
     }
 
     fn drive(&mut self, velocity: Velocity, position: Option<Position>) -> Result<(), Refused> {
+        if !self.held || !self.drive.mode().is_underway() {
+            self.held = false;
+            return Err(self.ended());
+        }
         self.drive.send_setpoint(&Setpoint {
             time: Time(self.drive.next_tick_us() * 1_000),
             position,
@@ -312,12 +323,10 @@ impl Bench for VirtualBench {
     }
 
     fn disarm(&mut self) -> Result<(), Refused> {
-        self.held = None;
         self.request(PilotRequest::Disarm)
     }
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {
-        self.held = None;
         self.request(PilotRequest::EmergencyStop)
     }
 
@@ -328,37 +337,19 @@ impl Bench for VirtualBench {
     fn change(&mut self, values: &[(&str, Value)]) -> Result<(), Refused> {
         let mut file = self.file.clone();
         for (key, value) in values {
-            write_key(&mut file, key, value.clone());
+            file.set(key, value)
+                .map_err(|error| Refused(error.to_string()))?;
         }
-        let config =
-            Config::from_toml(&file.to_string()).map_err(|error| Refused(error.to_string()))?;
+        if !file.is_changed() {
+            return Ok(());
+        }
+        let config = Config::from_toml(file.text()).map_err(|error| Refused(error.to_string()))?;
         self.put_in_force(config.clone())?;
-        self.file = file;
+        self.has_reference = false;
+        self.guard.configure(&config);
         self.config = config;
+        self.file = file;
         Ok(())
-    }
-}
-
-/// What the campaign watches in every tick.
-#[derive(Debug)]
-struct Guard {
-    corners: Vec<[f64; 2]>,
-    violations: Vec<Violation>,
-    last: Option<Truth>,
-}
-
-impl Guard {
-    fn new(fence: &FenceSection) -> Self {
-        Self {
-            corners: fence.corners_m.clone(),
-            violations: Vec::new(),
-            last: None,
-        }
-    }
-
-    fn watch(&mut self, drive: &VirtualDrive, truth: &Truth, tick: &TickRecord) {
-        let _ = (drive, tick, &self.corners);
-        self.last = Some(*truth);
     }
 }
 

@@ -6,10 +6,18 @@
 //! hands answer their questions.
 
 mod bench;
+mod campaign;
 mod car;
+mod circle;
+mod guard;
 mod person;
 mod random;
+mod truths;
 
-pub use bench::{BenchError, Violation, VirtualBench};
+pub use bench::{BenchError, VirtualBench};
+pub use campaign::{Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, write_csv};
 pub use car::{HALL_M, OnboardCar, PlantedFault};
+pub use circle::Circle;
+pub use guard::{Guard, Violation};
 pub use random::Random;
+pub use truths::truth_of;

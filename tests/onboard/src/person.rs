@@ -101,6 +101,8 @@ impl Person {
         self.later.clear();
         let id = question.id;
         match id {
+            // Calibration.
+            "place-on-floor" => self.carry(0.0),
             // Doctor.
             "voltmeter" => {}
             "press-reset" if !world.car().wheels_are_up() => {
@@ -139,10 +141,17 @@ impl Person {
                 ]);
             }
             "turn-left-about-rear-axle" | "turn-right-about-rear-axle" => {
-                let side = if id.starts_with("turn-left") { 1.0 } else { -1.0 };
+                let side = if id.starts_with("turn-left") {
+                    1.0
+                } else {
+                    -1.0
+                };
                 let rear = world.config().car.vehicle.rear_axle_distance_m;
                 // How well the middle of the axle is held over its point.
-                let about_m = [-rear + self.random.normal(0.0015), self.random.normal(0.0015)];
+                let about_m = [
+                    -rear + self.random.normal(0.0015),
+                    self.random.normal(0.0015),
+                ];
                 let angle_rad = side * (2.0 * PI + self.random.normal(0.2));
                 self.turn_later(angle_rad, about_m, 0.001, 10.0);
             }
@@ -204,30 +213,39 @@ impl Person {
             "wheels-still" => Answer::YesNo(forward + backward < 0.003),
             "front-wheels" => {
                 let angle = truth.steering.to_degrees() + self.random.normal(0.75).clamp(-1.5, 1.5);
-                choice(&question.answers, match angle {
-                    angle if angle > 2.0 => "left",
-                    angle if angle < -2.0 => "right",
-                    _ => "straight",
-                })
+                choice(
+                    &question.answers,
+                    match angle {
+                        angle if angle > 2.0 => "left",
+                        angle if angle < -2.0 => "right",
+                        _ => "straight",
+                    },
+                )
             }
             "wheel-angle" => {
                 let angle = truth.steering.to_degrees() + self.random.normal(1.0).clamp(-2.0, 2.0);
                 Answer::Number((2.0 * angle).round() / 2.0)
             }
             "at-stop" => Answer::YesNo(self.seen.buzzed),
-            "driven-wheels" => choice(&question.answers, match (forward, backward) {
-                (forward, backward) if forward.max(backward) < 0.005 => "stood",
-                (forward, backward) if forward > backward => "forward",
-                _ => "backward",
-            }),
+            "driven-wheels" => choice(
+                &question.answers,
+                match (forward, backward) {
+                    (forward, backward) if forward.max(backward) < 0.005 => "stood",
+                    (forward, backward) if forward > backward => "forward",
+                    _ => "backward",
+                },
+            ),
             "stopped-how" => {
                 let acted_us = self.acted_us.unwrap_or_default();
                 let drove_us = self.seen.driven_us.saturating_sub(acted_us);
-                choice(&question.answers, match drove_us {
-                    _ if car.motor_is_driven() => "not",
-                    drove_us if drove_us > 400_000 => "late",
-                    _ => "at-once",
-                })
+                choice(
+                    &question.answers,
+                    match drove_us {
+                        _ if car.motor_is_driven() => "not",
+                        drove_us if drove_us > 400_000 => "late",
+                        _ => "at-once",
+                    },
+                )
             }
             _ => match question.answers {
                 Answers::YesNo => Answer::YesNo(true),

@@ -349,11 +349,7 @@ impl<'a> Car<'a> {
     }
 
     /// Watches for a time without a request; gives the telemetry.
-    pub(super) fn watch(
-        &mut self,
-        seconds: f64,
-        what: &str,
-    ) -> Result<Vec<BoardReading>, Trouble> {
+    pub(super) fn watch(&mut self, seconds: f64, what: &str) -> Result<Vec<BoardReading>, Trouble> {
         if self.now.is_none() {
             self.tick()?;
         }
@@ -481,9 +477,8 @@ impl<'a> Car<'a> {
     }
 
     fn renew(&mut self, jog: Jog, now: Time) -> Result<(), Trouble> {
-        let is_recent = |(at, last): &(Time, Jog)| {
-            *last == jog && now.seconds_since(*at) < RENEWAL_S
-        };
+        let is_recent =
+            |(at, last): &(Time, Jog)| *last == jog && now.seconds_since(*at) < RENEWAL_S;
         if self.renewed.as_ref().is_some_and(is_recent) {
             return Ok(());
         }
@@ -688,7 +683,9 @@ impl<'a> Car<'a> {
     pub(super) fn hold_until_standing(&mut self, jog: Jog, seconds: f64) -> Result<(), Trouble> {
         self.hold(jog, seconds, "neutral")?;
         if self.board.is_some_and(|board| board.motor_speed != 0.0) {
-            self.hold_until(jog, 8.0, "rolling out", |reading| reading.motor_speed == 0.0)?;
+            self.hold_until(jog, 8.0, "rolling out", |reading| {
+                reading.motor_speed == 0.0
+            })?;
         }
         Ok(())
     }

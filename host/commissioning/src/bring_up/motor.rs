@@ -356,9 +356,7 @@ fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>,
     }
     let half = student_quantile(freedom) * fit.standard_errors[0];
     // Edges of an ESC are not sharp to a microsecond.
-    Ok(Some(
-        Interval::around(fit.parameters[0], half).widened(2.0),
-    ))
+    Ok(Some(Interval::around(fit.parameters[0], half).widened(2.0)))
 }
 
 /// How fast the wheels slow down at this pulse below neutral, m/s².
@@ -381,9 +379,20 @@ fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option
         (at > 0.08 && reading.motor_speed.abs() > 0.15)
             .then_some(([1.0, at], reading.motor_speed.abs()))
     };
-    let fit = least_squares(readings.iter().map_while(|reading| {
-        let early = reading.receive.seconds_since(begin) <= 0.08;
-        if early { Some(None) } else { line(reading).map(Some) }
-    }).flatten());
-    Ok(fit.filter(|fit| fit.count >= 4).map(|fit| -fit.parameters[1]))
+    let fit = least_squares(
+        readings
+            .iter()
+            .map_while(|reading| {
+                let early = reading.receive.seconds_since(begin) <= 0.08;
+                if early {
+                    Some(None)
+                } else {
+                    line(reading).map(Some)
+                }
+            })
+            .flatten(),
+    );
+    Ok(fit
+        .filter(|fit| fit.count >= 4)
+        .map(|fit| -fit.parameters[1]))
 }

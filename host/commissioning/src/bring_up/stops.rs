@@ -9,13 +9,13 @@ use singletrack_control::Time;
 use singletrack_protocol::BoardMode;
 
 use super::{
-    car::{Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask, ask_word, conclude, failed, mean_speed},
+    car::{
+        Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask, ask_word, conclude, failed, mean_speed,
+    },
     kill::never_turned,
     questions::{self, STOPS},
 };
-use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Question,
-};
+use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Question};
 
 pub(super) const SILENCE: &str = "stop-silence";
 pub(super) const DISARM: &str = "stop-disarm";

@@ -312,7 +312,11 @@ pub(super) fn drive(
     let mut is_over = false;
     let mut now = 0.0;
     while !is_over && now < seconds {
-        let next = wanted(now);
+        let mut next = wanted(now);
+        if drive.begun_ns == 0 {
+            // The board arms.
+            next.velocity = [0.0; 2];
+        }
         if let Err(error) = send(bench, next) {
             drive.reason = Some("refused");
             let _ = bench.disarm();
@@ -324,6 +328,9 @@ pub(super) fn drive(
             drive.take(observation);
             if let Observation::Tick(tick) = observation {
                 if drive.begun_ns == 0 {
+                    if tick.mode == Mode::Arming {
+                        continue;
+                    }
                     drive.begun_ns = tick.time.0;
                 }
                 now = tick.time.0.saturating_sub(drive.begun_ns) as f64 * 1e-9;

@@ -76,11 +76,8 @@ pub(crate) fn fit_speed_curve(
     Some(SpeedCurve {
         edge: Interval::around(edge, half * covariance.along([1.0, 0.0, 0.0]))
             .widened(systematic_us),
-        feed_forward: Interval::around(
-            slope * at / at_speed,
-            half * covariance.along(towards),
-        )
-        .widened(systematic_us / at_speed),
+        feed_forward: Interval::around(slope * at / at_speed, half * covariance.along(towards))
+            .widened(systematic_us / at_speed),
         scatter,
         slope,
         bend,

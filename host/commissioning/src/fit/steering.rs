@@ -80,7 +80,10 @@ mod tests {
             held[0] += u32::from(fit.gain.low <= gain && gain <= fit.gain.high);
             held[1] += u32::from((fit.straight.low..=fit.straight.high).contains(&centre));
         }
-        assert!(held.iter().all(|held| (930..=990).contains(held)), "{held:?}");
+        assert!(
+            held.iter().all(|held| (930..=990).contains(held)),
+            "{held:?}"
+        );
     }
 
     #[test]
