@@ -150,6 +150,15 @@ impl VirtualBench {
         }
     }
 
+    /// The set-point of a car that stands: without one it can't be armed.
+    fn stand_still(&self) {
+        self.drive.send_setpoint(&Setpoint {
+            time: Time(self.drive.next_tick_us() * 1_000),
+            position: None,
+            velocity: Velocity::zeros(),
+        });
+    }
+
     fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
         match entry {
             Entry::Telemetry(record) => observed.push(Observation::Board(board(&record))),
@@ -270,9 +279,11 @@ impl Bench for VirtualBench {
             if !waits {
                 break;
             }
+            self.stand_still();
             self.step(&mut unseen);
             unseen.clear();
         }
+        self.stand_still();
         self.request(match attendance {
             Attendance::Jog => PilotRequest::ArmJog,
             Attendance::Drive => PilotRequest::ArmHeld,
