@@ -689,7 +689,7 @@ impl<'a> Car<'a> {
             }
             // Not while it slows down: that is the hand.
             if last < 0.4 && last >= 0.9 * spun.fastest() {
-                jog.esc_us = (jog.esc_us + 2).min(highest);
+                jog.esc_us = (jog.esc_us + 4).min(highest);
             }
         }
         Ok(spun)
@@ -733,6 +733,9 @@ impl<'a> Car<'a> {
             self.hold_until(jog, 8.0, "rolling out", |reading| {
                 reading.motor_speed == 0.0
             })?;
+            // The speed is zero half a second after the last pulse. The board takes longer to
+            // believe that the wheels stand where the pulses are far apart.
+            self.hold(jog, 0.3, "neutral")?;
         }
         Ok(())
     }
