@@ -785,6 +785,9 @@ impl Spun {
     }
 }
 
+/// Speed below which wheels that slow down count as standing, m/s.
+pub(super) const CREEPS: f64 = 0.12;
+
 /// The farthest from neutral that the board lets an ESC be jogged, us.
 pub(super) const JOG_LIMIT_US: u16 = 150;
 
@@ -806,10 +809,12 @@ pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
     sum / readings.len().max(1) as f64
 }
 
-/// The way of the wheels by their speed, m.
+/// The way of wheels that slow down, m. The board takes half a second to report that they
+/// stand: what is slower than [`CREEPS`] does not count.
 pub(super) fn way(readings: &[BoardReading]) -> f64 {
     readings
         .windows(2)
+        .take_while(|pair| pair[1].motor_speed.abs() > CREEPS)
         .map(|pair| {
             let elapsed = pair[1].receive.seconds_since(pair[0].receive);
             pair[1].motor_speed.abs() * elapsed

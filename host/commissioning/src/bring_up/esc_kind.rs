@@ -3,7 +3,9 @@
 use singletrack_control::Time;
 
 use super::{
-    car::{Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way},
+    car::{
+        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way,
+    },
     kill::never_turned,
 };
 use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter};
@@ -19,9 +21,6 @@ const AT_SPEED: f64 = 0.85;
 /// Longest pulse below neutral, s. The board takes a motor that is driven for 0.6 s without a
 /// pulse for one without a sensor.
 const PULSE_S: f64 = 0.5;
-
-/// Wheels slower than this count as standing here, m/s.
-const SLOW: f64 = 0.12;
 
 /// Wheels that speed up by half and by this, m/s, below neutral, have turned round. Pulses
 /// that are far apart do not show how slow they were in between.
@@ -207,7 +206,7 @@ fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
             turned_round = true;
             return true;
         }
-        if now > SLOW {
+        if now > CREEPS {
             slow_since = None;
             return false;
         }
