@@ -18,6 +18,7 @@ pub mod edit;
 mod finding;
 pub mod fit;
 mod parameter;
+mod plot;
 mod procedure;
 mod question;
 pub mod report;
@@ -28,5 +29,6 @@ pub use bench::{
 };
 pub use finding::{Finding, Verdict};
 pub use parameter::{Interval, Parameter};
+pub use plot::{Plot, PlotKind, PlotLine};
 pub use procedure::{Journal, Step, run};
 pub use question::{Answer, Answers, Live, Question};

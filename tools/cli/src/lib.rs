@@ -8,6 +8,7 @@ pub mod control;
 pub mod demo;
 pub mod doctor;
 pub mod dump;
+pub mod jog;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;

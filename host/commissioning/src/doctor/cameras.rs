@@ -9,7 +9,7 @@ use super::{
     questions,
 };
 use crate::{
-    Answer, Bench, Finding, Interrupted, Parameter,
+    Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine,
     fit::{mean, median, stamp_delay, standard_deviation},
 };
 
@@ -310,6 +310,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         checks.failed("the car was not twisted", "10 s to and fro", again);
         return checks.finding("latency", bench);
     };
+    bench.plot(&plot(&angles, &velocities));
     let scale = delay.scale.value;
     if scale < 0.0 {
         checks.failed(
@@ -329,6 +330,46 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         judge_delay(bench, &mut checks, delay.late.scaled(1e3));
     }
     checks.finding("latency", bench)
+}
+
+/// The angular velocities of both, in the middle of the twist.
+fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
+    const SHOWN_S: f64 = 3.0;
+    let middle = angles.get(angles.len() / 2).map_or(0.0, |(time, _)| *time);
+    let is_shown = |time: f64| (time - middle).abs() < SHOWN_S / 2.0;
+    let cameras = angles
+        .windows(3)
+        .filter_map(|around| {
+            let (first, last) = (around.first()?, around.last()?);
+            let time = f64::midpoint(first.0, last.0);
+            let rate = (last.1 - first.1) / (last.0 - first.0);
+            is_shown(time).then_some([time, rate])
+        })
+        .collect();
+    let gyro = velocities
+        .iter()
+        .filter(|(time, _)| is_shown(*time))
+        .map(|(time, rate)| [*time, *rate])
+        .collect();
+    Plot {
+        name: "latency",
+        title: "A twist by hand, seen by gyro and cameras",
+        x: ("time", "s"),
+        y: ("yaw rate", "rad/s"),
+        equal: false,
+        lines: vec![
+            PlotLine {
+                name: "cameras",
+                kind: PlotKind::Measured,
+                points: cameras,
+            },
+            PlotLine {
+                name: "gyro",
+                kind: PlotKind::Other,
+                points: gyro,
+            },
+        ],
+    }
 }
 
 /// `late` is in ms, beyond the offset that is in force.

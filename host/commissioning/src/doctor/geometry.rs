@@ -10,7 +10,8 @@ use super::{
     questions,
 };
 use crate::{
-    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, PoseReading,
+    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
+    PlotLine, PoseReading,
     fit::{FloorPose, mean, mean_interval, rolled, turned_about},
 };
 
@@ -75,6 +76,7 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 /// The origin of the body from the rear axle, along the body's axes, by each turn.
 fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 2]>>, Interrupted> {
     let mut origins = Vec::new();
+    let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
         let question = if turn % 2 == 0 {
             questions::turn_left_about_rear_axle()
@@ -112,7 +114,32 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             return Ok(None);
         };
         origins.push(origin);
+        for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
+            path.extend(poses.iter().map(|pose| place_of(pose, held)));
+            // The next turn is another line.
+            path.push([f64::NAN; 2]);
+        }
     }
+    let [body, axle] = paths;
+    bench.plot(&Plot {
+        name: "turns",
+        title: "Turns about the rear axle",
+        x: ("x", "m"),
+        y: ("y", "m"),
+        equal: true,
+        lines: vec![
+            PlotLine {
+                name: "body",
+                kind: PlotKind::Measured,
+                points: body,
+            },
+            PlotLine {
+                name: "rear axle",
+                kind: PlotKind::Fitted,
+                points: axle,
+            },
+        ],
+    });
     Ok(Some(origins))
 }
 
@@ -131,6 +158,7 @@ fn rolls(
     origin: [f64; 2],
     checks: &mut Checks,
 ) -> Result<Option<Vec<Pass>>, Interrupted> {
+    let believed = 1e-6 * f64::from(bench.configuration().board.speed.pulse_distance_um);
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
@@ -158,7 +186,8 @@ fn rolls(
             direction: found.direction,
             way: found.way,
             turn: found.turn,
-            ratio: ratio(&readings, origin),
+            ratio: ratio(&readings, origin, believed)
+                .and_then(|share| ratio(&readings, origin, share * believed)),
         });
     }
     if is_latched {
@@ -303,10 +332,11 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car
 /// may have been rolled in several stretches.
 ///
-/// The board measures a speed late, by about a pulse. A stretch therefore counts between two
-/// moments at which the car was equally fast: what the pulses lack at its begin they have too
-/// much at its end.
-fn ratio(readings: &Readings, origin: [f64; 2]) -> Option<f64> {
+/// The board measures a speed over the time between two pulses and keeps it until the next one:
+/// on the average it is late by the time of a pulse, with a period of the board on top. The pulse
+/// is `pulse` long, in m.
+fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
+    const PERIOD_S: f64 = 0.005;
     let speeds = speeds(&readings.poses);
     let mut by_pulses = 0.0;
     let mut by_cameras = 0.0;
@@ -321,8 +351,10 @@ fn ratio(readings: &Readings, origin: [f64; 2]) -> Option<f64> {
         if highest <= SLOW_M_S || seconds(*begin, *end) < STRETCH_S {
             continue;
         }
-        by_cameras += way(&readings.poses, origin, *begin, *end)?;
-        by_pulses += wheel_way(&readings.boards, *begin, *end);
+        let way = way(&readings.poses, origin, *begin, *end)?;
+        let late = PERIOD_S + pulse * seconds(*begin, *end) / way;
+        by_cameras += way;
+        by_pulses += wheel_way(&readings.boards, *begin, *end, late);
     }
     (by_pulses > 0.0).then(|| by_cameras / by_pulses)
 }
@@ -342,13 +374,14 @@ fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
         .collect()
 }
 
-/// The way of the wheels between two moments, by the believed distance of a pulse.
-fn wheel_way(boards: &[BoardReading], begin: Time, end: Time) -> f64 {
+/// The way of the wheels between two moments, by the believed distance of a pulse, if their speed
+/// is measured late, in s.
+fn wheel_way(boards: &[BoardReading], begin: Time, end: Time, late: f64) -> f64 {
     boards
         .windows(2)
         .map(|pair| {
-            let from = seconds(begin, pair[0].time).max(0.0);
-            let to = seconds(begin, pair[1].time).min(seconds(begin, end));
+            let from = (seconds(begin, pair[0].time) - late).max(0.0);
+            let to = (seconds(begin, pair[1].time) - late).min(seconds(begin, end));
             let speed = pair[1].motor_speed.abs();
             let speed = if speed > 0.0 {
                 speed + HALF_STEP_M_S
@@ -367,13 +400,7 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
         let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
         let gap = seconds(before.capture, after.capture);
         let share = seconds(before.capture, time) / gap;
-        let ends = [before, after].map(|pose| {
-            let (sin, cos) = pose.yaw.sin_cos();
-            [
-                pose.position[0] - cos * origin[0] + sin * origin[1],
-                pose.position[1] - sin * origin[0] - cos * origin[1],
-            ]
-        });
+        let ends = [before, after].map(|pose| place_of(&floor_pose(pose), origin));
         let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
         (gap < 0.2).then_some((place, before.yaw))
     };
@@ -385,14 +412,25 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
 }
 
 fn floor(poses: &[PoseReading]) -> Vec<FloorPose> {
-    poses
-        .iter()
-        .map(|pose| FloorPose {
-            x: pose.position[0],
-            y: pose.position[1],
-            yaw: pose.yaw,
-        })
-        .collect()
+    poses.iter().map(floor_pose).collect()
+}
+
+const fn floor_pose(pose: &PoseReading) -> FloorPose {
+    let [x, y, _] = pose.position;
+    FloorPose {
+        x,
+        y,
+        yaw: pose.yaw,
+    }
+}
+
+/// The place of the point from which the body's origin is at `origin`, along the body's axes.
+fn place_of(pose: &FloorPose, origin: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = pose.yaw.sin_cos();
+    [
+        pose.x - cos * origin[0] + sin * origin[1],
+        pose.y - sin * origin[0] - cos * origin[1],
+    ]
 }
 
 /// Angles near to the first one, also around ±π.

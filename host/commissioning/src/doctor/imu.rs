@@ -8,7 +8,8 @@ use super::{
     questions,
 };
 use crate::{
-    Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Question,
+    Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
+    Question,
     fit::{block_means, mean, mean_interval, standard_deviation},
 };
 
@@ -51,6 +52,22 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         check_tilt(bench, &samples, &readings, &mut checks);
     }
     check_wheels(&readings, &mut checks);
+    bench.plot(&Plot {
+        name: "rest",
+        title: "The gyro at rest",
+        x: ("time", "s"),
+        y: ("yaw rate", "rad/s"),
+        equal: false,
+        lines: vec![PlotLine {
+            name: "gyro",
+            kind: PlotKind::Measured,
+            points: readings
+                .gyro()
+                .iter()
+                .map(|(time, rate)| [*time, rate[2]])
+                .collect(),
+        }],
+    });
     checks.finding("rest", bench)
 }
 

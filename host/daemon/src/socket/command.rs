@@ -8,6 +8,7 @@ use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
+use singletrack_pilot::Jog;
 use singletrack_record::Topic;
 
 /// The version of the protocol. Client and daemon must have the same one.
@@ -20,8 +21,16 @@ pub enum Command {
     Ask(Question),
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
     Arm(Arm),
+    /// Arm to jog, held by this connection; answered when the board takes pulses or can't be
+    /// armed.
+    ArmJog,
+    /// Pulses for servo and ESC while this connection jogs, which they renew; not answered.
+    Jog(Jog),
     /// Renews the drive that this connection holds; not answered.
     Hold,
+    /// Read the configuration's file again, answered by one line when it is in force or
+    /// refused.
+    Reload,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
@@ -87,6 +96,9 @@ struct Line {
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
     time_ns: Option<u64>,
+    jog: Option<bool>,
+    servo_us: Option<u16>,
+    esc_us: Option<u16>,
 }
 
 /// The shortest and the longest time of a timed drive, s.
@@ -117,11 +129,23 @@ impl Command {
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
-            "arm" => Self::Arm(Arm {
-                uncalibrated: line.uncalibrated.take().unwrap_or(false),
-                attendance: line.take_attendance()?,
-            }),
+            "arm" => {
+                let jogs = line.jog.take().unwrap_or(false);
+                let uncalibrated = line.uncalibrated.take().unwrap_or(false);
+                match line.take_attendance()? {
+                    Attendance::Hold if jogs => Self::ArmJog,
+                    _ if jogs => {
+                        return Err("jogging must be held: \"attendance\":\"hold\"".to_owned());
+                    }
+                    attendance => Self::Arm(Arm {
+                        attendance,
+                        uncalibrated,
+                    }),
+                }
+            }
             "hold" => Self::Hold,
+            "jog" => Self::Jog(line.take_jog()?),
+            "reload" => Self::Reload,
             "disarm" => Self::Ask(Question::Disarm),
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {
@@ -142,7 +166,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint, commissioned or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
                 ));
             }
         };
@@ -198,6 +222,13 @@ impl Line {
         })
     }
 
+    fn take_jog(&mut self) -> Result<Jog, String> {
+        match (self.servo_us.take(), self.esc_us.take()) {
+            (Some(servo_us), Some(esc_us)) => Ok(Jog { servo_us, esc_us }),
+            _ => Err("jog needs servo_us and esc_us, such as 1500 and 1500".to_owned()),
+        }
+    }
+
     fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
         let velocity = self
             .velocity_m_s
@@ -234,6 +265,9 @@ impl Line {
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
             ("position_m", self.position_m.is_some(), "setpoint"),
             ("time_ns", self.time_ns.is_some(), "setpoint"),
+            ("jog", self.jog.is_some(), "arm"),
+            ("servo_us", self.servo_us.is_some(), "jog"),
+            ("esc_us", self.esc_us.is_some(), "jog"),
         ] {
             if is_there {
                 return Err(format!(
@@ -356,6 +390,34 @@ mod tests {
                 "position_m",
             ),
             (
+                r#"{"version":2,"command":"arm","attendance":"unattended","jog":true}"#,
+                "jogging must be held",
+            ),
+            (
+                r#"{"version":2,"command":"arm","jog":true}"#,
+                "arm needs an attendance",
+            ),
+            (
+                r#"{"version":2,"command":"hold","jog":true}"#,
+                "hold takes no jog; only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500}"#,
+                "jog needs servo_us and esc_us",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":-1,"esc_us":1500}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":65536}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"reload","esc_us":1500}"#,
+                "reload takes no esc_us; only jog does",
+            ),
+            (
                 r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
                 "CLOCK_MONOTONIC of this computer says 1000",
             ),
@@ -409,6 +471,22 @@ mod tests {
                     result: ProcedureResult::Passed,
                 },
             ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+                Command::ArmJog,
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
+                Command::Arm(arm(Attendance::Hold)),
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,
+                Command::Jog(Jog {
+                    servo_us: 1_400,
+                    esc_us: u16::MAX,
+                }),
+            ),
+            (r#"{"version":2,"command":"reload"}"#, Command::Reload),
             (r#"{"version":2,"command":"hold"}"#, Command::Hold),
             (
                 "{\"command\":\"stop\",\"version\":2}\r\n",
