@@ -1,6 +1,6 @@
 //! The motor: direction, deadband on both sides of neutral, feed-forward.
 //!
-//! The deadband is that of board.esc.deadband_us: the band of pulses in which the wheels
+//! The deadband is that of `board.esc.deadband_us`: the band of pulses in which the wheels
 //! stand, with what the ESC ignores and what the drive train holds. Its edges come from the
 //! speeds beyond it: a slow wheel gives too few pulses to tell one that stands from one that
 //! creeps.
