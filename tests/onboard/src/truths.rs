@@ -28,7 +28,8 @@ pub fn truth_of(name: &str, procedure: &str, world: &World, config: &Config) -> 
             libm::hypot(car.imu.gyro_noise_rad_s, 1e-3 / libm::sqrt(12.0))
         }
         "esc-neutral" => motor.neutral_us.into(),
-        "esc-deadband" => f64::from(motor.deadband_us),
+        // The band in which the wheels stand: with what the drive train holds.
+        "esc-deadband" => f64::from(motor.deadband_us) + motor.breakaway_us,
         "motor-lag" => motor.lag_s * 1e3,
         "motor-dead-time" => ms(motor.dead_time_us),
         "feed-forward" => {

@@ -30,7 +30,7 @@ const CENTRE_ANSWERS: u32 = 40;
 /// What an eye takes for straight on, besides what is seen as straight: 1.5 degrees, rad.
 const EYE_RAD: f64 = 0.026;
 
-/// The default of limits.max_steering_rad.
+/// The default of `limits.max_steering_rad`.
 const USUAL_STEERING_RAD: f64 = 0.45;
 
 /// The nominal gain may be so far below the true one.

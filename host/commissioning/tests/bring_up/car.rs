@@ -665,16 +665,6 @@ impl Bench for MockCar {
 
     fn show(&mut self, live: &Live<'_>) {
         assert!(!live.text.is_empty());
-        if std::env::var_os("TRACE").is_some() {
-            println!(
-                "{:.2} {} true {:.3} driven {} mode {}",
-                self.now_us as f64 * 1e-6,
-                live.text,
-                self.speed,
-                self.driven_us,
-                self.mode.name()
-            );
-        }
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
