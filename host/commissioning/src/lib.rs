@@ -15,6 +15,7 @@ mod finding;
 mod parameter;
 mod procedure;
 mod question;
+mod teach;
 
 pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
@@ -24,3 +25,4 @@ pub use finding::{Finding, Verdict};
 pub use parameter::{Interval, Parameter};
 pub use procedure::{Journal, Step, run};
 pub use question::{Answer, Answers, Live, Question};
+pub use teach::{Place, Taught, TeachError, TeachOptions, taught_path};

@@ -238,8 +238,8 @@ impl Path {
         // The second derivative is largest at a knot, which lies between two stations.
         for (index, knot) in self.knots.iter().enumerate() {
             let curvature = self.spot(knot.at).curvature();
-            // Also false for a number that is none.
-            if !(curvature * LEAST_RADIUS <= 1.0) {
+            // Where the spline turns back on itself its curvature is no number.
+            if curvature.is_nan() || curvature * LEAST_RADIUS > 1.0 {
                 return Err(ReferenceError::TooSharp {
                     index,
                     radius: 1.0 / curvature,
