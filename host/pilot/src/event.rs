@@ -204,5 +204,8 @@ words! {
         OperatorGone = "operator-gone",
         /// The time of the drive is over: slow down, stop and disarm.
         TimeUp = "time-up",
+        /// The operator's dead-man switch is lost: disarm at once, without the ramp of
+        /// [`OperatorGone`](Self::OperatorGone).
+        Halt = "halt",
     }
 }

@@ -4,10 +4,12 @@ pub mod arm;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;
+pub mod drive;
 pub mod dump;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;
 pub mod setpoint;
+pub mod teach;
 
 mod interrupt;

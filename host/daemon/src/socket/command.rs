@@ -48,6 +48,8 @@ pub enum Question {
     Status,
     /// Slow down, stop and disarm.
     Disarm,
+    /// Disarm at once: neutral without a ramp.
+    Halt,
     /// Emergency stop: neutral at once, until the board is reset.
     Stop,
 }
@@ -65,6 +67,7 @@ struct Line {
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
     time_ns: Option<u64>,
+    at_once: Option<bool>,
 }
 
 /// The shortest and the longest time of a timed drive, s.
@@ -97,7 +100,10 @@ impl Command {
             "status" => Self::Ask(Question::Status),
             "arm" => Self::Arm(line.take_attendance()?),
             "hold" => Self::Hold,
-            "disarm" => Self::Ask(Question::Disarm),
+            "disarm" => match line.at_once.take() {
+                Some(true) => Self::Ask(Question::Halt),
+                Some(false) | None => Self::Ask(Question::Disarm),
+            },
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {
                 let missing = "set-reference needs a reference, such as {\"kind\":\"circle\",\
@@ -190,6 +196,7 @@ impl Line {
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
             ("position_m", self.position_m.is_some(), "setpoint"),
             ("time_ns", self.time_ns.is_some(), "setpoint"),
+            ("at_once", self.at_once.is_some(), "disarm"),
         ] {
             if is_there {
                 return Err(format!(
@@ -254,6 +261,10 @@ mod tests {
             (
                 r#"{"version":2,"command":"arm","attendance":"hold","topics":["tick"]}"#,
                 "arm takes no topics; only watch does",
+            ),
+            (
+                r#"{"version":2,"command":"stop","at_once":true}"#,
+                "stop takes no at_once; only disarm does",
             ),
             (
                 r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
@@ -322,6 +333,14 @@ mod tests {
             (
                 r#"{"version":2,"command":"status"}"#,
                 Command::Ask(Question::Status),
+            ),
+            (
+                r#"{"version":2,"command":"disarm","at_once":true}"#,
+                Command::Ask(Question::Halt),
+            ),
+            (
+                r#"{"version":2,"command":"disarm","at_once":false}"#,
+                Command::Ask(Question::Disarm),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold"}"#,

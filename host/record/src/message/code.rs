@@ -341,6 +341,7 @@ codes! {
         Hold = 5,
         OperatorGone = 6,
         TimeUp = 7,
+        Halt = 9,
     }
     BoardMode as "MODE" {
         Boot = 1,

@@ -319,6 +319,7 @@ mod tests {
                 Event::Request(PilotRequest::Hold),
                 Event::Request(PilotRequest::OperatorGone),
                 Event::Request(PilotRequest::TimeUp),
+                Event::Request(PilotRequest::Halt),
                 Event::Proved(true),
                 Event::Proved(false),
                 Event::ArmRefused,
