@@ -259,16 +259,16 @@ fn read_ticks(
 
 /// The place of a tick whose estimate has a new pose.
 fn place(tick: &Value) -> Option<Place> {
-    let number = |key| tick.get(key).and_then(Value::as_f64);
+    let number = |pointer| tick.pointer(pointer).and_then(Value::as_f64);
     if tick.get("held").and_then(Value::as_bool) != Some(false) {
         return None;
     }
     Some(Place {
         position: Position::new(
-            number("estimate.position.x_m")?,
-            number("estimate.position.y_m")?,
+            number("/estimate/position/x_m")?,
+            number("/estimate/position/y_m")?,
         ),
-        yaw: number("estimate.yaw_rad")?,
+        yaw: number("/estimate/yaw_rad")?,
     })
 }
 

@@ -422,12 +422,12 @@ impl Shell<'_> {
         let Some(mode) = tick.get("mode").and_then(Value::as_str) else {
             return;
         };
-        let preflight = tick.get("preflight.reason").and_then(Value::as_str);
+        let preflight = tick.pointer("/preflight/reason").and_then(Value::as_str);
         self.car = Some(Car {
             at: Instant::now(),
             is_ready: mode == "ready",
             preflight: preflight.map(str::to_owned),
-            yaw: tick.get("estimate.yaw_rad").and_then(Value::as_f64),
+            yaw: tick.pointer("/estimate/yaw_rad").and_then(Value::as_f64),
         });
     }
 
