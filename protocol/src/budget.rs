@@ -1,7 +1,7 @@
 //! Load of the serial line, checked at compile time.
 
 use crate::{
-    Drive, Message, STATUS_PERIOD_US, Status, TELEMETRY_PERIOD_US, Telemetry,
+    Drive, Jog, Message, STATUS_PERIOD_US, Status, TELEMETRY_PERIOD_US, Telemetry,
     frame::{MAX_FRAME_LENGTH, frame_length},
 };
 
@@ -25,6 +25,9 @@ const TO_HOST_BYTES_PER_S: u32 = bytes_per_s(Telemetry::PAYLOAD_LENGTH, TELEMETR
 
 // The host commands once per telemetry record.
 const TO_BOARD_BYTES_PER_S: u32 = bytes_per_s(Drive::PAYLOAD_LENGTH, TELEMETRY_PERIOD_US);
+
+// A jog takes the place of a drive command.
+const _: () = assert!(Jog::PAYLOAD_LENGTH <= Drive::PAYLOAD_LENGTH);
 
 const _: () = assert!(TO_HOST_BYTES_PER_S * 100 <= LINE_BYTES_PER_S * LOAD_LIMIT_PERCENT);
 const _: () = assert!(TO_BOARD_BYTES_PER_S * 100 <= LINE_BYTES_PER_S * LOAD_LIMIT_PERCENT);

@@ -259,8 +259,8 @@ mod tests {
 
     use super::{Reader, Writer};
     use crate::{
-        Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Identity, Message,
-        Refusal, Status, Telemetry,
+        Acknowledgement, Arm, Configure, Disarm, Drive, EmergencyStop, Hello, Identity, Jog,
+        Message, Refusal, Status, Telemetry,
     };
 
     /// Reading and writing give the same results as postcard, for any bytes.
@@ -302,6 +302,7 @@ mod tests {
             agrees_with_postcard::<Disarm>(&bytes)?;
             agrees_with_postcard::<Drive>(&bytes)?;
             agrees_with_postcard::<EmergencyStop>(&bytes)?;
+            agrees_with_postcard::<Jog>(&bytes)?;
             agrees_with_postcard::<Telemetry>(&bytes)?;
             agrees_with_postcard::<Status>(&bytes)?;
             agrees_with_postcard::<Acknowledgement>(&bytes)?;

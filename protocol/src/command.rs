@@ -93,3 +93,25 @@ structure! {
         pub brake: bool,
     }
 }
+
+structure! {
+    /// Bare pulses, to find out what servo and ESC do with them. The board clamps
+    /// them to its limits and to [`JOG_LIMIT_US`](crate::JOG_LIMIT_US); what it
+    /// gives is in [`crate::Telemetry`].
+    ///
+    /// Accepted instead of [`Drive`]: an armed board takes one or the other until it
+    /// is disarmed. It rests on no pose. Not acknowledged, as [`Drive`].
+    pub struct Jog {
+        /// Newest wins; the same numbers as those of [`Drive`].
+        pub sequence: Sequence,
+        /// Board time of the newest telemetry that the host had seen.
+        #[serde(with = "postcard::fixint::le")]
+        pub telemetry_time_us: u32,
+        /// Servo pulse, in µs.
+        #[serde(with = "postcard::fixint::le")]
+        pub servo_us: u16,
+        /// ESC pulse, in µs.
+        #[serde(with = "postcard::fixint::le")]
+        pub esc_us: u16,
+    }
+}

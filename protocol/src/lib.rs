@@ -39,7 +39,7 @@ mod validation;
 
 pub use budget::RECEIVE_BUFFER_LENGTH;
 
-pub use command::{Arm, Disarm, Drive, EmergencyStop, Sequence};
+pub use command::{Arm, Disarm, Drive, EmergencyStop, Jog, Sequence};
 pub use configuration::{
     Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, ServoCalibration,
     SpeedLoop,
@@ -57,11 +57,11 @@ pub use report::{
 pub use validation::{ConfigurationError, ConfigurationField};
 
 /// The protocol version; see the crate's version policy.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 
 /// Time to live of a command, in microseconds of board time. The board refuses a
-/// [`Drive`] or [`Arm`] whose underlying telemetry is older; an accepted [`Drive`]
-/// stays in force this long after that telemetry.
+/// [`Drive`], [`Jog`] or [`Arm`] whose underlying telemetry is older; an accepted
+/// [`Drive`] or [`Jog`] stays in force this long after that telemetry.
 ///
 /// With one servo period (20 ms) and one supervisor period (1 ms) on top, the
 /// neutral pulse leaves the board within 120 ms of the last valid command.
@@ -76,6 +76,16 @@ pub const MAX_POSE_AGE_CEILING_MS: u16 = 1_000;
 /// [`Configuration::max_roll_out_ms`] of a board that has no configuration, in
 /// milliseconds.
 pub const LONGEST_ROLL_OUT_MS: u16 = 5_000;
+
+/// Largest difference between the ESC pulse of a [`Jog`] and neutral, in µs.
+pub const JOG_LIMIT_US: u16 = 150;
+
+/// Speed of the wheels above which the board ends jogging, in mm/s.
+pub const JOG_SPEED_MM_S: i16 = 1_000;
+
+/// Longest time for which the motor is jogged, in microseconds. It begins again when
+/// the ESC is at neutral and the wheels have come to rest.
+pub const JOG_DRIVE_US: u32 = 10_000_000;
 
 /// Period of [`Telemetry`] in microseconds (100 Hz).
 pub const TELEMETRY_PERIOD_US: u32 = 10_000;

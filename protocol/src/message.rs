@@ -3,8 +3,8 @@
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Identity, Refusal,
-    Sequence, Status, Telemetry,
+    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Identity, Jog,
+    Refusal, Sequence, Status, Telemetry,
     codec::{Field, Reader, structure},
     frame::{Frame, MAX_PAYLOAD_LENGTH, Packet},
 };
@@ -39,6 +39,8 @@ pub enum MessageType {
     Drive = 0x13,
     /// [`EmergencyStop`], to the board.
     EmergencyStop = 0x14,
+    /// [`Jog`], to the board.
+    Jog = 0x15,
     /// [`Telemetry`], to the host.
     Telemetry = 0x20,
     /// [`Status`], to the host.
@@ -90,6 +92,7 @@ messages! {
     Disarm: 1,
     Drive: 12,
     EmergencyStop: 1,
+    Jog: 9,
     Telemetry: 35,
     Status: 35,
     Acknowledgement: 6,
@@ -231,6 +234,8 @@ direction! {
         Drive,
         /// Stops until reset.
         EmergencyStop,
+        /// Commands bare pulses.
+        Jog,
     }
 }
 

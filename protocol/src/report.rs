@@ -14,7 +14,7 @@ enumeration! {
         Boot = "boot",
         /// ESC neutral; ready to be configured and armed.
         Neutral = "neutral",
-        /// Armed; no [`crate::Drive`] accepted yet, ESC neutral.
+        /// Armed; no [`crate::Drive`] or [`crate::Jog`] accepted yet, ESC neutral.
         Armed = "armed",
         /// Obeying [`crate::Drive`] commands.
         Driving = "driving",
@@ -25,6 +25,8 @@ enumeration! {
         /// Armed with a kill output: the ESC's supply has just been switched on, and
         /// its neutral is held for two seconds. No [`crate::Drive`] is obeyed yet.
         PoweringUp = "powering-up",
+        /// Obeying [`crate::Jog`] commands.
+        Jogging = "jogging",
     }
 }
 
@@ -50,6 +52,12 @@ enumeration! {
         /// The wheels went on turning although the ESC was not driven: latched, as
         /// an emergency stop is.
         RunsAtNeutral = "runs-at-neutral",
+        /// No [`crate::Jog`] in force: the last one outlived its time to live.
+        JogTimeout = "jog-timeout",
+        /// The wheels turned faster than [`crate::JOG_SPEED_MM_S`] while jogging.
+        JogTooFast = "jog-too-fast",
+        /// The motor was jogged for [`crate::JOG_DRIVE_US`] without a rest.
+        JogTooLong = "jog-too-long",
     }
 }
 
@@ -64,7 +72,7 @@ enumeration! {
         ConfigurationDiffers = "configuration-differs",
         /// A value of the configuration is outside what the board can do.
         InvalidConfiguration = "invalid-configuration",
-        /// Not while armed or driving.
+        /// Not while armed, driving or jogging.
         Busy = "busy",
         /// The ESC has not been held at neutral for long enough.
         NotYetNeutral = "not-yet-neutral",
@@ -152,7 +160,7 @@ structure! {
         pub mode: BoardMode,
         /// Why it last went to neutral.
         pub stop_cause: StopCause,
-        /// The last [`crate::Drive`] that was accepted.
+        /// The last [`crate::Drive`] or [`crate::Jog`] that was accepted.
         pub last_sequence: Sequence,
         /// Whether the IMU values are new.
         pub imu: ImuState,
@@ -217,7 +225,7 @@ structure! {
         /// Frames refused for CRC, COBS or length.
         #[serde(with = "postcard::fixint::le")]
         pub frames_damaged: u16,
-        /// [`crate::Drive`] commands refused.
+        /// [`crate::Drive`] and [`crate::Jog`] commands refused.
         #[serde(with = "postcard::fixint::le")]
         pub drives_refused: u16,
         /// The reason of the last such refusal; [`RefusalReason::None`] so far.

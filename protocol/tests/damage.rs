@@ -177,7 +177,7 @@ fn an_unknown_type_byte_is_refused() {
         let packet = Packet { kind, payload: &[] };
         let to_board = ToBoard::decode(packet) == Err(DecodeError::UnknownType(kind));
         let to_host = ToHost::decode(packet) == Err(DecodeError::UnknownType(kind));
-        assert_eq!(to_board, !matches!(kind, 0x01 | 0x10..=0x14), "{kind:#04x}");
+        assert_eq!(to_board, !matches!(kind, 0x01 | 0x10..=0x15), "{kind:#04x}");
         assert_eq!(to_host, !matches!(kind, 0x01 | 0x20..=0x24), "{kind:#04x}");
     }
 }

@@ -57,11 +57,14 @@ impl Monitor {
             board_time_us,
             message,
         });
-        if let ToBoard::Drive(drive) = message
-            // Other commands are refused.
-            && board_time_us.wrapping_sub(drive.telemetry_time_us) <= COMMAND_TIME_TO_LIVE_US
-        {
-            self.last_command_us = Some(drive.telemetry_time_us);
+        let telemetry_time_us = match message {
+            ToBoard::Drive(drive) => drive.telemetry_time_us,
+            ToBoard::Jog(jog) => jog.telemetry_time_us,
+            _ => return,
+        };
+        // Other commands are refused.
+        if board_time_us.wrapping_sub(telemetry_time_us) <= COMMAND_TIME_TO_LIVE_US {
+            self.last_command_us = Some(telemetry_time_us);
         }
     }
 

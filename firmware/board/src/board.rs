@@ -1,20 +1,20 @@
 //! The board: its parts, and the order of their work in a poll.
 
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, LONGEST_ROLL_OUT_MS,
-    Refusal, RefusalReason, Request, ResetCause, STATUS_PERIOD_US, Sequence, Status, StopCause,
-    TELEMETRY_PERIOD_US, Telemetry, ToBoard,
+    Acknowledgement, BoardMode, Configuration, Configure, FailsafeAction, JOG_DRIVE_US,
+    JOG_SPEED_MM_S, LONGEST_ROLL_OUT_MS, Refusal, RefusalReason, Request, ResetCause,
+    STATUS_PERIOD_US, Sequence, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToBoard,
 };
 
 use crate::{
-    clock::{Ticker, age_us},
+    clock::{Stopwatch, Ticker, age_us},
     esc::{BRAKE_ABOVE_MM_S, Esc, Motion, NEUTRAL_AT_BOOT_US},
     imu::Imu,
     io::{Inputs, Outputs},
     link::Link,
     odometer::{Driven, Odometer},
     roll_out::RollOut,
-    safety::{ArmingConditions, Safety},
+    safety::{Action, ArmingConditions, Safety},
     steering::Steering,
 };
 
@@ -34,6 +34,8 @@ pub struct Board {
     imu: Imu,
     steering: Steering,
     esc: Esc,
+    /// Time for which the motor has been jogged without a rest.
+    jogged: Stopwatch,
     control: Ticker<CONTROL_PERIOD_US>,
     status: Ticker<STATUS_PERIOD_US>,
     reset_cause: ResetCause,
@@ -62,6 +64,7 @@ impl Board {
             imu: Imu::new(),
             steering: Steering::new(),
             esc: Esc::new(),
+            jogged: Stopwatch::started(),
             control: Ticker::new(),
             status: Ticker::new(),
             reset_cause,
@@ -202,17 +205,20 @@ impl Board {
         let driven = self
             .configuration()
             .is_some_and(|configuration| self.esc.is_driving(&configuration.esc));
-        let target_mm_s = self
-            .safety
-            .command()
-            .map_or(0, |command| command.speed_mm_s.unsigned_abs());
+        // Jogging has no speed: a pulse must come within a time alone.
+        let (target_mm_s, commanded) = match self.safety.command().map(|command| command.action) {
+            Some(Action::Drive { speed_mm_s, .. }) => (speed_mm_s.unsigned_abs(), speed_mm_s != 0),
+            // The deadband may be narrower than configured: jogging is to find it.
+            Some(Action::Jog { .. }) => (0, !self.esc.is_neutral()),
+            None => (0, false),
+        };
         let esc = Driven {
             driven,
             target_mm_s,
         };
         self.odometer.observe(now_us, elapsed_us, inputs.motor, esc);
         self.roll_out
-            .observe(elapsed_us, driven || target_mm_s != 0, &self.odometer);
+            .observe(elapsed_us, driven || commanded, &self.odometer);
         self.imu.observe(now_us, elapsed_us, inputs.imu.as_ref());
 
         let was_driving = self.is_driving();
@@ -220,6 +226,7 @@ impl Board {
         if self.odometer.has_failed() {
             self.safety.fail(StopCause::MotorSensor);
         }
+        self.watch_jogging(elapsed_us);
         if self.roll_out.lasts_too_long(self.odometer.count()) || self.roll_out.keeps_its_speed() {
             self.safety.latch(StopCause::RunsAtNeutral);
         }
@@ -227,6 +234,19 @@ impl Board {
             self.safety.observe_stop_input(inputs.stop_input_open);
         }
         self.stop_if(was_driving);
+    }
+
+    /// Ends jogging that is too fast or lasts too long.
+    fn watch_jogging(&mut self, elapsed_us: u32) {
+        self.jogged.advance(elapsed_us);
+        let rests = self.esc.is_neutral() && self.odometer.is_at_rest();
+        if rests || self.safety.mode() != BoardMode::Jogging {
+            self.jogged = Stopwatch::started();
+        } else if self.odometer.speed_mm_s() > JOG_SPEED_MM_S {
+            self.safety.fail(StopCause::JogTooFast);
+        } else if self.jogged.elapsed_us() >= JOG_DRIVE_US {
+            self.safety.fail(StopCause::JogTooLong);
+        }
     }
 
     #[inline(never)]
@@ -274,19 +294,27 @@ impl Board {
             }
             ToBoard::Drive(drive) => {
                 let active = self.active.as_ref().map(|active| &active.configuration);
-                match self.safety.drive(now_us, drive, active) {
-                    Ok(command) => {
-                        if let Some(configuration) = active {
-                            self.steering
-                                .steer(&configuration.servo, command.steering_100urad);
-                        }
-                    }
-                    Err(reason) => {
-                        self.drives_refused = self.drives_refused.wrapping_add(1);
-                        self.last_refusal = reason;
-                    }
+                let outcome = self.safety.drive(now_us, drive, active);
+                if let (Ok(()), Some(configuration)) = (outcome, active) {
+                    self.steering
+                        .steer(&configuration.servo, drive.steering_100urad);
                 }
+                self.count_refusal(outcome);
             }
+            ToBoard::Jog(jog) => {
+                let outcome = self.safety.jog(now_us, jog);
+                if let (Ok(()), Some(Active { configuration, .. })) = (outcome, &self.active) {
+                    self.steering.jog(&configuration.servo, jog.servo_us);
+                }
+                self.count_refusal(outcome);
+            }
+        }
+    }
+
+    fn count_refusal(&mut self, outcome: Result<(), RefusalReason>) {
+        if let Err(reason) = outcome {
+            self.drives_refused = self.drives_refused.wrapping_add(1);
+            self.last_refusal = reason;
         }
     }
 
@@ -349,8 +377,9 @@ impl Board {
         self.esc.stop(brakes, self.motion());
     }
 
+    /// Whether it obeys commands.
     const fn is_driving(&self) -> bool {
-        matches!(self.safety.mode(), BoardMode::Driving)
+        self.safety.command().is_some()
     }
 
     fn has_stop_input(&self) -> bool {
@@ -405,23 +434,21 @@ impl Board {
             moving: self.odometer.is_moving(),
             speed_mm_s: self.odometer.speed_mm_s(),
         };
-        match self.safety.command() {
-            Some(command) => {
-                let target_mm_s = command.speed_mm_s;
+        match self.safety.command().map(|command| command.action) {
+            Some(Action::Drive { speed_mm_s, brake }) => {
                 if control_due {
                     let measured_mm_s = self
                         .odometer
-                        .controlled_mm_s(configuration.speed.pulse_distance_um, target_mm_s);
+                        .controlled_mm_s(configuration.speed.pulse_distance_um, speed_mm_s);
                     self.esc
-                        .control(configuration, target_mm_s, measured_mm_s, command.brake);
+                        .control(configuration, speed_mm_s, measured_mm_s, brake);
                 }
-                self.esc.advance_driving(
-                    &configuration.esc,
-                    elapsed_us,
-                    target_mm_s,
-                    command.brake,
-                    motion,
-                );
+                self.esc
+                    .advance_driving(&configuration.esc, elapsed_us, speed_mm_s, brake, motion);
+            }
+            Some(Action::Jog { esc_us }) => {
+                self.esc
+                    .advance_jogging(&configuration.esc, elapsed_us, esc_us);
             }
             None => self.esc.advance_stopped(elapsed_us, motion),
         }

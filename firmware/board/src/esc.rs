@@ -15,7 +15,7 @@
 //! takes the pulse for reverse, whatever the configuration says, drives for a moment
 //! only.
 
-use singletrack_protocol::{Configuration, EscCalibration, EscKind, FailsafeAction};
+use singletrack_protocol::{Configuration, EscCalibration, EscKind, FailsafeAction, JOG_LIMIT_US};
 
 use crate::{
     clock::Stopwatch,
@@ -240,6 +240,48 @@ impl Esc {
         } else {
             self.driven.advance(elapsed_us);
         }
+    }
+
+    /// Advances time while jogging with the pulse `jog_us`, which is clamped.
+    ///
+    /// The pulse changes as in a drive: at once towards neutral, slowly away from it,
+    /// and through neutral from one side to the other. What an ESC does with a pulse
+    /// below neutral is not known here, so that nothing rests on it: jogging ends
+    /// without a brake pulse.
+    pub(crate) fn advance_jogging(
+        &mut self,
+        calibration: &EscCalibration,
+        elapsed_us: u32,
+        jog_us: u16,
+    ) {
+        let limit_us = JOG_LIMIT_US.cast_signed();
+        let pulse_us = jog_us.min(calibration.max_us).max(calibration.min_us);
+        self.target_us = offset_us(pulse_us, calibration)
+            .min(limit_us)
+            .max(-limit_us);
+        let crosses = (self.target_us ^ self.offset_us) < 0;
+        if crosses {
+            self.offset_us = 0;
+        } else if self.target_us.unsigned_abs() < self.offset_us.unsigned_abs() {
+            self.offset_us = self.target_us;
+        }
+        self.offset_us = self
+            .slew
+            .approach(self.offset_us, self.target_us, elapsed_us);
+        self.can_brake = false;
+        // The sign of the measured speed.
+        if self.offset_us != 0 {
+            self.gear = if self.offset_us < 0 {
+                Gear::Reverse
+            } else {
+                Gear::Forward
+            };
+        }
+    }
+
+    /// Whether the pulse is neutral.
+    pub(crate) const fn is_neutral(&self) -> bool {
+        self.offset_us == 0
     }
 
     /// Runs one control period of the speed loop.

@@ -2,9 +2,10 @@
 //!
 //! ```text
 //! Boot --2 s of neutral--> Neutral --Arm--> Armed --Drive--> Driving
-//!                             ^               |                 |
+//!                             ^               |----Jog----> Jogging
+//!                             |               |                 |
 //!                             +----Disarm-----+-----------------+
-//! Failsafe          from Armed and Driving; left by Arm
+//! Failsafe          from Armed, Driving and Jogging; left by Arm
 //! EmergencyStopped  from every state; left only by a reset
 //! ```
 //!
@@ -14,13 +15,16 @@
 //! `Armed` lasts for a second at most: a host that drives sends its first command at
 //! once.
 //!
+//! From `Armed` the first command decides: a board that drives refuses [`Jog`], and one
+//! that jogs refuses [`Drive`], until it is armed again.
+//!
 //! A command is in force until its own time to live or the age limit of its pose
 //! ends, whichever is first. Both are measured on the board's clock from the
 //! telemetry that the host had received, so that a delay on the line does not
 //! prolong a command.
 
 use singletrack_protocol::{
-    Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Drive, RefusalReason, Sequence,
+    Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Drive, Jog, RefusalReason, Sequence,
     StopCause,
 };
 
@@ -51,13 +55,23 @@ pub(crate) struct ArmingConditions {
     pub(crate) kill_output: bool,
 }
 
+/// What a command asks of servo and ESC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Action {
+    /// A [`Drive`].
+    Drive {
+        speed_mm_s: i16,
+        /// Brake down to the speed.
+        brake: bool,
+    },
+    /// A [`Jog`].
+    Jog { esc_us: u16 },
+}
+
 /// A command that was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Command {
-    pub(crate) speed_mm_s: i16,
-    pub(crate) steering_100urad: i16,
-    /// Brake down to the speed.
-    pub(crate) brake: bool,
+    pub(crate) action: Action,
     /// Board time of the telemetry behind it.
     telemetry_time_us: u32,
     /// Time after that until its pose reaches the configured age.
@@ -68,10 +82,14 @@ impl Command {
     /// Time after `telemetry_time_us` for which it is in force, and the cause of its
     /// end.
     const fn time_to_live(&self) -> (u32, StopCause) {
+        let cause = match self.action {
+            Action::Drive { .. } => StopCause::CommandTimeout,
+            Action::Jog { .. } => StopCause::JogTimeout,
+        };
         if self.pose_time_to_live_us < COMMAND_TIME_TO_LIVE_US {
             (self.pose_time_to_live_us, StopCause::PoseTooOld)
         } else {
-            (COMMAND_TIME_TO_LIVE_US, StopCause::CommandTimeout)
+            (COMMAND_TIME_TO_LIVE_US, cause)
         }
     }
 
@@ -92,7 +110,7 @@ pub(crate) struct Safety {
     armed: Stopwatch,
     /// The last request that armed; repeated, it does not arm again.
     arm_request: Option<Sequence>,
-    /// The command in force; only while driving.
+    /// The command in force; only while driving or jogging.
     command: Option<Command>,
     last_sequence: Sequence,
     /// The switch was closed once; only then can it open.
@@ -126,7 +144,7 @@ impl Safety {
         self.last_sequence
     }
 
-    /// The command in force; only while driving.
+    /// The command in force; only while driving or jogging.
     pub(crate) const fn command(&self) -> Option<&Command> {
         self.command.as_ref()
     }
@@ -151,7 +169,7 @@ impl Safety {
     pub(crate) const fn is_armed(&self) -> bool {
         matches!(
             self.mode,
-            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
+            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp | BoardMode::Jogging
         )
     }
 
@@ -204,7 +222,7 @@ impl Safety {
     pub(crate) const fn may_configure(&self) -> Result<(), RefusalReason> {
         match self.mode {
             BoardMode::Boot | BoardMode::Neutral | BoardMode::Failsafe => Ok(()),
-            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp => {
+            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp | BoardMode::Jogging => {
                 Err(RefusalReason::Busy)
             }
             BoardMode::EmergencyStopped => Err(RefusalReason::EmergencyStopLatched),
@@ -271,23 +289,21 @@ impl Safety {
         now_us: u32,
         drive: &Drive,
         configuration: Option<&Configuration>,
-    ) -> Result<Command, RefusalReason> {
-        if self.mode == BoardMode::EmergencyStopped {
-            return Err(RefusalReason::EmergencyStopLatched);
-        }
+    ) -> Result<(), RefusalReason> {
         let Some(configuration) = configuration else {
-            return Err(RefusalReason::NotConfigured);
+            // Not armed either.
+            return Err(if self.is_latched() {
+                RefusalReason::EmergencyStopLatched
+            } else {
+                RefusalReason::NotConfigured
+            });
         };
-        if !self.is_armed() {
-            return Err(RefusalReason::NotArmed);
-        }
-        if self.mode == BoardMode::PoweringUp {
-            return Err(RefusalReason::NotYetNeutral);
-        }
-        let age = fresh_age_us(now_us, drive.telemetry_time_us)?;
-        if self.mode == BoardMode::Driving && !drive.sequence.is_newer_than(self.last_sequence) {
-            return Err(RefusalReason::OutOfSequence);
-        }
+        let age = self.may_command(
+            now_us,
+            drive.sequence,
+            drive.telemetry_time_us,
+            BoardMode::Driving,
+        )?;
         let pose_time_to_live_us = configuration
             .max_pose_age_ms
             .checked_sub(drive.pose_age_ms)
@@ -298,19 +314,68 @@ impl Safety {
         if drive.speed_mm_s < 0 && speed.max_reverse_mm_s == 0 {
             return Err(RefusalReason::ReverseDisabled);
         }
-        let command = Command {
+        let action = Action::Drive {
             speed_mm_s: i32::from(drive.speed_mm_s)
                 .min(speed.max_forward_mm_s.into())
                 .max(-i32::from(speed.max_reverse_mm_s)) as i16,
-            steering_100urad: drive.steering_100urad,
             brake: drive.brake,
-            telemetry_time_us: drive.telemetry_time_us,
-            pose_time_to_live_us,
         };
         self.mode = BoardMode::Driving;
         self.last_sequence = drive.sequence;
-        self.command = Some(command);
-        Ok(command)
+        self.command = Some(Command {
+            action,
+            telemetry_time_us: drive.telemetry_time_us,
+            pose_time_to_live_us,
+        });
+        Ok(())
+    }
+
+    /// Accepts pulses instead of a drive. They rest on no pose.
+    pub(crate) fn jog(&mut self, now_us: u32, jog: &Jog) -> Result<(), RefusalReason> {
+        self.may_command(
+            now_us,
+            jog.sequence,
+            jog.telemetry_time_us,
+            BoardMode::Jogging,
+        )?;
+        self.mode = BoardMode::Jogging;
+        self.last_sequence = jog.sequence;
+        self.command = Some(Command {
+            action: Action::Jog { esc_us: jog.esc_us },
+            telemetry_time_us: jog.telemetry_time_us,
+            pose_time_to_live_us: u32::MAX,
+        });
+        Ok(())
+    }
+
+    /// Whether a command with this number that leads to `mode` is accepted; the age of
+    /// the telemetry behind it.
+    #[inline(never)]
+    fn may_command(
+        &self,
+        now_us: u32,
+        sequence: Sequence,
+        telemetry_time_us: u32,
+        mode: BoardMode,
+    ) -> Result<u32, RefusalReason> {
+        match self.mode {
+            BoardMode::EmergencyStopped => return Err(RefusalReason::EmergencyStopLatched),
+            BoardMode::PoweringUp => return Err(RefusalReason::NotYetNeutral),
+            BoardMode::Boot | BoardMode::Neutral | BoardMode::Failsafe => {
+                return Err(RefusalReason::NotArmed);
+            }
+            BoardMode::Armed => {}
+            BoardMode::Driving | BoardMode::Jogging => {
+                if self.mode != mode {
+                    return Err(RefusalReason::Busy);
+                }
+            }
+        }
+        let age = fresh_age_us(now_us, telemetry_time_us)?;
+        if self.mode == mode && !sequence.is_newer_than(self.last_sequence) {
+            return Err(RefusalReason::OutOfSequence);
+        }
+        Ok(age)
     }
 
     /// Ends driving at the request of the host.

@@ -50,6 +50,15 @@ impl Steering {
         }
     }
 
+    /// Sets the target pulse, in µs, for jogging. The angle becomes zero: it is that of
+    /// the pulse after a new calibration.
+    pub(crate) fn jog(&mut self, calibration: &ServoCalibration, jog_us: u16) {
+        self.angle_100urad = 0;
+        if let Some(servo) = &mut self.servo {
+            servo.target_us = clamp(calibration, jog_us.into());
+        }
+    }
+
     pub(crate) fn advance(&mut self, elapsed_us: u32) {
         if let Some(servo) = &mut self.servo {
             servo.pulse_us = servo

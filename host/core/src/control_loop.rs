@@ -14,6 +14,7 @@ use crate::{
     alignment::Alignment,
     controller::Controller,
     grid::{Grid, Slot},
+    jog_slot::JogReceiver,
     line::{Line, Sent, drive_number},
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
@@ -34,6 +35,8 @@ pub struct Rings<L> {
     pub requests: Consumer<ControlRequest>,
     /// External set-points for P.
     pub setpoints: SetpointReceiver,
+    /// Pulses of the operator who jogs.
+    pub jogs: JogReceiver,
     /// Configurations with their outcome, returned to be freed by their maker.
     pub reconfigured: Producer<Box<Reconfiguration>>,
     /// The record of every tick.
@@ -178,6 +181,9 @@ impl<L: Line> ControlLoop<L> {
         self.take_requests(slot.start_ns);
         if let Some(setpoint) = self.rings.setpoints.take() {
             self.controller.setpoint(setpoint);
+        }
+        if let Some(jog) = self.rings.jogs.take() {
+            self.controller.jog(jog);
         }
         let now = Time(clock());
         self.end_if_done(now.0);
@@ -327,8 +333,9 @@ impl<L: Line> ControlLoop<L> {
     fn take_requests(&mut self, now_ns: u64) {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
-                ControlRequest::Pilot(PilotRequest::Arm | PilotRequest::ArmHeld)
-                    if self.ending != Ending::Running => {}
+                ControlRequest::Pilot(
+                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog,
+                ) if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
                     // A stop before the first arming cancels that as well.
                     self.arm_when_ready &= matches!(
@@ -418,7 +425,10 @@ impl<L: Line> ControlLoop<L> {
         match session.state() {
             State::Ready { mode } => {
                 session.is_stop_pending()
-                    || matches!(mode, Some(BoardMode::Armed | BoardMode::Driving))
+                    || matches!(
+                        mode,
+                        Some(BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging)
+                    )
             }
             // Without a link the board stops by itself and gets no requests.
             _ => false,

@@ -4,10 +4,12 @@
 //! only in the source of bytes and time.
 
 use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
-use singletrack_link::{ConfigureError, DriveCommand, DriveError, Event as LinkEvent, Session};
+use singletrack_link::{
+    ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
+};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
-    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth,
+    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, Jog, LineHealth,
     LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Tilt,
     Underway,
 };
@@ -61,7 +63,7 @@ pub struct Tick {
     pub dropped_events: u32,
     /// The pilot's output.
     pub output: Output,
-    /// Whether the drive command was written; `None` if there was none.
+    /// Whether the command to drive or to jog was written; `None` if there was none.
     pub drive: Option<Result<Sent, DriveError>>,
 }
 
@@ -220,6 +222,11 @@ impl Controller {
         self.push(Event::Setpoint(setpoint));
     }
 
+    /// Pulses of the operator who jogs. Only the newest of a tick count.
+    pub fn jog(&mut self, jog: Jog) {
+        self.push(Event::Jog(jog));
+    }
+
     /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
     /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
     /// tick sends it to the board, which accepts no commands until it has acknowledged it.
@@ -241,7 +248,7 @@ impl Controller {
         let asked = self.events.iter().any(|event| {
             matches!(
                 event,
-                Event::Request(PilotRequest::Arm | PilotRequest::ArmHeld)
+                Event::Request(PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog)
             )
         });
         if mode.is_underway() || asked {
@@ -314,6 +321,15 @@ impl Controller {
             )?;
             Ok(write(frame.as_bytes()))
         });
+        let jog = output.jog.map(|jog| {
+            let command = JogCommand {
+                servo_us: jog.servo_us,
+                esc_us: jog.esc_us,
+            };
+            let frame = self.session.jog(now.0, command)?;
+            Ok(write(frame.as_bytes()))
+        });
+        let drive = drive.or(jog);
         match output.request {
             Some(BoardRequest::Arm) => {
                 let asked = self.session.arm(now.0);
@@ -364,7 +380,8 @@ impl Queue<'_> {
             | Event::Line(_)
             | Event::Attitude(_)
             | Event::RealTime(_)
-            | Event::Setpoint(_) => {
+            | Event::Setpoint(_)
+            | Event::Jog(_) => {
                 if self.take_place_of_last(event) {
                     return;
                 }
@@ -539,6 +556,7 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             }
             BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
             BoardMode::PoweringUp => BoardState::PoweringUp,
+            BoardMode::Jogging => BoardState::Jogging,
         },
     }
 }

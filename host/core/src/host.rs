@@ -4,7 +4,7 @@
 //! serial reader ----ring---\                      /--ring--> ticks
 //! camera receiver --ring----> control loop ------<---ring--> reports
 //! requests ---------ring---/   |                  \--> the port's write half
-//! set-points -------slot--/
+//! set-points, jog --slot--/
 //! ```
 //!
 //! The daemon gives each part a thread of its own. Simulations and tests poll them in
@@ -21,6 +21,7 @@ use crate::{
     config::{Config, ConfigError},
     control_loop::{ControlLoop, Rings},
     controller::Controller,
+    jog_slot::{JogSender, jog_slot},
     line::Line,
     proof::{Proofs, configuration_hash},
     reconfigure::Configurations,
@@ -71,6 +72,8 @@ pub struct Host<L> {
     pub requests: Requests,
     /// Sends set-points to the control loop.
     pub setpoints: SetpointSender,
+    /// Sends the pulses of the operator who jogs to the control loop.
+    pub jogs: JogSender,
     /// The configuration in force.
     pub configurations: Configurations,
     /// The record of every tick.
@@ -109,6 +112,7 @@ impl<L: Line> Host<L> {
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
+        let (jogs_in, jogs) = jog_slot();
         let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
         let (ticks, ticks_out) = tick_feed(TICKS);
         let (reports, reports_out) = RingBuffer::new(REPORTS);
@@ -121,6 +125,7 @@ impl<L: Line> Host<L> {
                 observations,
                 requests,
                 setpoints,
+                jogs,
                 reconfigured,
                 ticks,
                 reports,
@@ -137,6 +142,7 @@ impl<L: Line> Host<L> {
             receiver: CameraReceiver::new(session, observations_in, camera_reports),
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
+            jogs: jogs_in,
             configurations: Configurations::new(config, reconfigured_out),
             ticks: ticks_out,
             reports: reports_out,

@@ -13,6 +13,7 @@ pub mod diagnosis;
 pub mod feasibility;
 pub mod grid;
 pub mod host;
+pub mod jog_slot;
 pub mod line;
 pub mod reconfigure;
 pub mod serial;

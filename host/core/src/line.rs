@@ -44,7 +44,7 @@ pub enum PortRead {
     HungUp,
 }
 
-/// The number of the drive command that a frame holds, if it holds one.
+/// The number of the command to drive or to jog that a frame holds, if it holds one.
 #[must_use]
 pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
     let mut decoder = Decoder::new();
@@ -52,6 +52,7 @@ pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
         let packet = decoder.push(byte)?.ok()?;
         match ToBoard::decode(packet) {
             Ok(ToBoard::Drive(drive)) => Some(drive.sequence),
+            Ok(ToBoard::Jog(jog)) => Some(jog.sequence),
             _ => None,
         }
     })
@@ -59,12 +60,12 @@ pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_protocol::{Disarm, Drive, Message, frame_length};
+    use singletrack_protocol::{Disarm, Drive, Jog, Message, frame_length};
 
     use super::*;
 
     #[test]
-    fn only_drive_commands_have_a_drive_number() {
+    fn only_commands_to_drive_or_to_jog_have_a_number() {
         for number in [0, 1, 0x13, 255] {
             let drive = Drive {
                 sequence: Sequence(number),
@@ -78,6 +79,13 @@ mod tests {
             assert_eq!(frame.as_bytes().len(), frame_length(Drive::PAYLOAD_LENGTH));
             assert_eq!(drive_number(frame.as_bytes()), Some(Sequence(number)));
         }
+        let jog = ToBoard::from(Jog {
+            sequence: Sequence(8),
+            telemetry_time_us: 0,
+            servo_us: 1_500,
+            esc_us: 1_500,
+        });
+        assert_eq!(drive_number(jog.encode().as_bytes()), Some(Sequence(8)));
         let disarm = ToBoard::from(Disarm {
             request: Sequence(7),
         });

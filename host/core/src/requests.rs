@@ -85,6 +85,7 @@ impl Requests {
             ControlRequest::Pilot(
                 PilotRequest::Arm
                 | PilotRequest::ArmHeld
+                | PilotRequest::ArmJog
                 | PilotRequest::Hold
                 | PilotRequest::Disarm,
             )

@@ -1,6 +1,6 @@
 //! Drive commands: from SI units to the wire, with the ages.
 
-use singletrack_protocol::{BoardMode, Drive, Sequence};
+use singletrack_protocol::{BoardMode, Drive, Jog, Sequence};
 
 /// The set points of the car until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +16,15 @@ pub struct DriveCommand {
     /// host nanoseconds; neither holding nor coasting renews it. `None` before the
     /// first accepted pose.
     pub pose_time_ns: Option<u64>,
+}
+
+/// Bare pulses for servo and ESC. The board clamps them to its limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JogCommand {
+    /// Servo pulse, in µs.
+    pub servo_us: u16,
+    /// ESC pulse, in µs.
+    pub esc_us: u16,
 }
 
 /// A quantity of a drive command.
@@ -143,6 +152,20 @@ pub(crate) fn message(
         pose_age_ms: pose_age_ms(command.pose_time_ns, newest.host_time_ns),
         brake: command.brake,
     })
+}
+
+/// The message of pulses that rest on the telemetry `newest`.
+pub(crate) const fn jog_message(
+    command: JogCommand,
+    sequence: Sequence,
+    newest: &NewestTelemetry,
+) -> Jog {
+    Jog {
+        sequence,
+        telemetry_time_us: newest.board_time_us,
+        servo_us: command.servo_us,
+        esc_us: command.esc_us,
+    }
 }
 
 /// Age of the pose at the board time of the telemetry, to which the board adds the

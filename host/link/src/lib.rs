@@ -69,7 +69,7 @@ mod transmit;
 
 pub use clock::{BoardClock, Stamp, StampOutcome, WINDOW_NS};
 pub use counters::{Counters, LineQuality};
-pub use drive::{DriveCommand, DriveError, NotReady, Quantity};
+pub use drive::{DriveCommand, DriveError, JogCommand, NotReady, Quantity};
 pub use event::{Event, LossCause, RestartEvidence, Side, State, TimedTelemetry, VersionMismatch};
 pub use handshake::{HELLO_INTERVAL_NS, SLOW_RETRY_NS};
 pub use latency::RoundTrip;

@@ -9,7 +9,7 @@ use singletrack_protocol::{
 use crate::{
     clock::BoardClock,
     counters::{BoardQuality, Counters, LineQuality, QualityWindow},
-    drive::{self, DriveCommand, DriveError, NewestTelemetry, NotReady},
+    drive::{self, DriveCommand, DriveError, JogCommand, NewestTelemetry, NotReady},
     event::{Event, LossCause, State},
     handshake::{Greeting, Nonces, Phase},
     latency::{Latency, RoundTrip},
@@ -203,22 +203,45 @@ impl Session {
     ///
     /// The board would not obey, or a value cannot be sent.
     pub fn drive(&mut self, now_ns: u64, command: DriveCommand) -> Result<Frame, DriveError> {
+        let (sequence, newest) = self.next_command(BoardMode::Driving)?;
+        let message: Drive = drive::message(&command, sequence, &newest)?;
+        Ok(self.command(now_ns, sequence, message.into()))
+    }
+
+    /// The frame of bare pulses, to be written at once as that of a
+    /// [drive](Self::drive). From [`BoardMode::Armed`] the first command decides: a
+    /// board that jogs takes no drive, and one that drives no pulses.
+    ///
+    /// # Errors
+    ///
+    /// The board would not obey.
+    pub fn jog(&mut self, now_ns: u64, command: JogCommand) -> Result<Frame, NotReady> {
+        let (sequence, newest) = self.next_command(BoardMode::Jogging)?;
+        let message = drive::jog_message(command, sequence, &newest);
+        Ok(self.command(now_ns, sequence, message.into()))
+    }
+
+    /// Number and telemetry of a command that leads to `mode`.
+    fn next_command(&self, mode: BoardMode) -> Result<(Sequence, NewestTelemetry), NotReady> {
         if !matches!(self.phase, Phase::Ready) {
-            return Err(NotReady::NotConfigured.into());
+            return Err(NotReady::NotConfigured);
         }
         if self.stop.is_some() {
-            return Err(NotReady::StopPending.into());
+            return Err(NotReady::StopPending);
         }
         let newest = self.newest.ok_or(NotReady::NoTelemetry)?;
-        if !matches!(newest.mode, BoardMode::Armed | BoardMode::Driving) {
-            return Err(NotReady::NotArmed { mode: newest.mode }.into());
+        if newest.mode != BoardMode::Armed && newest.mode != mode {
+            return Err(NotReady::NotArmed { mode: newest.mode });
         }
         let sequence = drive::next_sequence(self.last_drive, newest.last_sequence);
-        let message: Drive = drive::message(&command, sequence, &newest)?;
+        Ok((sequence, newest))
+    }
+
+    fn command(&mut self, now_ns: u64, sequence: Sequence, message: ToBoard) -> Frame {
         self.last_drive = sequence;
         self.latency.sent(now_ns, sequence);
         self.counters.frames_sent += 1;
-        Ok(ToBoard::from(message).encode())
+        message.encode()
     }
 
     // Getters.
@@ -348,6 +371,6 @@ pub enum ConfigureError {
 pub(crate) const fn is_armed(mode: BoardMode) -> bool {
     matches!(
         mode,
-        BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
+        BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp | BoardMode::Jogging
     )
 }

@@ -36,10 +36,22 @@ pub enum Event {
     RealTime(RealTimeState),
     /// A set-point for P from outside.
     Setpoint(Setpoint),
+    /// Pulses for servo and ESC, from the operator who jogs. They count in
+    /// [`crate::Mode::Jogging`] alone, and renew it.
+    Jog(Jog),
     /// The configuration with this number is in force from here on. The caller has
     /// passed it to [`crate::Pilot::reconfigure`]; the event marks the place for a
     /// replay.
     Reconfigured(u32),
+}
+
+/// Pulses for servo and ESC. The board clamps them to its limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Jog {
+    /// Servo pulse, µs.
+    pub servo_us: u16,
+    /// ESC pulse, µs.
+    pub esc_us: u16,
 }
 
 /// The board's own condition, from its status message.
@@ -157,6 +169,8 @@ words! {
         PoweringUp = "powering-up",
         /// Stopped until the board is reset: the motor ran while the board did not drive it.
         RunsAtNeutral = "runs-at-neutral",
+        /// The board follows bare pulses.
+        Jogging = "jogging",
     }
 }
 
@@ -178,10 +192,13 @@ words! {
 }
 
 impl BoardState {
-    /// Whether the board is armed: it follows drive commands, or will.
+    /// Whether the board is armed: it follows commands, or will.
     #[must_use]
     pub const fn is_armed(self) -> bool {
-        matches!(self, Self::Armed | Self::Driving | Self::PoweringUp)
+        matches!(
+            self,
+            Self::Armed | Self::Driving | Self::PoweringUp | Self::Jogging
+        )
     }
 }
 
@@ -204,6 +221,9 @@ words! {
         OperatorGone = "operator-gone",
         /// The time of the drive is over: slow down, stop and disarm.
         TimeUp = "time-up",
+        /// Arm to jog: bare pulses to servo and ESC, for as long as [`Event::Jog`] renews
+        /// them at least every 0.25 s. It needs neither poses nor the IMU.
+        ArmJog = "arm-jog",
         /// The operator's dead-man switch is lost: disarm at once, without the ramp of
         /// [`OperatorGone`](Self::OperatorGone).
         Halt = "halt",

@@ -25,10 +25,12 @@ mod watch;
 mod words;
 
 pub use event::{
-    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState,
+    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
-pub use supervisor::{BoardRequest, Conditions, Mode, REST, Reason, Supervisor, SupervisorConfig};
+pub use supervisor::{
+    BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,
+};
 pub use watch::{ImuVerdict, WatchConfig};

@@ -10,7 +10,7 @@ use singletrack_control::{
 };
 
 use crate::{
-    event::{BoardSample, Event},
+    event::{BoardSample, Event, Jog},
     fence::Fence,
     supervisor::{BoardRequest, Conditions, Mode, Reason, Supervisor, SupervisorConfig},
     watch::{
@@ -86,6 +86,8 @@ pub struct Output {
     pub turning_round: bool,
     /// The drive command for the board.
     pub command: Option<DriveCommand>,
+    /// The pulses for the board, in [`Mode::Jogging`].
+    pub jog: Option<Jog>,
     /// The request to the board.
     pub request: Option<BoardRequest>,
     /// Whether the car has proved its configuration in this tick: the first metre showed
@@ -138,6 +140,8 @@ pub struct Pilot {
     sideslip: SideslipWatch,
     steering: SteeringWatch,
     start: StartWatch,
+    /// The operator's last pulses, in [`Mode::Jogging`].
+    jog: Option<Jog>,
     /// The steering of the last command, rad: with the wave of the proving run.
     commanded_steering: f64,
     innovations: InnovationWatch,
@@ -174,6 +178,7 @@ impl Pilot {
             sideslip: SideslipWatch::default(),
             steering: SteeringWatch::default(),
             start: StartWatch::default(),
+            jog: None,
             commanded_steering: 0.0,
             innovations: InnovationWatch::default(),
             frozen: FrozenWatch::default(),
@@ -301,9 +306,15 @@ impl Pilot {
             let unproved = self.config.supervisor.prove && !self.proved;
             self.proving = unproved.then(Proving::default);
         }
+        if mode != Mode::Jogging || was != Mode::Jogging {
+            // Pulses from before the board was armed do not count.
+            self.jog = None;
+        }
         let follows = |mode| matches!(mode, Mode::Driving | Mode::Slowing);
-        if follows(mode) {
+        if follows(mode) || mode == Mode::Jogging {
             self.stops.end();
+        } else if was == Mode::Jogging {
+            self.stops.begin_after_jogging(now, &speeds);
         } else if follows(was) {
             let commanded = if mode == Mode::Stopping {
                 self.law.actuation().speed
@@ -336,6 +347,7 @@ impl Pilot {
             actuation: self.law.actuation(),
             turning_round: false,
             command: None,
+            jog: self.jog,
             request,
             proved: false,
             disproved: false,
@@ -370,7 +382,12 @@ impl Pilot {
                     output.actuation = actuation;
                     output.command = Some(command(estimate, &actuation, true));
                 }
-                Mode::Disconnected | Mode::Idle | Mode::Ready | Mode::Arming | Mode::Fault => {}
+                Mode::Disconnected
+                | Mode::Idle
+                | Mode::Ready
+                | Mode::Arming
+                | Mode::Fault
+                | Mode::Jogging => {}
             }
         }
         self.commanded_steering = output
@@ -569,6 +586,10 @@ impl Pilot {
                     external.handle(setpoint);
                 }
             }
+            Event::Jog(jog) => {
+                self.supervisor.handle_jog();
+                self.jog = Some(*jog);
+            }
             Event::Attitude(sample) => self.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
             // The caller has called `reconfigure` before this tick.
@@ -607,7 +628,7 @@ impl Pilot {
                     if let Some(proving) = &mut self.proving {
                         proving.step(&step, wheelbase, config.watch.pulse_distance);
                     }
-                } else {
+                } else if self.supervisor.mode() != Mode::Jogging {
                     self.push.step(&step);
                 }
             }

@@ -167,6 +167,7 @@ pub(crate) mod tests {
                 disproved: false,
                 braking_measured: None,
                 preflight: None,
+                jog: None,
             },
             drive: None,
             link: LinkPhase::Greeting,
@@ -247,6 +248,7 @@ pub(crate) mod tests {
                 disproved: false,
                 braking_measured: None,
                 preflight: None,
+                jog: None,
             },
             drive: Some(DriveWrite {
                 sequence: 255,

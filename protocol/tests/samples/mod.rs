@@ -5,7 +5,7 @@
 use singletrack_protocol::{
     Acknowledgement, Arm, BoardMode, Configuration, Configure, DecodeError, Disarm, Drive,
     EmergencyStop, EscCalibration, EscKind, FailsafeAction, Frame, Hello, Identity, ImuAxes,
-    ImuAxis, ImuState, Packet, Refusal, RefusalReason, Request, ResetCause, Sequence,
+    ImuAxis, ImuState, Jog, Packet, Refusal, RefusalReason, Request, ResetCause, Sequence,
     ServoCalibration, SpeedLoop, Status, StopCause, Telemetry, ToBoard, ToHost,
 };
 
@@ -90,7 +90,7 @@ pub(crate) fn configuration() -> Configuration {
 /// One message of every type and direction.
 pub(crate) fn samples() -> Vec<Sample> {
     let hello = Hello {
-        protocol_version: 2,
+        protocol_version: 3,
         software_version: [0, 1, 2],
         nonce: 0xA1B2_C3D4,
     };
@@ -136,6 +136,16 @@ pub(crate) fn samples() -> Vec<Sample> {
             "emergency stop",
             EmergencyStop {
                 request: Sequence(6),
+            }
+            .into(),
+        ),
+        (
+            "jog",
+            Jog {
+                sequence: Sequence(201),
+                telemetry_time_us: 0x0A0B_0C0D,
+                servo_us: 1_380,
+                esc_us: 1_545,
             }
             .into(),
         ),

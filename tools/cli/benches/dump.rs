@@ -104,6 +104,7 @@ fn tick(index: u64) -> Entry {
             disproved: false,
             braking_measured: None,
             preflight: None,
+            jog: None,
         },
         drive: Some(DriveWrite {
             sequence: index as u8,

@@ -6,6 +6,7 @@ pub mod control;
 pub mod demo;
 pub mod drive;
 pub mod dump;
+pub mod jog;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;

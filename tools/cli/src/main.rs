@@ -12,7 +12,7 @@ use singletrack::demo;
 use singletrack::{
     arm,
     control::{self, ControlCommand},
-    drive, dump, recover, replay, set_reference, setpoint, teach,
+    drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
@@ -71,6 +71,8 @@ enum Command {
     /// exit status is 0 if the drive ended as wanted, 1 if the car was not armed or the
     /// connection was lost, and 3 if something else stopped the car.
     Arm(arm::ArmArgs),
+    /// Give servo and ESC bare pulses, with the wheels off the floor, while this command runs.
+    Jog(jog::JogArgs),
     /// Slow down, stop and disarm.
     Disarm(control::ControlArgs),
     /// Emergency stop: neutral at once, until the board is reset.
@@ -123,6 +125,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Identify(args) => Ok(identify::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => return Ok(arm::run(args)?),
+        Command::Jog(args) => return Ok(jog::run(args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::SetReference(args) => Ok(set_reference::run(args)?),

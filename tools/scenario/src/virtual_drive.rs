@@ -18,7 +18,7 @@ use singletrack_core::{
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Jog, Mode, PilotRequest, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -239,6 +239,12 @@ impl VirtualDrive {
         self.host.parts().setpoints.send(setpoint);
     }
 
+    /// Gives the operator's pulses for servo and ESC, for the next tick. They count while the
+    /// mode is [`Mode::Jogging`], and must be renewed at least every 0.25 s.
+    pub fn send_jog(&self, jog: Jog) {
+        self.host.parts().jogs.send(jog);
+    }
+
     /// Changes the configuration at the next tick. Returns its number.
     ///
     /// # Errors
@@ -303,6 +309,33 @@ impl VirtualDrive {
             }
             let tick = self.step();
             if tick.tick.output.mode == Mode::Driving {
+                return Ok(tick);
+            }
+        }
+        Err(VirtualDriveError::NotStarted {
+            mode: self.host.mode(),
+            reason: self.controller().pilot().reason(),
+            seconds: READY_TIMEOUT,
+        })
+    }
+
+    /// Arms the car to jog, and goes on to the first tick in [`Mode::Jogging`], which it
+    /// returns. From there the pulses come from [`send_jog`](Self::send_jog).
+    ///
+    /// # Errors
+    ///
+    /// The car can't be jogged within 15 s.
+    pub fn start_jogging(&mut self) -> Result<VirtualTick, VirtualDriveError> {
+        let until_us = self.next_tick_us() + (READY_TIMEOUT * 1e6) as u64;
+        while self.next_tick_us() < until_us {
+            if matches!(self.mode(), Mode::Idle | Mode::Ready) {
+                // The ring is empty: every tick takes all requests.
+                let _ = self.request(PilotRequest::ArmJog);
+            } else if self.mode() == Mode::Arming {
+                let _ = self.request(PilotRequest::Hold);
+            }
+            let tick = self.step();
+            if tick.tick.output.mode == Mode::Jogging {
                 return Ok(tick);
             }
         }

@@ -5,6 +5,7 @@ use core::{str::FromStr, time::Duration};
 use serde::Deserialize;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::config::ReferenceSection;
+use singletrack_pilot::Jog;
 use singletrack_record::Topic;
 
 /// The version of the protocol. Client and daemon must have the same one.
@@ -17,8 +18,16 @@ pub enum Command {
     Ask(Question),
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
     Arm(Attendance),
+    /// Arm to jog, held by this connection; answered when the board takes pulses or can't be
+    /// armed.
+    ArmJog,
+    /// Pulses for servo and ESC while this connection jogs, which they renew; not answered.
+    Jog(Jog),
     /// Renews the drive that this connection holds; not answered.
     Hold,
+    /// Read the configuration's file again, answered by one line when it is in force or
+    /// refused.
+    Reload,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
@@ -67,6 +76,9 @@ struct Line {
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
     time_ns: Option<u64>,
+    jog: Option<bool>,
+    servo_us: Option<u16>,
+    esc_us: Option<u16>,
     at_once: Option<bool>,
 }
 
@@ -98,8 +110,19 @@ impl Command {
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
-            "arm" => Self::Arm(line.take_attendance()?),
+            "arm" => {
+                let jogs = line.jog.take().unwrap_or(false);
+                match line.take_attendance()? {
+                    Attendance::Hold if jogs => Self::ArmJog,
+                    _ if jogs => {
+                        return Err("jogging must be held: \"attendance\":\"hold\"".to_owned());
+                    }
+                    attendance => Self::Arm(attendance),
+                }
+            }
             "hold" => Self::Hold,
+            "jog" => Self::Jog(line.take_jog()?),
+            "reload" => Self::Reload,
             "disarm" => match line.at_once.take() {
                 Some(true) => Self::Ask(Question::Halt),
                 Some(false) | None => Self::Ask(Question::Disarm),
@@ -122,7 +145,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, reload or watch"
                 ));
             }
         };
@@ -163,6 +186,13 @@ impl Line {
         }
     }
 
+    fn take_jog(&mut self) -> Result<Jog, String> {
+        match (self.servo_us.take(), self.esc_us.take()) {
+            (Some(servo_us), Some(esc_us)) => Ok(Jog { servo_us, esc_us }),
+            _ => Err("jog needs servo_us and esc_us, such as 1500 and 1500".to_owned()),
+        }
+    }
+
     fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
         let velocity = self
             .velocity_m_s
@@ -196,6 +226,9 @@ impl Line {
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
             ("position_m", self.position_m.is_some(), "setpoint"),
             ("time_ns", self.time_ns.is_some(), "setpoint"),
+            ("jog", self.jog.is_some(), "arm"),
+            ("servo_us", self.servo_us.is_some(), "jog"),
+            ("esc_us", self.esc_us.is_some(), "jog"),
             ("at_once", self.at_once.is_some(), "disarm"),
         ] {
             if is_there {
@@ -311,6 +344,34 @@ mod tests {
                 "position_m",
             ),
             (
+                r#"{"version":2,"command":"arm","attendance":"unattended","jog":true}"#,
+                "jogging must be held",
+            ),
+            (
+                r#"{"version":2,"command":"arm","jog":true}"#,
+                "arm needs an attendance",
+            ),
+            (
+                r#"{"version":2,"command":"hold","jog":true}"#,
+                "hold takes no jog; only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500}"#,
+                "jog needs servo_us and esc_us",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":-1,"esc_us":1500}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":65536}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"reload","esc_us":1500}"#,
+                "reload takes no esc_us; only jog does",
+            ),
+            (
                 r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
                 "CLOCK_MONOTONIC of this computer says 1000",
             ),
@@ -354,6 +415,22 @@ mod tests {
                 r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
                 Command::Arm(Attendance::Unattended),
             ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+                Command::ArmJog,
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
+                Command::Arm(Attendance::Hold),
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,
+                Command::Jog(Jog {
+                    servo_us: 1_400,
+                    esc_us: u16::MAX,
+                }),
+            ),
+            (r#"{"version":2,"command":"reload"}"#, Command::Reload),
             (r#"{"version":2,"command":"hold"}"#, Command::Hold),
             (
                 "{\"command\":\"stop\",\"version\":2}\r\n",

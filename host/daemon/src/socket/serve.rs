@@ -19,7 +19,7 @@ use tokio::{
 };
 
 use super::{
-    attend::{arm, hold},
+    attend::{arm, hold, jog},
     command::{Attendance, Command, Question, SOCKET_VERSION},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement, snapshot::Snapshot};
@@ -84,6 +84,19 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 if !hold(&mut read, &mut write, daemon).await? {
                     return Ok(());
                 }
+            }
+            Ok(Command::ArmJog) => {
+                if !jog(&mut read, &mut write, daemon).await? {
+                    return Ok(());
+                }
+            }
+            Ok(Command::Jog(_)) => {
+                let error = "jog gives pulses on a connection that jogs: arm first with \
+                             {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
+                send(&mut write, &failure(error)).await?;
+            }
+            Ok(Command::Reload) => {
+                send(&mut write, &reload(daemon).await).await?;
             }
             Ok(Command::Arm(attendance)) => {
                 let answer = match arm(daemon, attendance).await {
@@ -186,6 +199,23 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
     stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
 }
 
+/// Reads the configuration's file again, as SIGHUP does.
+async fn reload(daemon: &DaemonHandle) -> Value {
+    let Some(path) = daemon.config_path.clone() else {
+        return failure("this daemon was not started with a file");
+    };
+    let changing = daemon.clone();
+    match spawn_blocking(move || changing.reconfigurer.reload(&path)).await {
+        Ok(Ok(number)) => json!({
+            "version": SOCKET_VERSION,
+            "ok": true,
+            "configuration": number,
+        }),
+        Ok(Err(error)) => failure(error),
+        Err(error) => failure(error),
+    }
+}
+
 async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Value {
     let changing = daemon.clone();
     // It reads files, waits for the control thread and judges. On a thread of its own, it does
@@ -226,7 +256,7 @@ pub(super) fn arm_outcome(
         return None;
     }
     match mode {
-        Mode::Driving => Some(Ok(())),
+        Mode::Driving | Mode::Jogging => Some(Ok(())),
         Mode::Arming => None,
         // The attempt has ended, even if no poll saw it in progress.
         mode => Some(Err(cannot_arm(mode, reason))),

@@ -136,24 +136,36 @@ impl LatestState {
         }
     }
 
+    /// Whether the board can be asked to arm.
+    const fn check_board(&self) -> Option<Reason> {
+        match self.board {
+            None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
+            Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
+            Some(BoardState::RunsAtNeutral) => return Some(Reason::RunsAtNeutral),
+            Some(
+                BoardState::Armed
+                | BoardState::Driving
+                | BoardState::PoweringUp
+                | BoardState::Jogging,
+            ) => {
+                return Some(Reason::BoardArmed);
+            }
+            Some(BoardState::Neutral | BoardState::Failsafe) => {}
+        }
+        None
+    }
+
     /// The arming check: everything that must hold before the board is asked to arm.
     pub(super) fn arming_check(
         &self,
         conditions: &Conditions,
         config: &SupervisorConfig,
     ) -> Option<Reason> {
-        match self.board {
-            None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
-            Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(BoardState::RunsAtNeutral) => return Some(Reason::RunsAtNeutral),
-            Some(BoardState::Armed | BoardState::Driving | BoardState::PoweringUp) => {
-                return Some(Reason::BoardArmed);
-            }
-            Some(BoardState::Neutral | BoardState::Failsafe) => {}
-        }
         let standing = conditions.motor_speed.abs() < config.standing_speed
             && conditions.speed.abs() < config.standing_speed;
-        self.check_health_to_arm(conditions.now, config)
+        self.check_board()
+            .or_else(|| self.check_health_to_arm(conditions.now, config))
+            .or_else(|| self.check_imu_health())
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
             .or_else(|| {
@@ -167,6 +179,42 @@ impl LatestState {
             .or(conditions.preflight)
     }
 
+    /// The arming check for jogging: poses, IMU, geofence and reference do not matter.
+    pub(super) fn jogging_check(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        // A NaN moves.
+        let standing = conditions.motor_speed.abs() < config.standing_speed;
+        self.check_board()
+            .or_else(|| self.check_health_to_arm(conditions.now, config))
+            .or_else(|| (!standing).then_some(Reason::Moving))
+            .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
+    }
+
+    /// What must still hold while the board arms for jogging.
+    pub(super) fn check_while_arming_to_jog(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING;
+        self.check_health_to_arm(conditions.now, config)
+            .or_else(|| (!rests).then_some(Reason::Moving))
+            .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
+    }
+
+    /// What must hold while jogging; else the motor goes to neutral.
+    pub(super) fn check_while_jogging(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        self.check_health(conditions.now, config)
+            .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
+    }
+
     /// What must still hold while the board arms.
     pub(super) fn check_while_arming(
         &self,
@@ -178,6 +226,7 @@ impl LatestState {
         let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING
             && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_health_to_arm(conditions.now, config)
+            .or_else(|| self.check_imu_health())
             .or_else(|| (!rests).then_some(Reason::Moving))
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
@@ -193,6 +242,7 @@ impl LatestState {
         config: &SupervisorConfig,
     ) -> Option<Reason> {
         self.check_health(conditions.now, config)
+            .or_else(|| self.check_imu_health())
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.blind, config))
             .or_else(|| check_fence_and_deadlines(conditions))
@@ -231,9 +281,6 @@ impl LatestState {
         if config.min_battery > 0.0 && health.battery_open {
             return Some(Reason::BatteryOpen);
         }
-        if health.imu_fault {
-            return Some(Reason::ImuFault);
-        }
         if self.battery_low >= BATTERY_LOW_REPORTS {
             return Some(Reason::BatteryLow);
         }
@@ -249,6 +296,13 @@ impl LatestState {
         self.line
             .is_some_and(|line| line.worst() > config.max_damaged)
             .then_some(Reason::LineNoisy)
+    }
+
+    /// What the IMU reports of itself.
+    fn check_imu_health(&self) -> Option<Reason> {
+        self.health
+            .is_some_and(|health| health.imu_fault)
+            .then_some(Reason::ImuFault)
     }
 
     /// The poses: plausible, and the last accepted one no older than `max_age` (s).

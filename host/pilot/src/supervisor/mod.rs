@@ -13,7 +13,10 @@
 //! | `Disconnected`, `Idle`, `Ready` | `Idle` | the arming check fails | `Disarm`, if one is requested and the board is armed |
 //! | `Disconnected`, `Idle`, `Ready` | `Ready` | the arming check passes | |
 //! | `Disconnected`, `Idle`, `Ready` | `Arming` | it passes in the tick that has an arm request | `Arm` |
+//! | `Disconnected`, `Idle`, `Ready` | `Arming` | the check for jogging passes in the tick that has a request to jog | `Arm` |
 //! | `Arming` | `Driving` | the board reports that it is armed | |
+//! | `Arming` | `Jogging` | the same, after a request to jog | |
+//! | `Jogging` | `Idle` | a disarm request, a failed check for jogging, or [`JOG_TIMEOUT`] without pulses | `Disarm` |
 //! | `Arming` | `Idle` | a disarm request, a refusal, a failed check, or `arm_timeout` | `Disarm` |
 //! | `Driving` | `Slowing` | the last pose is older than `hold` or `hold_distance` | |
 //! | `Slowing` | `Driving` | three fresh poses have come | |
@@ -21,8 +24,8 @@
 //! | `Stopping` | `Idle` | the car stands, or `stop_timeout` | `Disarm` |
 //! | `Driving`, `Slowing`, `Stopping` | `Idle` | the last pose is older than `disarm_age` | `Disarm` |
 //! | `Driving`, `Slowing`, `Stopping` | `Idle` | the operator's dead-man switch is lost (`Halt`) | `Disarm` |
-//! | `Driving`, `Slowing`, `Stopping` | `Idle` | the board has stopped the car by itself | |
-//! | `Arming`, `Driving`, `Slowing`, `Stopping` | `Fault` | the board has latched an emergency stop | |
+//! | `Driving`, `Slowing`, `Stopping`, `Jogging` | `Idle` | the board has stopped the car by itself | |
+//! | `Arming`, `Driving`, `Slowing`, `Stopping`, `Jogging` | `Fault` | the board has latched an emergency stop | |
 //! | `Fault` | `Idle` | a disarm request while the board is not latched | `Disarm` |
 //! | `Fault` | `Idle` | the board was latched and has been reset | |
 //!
@@ -66,6 +69,10 @@ const POSES_TO_GO_ON: u32 = 3;
 /// The longest time between two renewals of a held drive, s.
 const HOLD_TIMEOUT: f64 = 0.5;
 
+/// The longest time between two pulses of the operator while jogging, s. Nothing else
+/// renews it: the last pulses must not outlive the hand that gave them.
+pub const JOG_TIMEOUT: f64 = 0.25;
+
 /// The state machine of the modes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
@@ -95,6 +102,10 @@ pub struct Supervisor {
     arm_refused: bool,
     /// Whether the operator has renewed the drive since the last tick.
     hold_heard: bool,
+    /// Whether the operator has given pulses since the last tick.
+    jog_heard: bool,
+    /// Whether the board is armed to jog, and not to drive.
+    jogs: bool,
     /// The tick that saw the last renewal; `None` unless the drive is held.
     held: Option<Time>,
 }
@@ -106,6 +117,8 @@ enum Arming {
     Unattended,
     /// It ends unless it is renewed.
     Held,
+    /// Pulses in place of a drive; it ends unless they are renewed.
+    Jog,
 }
 
 impl Supervisor {
@@ -130,6 +143,8 @@ impl Supervisor {
             halt_requested: false,
             arm_refused: false,
             hold_heard: false,
+            jog_heard: false,
+            jogs: false,
             held: None,
         }
     }
@@ -219,6 +234,7 @@ impl Supervisor {
         match request {
             PilotRequest::Arm => self.arm_requested = Some(Arming::Unattended),
             PilotRequest::ArmHeld => self.arm_requested = Some(Arming::Held),
+            PilotRequest::ArmJog => self.arm_requested = Some(Arming::Jog),
             PilotRequest::Hold => self.hold_heard = true,
             PilotRequest::Disarm => self.request_stop(Reason::Requested),
             PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),
@@ -229,6 +245,11 @@ impl Supervisor {
             }
             PilotRequest::EmergencyStop => self.emergency_requested = true,
         }
+    }
+
+    /// The operator gave pulses.
+    pub const fn handle_jog(&mut self) {
+        self.jog_heard = true;
     }
 
     const fn request_stop(&mut self, reason: Reason) {
@@ -250,11 +271,15 @@ impl Supervisor {
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
         self.latest.begin_tick(now);
-        if core::mem::take(&mut self.hold_heard) && self.held.is_some() {
+        let jogging = self.mode == Mode::Jogging;
+        let hold_heard = core::mem::take(&mut self.hold_heard);
+        let jog_heard = core::mem::take(&mut self.jog_heard);
+        if self.held.is_some() && (jog_heard || (hold_heard && !jogging)) {
             self.held = Some(now);
         }
+        let longest = if jogging { JOG_TIMEOUT } else { HOLD_TIMEOUT };
         if let Some(held) = self.held
-            && now.seconds_since(held) > HOLD_TIMEOUT
+            && now.seconds_since(held) > longest
         {
             stop = stop.or(Some(Reason::OperatorGone));
         }
@@ -293,6 +318,7 @@ impl Supervisor {
             Mode::Arming => self.arming_step(stop, refused, conditions),
             Mode::Driving | Mode::Slowing => self.driving_step(stop, conditions),
             Mode::Stopping => self.stopping_step(conditions),
+            Mode::Jogging => self.jogging_step(stop, conditions),
             Mode::Fault => None,
         }
     }
@@ -351,6 +377,18 @@ impl Supervisor {
         let check = self
             .unacknowledged
             .or_else(|| self.latest.arming_check(conditions, &self.config));
+        if arm == Some(Arming::Jog) {
+            let refused = self
+                .unacknowledged
+                .or_else(|| self.latest.jogging_check(conditions, &self.config));
+            if refused.is_none() {
+                return Some(self.begin_arming(Arming::Jog, now));
+            }
+            // No request to drive: what forbids that is in `preflight` alone.
+            self.enter(Mode::Idle, refused, now);
+            self.preflight = check;
+            return (stop.is_some() && armed).then_some(BoardRequest::Disarm);
+        }
         match check {
             Some(failed) => {
                 // While the car only settles, the reason why the last drive ended stays
@@ -367,17 +405,22 @@ impl Supervisor {
                 self.preflight = Some(failed);
                 (stop.is_some() && armed).then_some(BoardRequest::Disarm)
             }
-            None if arm.is_some() => {
-                self.ended = None;
-                self.held = (arm == Some(Arming::Held)).then_some(now);
-                self.enter(Mode::Arming, None, now);
-                Some(BoardRequest::Arm)
-            }
             None => {
+                if let Some(arming) = arm {
+                    return Some(self.begin_arming(arming, now));
+                }
                 self.enter(Mode::Ready, self.ended, now);
                 None
             }
         }
+    }
+
+    fn begin_arming(&mut self, arming: Arming, now: Time) -> BoardRequest {
+        self.ended = None;
+        self.enter(Mode::Arming, None, now);
+        self.held = (arming != Arming::Unattended).then_some(now);
+        self.jogs = arming == Arming::Jog;
+        BoardRequest::Arm
     }
 
     fn arming_step(
@@ -397,11 +440,22 @@ impl Supervisor {
         if refused {
             return self.abort_arming(Reason::BoardRefused, now);
         }
-        if let Some(reason) = self.latest.check_while_arming(conditions, &self.config) {
+        let failed = if self.jogs {
+            self.latest
+                .check_while_arming_to_jog(conditions, &self.config)
+        } else {
+            self.latest.check_while_arming(conditions, &self.config)
+        };
+        if let Some(reason) = failed {
             return self.abort_arming(reason, now);
         }
         if self.latest.board() == Some(BoardState::Armed) {
-            self.enter(Mode::Driving, None, now);
+            if self.jogs {
+                self.held = Some(now);
+                self.enter(Mode::Jogging, None, now);
+            } else {
+                self.enter(Mode::Driving, None, now);
+            }
         } else if now.seconds_since(self.since) > self.arm_timeout() {
             return self.abort_arming(Reason::BoardTimeout, now);
         }
@@ -506,6 +560,21 @@ impl Supervisor {
         None
     }
 
+    /// There is no ramp: the motor goes to neutral at once.
+    fn jogging_step(
+        &mut self,
+        stop: Option<Reason>,
+        conditions: &Conditions,
+    ) -> Option<BoardRequest> {
+        let now = conditions.now;
+        if self.follow_stopped_board(now) {
+            return None;
+        }
+        let reason = stop.or_else(|| self.latest.check_while_jogging(conditions, &self.config))?;
+        self.enter(Mode::Idle, Some(reason), now);
+        Some(BoardRequest::Disarm)
+    }
+
     /// Whether the last pose is so old that the board would soon stop the car by itself.
     fn must_disarm(&self, conditions: &Conditions) -> bool {
         conditions
@@ -517,7 +586,7 @@ impl Supervisor {
     /// ask of the board then.
     fn follow_stopped_board(&mut self, now: Time) -> bool {
         let (mode, reason) = match self.latest.board() {
-            Some(BoardState::Armed | BoardState::Driving) => return false,
+            Some(BoardState::Armed | BoardState::Driving | BoardState::Jogging) => return false,
             Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
             Some(BoardState::RunsAtNeutral) => (Mode::Fault, Reason::RunsAtNeutral),
             None
@@ -535,9 +604,15 @@ impl Supervisor {
     fn enter(&mut self, mode: Mode, reason: Option<Reason>, now: Time) {
         let was_underway = matches!(
             self.mode,
-            Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Stopping | Mode::Fault
+            Mode::Arming
+                | Mode::Driving
+                | Mode::Slowing
+                | Mode::Stopping
+                | Mode::Jogging
+                | Mode::Fault
         );
-        if (was_underway && !matches!(mode, Mode::Driving | Mode::Slowing)) || mode == Mode::Fault {
+        let goes_on = matches!(mode, Mode::Driving | Mode::Slowing | Mode::Jogging);
+        if (was_underway && !goes_on) || mode == Mode::Fault {
             self.ended = reason.or(self.ended);
         }
         if self.mode != mode {
@@ -550,7 +625,12 @@ impl Supervisor {
         }
         // The arming check of the next tick says what is left of it.
         self.preflight = match mode {
-            Mode::Ready | Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Stopping => None,
+            Mode::Ready
+            | Mode::Arming
+            | Mode::Driving
+            | Mode::Slowing
+            | Mode::Stopping
+            | Mode::Jogging => None,
             Mode::Disconnected | Mode::Idle | Mode::Fault => reason,
         };
         self.reason = reason;

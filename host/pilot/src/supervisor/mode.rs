@@ -25,6 +25,8 @@ words! {
         /// clears it, unless the board is still latched. After an emergency stop, a reset of
         /// the board clears it too.
         Fault = "fault",
+        /// Servo and ESC get the operator's bare pulses, for as long as they are renewed.
+        Jogging = "jogging",
     }
 }
 
@@ -34,13 +36,16 @@ impl Mode {
     pub const fn is_underway(self) -> bool {
         matches!(
             self,
-            Self::Arming | Self::Driving | Self::Slowing | Self::Stopping
+            Self::Arming | Self::Driving | Self::Slowing | Self::Stopping | Self::Jogging
         )
     }
 
-    /// Whether the pilot sends drive commands to the board.
+    /// Whether the pilot sends commands to the board.
     #[must_use]
     pub const fn commands(self) -> bool {
-        matches!(self, Self::Driving | Self::Slowing | Self::Stopping)
+        matches!(
+            self,
+            Self::Driving | Self::Slowing | Self::Stopping | Self::Jogging
+        )
     }
 }

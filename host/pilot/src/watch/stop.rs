@@ -31,6 +31,8 @@ struct Run {
     falls: [Fall; 2],
     /// Since when the car has stood.
     standing: Option<Time>,
+    /// Whether it measures the deceleration of the car: not that of wheels in the air.
+    measures: bool,
 }
 
 /// The fall of a measured speed.
@@ -143,7 +145,17 @@ impl StopWatch {
             free: None,
             falls: [Fall::default(); 2],
             standing: None,
+            measures: true,
         });
+    }
+
+    /// Jogging ends at `now`: the motor is at neutral. The wheels must slow down; they may be
+    /// off the floor, so that their deceleration says nothing of the car's.
+    pub(crate) fn begin_after_jogging(&mut self, now: Time, speeds: &Speeds) {
+        self.begin(now, speeds, 0.0);
+        if let Some(run) = &mut self.run {
+            run.measures = false;
+        }
     }
 
     /// The next drive begins.
@@ -219,7 +231,7 @@ impl StopWatch {
             verdict.measured = [Some(ended.roll_out), ended.free]
                 .into_iter()
                 .flatten()
-                .filter(|roll_out| roll_out.from() >= MEASURED_FROM)
+                .filter(|roll_out| ended.measures && roll_out.from() >= MEASURED_FROM)
                 .map(|roll_out| roll_out.deceleration(left))
                 .reduce(f64::min);
             if let Some(measured) = verdict.measured {

@@ -204,6 +204,7 @@ kinds! {
         Reconfigured = 11 "reconfigured",
         Attitude = 12 "attitude",
         Proved = 13 "proved",
+        Jog = 14 "jog",
     }
 }
 
@@ -241,6 +242,7 @@ codes! {
         Stopping = 6,
         Fault = 7,
         Slowing = 8,
+        Jogging = 9,
     }
     Reason as "REASON" {
         LinkDown = 1,
@@ -325,6 +327,7 @@ codes! {
         EmergencyStopped = 6,
         PoweringUp = 7,
         RunsAtNeutral = 8,
+        Jogging = 9,
     }
     LinkState as "LINK" {
         Down = 1,
@@ -341,6 +344,7 @@ codes! {
         Hold = 5,
         OperatorGone = 6,
         TimeUp = 7,
+        ArmJog = 8,
         Halt = 9,
     }
     BoardMode as "MODE" {
@@ -351,6 +355,7 @@ codes! {
         Failsafe = 5,
         EmergencyStopped = 6,
         PoweringUp = 7,
+        Jogging = 8,
     }
     StopCause as "STOP_CAUSE" {
         None = 1,
@@ -362,6 +367,9 @@ codes! {
         EmergencyStop = 7,
         HostRestarted = 8,
         RunsAtNeutral = 9,
+        JogTimeout = 10,
+        JogTooFast = 11,
+        JogTooLong = 12,
     }
     ImuState as "IMU" {
         Silent = 1,

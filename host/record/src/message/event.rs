@@ -2,7 +2,7 @@
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint};
 use singletrack_pilot::{
-    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, LineHealth, LinkState,
+    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 
@@ -33,6 +33,7 @@ message! {
         attitude: Maybe<AttitudeMessage>,
         /// Whether the configuration has been proved on this car.
         proved: Maybe<bool>,
+        jog: Maybe<JogMessage>,
     }
 }
 
@@ -147,6 +148,16 @@ message! {
     }
 }
 
+message! {
+    /// Bare pulses from the operator who jogs.
+    JogMessage as "Jog" of Jog {
+        /// Servo pulse, in us.
+        servo_us: u16,
+        /// ESC pulse, in us.
+        esc_us: u16,
+    }
+}
+
 impl Represents<Event> for EventMessage {
     fn of(event: &Event) -> Self {
         let of = |kind| Self {
@@ -203,6 +214,10 @@ impl Represents<Event> for EventMessage {
                 proved: Maybe(Some(*proved)),
                 ..of(EventKind::Proved)
             },
+            Event::Jog(jog) => Self {
+                jog: Maybe(Some(Represents::of(jog))),
+                ..of(EventKind::Jog)
+            },
         }
     }
 
@@ -226,6 +241,7 @@ impl Represents<Event> for EventMessage {
             }
             EventKind::Attitude => Event::Attitude(part.take(self.attitude, "the attitude")?),
             EventKind::Proved => Event::Proved(part.take(self.proved, "whether it is proved")?),
+            EventKind::Jog => Event::Jog(part.take(self.jog, "the pulses")?),
         })
     }
 }
@@ -285,6 +301,7 @@ mod tests {
             BoardState::Failsafe,
             BoardState::EmergencyStopped,
             BoardState::PoweringUp,
+            BoardState::Jogging,
         ]);
         (
             any_time(),
@@ -319,6 +336,11 @@ mod tests {
                 Event::Request(PilotRequest::Hold),
                 Event::Request(PilotRequest::OperatorGone),
                 Event::Request(PilotRequest::TimeUp),
+                Event::Request(PilotRequest::ArmJog),
+                Event::Jog(Jog {
+                    servo_us: 1_380,
+                    esc_us: 1_545
+                }),
                 Event::Request(PilotRequest::Halt),
                 Event::Proved(true),
                 Event::Proved(false),

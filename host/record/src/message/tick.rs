@@ -6,7 +6,7 @@ use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason};
 use super::{
     code::{Code, OptionalCode},
     declare::{fields, message},
-    event::EventMessage,
+    event::{EventMessage, JogMessage},
     field::{Group, InvalidMessage, Maybe, Represents},
     floor::{PointMessage, VelocityMessage},
 };
@@ -80,6 +80,8 @@ fields! {
         braking_measured_m_s2: Maybe<f64> = braking_measured,
         /// Why the car could not be armed in this tick.
         preflight: PreflightMessage,
+        /// Bare pulses to send to the board.
+        jog: Maybe<JogMessage>,
     }
 }
 

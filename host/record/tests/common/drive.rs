@@ -137,6 +137,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             disproved: false,
             braking_measured: None,
             preflight: None,
+            jog: None,
         },
         drive: Some(DriveWrite {
             sequence: index as u8,

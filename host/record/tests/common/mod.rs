@@ -155,6 +155,7 @@ fn output() -> impl Strategy<Value = Output> {
                 disproved: false,
                 braking_measured: None,
                 preflight: None,
+                jog: None,
             },
         )
 }

@@ -134,6 +134,7 @@ pub(crate) fn standing_tick() -> TickRecord {
             disproved: false,
             braking_measured: None,
             preflight: None,
+            jog: None,
         },
         drive: None,
         link: LinkPhase::Greeting,

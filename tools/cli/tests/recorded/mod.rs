@@ -248,6 +248,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             disproved: false,
             braking_measured: None,
             preflight: None,
+            jog: None,
         },
         drive: time.map(|_| DriveWrite {
             sequence: index as u8,

@@ -1,0 +1,284 @@
+//! Jogging: bare pulses from a hand, through daemon, line, board and car, in virtual time.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use singletrack_core::config::ReferenceSection;
+use singletrack_pilot::{Jog, Mode, PilotRequest, Reason};
+use singletrack_protocol::{BoardMode, JOG_LIMIT_US, StopCause};
+use singletrack_scenario::{
+    simulated::{Drive, daemon_config},
+    virtual_drive::VirtualDrive,
+};
+use singletrack_sim::{MotorSensorFault, SimulationConfig};
+
+const NEUTRAL_US: u16 = 1_500;
+const STRAIGHT_US: u16 = 1_500;
+
+/// From the last word of the hand, or from what goes wrong, to the first neutral pulse, µs.
+const NEUTRAL_WITHIN_US: u64 = 120_000;
+
+fn config() -> singletrack_core::config::Config {
+    daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: 1.5,
+        angular_velocity_rad_s: 0.3,
+        centre_m: [0.0, 0.0],
+    }))
+}
+
+fn simulation() -> SimulationConfig {
+    SimulationConfig {
+        seed: 1,
+        ..SimulationConfig::default()
+    }
+}
+
+fn jogging() -> VirtualDrive {
+    let mut drive = VirtualDrive::new(config(), 1, simulation()).unwrap();
+    drive.start_jogging().unwrap();
+    drive
+}
+
+const fn pulses(servo_us: u16, esc_us: u16) -> Jog {
+    Jog { servo_us, esc_us }
+}
+
+/// Gives these pulses at every tick, for so long.
+fn hold(drive: &mut VirtualDrive, jog: Jog, ms: u64) {
+    for _ in 0..ms / 10 {
+        drive.send_jog(jog);
+        drive.step();
+    }
+}
+
+fn wait(drive: &mut VirtualDrive, ms: u64) {
+    for _ in 0..ms / 10 {
+        drive.step();
+    }
+}
+
+fn board(drive: &VirtualDrive) -> (BoardMode, StopCause) {
+    let telemetry = drive.world().board().telemetry().unwrap();
+    (telemetry.mode, telemetry.stop_cause)
+}
+
+/// Time from `from_us` to the first pulse from which on the ESC is at neutral, µs; none if
+/// it is not.
+fn neutral_after(drive: &VirtualDrive, from_us: u64) -> Option<u64> {
+    let pulses = drive.world().board().pulses();
+    let neutral = pulses.neutral_from(from_us, NEUTRAL_US, 0)?;
+    Some(neutral.time_us - from_us)
+}
+
+fn turning() -> VirtualDrive {
+    let mut drive = jogging();
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    assert!(drive.world().truth().wheel_speed > 0.1);
+    drive
+}
+
+fn reason(drive: &VirtualDrive) -> Option<Reason> {
+    drive.controller().pilot().reason()
+}
+
+#[test]
+fn a_hand_steers_and_turns_the_wheels() {
+    let mut drive = jogging();
+    hold(&mut drive, pulses(1_400, NEUTRAL_US), 500);
+    assert!(drive.world().truth().steering > 0.1, "to the left");
+    hold(&mut drive, pulses(1_600, NEUTRAL_US), 500);
+    assert!(drive.world().truth().steering < -0.1, "to the right");
+    assert!(drive.world().truth().speed.abs() < 1e-3);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    assert!(drive.world().truth().speed > 0.1);
+    assert_eq!(drive.mode(), Mode::Jogging);
+    assert_eq!(board(&drive).0, BoardMode::Jogging);
+}
+
+#[test]
+fn a_hand_that_lets_go_ends_at_neutral_within_0_3_s() {
+    let mut drive = turning();
+    let last_us = drive.world().now_us();
+    wait(&mut drive, 1_000);
+    // 0.25 s by the daemon, a tick, the line and a servo frame.
+    let neutral = neutral_after(&drive, last_us).unwrap();
+    assert!(neutral < 300_000, "{neutral} us");
+    assert_eq!(reason(&drive), Some(Reason::OperatorGone));
+    assert_eq!(board(&drive), (BoardMode::Neutral, StopCause::Disarmed));
+}
+
+#[test]
+fn renewals_without_pulses_do_not_hold_a_hand_that_let_go() {
+    let mut drive = turning();
+    let last_us = drive.world().now_us();
+    for _ in 0..100 {
+        drive.request(PilotRequest::Hold).unwrap();
+        drive.step();
+    }
+    assert!(neutral_after(&drive, last_us).unwrap() < 300_000);
+    assert_eq!(reason(&drive), Some(Reason::OperatorGone));
+}
+
+#[test]
+fn a_disarm_a_stop_and_a_missing_operator_end_at_neutral_within_120_ms() {
+    for (request, told) in [
+        (PilotRequest::Disarm, Reason::Requested),
+        (PilotRequest::OperatorGone, Reason::OperatorGone),
+        (PilotRequest::TimeUp, Reason::TimeUp),
+        (PilotRequest::EmergencyStop, Reason::EmergencyStop),
+    ] {
+        let mut drive = turning();
+        let asked_us = drive.world().now_us();
+        drive.request(request).unwrap();
+        // The hand goes on.
+        hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+        let neutral = neutral_after(&drive, asked_us).unwrap();
+        assert!(neutral <= NEUTRAL_WITHIN_US, "{request:?}: {neutral} us");
+        assert_eq!(reason(&drive), Some(told), "{request:?}");
+    }
+}
+
+#[test]
+fn a_pulled_cable_ends_at_neutral_within_120_ms_by_the_board() {
+    let mut drive = turning();
+    let pulled_us = drive.world().now_us();
+    drive.world_mut().set_wire_connected(false);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    let neutral = neutral_after(&drive, pulled_us).unwrap();
+    assert!(neutral <= NEUTRAL_WITHIN_US, "{neutral} us");
+    drive.world_mut().set_wire_connected(true);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 3_000);
+    assert!(neutral_after(&drive, pulled_us).unwrap() <= NEUTRAL_WITHIN_US);
+    assert_eq!(drive.mode(), Mode::Ready, "not armed again");
+}
+
+#[test]
+fn a_stop_switch_ends_at_neutral_and_is_latched() {
+    let mut config = config();
+    config.board.stop_input = true;
+    let mut drive = VirtualDrive::new(config, 1, simulation()).unwrap();
+    drive.start_jogging().unwrap();
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    let opened_us = drive.world().now_us();
+    drive.world_mut().board_mut().set_stop_input_open(true);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    let neutral = neutral_after(&drive, opened_us).unwrap();
+    assert!(neutral <= 40_000, "{neutral} us");
+    assert_eq!(
+        board(&drive),
+        (BoardMode::EmergencyStopped, StopCause::StopInput)
+    );
+    assert_eq!(drive.mode(), Mode::Fault);
+}
+
+#[test]
+fn a_reset_of_the_board_ends_it_and_does_not_jog_again() {
+    let mut drive = turning();
+    let pressed_us = drive.world().now_us();
+    drive.world_mut().press_reset();
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 5_000);
+    // No pulses at all while the bootloader runs; the first one after it is neutral.
+    let pulses = drive.world().board().pulses().iter();
+    let later: Vec<_> = pulses
+        .filter(|pulse| pulse.time_us >= pressed_us + 40_000)
+        .collect();
+    assert!(later.len() > 10);
+    assert!(later.iter().all(|pulse| pulse.esc_us == NEUTRAL_US));
+    assert_ne!(drive.mode(), Mode::Jogging);
+}
+
+#[test]
+fn the_motor_gets_at_most_150_us_from_neutral_whatever_the_hand_gives() {
+    let mut drive = jogging();
+    for (servo_us, esc_us) in [(0, u16::MAX), (u16::MAX, 0), (1_500, 2_000), (2_000, 1_000)] {
+        hold(&mut drive, pulses(servo_us, esc_us), 300);
+        hold(&mut drive, pulses(STRAIGHT_US, NEUTRAL_US), 100);
+    }
+    let board = drive.world().board();
+    let servo = config().board.servo;
+    let mut farthest = 0;
+    for pulse in board.pulses().iter().filter(|pulse| pulse.servo_us != 0) {
+        farthest = farthest.max(pulse.esc_us.abs_diff(NEUTRAL_US));
+        assert!((servo.min_us..=servo.max_us).contains(&pulse.servo_us));
+    }
+    assert!((100..=JOG_LIMIT_US).contains(&farthest), "{farthest} us");
+}
+
+#[test]
+fn wheels_above_1_m_s_end_it() {
+    let mut simulation = simulation();
+    simulation.car.motor.gain_m_s_per_us *= 2.0;
+    let mut drive = VirtualDrive::new(config(), 1, simulation).unwrap();
+    drive.start_jogging().unwrap();
+    let mut fastest: f64 = 0.0;
+    for _ in 0..300 {
+        drive.send_jog(pulses(STRAIGHT_US, 1_650));
+        fastest = fastest.max(drive.step().truth.wheel_speed);
+    }
+    assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::JogTooFast));
+    assert_eq!(reason(&drive), Some(Reason::BoardFailsafe));
+    // The motor's lag, and the dead time of the ESC.
+    assert!((1.0..1.25).contains(&fastest), "{fastest} m/s");
+}
+
+#[test]
+fn ten_seconds_of_turning_wheels_end_it() {
+    let mut drive = jogging();
+    let begun_us = drive.world().now_us();
+    hold(&mut drive, pulses(STRAIGHT_US, 1_545), 12_000);
+    assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::JogTooLong));
+    let neutral = neutral_after(&drive, begun_us).unwrap();
+    assert!((9_900_000..10_200_000).contains(&neutral), "{neutral} us");
+}
+
+#[test]
+fn a_dead_pulse_sensor_ends_it_within_0_7_s() {
+    let mut drive = jogging();
+    drive
+        .world_mut()
+        .car_mut()
+        .set_motor_sensor_fault(MotorSensorFault::Gone);
+    let begun_us = drive.world().now_us();
+    hold(&mut drive, pulses(STRAIGHT_US, 1_600), 3_000);
+    assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::MotorSensor));
+    let neutral = neutral_after(&drive, begun_us).unwrap();
+    assert!(neutral < 700_000, "{neutral} us");
+}
+
+#[test]
+fn it_needs_neither_cameras_nor_imu_nor_a_place_in_the_fence() {
+    let mut config = config();
+    config.fence.corners_m = vec![[50.0, 50.0], [52.0, 50.0], [52.0, 52.0], [50.0, 52.0]];
+    let mut simulation = simulation();
+    simulation.natnet.is_off = true;
+    let mut drive = VirtualDrive::new(config, 1, simulation).unwrap();
+    drive.start_jogging().unwrap();
+    hold(&mut drive, pulses(1_400, 1_560), 500);
+    assert_eq!(drive.mode(), Mode::Jogging);
+    assert!(drive.controller().pilot().mode().commands());
+}
+
+#[test]
+fn after_jogging_the_car_drives_and_its_braking_is_not_judged() {
+    let mut drive = turning();
+    drive.request(PilotRequest::Disarm).unwrap();
+    for _ in 0..400 {
+        let tick = drive.step();
+        assert_eq!(tick.tick.output.braking_measured, None);
+    }
+    let start = drive.start().unwrap();
+    assert_eq!(start.tick.output.mode, Mode::Driving);
+    wait(&mut drive, 2_000);
+    assert_eq!(drive.mode(), Mode::Driving);
+    // Neither pulses nor a request to jog disturb a drive.
+    drive.request(PilotRequest::ArmJog).unwrap();
+    hold(&mut drive, pulses(1_100, 1_650), 500);
+    assert_eq!(drive.mode(), Mode::Driving);
+}
+
+#[test]
+fn the_configuration_is_not_replaced_while_jogging() {
+    let mut drive = jogging();
+    drive.send_jog(pulses(STRAIGHT_US, NEUTRAL_US));
+    drive.step();
+    assert!(drive.reconfigure(config()).is_err());
+}
