@@ -222,10 +222,12 @@ impl Pad {
                 return self.let_go(PadRequest::Halt);
             }
             PadEvent::Dropped => {
+                let request = self.let_go(PadRequest::Halt);
+                // Not known, so not released.
                 self.drive = DeadMan::default();
                 self.sticks = DeadMan::default();
                 (self.speed, self.turn) = (None, None);
-                return self.let_go(PadRequest::Halt);
+                return request;
             }
             PadEvent::Button { code, pressed } => {
                 if code == options.stop_button {
