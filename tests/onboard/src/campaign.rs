@@ -12,7 +12,10 @@ use std::{
     thread,
 };
 
-use singletrack_commissioning::{Finding, Interrupted, Interval, Journal, Step, Verdict, run};
+use singletrack_commissioning::{
+    Bench as _, Finding, Interrupted, Interval, Journal, Step, Verdict, bring_up, calibrate,
+    doctor, run,
+};
 use singletrack_sim::BoardKind;
 
 use crate::{
@@ -37,7 +40,7 @@ fn procedures() -> Vec<Procedure> {
     };
     vec![
         procedure("doctor", &doctor::STEPS),
-        procedure("bring-up", &bring_up::steps::<8>()),
+        procedure("bring-up", &bring_up::steps()),
         procedure("calibrate", &calibrate::STEPS),
     ]
 }
@@ -143,7 +146,8 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
                         unit: parameter.unit,
                         truth: match parameter.name {
                             "braking" => bench.guard().weakest_braking(),
-                            name => truth_of(name, procedure.name, world, bench.configuration()),
+                            "gyro-bias" => Some(bench.guard().gyro_bias(bench.configuration())),
+                            name => truth_of(name, procedure.name, world),
                         },
                         estimate: parameter.estimate,
                     };

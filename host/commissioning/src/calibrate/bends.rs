@@ -129,7 +129,14 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let (pulses, way) = (track.pulses(0), track.way());
     let passes: Vec<(Body, Wheels)> = bounds
         .windows(2)
-        .map(|ends| pass(&between(&motion, ends[0], ends[1]), &pulses, &way, &believed))
+        .map(|ends| {
+            pass(
+                &between(&motion, ends[0], ends[1]),
+                &pulses,
+                &way,
+                &believed,
+            )
+        })
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
@@ -152,10 +159,17 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         1e3 * STAMPS,
     )?;
     let excess = [0, 1].map(|side| {
-        let sum: f64 = passes.iter().map(|(_, steering)| steering.excess[side]).sum();
+        let sum: f64 = passes
+            .iter()
+            .map(|(_, steering)| steering.excess[side])
+            .sum();
         100.0 * sum / passes.len() as f64
     });
-    let play = passes.iter().map(|(_, steering)| steering.play_us).sum::<f64>() / passes.len() as f64;
+    let play = passes
+        .iter()
+        .map(|(_, steering)| steering.play_us)
+        .sum::<f64>()
+        / passes.len() as f64;
 
     let config = bench.configuration();
     let servo = &config.board.servo;
@@ -163,9 +177,18 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         .min(centre.value - f64::from(servo.min_us))
         / gain.value.abs();
     let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
-        ("board.servo.centre_us", (centre.value.round() as i64).into()),
-        ("board.servo.gain_us_per_rad", (gain.value.round() as i64).into()),
-        ("motion_capture.marker_yaw_rad", round(floor::angle(yaw.value), 5).into()),
+        (
+            "board.servo.centre_us",
+            (centre.value.round() as i64).into(),
+        ),
+        (
+            "board.servo.gain_us_per_rad",
+            (gain.value.round() as i64).into(),
+        ),
+        (
+            "motion_capture.marker_yaw_rad",
+            round(floor::angle(yaw.value), 5).into(),
+        ),
         (
             "motion_capture.marker_offset_m",
             [ahead.value, left.value]
@@ -175,7 +198,10 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
                 .into(),
         ),
         ("actuators.steering_lag_ms", round(lag.value, 1).into()),
-        ("actuators.steering_dead_time_ms", round(dead.value.max(0.0), 1).into()),
+        (
+            "actuators.steering_dead_time_ms",
+            round(dead.value.max(0.0), 1).into(),
+        ),
     ];
     let reach = (1_000.0 * reach).floor() / 1_000.0 - 0.001;
     if config.limits.max_steering_rad > reach {
@@ -195,7 +221,11 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     };
     Ok(Finding {
         step: "bends",
-        verdict: if is_doubtful { Verdict::Warning } else { Verdict::Good },
+        verdict: if is_doubtful {
+            Verdict::Warning
+        } else {
+            Verdict::Good
+        },
         found: format!(
             "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from \
              where it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % \
@@ -222,7 +252,12 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
             parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
             parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
-            parameter("servo-dead-time", "ms", dead, "actuators.steering_dead_time_ms"),
+            parameter(
+                "servo-dead-time",
+                "ms",
+                dead,
+                "actuators.steering_dead_time_ms",
+            ),
         ],
     })
 }

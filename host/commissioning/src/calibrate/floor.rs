@@ -187,8 +187,8 @@ impl Figure {
         let steering = 0.6 * config.limits.max_steering_rad.min(0.5);
         let length = config.vehicle.wheelbase_m();
         let p = config.law.point_distance_m;
-        let radius = (length + p * steering.cos())
-            .hypot(length / steering.tan() - p * steering.sin());
+        let radius =
+            (length + p * steering.cos()).hypot(length / steering.tan() - p * steering.sin());
         let start = [point.x, point.y];
         let corners = fence.corners();
         let count = corners.len() as f64;
@@ -251,7 +251,11 @@ impl Figure {
             };
         }
         let laps = (way - approach) / self.lap();
-        let side = if laps.rem_euclid(2.0) < 1.0 { 1.0 } else { -1.0 };
+        let side = if laps.rem_euclid(2.0) < 1.0 {
+            1.0
+        } else {
+            -1.0
+        };
         let phase = laps.rem_euclid(1.0) * core::f64::consts::TAU;
         let course = self.heading + side * phase;
         // From where the circles touch to the centre, and from there outward.
@@ -339,7 +343,10 @@ pub(super) fn drive(
                     is_over |= tick.mode != Mode::Slowing;
                 }
                 let [x, y] = next.position;
-                if tick.point.is_some_and(|p| (p.x - x).hypot(p.y - y) > ASTRAY) {
+                if tick
+                    .point
+                    .is_some_and(|p| (p.x - x).hypot(p.y - y) > ASTRAY)
+                {
                     drive.reason = Some("astray");
                     is_over = true;
                 }

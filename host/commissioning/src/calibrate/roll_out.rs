@@ -58,7 +58,11 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         .collect();
     Ok(Finding {
         step: "roll-out",
-        verdict: if weakest.is_some() { Verdict::Good } else { Verdict::Failed },
+        verdict: if weakest.is_some() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
         found: format!(
             "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up \
              to {} m/s",

@@ -127,7 +127,10 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     let values: Vec<(&'static str, toml_edit::Value)> = vec![
         ("board.speed.feed_forward_us_per_m_s", feed_forward.into()),
         ("actuators.speed_lag_ms", round(lag.value, 1).into()),
-        ("actuators.speed_dead_time_ms", round(dead.value.max(0.0), 1).into()),
+        (
+            "actuators.speed_dead_time_ms",
+            round(dead.value.max(0.0), 1).into(),
+        ),
     ];
     floor::change(bench, &values)?;
     let parameter = |name, unit, estimate: Interval, index: usize| Parameter {
@@ -139,7 +142,11 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     let is_slow = lag.value + dead.value > 300.0;
     Ok(Finding {
         step: "speed",
-        verdict: if is_slow { Verdict::Warning } else { Verdict::Good },
+        verdict: if is_slow {
+            Verdict::Warning
+        } else {
+            Verdict::Good
+        },
         found: format!(
             "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
             rises.len(),

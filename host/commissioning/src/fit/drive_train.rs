@@ -43,8 +43,11 @@ pub fn drive_train(
         [first - 0.1, first + 0.1],
         [-0.1, 3.0],
     ];
-    let [gain, edge_us, lag, delay, ..] =
-        gauss_newton(begin, scale, bounds, |&[gain, edge, lag, delay, at, speed]| {
+    let [gain, edge_us, lag, delay, ..] = gauss_newton(
+        begin,
+        scale,
+        bounds,
+        |&[gain, edge, lag, delay, at, speed]| {
             let share = 1.0 - (-STEP / lag).exp();
             let (mut now, mut position, mut speed) = (start, at, speed);
             time.iter()
@@ -60,7 +63,8 @@ pub fn drive_train(
                     way - position - speed * (time - now)
                 })
                 .collect()
-        })?;
+        },
+    )?;
     Some(DriveTrain {
         us_per_m_s: 1_000.0 / gain,
         edge_us,

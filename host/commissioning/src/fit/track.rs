@@ -160,7 +160,11 @@ impl Track {
             })
             .collect();
         Motion {
-            position: self.poses.iter().map(|(_, (position, _))| *position).collect(),
+            position: self
+                .poses
+                .iter()
+                .map(|(_, (position, _))| *position)
+                .collect(),
             time,
             yaw,
             yaw_rate,
@@ -198,7 +202,11 @@ impl Signal {
         let after = self.0.partition_point(|(sample, _)| *sample <= time);
         match (after.checked_sub(1).map(|i| self.0[i]), self.0.get(after)) {
             (Some((t0, v0)), Some((t1, v1))) => {
-                let share = if *t1 > t0 { (time - t0) / (t1 - t0) } else { 0.0 };
+                let share = if *t1 > t0 {
+                    (time - t0) / (t1 - t0)
+                } else {
+                    0.0
+                };
                 v0 + share * (v1 - v0)
             }
             (Some((_, value)), None) => value,
