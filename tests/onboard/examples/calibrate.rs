@@ -172,8 +172,8 @@ fn main() {
                 entry.4 += e.half_width();
             }
         }
-        if !bench.violations().is_empty() {
-            println!("{seed}: {:?}", bench.violations());
+        if !bench.guard().violations().is_empty() {
+            println!("{seed}: {:?}", bench.guard().violations());
         }
     }
     for (name, (good, all, sum, squares, half)) in held {
