@@ -17,7 +17,7 @@ mod track;
 mod wheels;
 
 pub use body::{Body, body};
-pub use drive_train::{DriveTrain, deceleration, drive_train};
+pub use drive_train::{DriveTrain, deceleration, drive_train, stop};
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
