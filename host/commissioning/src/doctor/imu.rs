@@ -256,11 +256,7 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     for_time(bench, 2.0, "the IMU starts with its new axes")?;
     if let Some(again) = mounting(bench, &mut checks)? {
         if same(again, found) {
-            checks.warning(
-                format!("{text}: corrected"),
-                "as configured",
-                "nothing; the configuration is corrected",
-            );
+            checks.warning(format!("{text}: corrected"), "as configured", "");
         } else {
             checks.failed(
                 format!("{text}; after the correction they are {}", words(again)),
