@@ -2,6 +2,7 @@
 
 pub mod arm;
 pub mod bench;
+pub mod bring_up;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;

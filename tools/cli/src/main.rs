@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
-    arm,
+    arm, bring_up,
     control::{self, ControlCommand},
     doctor, dump, jog, recover, replay, set_reference, setpoint,
 };
@@ -36,6 +36,10 @@ enum Command {
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Doctor(doctor::DoctorArgs),
+    /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
+    ///
+    /// The exit status is 0 if no step failed, otherwise 3.
+    BringUp(bring_up::BringUpArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
@@ -114,6 +118,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "desk")]
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Doctor(args) => return Ok(doctor::run(args)?),
+        Command::BringUp(args) => return Ok(bring_up::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),

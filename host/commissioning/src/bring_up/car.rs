@@ -689,7 +689,7 @@ impl<'a> Car<'a> {
             }
             // Not while it slows down: that is the hand.
             if last < 0.4 && last >= 0.9 * spun.fastest() {
-                jog.esc_us = (jog.esc_us + 2).min(highest);
+                jog.esc_us = (jog.esc_us + 4).min(highest);
             }
         }
         Ok(spun)
@@ -733,6 +733,9 @@ impl<'a> Car<'a> {
             self.hold_until(jog, 8.0, "rolling out", |reading| {
                 reading.motor_speed == 0.0
             })?;
+            // The speed is zero half a second after the last pulse. The board takes longer to
+            // believe that the wheels stand where the pulses are far apart.
+            self.hold(jog, 0.3, "neutral")?;
         }
         Ok(())
     }
@@ -782,6 +785,9 @@ impl Spun {
     }
 }
 
+/// Speed below which wheels that slow down count as standing, m/s.
+pub(super) const CREEPS: f64 = 0.12;
+
 /// The farthest from neutral that the board lets an ESC be jogged, us.
 pub(super) const JOG_LIMIT_US: u16 = 150;
 
@@ -803,10 +809,12 @@ pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
     sum / readings.len().max(1) as f64
 }
 
-/// The way of the wheels by their speed, m.
+/// The way of wheels that slow down, m. The board takes half a second to report that they
+/// stand: what is slower than [`CREEPS`] does not count.
 pub(super) fn way(readings: &[BoardReading]) -> f64 {
     readings
         .windows(2)
+        .take_while(|pair| pair[1].motor_speed.abs() > CREEPS)
         .map(|pair| {
             let elapsed = pair[1].receive.seconds_since(pair[0].receive);
             pair[1].motor_speed.abs() * elapsed

@@ -3,23 +3,24 @@
 use singletrack_control::Time;
 
 use super::{
-    car::{Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way},
+    car::{
+        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way,
+    },
     kill::never_turned,
 };
 use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter};
 
 pub(super) const NAME: &str = "esc-kind";
 
-/// How far beyond the deadband the pulses at rest are, us: an ESC may take them for reverse.
-/// At speed the pulse is as far as the board allows, and ends as soon as the wheels turn round.
-const BEYOND_US: u16 = 60;
+/// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
+/// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
+/// 1.0. Without reverse the pulse at speed is as far as the board allows.
+const AT_REST: f64 = 0.45;
+const AT_SPEED: f64 = 0.85;
 
 /// Longest pulse below neutral, s. The board takes a motor that is driven for 0.6 s without a
 /// pulse for one without a sensor.
 const PULSE_S: f64 = 0.5;
-
-/// Wheels slower than this count as standing here, m/s.
-const SLOW: f64 = 0.12;
 
 /// Wheels that speed up by half and by this, m/s, below neutral, have turned round. Pulses
 /// that are far apart do not show how slow they were in between.
@@ -74,9 +75,20 @@ impl Seen {
 
 fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let esc = bench.configuration().board.esc;
-    let below_us = beyond(esc.neutral_us, esc.deadband_us + BEYOND_US, false).max(esc.min_us);
-    let brake_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
-    let seen = armed(bench, |car| look(car, below_us, brake_us))?;
+    let feed_forward = f64::from(bench.configuration().board.speed.feed_forward_us_per_m_s);
+    let pulse_of = |speed: f64| {
+        let offset_us = esc.deadband_us + (speed * feed_forward).round() as u16;
+        beyond(esc.neutral_us, offset_us.min(JOG_LIMIT_US), false).max(esc.min_us)
+    };
+    let farthest_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
+    let mut brake_us = farthest_us;
+    let seen = armed(bench, |car| {
+        let at_rest = at_rest(car, pulse_of(AT_REST))?;
+        if at_rest.contains(&true) {
+            brake_us = pulse_of(AT_SPEED);
+        }
+        at_speed(car, at_rest, brake_us)
+    })?;
     let found = format!(
         "at rest the first pulse below neutral {}, the second {}; at speed it {}: the wheels \
          stood after {:.2} m, after {:.2} m at neutral",
@@ -134,7 +146,8 @@ const fn turned(turned: bool) -> &'static str {
     }
 }
 
-fn look(car: &mut Car<'_>, below_us: u16, brake_us: u16) -> Result<Seen, Trouble> {
+/// Whether the first and the second pulse below neutral turn wheels at rest.
+fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
     let rest = car.rest();
     let below = Jog {
         esc_us: below_us,
@@ -147,6 +160,12 @@ fn look(car: &mut Car<'_>, below_us: u16, brake_us: u16) -> Result<Seen, Trouble
         *turned = readings.iter().any(|reading| reading.motor_speed != 0.0);
         car.hold_until_standing(rest, 0.8)?;
     }
+    Ok(at_rest)
+}
+
+/// What a pulse below neutral does to wheels that turn.
+fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen, Trouble> {
+    let rest = car.rest();
     let brake = Jog {
         esc_us: brake_us,
         ..rest
@@ -187,7 +206,7 @@ fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
             turned_round = true;
             return true;
         }
-        if now > SLOW {
+        if now > CREEPS {
             slow_since = None;
             return false;
         }

@@ -1,7 +1,7 @@
 //! The kill, before anything turns for another reason.
 
 use super::{
-    car::{JOG_LIMIT_US, Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
+    car::{Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
     questions,
 };
 use crate::{Bench, BoardReading, Finding, Interrupted};

@@ -24,11 +24,17 @@ use crate::{Bench, Finding, Interrupted, Step};
 
 /// The steps, with the ESC watched at neutral for a minute in each order, which finds what
 /// only sometimes turns.
-pub const STEPS: &[Step] = &steps::<60>();
+pub const STEPS: &[Step] = &steps_with::<60>();
+
+/// [`STEPS`].
+#[must_use]
+pub const fn steps() -> &'static [Step] {
+    STEPS
+}
 
 /// The steps, with the ESC watched at neutral for so many seconds.
 #[must_use]
-pub const fn steps<const NEUTRAL_S: u32>() -> [Step; 16] {
+pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
         step(stand::NAME, "The car on its stand", stand::run),
         step(kill::NAME, "The kill of the ESC's supply", kill::run),

@@ -30,7 +30,7 @@ const CENTRE_ANSWERS: u32 = 40;
 /// What an eye takes for straight on, besides what is seen as straight: 1.5 degrees, rad.
 const EYE_RAD: f64 = 0.026;
 
-/// The default of limits.max_steering_rad.
+/// The default of `limits.max_steering_rad`.
 const USUAL_STEERING_RAD: f64 = 0.45;
 
 /// The nominal gain may be so far below the true one.
@@ -281,7 +281,7 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
-    let mut touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
+    let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
         let pulse_us = limited(servo.min_us, servo.max_us, pulse);
         let back = limited(servo.min_us, servo.max_us, i32::midpoint(centre, pulse));
         armed(bench, |car| {

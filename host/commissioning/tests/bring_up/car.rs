@@ -627,7 +627,7 @@ impl Bench for MockCar {
             "cut-supply" => self.prepare(Hand::CutSupply),
             "open-switch" => self.prepare(Hand::OpenSwitch),
             "unplug" => self.prepare(Hand::Unplug),
-            "reset-at-speed" => self.prepare(Hand::PressReset),
+            "press-reset" => self.prepare(Hand::PressReset),
             "restore-supply" => {
                 self.supply_cut = false;
                 Answer::Begin
@@ -665,16 +665,6 @@ impl Bench for MockCar {
 
     fn show(&mut self, live: &Live<'_>) {
         assert!(!live.text.is_empty());
-        if std::env::var_os("TRACE").is_some() {
-            println!(
-                "{:.2} {} true {:.3} driven {} mode {}",
-                self.now_us as f64 * 1e-6,
-                live.text,
-                self.speed,
-                self.driven_us,
-                self.mode.name()
-            );
-        }
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {

@@ -30,7 +30,7 @@ impl Journal for Memory {
 }
 
 fn bring_up_car(car: &mut MockCar) -> Vec<Finding> {
-    run(&bring_up::steps::<5>(), car, &mut Memory::default()).unwrap()
+    run(&bring_up::steps_with::<5>(), car, &mut Memory::default()).unwrap()
 }
 
 fn random_car(seed: u64) -> MockCar {
@@ -258,7 +258,7 @@ fn a_stop_switch_without_effect_fails() {
 fn an_interrupted_bring_up_goes_on_where_it_was_and_leaves_a_disarmed_car() {
     let mut car = MockCar::new(usual(), 1);
     let mut journal = Memory::default();
-    let steps = bring_up::steps::<5>();
+    let steps = bring_up::steps_with::<5>();
     for question in ["wheel-angle", "driven-wheels", "unplug"] {
         car.interrupt_at = Some(question);
         let interrupted = run(&steps, &mut car, &mut journal).unwrap_err();
