@@ -12,6 +12,7 @@
 
 mod bench;
 pub mod bring_up;
+pub mod calibrate;
 mod diff;
 pub mod doctor;
 pub mod edit;

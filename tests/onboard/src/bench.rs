@@ -117,6 +117,10 @@ impl VirtualBench {
         &self.guard
     }
 
+    pub(crate) const fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
     /// Lets the car roll out, and looks whether it has come to its end: it stands, disarmed.
     pub fn end_procedure(&mut self) {
         self.pass(4.0);
@@ -148,6 +152,15 @@ impl VirtualBench {
         for entry in self.drive.entries() {
             self.observe(entry, observed);
         }
+    }
+
+    /// The set-point of a car that stands: without one it can't be armed.
+    fn stand_still(&self) {
+        self.drive.send_setpoint(&Setpoint {
+            time: Time(self.drive.next_tick_us() * 1_000),
+            position: None,
+            velocity: Velocity::zeros(),
+        });
     }
 
     fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
@@ -270,9 +283,11 @@ impl Bench for VirtualBench {
             if !waits {
                 break;
             }
+            self.stand_still();
             self.step(&mut unseen);
             unseen.clear();
         }
+        self.stand_still();
         self.request(match attendance {
             Attendance::Jog => PilotRequest::ArmJog,
             Attendance::Drive => PilotRequest::ArmHeld,

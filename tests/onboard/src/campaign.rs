@@ -31,10 +31,15 @@ struct Procedure {
 /// The procedures, in their order. The ESC is watched at neutral for a shorter time than on a
 /// real car: a simulated one has no noise that would turn it now and then.
 fn procedures() -> Vec<Procedure> {
-    vec![Procedure {
-        name: "bring-up",
-        steps: singletrack_commissioning::bring_up::steps().to_vec(),
-    }]
+    let procedure = |name, steps: &[Step]| Procedure {
+        name,
+        steps: steps.to_vec(),
+    };
+    vec![
+        procedure("doctor", &doctor::STEPS),
+        procedure("bring-up", &bring_up::steps::<8>()),
+        procedure("calibrate", &calibrate::STEPS),
+    ]
 }
 
 /// A parameter of a car, as it was measured last.
@@ -127,25 +132,22 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
     'car: for procedure in procedures() {
         for step in &procedure.steps {
             let before_m = bench.drive_of_host().world().truth().way;
+            bench.guard_mut().begin_step();
             let findings = run(core::slice::from_ref(step), &mut bench, &mut Kept)
                 .map_err(|error| text(&error))?;
             let world = bench.drive_of_host().world();
             for finding in findings {
                 for parameter in &finding.parameters {
-                    let truth = truth_of(
-                        parameter.name,
-                        world,
-                        singletrack_commissioning::Bench::configuration(&bench),
-                    );
-                    measured.insert(
-                        parameter.name,
-                        Measured {
-                            name: parameter.name,
-                            unit: parameter.unit,
-                            truth,
-                            estimate: parameter.estimate,
+                    let m = Measured {
+                        name: parameter.name,
+                        unit: parameter.unit,
+                        truth: match parameter.name {
+                            "braking" => bench.guard().weakest_braking(),
+                            name => truth_of(name, procedure.name, world, bench.configuration()),
                         },
-                    );
+                        estimate: parameter.estimate,
+                    };
+                    measured.insert(parameter.name, m);
                 }
                 let is_failed = finding.verdict == Verdict::Failed;
                 failed |= is_failed;

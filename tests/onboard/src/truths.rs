@@ -3,11 +3,10 @@
 use singletrack_core::config::Config;
 use singletrack_sim::World;
 
-/// Speed at which the slope of the motor's curve is compared, in m/s.
 /// The true value of a parameter, in the unit of the procedures; none if there is no such
 /// parameter.
 #[must_use]
-pub fn truth_of(name: &str, world: &World, config: &Config) -> Option<f64> {
+pub fn truth_of(name: &str, procedure: &str, world: &World, config: &Config) -> Option<f64> {
     let simulation = world.config();
     let car = &simulation.car;
     let cameras = &simulation.cameras;
@@ -33,6 +32,20 @@ pub fn truth_of(name: &str, world: &World, config: &Config) -> Option<f64> {
         "esc-deadband" => f64::from(motor.deadband_us) + motor.breakaway_us,
         "motor-lag" => motor.lag_s * 1e3,
         "motor-dead-time" => ms(motor.dead_time_us),
+        "feed-forward" => {
+            // Pulse beyond the deadband for a speed, with the battery as it is.
+            let share = world.truth().battery_v / car.battery.nominal_v;
+            let pulse = |speed: f64| {
+                let settled = speed / share;
+                settled / (motor.gain_m_s_per_us - settled / motor.saturation_us)
+            };
+            match procedure {
+                // The slope over the speeds at which it drives.
+                "calibrate" => (pulse(0.3) - pulse(0.15)) / 0.15,
+                // From standstill to this speed.
+                _ => pulse(0.5) / 0.5,
+            }
+        }
         _ => return None,
     })
 }

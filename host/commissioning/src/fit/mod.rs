@@ -7,19 +7,29 @@
 //! passes have in common is added as a stated systematic part.
 
 mod body;
+mod body_in_bends;
 mod delay;
+mod drive_train;
+mod gauss_newton;
 mod least_squares;
 pub(crate) mod speed_curve;
 mod statistics;
 pub(crate) mod steering;
+mod track;
+mod wheels;
 
 pub use body::{FloorPose, Rolled, rolled, turned_about};
+pub use body_in_bends::{Body, body};
 pub use delay::{Delay, stamp_delay};
+pub use drive_train::{DriveTrain, deceleration, drive_train};
+pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,
 };
+pub use track::{Motion, Signal, Track};
+pub use wheels::{Turning, Wheels, wheels};
 
 #[cfg(test)]
 pub(crate) mod tests {
