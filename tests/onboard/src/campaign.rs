@@ -37,7 +37,7 @@ fn procedures() -> Vec<Procedure> {
     };
     vec![
         procedure("doctor", &doctor::STEPS),
-        procedure("bring-up", &bring_up::steps::<8>()),
+        procedure("bring-up", &bring_up::steps()),
         procedure("calibrate", &calibrate::STEPS),
     ]
 }
