@@ -168,9 +168,24 @@ mod tests {
             Ok(HandCommand::Move(HandMotion::PutDown))
         );
         assert_eq!("  esc   off ".parse(), Ok(HandCommand::Esc(false)));
-        assert_eq!("stop-switch open".parse(), Ok(HandCommand::StopSwitch(true)));
-        for line in ["", "roll 1", "roll a b", "roll nan 1", "esc maybe", "fly", "look here"] {
-            assert_eq!(line.parse::<HandCommand>(), Err(UnknownHandCommand), "{line}");
+        assert_eq!(
+            "stop-switch open".parse(),
+            Ok(HandCommand::StopSwitch(true))
+        );
+        for line in [
+            "",
+            "roll 1",
+            "roll a b",
+            "roll nan 1",
+            "esc maybe",
+            "fly",
+            "look here",
+        ] {
+            assert_eq!(
+                line.parse::<HandCommand>(),
+                Err(UnknownHandCommand),
+                "{line}"
+            );
         }
     }
 
@@ -182,7 +197,10 @@ mod tests {
         }
         world.advance_to(1_100_000);
         let text = seen(&world);
-        assert!(text.contains("esc off") && text.contains("battery_v 0.00"), "{text}");
+        assert!(
+            text.contains("esc off") && text.contains("battery_v 0.00"),
+            "{text}"
+        );
         assert!(text.ends_with("held yes"), "{text}");
     }
 }

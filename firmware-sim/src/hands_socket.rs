@@ -35,7 +35,9 @@ async fn attend(simulator: &RealTimeSimulator, mut stream: UnixStream) -> io::Re
     let (reader, mut writer) = stream.split();
     let mut lines = BufReader::new(reader).lines();
     while let Some(line) = lines.next_line().await? {
-        let command = line.get(..LONGEST.min(line.len())).map(str::parse::<HandCommand>);
+        let command = line
+            .get(..LONGEST.min(line.len()))
+            .map(str::parse::<HandCommand>);
         let answer = match command {
             Some(Ok(command)) => {
                 let gone = |error| io::Error::other(format!("{error}"));

@@ -2,13 +2,15 @@
 //!
 //! `cargo run --release -p singletrack-onboard --example calibrate -- FIRST COUNT`
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a study, run by hand")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a study, run by hand"
+)]
 
 use std::collections::BTreeMap;
 
-use singletrack_commissioning::{
-    Finding, Interrupted, Journal, Step, Verdict, calibrate, run,
-};
+use singletrack_commissioning::{Finding, Interrupted, Journal, Step, Verdict, calibrate, run};
 use singletrack_onboard::{OnboardCar, Random, VirtualBench};
 use toml_edit::{Array, Value};
 
@@ -28,6 +30,26 @@ impl Journal for Nothing {
 fn brought_up(seed: u64) -> OnboardCar {
     let mut car = OnboardCar::planted(seed, None);
     let mut random = Random::new(seed ^ 0xca11);
+    let flags = std::env::var("FLAGS").unwrap_or_default();
+    if flags.contains("play") {
+        car.simulation.car.servo.backlash_us = 0.0;
+    }
+    if flags.contains("vib") {
+        car.simulation.car.imu.vibration_rad_s = 0.0;
+        car.simulation.car.imu.gyro_noise_rad_s = 0.0001;
+    }
+    if flags.contains("cam") {
+        car.simulation.cameras.position_noise_m = 0.00001;
+        car.simulation.cameras.orientation_noise_rad = 0.00001;
+    }
+    if flags.contains("rate") {
+        car.simulation.car.servo.max_rate_rad_s = 100.0;
+    }
+    if flags.contains("tyre") {
+        let v = &mut car.simulation.car.vehicle;
+        v.front_cornering_stiffness_n_rad *= 4.0;
+        v.rear_cornering_stiffness_n_rad *= 4.0;
+    }
     let truth = car.simulation.clone();
     let t = &truth.car;
     let mut set = |section: &str, key: &str, value: Value| {
@@ -51,25 +73,56 @@ fn brought_up(seed: u64) -> OnboardCar {
     ] {
         set("board.servo", key, Value::from(value.round() as i64));
     }
-    set("limits", "max_steering_rad", Value::from((880.0 * t.servo.stop_rad).round() / 1000.0));
+    set(
+        "limits",
+        "max_steering_rad",
+        Value::from((880.0 * t.servo.stop_rad).round() / 1000.0),
+    );
     let edge = f64::from(t.motor.deadband_us) + t.motor.breakaway_us;
-    set("board.esc", "neutral_us", Value::from(i64::from(t.motor.neutral_us)));
-    set("board.esc", "deadband_us", Value::from((edge + random.normal(1.0)).round() as i64));
+    set(
+        "board.esc",
+        "neutral_us",
+        Value::from(i64::from(t.motor.neutral_us)),
+    );
+    set(
+        "board.esc",
+        "deadband_us",
+        Value::from((edge + random.normal(1.0)).round() as i64),
+    );
     let slope = 1.0 / t.motor.gain_m_s_per_us;
-    set("board.speed", "feed_forward_us_per_m_s", Value::from((0.8 * slope) as i64));
+    set(
+        "board.speed",
+        "feed_forward_us_per_m_s",
+        Value::from((0.8 * slope) as i64),
+    );
     let pulse = t.motor_sensor.pulse_distance_um * (1.0 + random.normal(0.005));
-    set("board.speed", "pulse_distance_um", Value::from(pulse.min(30_000.0).round() as i64));
+    set(
+        "board.speed",
+        "pulse_distance_um",
+        Value::from(pulse.min(30_000.0).round() as i64),
+    );
     let body = &truth.cameras.car;
     let yaw = body.yaw_rad + random.normal(0.01);
-    set("motion_capture", "marker_yaw_rad", Value::from(yaw.sin().atan2(yaw.cos())));
-    let offset: Array = body.pivot().into_iter().map(|x| x + random.normal(0.003)).collect();
+    set(
+        "motion_capture",
+        "marker_yaw_rad",
+        Value::from(yaw.sin().atan2(yaw.cos())),
+    );
+    let offset: Array = body
+        .pivot()
+        .into_iter()
+        .map(|x| x + random.normal(0.003))
+        .collect();
     set("motion_capture", "marker_offset_m", Value::Array(offset));
     let late = truth.cameras.stamp_bias_ms + random.normal(0.5);
-    set("motion_capture.timing", "stamp_offset_ms", Value::from(late));
+    set(
+        "motion_capture.timing",
+        "stamp_offset_ms",
+        Value::from(late),
+    );
     let quarter = ((t.imu.mounting_deg[2] / 90.0).round() as i64).rem_euclid(4);
-    let (forward, left) = [
-        ("+x", "+y"), ("-y", "+x"), ("-x", "-y"), ("+y", "-x"),
-    ][quarter as usize];
+    let (forward, left) =
+        [("+x", "+y"), ("-y", "+x"), ("-x", "-y"), ("+y", "-x")][quarter as usize];
     set("board.imu", "forward", Value::from(forward));
     set("board.imu", "left", Value::from(left));
     set("supervisor", "require_calibration", Value::from(false));
@@ -77,7 +130,9 @@ fn brought_up(seed: u64) -> OnboardCar {
 }
 
 fn main() {
-    let mut arguments = std::env::args().skip(1).map(|text| text.parse::<u64>().unwrap());
+    let mut arguments = std::env::args()
+        .skip(1)
+        .map(|text| text.parse::<u64>().unwrap());
     let (first, count) = (arguments.next().unwrap_or(0), arguments.next().unwrap_or(5));
     let mut held: BTreeMap<&str, (usize, usize, f64, f64, f64)> = BTreeMap::new();
     for seed in first..first + count {
@@ -93,10 +148,26 @@ fn main() {
         let findings = run(&calibrate::STEPS, &mut bench, &mut Nothing).unwrap();
         let [forward, left] = truth.cameras.car.pivot();
         let m = &truth.car.motor;
-        let pulse = |speed: f64| speed / (m.gain_m_s_per_us - speed / m.saturation_us);
+        let measured = car.configuration().unwrap().vehicle.wheelbase_m();
+        if count == 1 {
+            println!(
+                "wheelbase {:+.2} %, {:?}",
+                100.0 * (measured / truth.car.vehicle.wheelbase_m() - 1.0),
+                truth.car.servo
+            );
+        }
+        let battery = &truth.car.battery;
+        let voltage = bench.drive_of_host().world().truth().battery_v / battery.nominal_v;
+        let pulse = |speed: f64| {
+            let speed = speed / voltage;
+            speed / (m.gain_m_s_per_us - speed / m.saturation_us)
+        };
         for finding in &findings {
             if finding.verdict != Verdict::Good || count == 1 {
-                println!("{seed} {} {:?}: {} {}", finding.step, finding.verdict, finding.found, finding.fix);
+                println!(
+                    "{seed} {} {:?}: {} {}",
+                    finding.step, finding.verdict, finding.found, finding.fix
+                );
             }
             for parameter in &finding.parameters {
                 let true_value = match parameter.name {
@@ -121,7 +192,10 @@ fn main() {
                 }
                 println!(
                     "{seed:4} {:16} {true_value:10.4} {:10.4} +-{:8.4} error {error:9.4} {}",
-                    parameter.name, e.value, e.half_width(), if good { "" } else { "OUT" }
+                    parameter.name,
+                    e.value,
+                    e.half_width(),
+                    if good { "" } else { "OUT" }
                 );
                 let entry = held.entry(parameter.name).or_default();
                 entry.0 += usize::from(good);
@@ -131,15 +205,14 @@ fn main() {
                 entry.4 += e.half_width();
             }
         }
-        if !bench.violations().is_empty() {
-            println!("{seed}: {:?}", bench.violations());
-        }
     }
     for (name, (good, all, sum, squares, half)) in held {
         let n = all as f64;
         println!(
             "{name:16} {good} of {all}; mean error {:.4}, rms {:.4}, mean half width {:.4}",
-            sum / n, (squares / n).sqrt(), half / n
+            sum / n,
+            (squares / n).sqrt(),
+            half / n
         );
     }
 }

@@ -11,17 +11,14 @@ const PASSES: usize = 5;
 /// The way before the first pass that is not used, m: the car finds its way.
 const LEAD: f64 = 0.9;
 /// The weave: its period, s, and the speed across the course, m/s.
-const PERIOD: f64 = 1.4;
-const ACROSS: f64 = 0.12;
-
-/// A servo frame takes over what the telemetry tells by half of its period later, on average.
-pub(super) const FRAME_WAIT: f64 = 0.010;
+const PERIOD: f64 = 0.8;
+const ACROSS: f64 = 0.18;
 
 /// What all passes have in common, within which 95 of 100 cars are. The time stamps of gyro,
 /// telemetry and pulses against each other, s:
 const STAMPS: f64 = 0.003;
 /// the axles, which are measured with a ruler, m;
-const RULER: f64 = 0.0013;
+const RULER: f64 = 0.002;
 /// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
@@ -34,6 +31,7 @@ pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 }
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::place(bench)?;
     floor::limit_speed(bench, SLOW)?;
     let stands = floor::ready(bench)?;
     let figure = Figure::find(bench, &stands)?;
@@ -44,10 +42,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         figure.at(SLOW * time, SLOW).aside(offset, rate)
     })?
     .completed()?;
-    let begin = drive.on_track(lead / SLOW);
-    let pass = 2.0 * figure.lap() / SLOW;
     let bounds: Vec<f64> = (0..=PASSES)
-        .map(|index| begin + pass * index as f64)
+        .map(|pass| drive.on_track((lead + 2.0 * pass as f64 * figure.lap()) / SLOW))
         .collect();
     identified(bench, &drive.track, &bounds)
 }
@@ -66,7 +62,7 @@ fn weave(time: f64) -> [f64; 2] {
 /// The motion between two times.
 fn between(motion: &Motion, begin: f64, end: f64) -> Motion {
     let first = motion.time.partition_point(|time| *time < begin);
-    let last = motion.time.partition_point(|time| *time < end);
+    let last = motion.time.partition_point(|time| *time < end).max(first);
     Motion {
         time: motion.time[first..last].to_vec(),
         position: motion.position[first..last].to_vec(),
@@ -81,6 +77,7 @@ struct Believed {
     offset: [f64; 2],
     rear_axle: f64,
     rear_slip: f64,
+    wheelbase: f64,
     turning: Turning,
     servo: [f64; 2],
 }
@@ -91,20 +88,18 @@ impl Believed {
         let v = &config.vehicle;
         let length = v.wheelbase_m();
         let (front, rear) = (v.front_axle_distance_m, v.rear_axle_distance_m);
-        let (c_f, c_r) = (
-            v.front_cornering_stiffness_n_rad,
-            v.rear_cornering_stiffness_n_rad,
-        );
+        let c_f = v.front_cornering_stiffness_n_rad;
+        let c_r = v.rear_cornering_stiffness_n_rad;
         Self {
             body_yaw: config.motion_capture.marker_yaw_rad,
             offset: config.motion_capture.marker_offset_m,
             rear_axle: rear,
             rear_slip: v.mass_kg * front / (length * c_r),
+            wheelbase: length,
             turning: Turning {
-                wheelbase: length,
-                understeer: v.mass_kg / length * (rear / c_f - front / c_r),
-                // The yaw rate of a car at this speed follows its wheels like this.
-                yaw_lag: v.yaw_inertia_kg_m2 * SLOW / (c_f * front * front + c_r * rear * rear),
+                inertia: [v.mass_kg, v.yaw_inertia_kg_m2],
+                axles: [front, rear],
+                stiffness: [c_f, c_r],
             },
             servo: [
                 config.board.servo.centre_us.into(),
@@ -129,7 +124,14 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let (pulses, way) = (track.pulses(0), track.way());
     let passes: Vec<(Body, Wheels)> = bounds
         .windows(2)
-        .map(|ends| pass(&between(&motion, ends[0], ends[1]), &pulses, &way, &believed))
+        .map(|ends| {
+            pass(
+                &between(&motion, ends[0], ends[1]),
+                &pulses,
+                &way,
+                &believed,
+            )
+        })
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
@@ -138,7 +140,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     };
     let speed = SLOW;
     let slip = STIFFNESS * believed.rear_slip * speed * speed;
-    let of_length = RULER / believed.turning.wheelbase;
+    let of_length = RULER / believed.wheelbase;
     let gain = interval(&|(_, steering)| steering.gain_us_per_rad, 0.0)?;
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
     let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
@@ -147,15 +149,19 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let ahead = ahead.shifted(-believed.rear_axle);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
     let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * STAMPS)?;
-    let dead = interval(
-        &|(_, steering)| 1e3 * (steering.delay - FRAME_WAIT),
-        1e3 * STAMPS,
-    )?;
+    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * STAMPS)?;
     let excess = [0, 1].map(|side| {
-        let sum: f64 = passes.iter().map(|(_, steering)| steering.excess[side]).sum();
+        let sum: f64 = passes
+            .iter()
+            .map(|(_, steering)| steering.excess[side])
+            .sum();
         100.0 * sum / passes.len() as f64
     });
-    let play = passes.iter().map(|(_, steering)| steering.play_us).sum::<f64>() / passes.len() as f64;
+    let play = passes
+        .iter()
+        .map(|(_, steering)| steering.play_us)
+        .sum::<f64>()
+        / passes.len() as f64;
 
     let config = bench.configuration();
     let servo = &config.board.servo;
@@ -163,9 +169,18 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         .min(centre.value - f64::from(servo.min_us))
         / gain.value.abs();
     let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
-        ("board.servo.centre_us", (centre.value.round() as i64).into()),
-        ("board.servo.gain_us_per_rad", (gain.value.round() as i64).into()),
-        ("motion_capture.marker_yaw_rad", round(floor::angle(yaw.value), 5).into()),
+        (
+            "board.servo.centre_us",
+            (centre.value.round() as i64).into(),
+        ),
+        (
+            "board.servo.gain_us_per_rad",
+            (gain.value.round() as i64).into(),
+        ),
+        (
+            "motion_capture.marker_yaw_rad",
+            round(floor::angle(yaw.value), 5).into(),
+        ),
         (
             "motion_capture.marker_offset_m",
             [ahead.value, left.value]
@@ -175,7 +190,10 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
                 .into(),
         ),
         ("actuators.steering_lag_ms", round(lag.value, 1).into()),
-        ("actuators.steering_dead_time_ms", round(dead.value.max(0.0), 1).into()),
+        (
+            "actuators.steering_dead_time_ms",
+            round(dead.value.max(0.0), 1).into(),
+        ),
     ];
     let reach = (1_000.0 * reach).floor() / 1_000.0 - 0.001;
     if config.limits.max_steering_rad > reach {
@@ -195,7 +213,11 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     };
     Ok(Finding {
         step: "bends",
-        verdict: if is_doubtful { Verdict::Warning } else { Verdict::Good },
+        verdict: if is_doubtful {
+            Verdict::Warning
+        } else {
+            Verdict::Good
+        },
         found: format!(
             "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from \
              where it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % \
@@ -222,7 +244,12 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
             parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
             parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
-            parameter("servo-dead-time", "ms", dead, "actuators.steering_dead_time_ms"),
+            parameter(
+                "servo-dead-time",
+                "ms",
+                dead,
+                "actuators.steering_dead_time_ms",
+            ),
         ],
     })
 }
@@ -235,7 +262,9 @@ fn pass(
     believed: &Believed,
 ) -> Option<(Body, Wheels)> {
     let body = fit::body(motion, way, believed.body_yaw, believed.rear_slip)?;
-    let speed = motion.rear_speed(body.yaw, body.left, 5);
+    // Once more about the yaw that was found: the fit is linear in its error.
+    let body = fit::body(motion, way, body.yaw, believed.rear_slip)?;
+    let speed = motion.rear_speed(body.yaw, body.left, 2);
     let steering = fit::wheels(motion, pulses, &speed, &believed.turning, believed.servo)?;
     Some((body, steering))
 }

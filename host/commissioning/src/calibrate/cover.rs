@@ -60,7 +60,11 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let way = blind_way(&mut drive, lost);
     let is_good = way <= allowed;
     Ok(finding(
-        if is_good { Verdict::Good } else { Verdict::Failed },
+        if is_good {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
         format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m"),
         if is_good {
             ""

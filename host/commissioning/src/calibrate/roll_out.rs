@@ -19,6 +19,7 @@ pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 }
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::place(bench)?;
     let mut stops: Vec<(f64, f64)> = Vec::new();
     let mut passed = 0.0;
     let top = f64::from(bench.configuration().board.speed.max_forward_mm_s) * 1e-3;
@@ -58,7 +59,11 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         .collect();
     Ok(Finding {
         step: "roll-out",
-        verdict: if weakest.is_some() { Verdict::Good } else { Verdict::Failed },
+        verdict: if weakest.is_some() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
         found: format!(
             "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up \
              to {} m/s",
@@ -91,10 +96,21 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
 
 /// Drives along a circle with this speed and stops. Gives the deceleration, m/s².
 fn stop(bench: &mut dyn Bench, speed: f64) -> Result<f64, Ends> {
-    let stands = floor::ready(bench)?;
-    let figure = Figure::find(bench, &stands)?;
+    let mut stands = floor::ready(bench)?;
+    let mut circle = Figure::circle(bench, &stands);
+    if circle.is_none() {
+        floor::place(bench)?;
+        stands = floor::ready(bench)?;
+        circle = Figure::circle(bench, &stands);
+    }
+    let figure = circle.ok_or_else(|| {
+        Ends::Failed(
+            "there is no room for a circle where the car stands".to_owned(),
+            "put it in the middle of the geofence, or widen fence.corners_m",
+        )
+    })?;
     let acceleration = 0.5;
-    let seconds = figure.approach() / speed + speed / acceleration + 2.0;
+    let seconds = speed / acceleration + 2.0;
     let text = format!("a stop from {speed:.1} m/s");
     let drive = floor::drive(bench, seconds, &text, &|time| {
         let now = (acceleration * time).min(speed);
@@ -103,7 +119,17 @@ fn stop(bench: &mut dyn Bench, speed: f64) -> Result<f64, Ends> {
         figure.at(way, now)
     })?
     .completed()?;
-    drive.braking.ok_or_else(|| {
+    let config = bench.configuration();
+    let [_, left] = config.motion_capture.marker_offset_m;
+    let motion = drive.track.motion(0.0);
+    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
+    // The pilot measures it as well, unless the stop was short.
+    let found = fit::stop(&motion.time, &way);
+    let weaker = match (found, drive.braking) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
+    };
+    weaker.ok_or_else(|| {
         Ends::Failed(
             format!("the stop from {speed:.1} m/s could not be measured"),
             "check that the markers are visible everywhere, and run this step again",

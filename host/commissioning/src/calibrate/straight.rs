@@ -48,7 +48,9 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     };
     let [along, across] = motion.displacement(body_yaw)[first..last]
         .iter()
-        .fold([0.0; 2], |sum, moved| [sum[0] + moved[0], sum[1] + moved[1]]);
+        .fold([0.0; 2], |sum, moved| {
+            [sum[0] + moved[0], sum[1] + moved[1]]
+        });
     let course = across.atan2(along);
     let way = track.way();
     let pulses = way.at(motion.time[last]) - way.at(motion.time[first]);
@@ -57,7 +59,11 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let is_good = course.abs() < COURSE && (ratio - 1.0).abs() < PULSES;
     Ok(Finding {
         step: "straight",
-        verdict: if is_good { Verdict::Good } else { Verdict::Failed },
+        verdict: if is_good {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
         found: format!(
             "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % \
              of that way",

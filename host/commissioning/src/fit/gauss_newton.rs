@@ -3,7 +3,7 @@
 use super::least_squares;
 
 /// The steps of the iteration.
-const STEPS: usize = 12;
+const STEPS: usize = 60;
 
 /// The parameters near `start` that make the residuals least. `scale` is a step by which each
 /// parameter may be changed for its derivative, and `bounds` is where it must stay. None if the
@@ -41,7 +41,9 @@ pub fn gauss_newton<const N: usize>(
         let mut has_moved = false;
         // Shorter steps, if a whole one leads too far.
         for _ in 0..6 {
-            let next = within(std::array::from_fn(|i| best[i] + share * step[i] * scale[i]));
+            let next = within(std::array::from_fn(|i| {
+                best[i] + share * step[i] * scale[i]
+            }));
             let found = residuals(&next);
             let sum = squares(&found);
             if sum < least {
@@ -69,7 +71,10 @@ mod tests {
         let data: Vec<(f64, f64)> = (0..400)
             .map(|index| {
                 let time = 0.01 * f64::from(index);
-                (time, 2.0 * (1.0 - (-time / 0.7).exp()) + 0.01 * noise.normal())
+                (
+                    time,
+                    2.0 * (1.0 - (-time / 0.7).exp()) + 0.01 * noise.normal(),
+                )
             })
             .collect();
         let fit = |bounds| {
@@ -81,7 +86,10 @@ mod tests {
             .unwrap()
         };
         let [level, lag] = fit([[0.0, 10.0], [0.01, 5.0]]);
-        assert!((level - 2.0).abs() < 0.01 && (lag - 0.7).abs() < 0.01, "{level} {lag}");
+        assert!(
+            (level - 2.0).abs() < 0.01 && (lag - 0.7).abs() < 0.01,
+            "{level} {lag}"
+        );
         let [_, lag] = fit([[0.0, 10.0], [0.01, 0.5]]);
         assert!((lag - 0.5).abs() < 1e-9);
     }

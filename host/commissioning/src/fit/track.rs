@@ -160,7 +160,11 @@ impl Track {
             })
             .collect();
         Motion {
-            position: self.poses.iter().map(|(_, (position, _))| *position).collect(),
+            position: self
+                .poses
+                .iter()
+                .map(|(_, (position, _))| *position)
+                .collect(),
             time,
             yaw,
             yaw_rate,
@@ -198,13 +202,41 @@ impl Signal {
         let after = self.0.partition_point(|(sample, _)| *sample <= time);
         match (after.checked_sub(1).map(|i| self.0[i]), self.0.get(after)) {
             (Some((t0, v0)), Some((t1, v1))) => {
-                let share = if *t1 > t0 { (time - t0) / (t1 - t0) } else { 0.0 };
+                let share = if *t1 > t0 {
+                    (time - t0) / (t1 - t0)
+                } else {
+                    0.0
+                };
                 v0 + share * (v1 - v0)
             }
             (Some((_, value)), None) => value,
             (None, Some((_, value))) => *value,
             (None, None) => 0.0,
         }
+    }
+
+    /// What a servo gets on average: the pulses that the telemetry tells are taken over at the
+    /// next frame, 20 ms apart, and last until the one after.
+    #[must_use]
+    pub fn in_frames(&self) -> Self {
+        const FRAME: f64 = 0.02;
+        let integral = self.integral();
+        let first = self.0.first().map_or(0.0, |(time, _)| *time);
+        Self(
+            self.0
+                .iter()
+                .flat_map(|(time, _)| [*time, *time + 0.005])
+                .map(|time| {
+                    let past = (time - FRAME).max(first);
+                    let value = if time > past {
+                        (integral.at(time) - integral.at(past)) / (time - past)
+                    } else {
+                        self.at(time)
+                    };
+                    (time, value)
+                })
+                .collect(),
+        )
     }
 
     /// The integral since the first sample.

@@ -20,15 +20,15 @@ pub struct Wheels {
     pub excess: [f64; 2],
 }
 
-/// What is known of the car.
+/// What is known of the car: the single-track model in small angles, with linear tyres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turning {
-    /// Distance of the axles, m.
-    pub wheelbase: f64,
-    /// Steering per lateral acceleration beyond that of the bend, rad per m/s².
-    pub understeer: f64,
-    /// Time in which the yaw rate follows the wheels, s.
-    pub yaw_lag: f64,
+    /// Mass, kg, and yaw inertia, kg m².
+    pub inertia: [f64; 2],
+    /// Distance of the front and the rear axle from the centre of mass, m.
+    pub axles: [f64; 2],
+    /// Cornering stiffness of the front and the rear axle, N/rad.
+    pub stiffness: [f64; 2],
 }
 
 /// The step of the simulated servo, s.
@@ -48,6 +48,7 @@ pub fn wheels(
     about: [f64; 2],
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
+    let pulses = &pulses.in_frames();
     let residuals = |parameters: &[f64; 5]| residuals(motion, pulses, speed, turning, parameters);
     let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.02, 3.0];
     let reach = 1_000.0 / gain_us_per_rad.abs();
@@ -64,7 +65,7 @@ pub fn wheels(
     let found = gauss_newton(start, scale, bounds, residuals)?;
     let [centre_us, inverse, lag, delay, play_us] = found;
     let mut sums = [[0.0; 2]; 2];
-    for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate) {
+    for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate[1..]) {
         let side = usize::from(*rate < 0.0);
         sums[side][0] += residual * rate.signum();
         sums[side][1] += rate.abs();
@@ -79,6 +80,7 @@ pub fn wheels(
     })
 }
 
+/// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
 fn residuals(
     motion: &Motion,
     pulses: &Signal,
@@ -89,31 +91,71 @@ fn residuals(
     let Some(&start) = motion.time.first() else {
         return Vec::new();
     };
-    let delay = delay + turning.yaw_lag;
+    let mut motion_state = [0.0; 2];
     let mut held = pulses.at(start - delay);
     let angle = |pulse: f64| (pulse - centre_us) * inverse * 1e-3;
     let mut turned = angle(held);
     let mut now = start;
     let share = 1.0 - (-STEP / lag).exp();
-    motion
-        .time
-        .iter()
-        .zip(&motion.yaw_rate)
-        .zip(speed)
-        .map(|((&time, &rate), &speed)| {
-            while now + STEP <= time {
+    (1..motion.time.len())
+        .map(|index| {
+            let [t0, t1] = [motion.time[index - 1], motion.time[index]];
+            let middle = f64::midpoint(t0, t1);
+            let speed = f64::midpoint(speed[index - 1], speed[index]);
+            while now + STEP <= middle {
                 now += STEP;
                 let pulse = pulses.at(now - delay);
                 held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
+                let before = turned;
                 turned += share * (angle(held) - turned);
+                let steered = f64::midpoint(before, turned);
+                motion_state = turning.step(motion_state, speed.max(SLOWEST), steered);
             }
-            if speed < SLOWEST {
+            if speed < SLOWEST || t1 <= t0 {
                 return 0.0;
             }
-            // The remaining part of a step, as if the wheels moved evenly.
-            let at = turned + share * (angle(held) - turned) * (time - now) / STEP;
-            let length = turning.wheelbase + turning.understeer * speed * speed;
-            rate - speed * at.tan() / length
+            let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
+            // The remaining part of a step, as if the motion changed evenly.
+            let next = turning.step(motion_state, speed, turned)[0];
+            let rest = (middle - now) / STEP;
+            rate - motion_state[0] - rest * (next - motion_state[0])
         })
         .collect()
+}
+
+impl Turning {
+    /// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle.
+    fn step(&self, [rate, sideslip]: [f64; 2], speed: f64, steered: f64) -> [f64; 2] {
+        let [mass, inertia] = self.inertia;
+        let [front, rear] = self.axles;
+        let [c_f, c_r] = self.stiffness;
+        // Of the centre of mass.
+        let v = speed / sideslip.cos();
+        let matrix = [
+            [
+                -(front * front * c_f + rear * rear * c_r) / (inertia * v),
+                (rear * c_r - front * c_f) / inertia,
+            ],
+            [
+                (rear * c_r - front * c_f) / (mass * v * v) - 1.0,
+                -(c_f + c_r) / (mass * v),
+            ],
+        ];
+        let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
+        // The trapezoidal rule: it is stable, however fast the tyres are.
+        let half = 0.5 * STEP;
+        let old = [rate, sideslip];
+        let right: [f64; 2] = std::array::from_fn(|i| {
+            old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + STEP * input[i]
+        });
+        let left = [
+            [1.0 - half * matrix[0][0], -half * matrix[0][1]],
+            [-half * matrix[1][0], 1.0 - half * matrix[1][1]],
+        ];
+        let determinant = left[0][0] * left[1][1] - left[0][1] * left[1][0];
+        [
+            (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
+            (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
+        ]
+    }
 }

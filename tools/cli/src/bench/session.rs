@@ -69,10 +69,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
         .steps
         .iter()
         .any(|step| journal.file.found(step.name).is_some());
-    bench.report(
-        procedure.name,
-        if is_resumed { "resumed" } else { "begun" },
-    )?;
+    bench.report(procedure.name, if is_resumed { "resumed" } else { "begun" })?;
     bench.terminal.say(procedure.about);
     for step in procedure.steps {
         if let Some(finding) = journal.file.found(step.name) {
