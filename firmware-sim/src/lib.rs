@@ -26,6 +26,7 @@
 
 mod attitude;
 mod board;
+mod by_hand;
 mod cameras;
 mod car;
 mod clock;
@@ -48,6 +49,7 @@ pub use board::{
     BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
     SimulatedBoard, UnknownBoard, UnoError,
 };
+pub use by_hand::{HAND_COMMANDS, HandCommand, UnknownHandCommand, seen};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     LossKind, TICKS_PER_SECOND, UpAxis,

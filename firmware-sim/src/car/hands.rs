@@ -57,7 +57,7 @@ pub enum HandMotion {
         /// For how long, in s.
         for_s: f64,
     },
-    /// Carries it to another place. The wheels do not touch the floor on the way.
+    /// Carries it to another place on the floor. The wheels do not touch the floor on the way.
     Carry {
         /// Where the centre of mass comes to.
         to: StartPose,
@@ -288,6 +288,7 @@ impl UnderWay {
                 // The shorter way round.
                 let turn = libm::remainder(to.yaw_rad - place.yaw, 2.0 * PI);
                 place.yaw += turn * done;
+                place.height *= 1.0 - done;
                 place.height += CARRIED_M * smooth((share.min(1.0 - share) * 5.0).min(1.0));
             }
         }

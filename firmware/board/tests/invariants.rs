@@ -6,8 +6,8 @@ use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_board::{ImuSample, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, Configure, Disarm, Drive, EmergencyStop, EscCalibration,
-    EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS, Sequence, ServoCalibration,
-    SpeedLoop, UNNAMED, VERSION,
+    EscKind, FailsafeAction, Hello, ImuAxes, JOG_DRIVE_US, JOG_LIMIT_US, Jog, LONGEST_ROLL_OUT_MS,
+    Sequence, ServoCalibration, SpeedLoop, UNNAMED, VERSION,
 };
 
 use rig::{MS, NEUTRAL, Rig, TTL, configuration};
@@ -44,6 +44,18 @@ enum Step {
         commands: u32,
         speed_mm_s: i16,
         steering_100urad: i16,
+    },
+    Jog {
+        ahead: u8,
+        age_us: u32,
+        servo_us: u16,
+        esc_us: u16,
+    },
+    /// A correct host for a while.
+    JogWell {
+        commands: u32,
+        servo_us: u16,
+        esc_us: u16,
     },
     Wheels(Option<u32>),
     Motor {
@@ -174,6 +186,15 @@ fn step() -> impl Strategy<Value = Step> {
                 commands, speed_mm_s, steering_100urad,
             }
         ),
+        3 => (0..130_u8, age(), any::<u16>(), any::<u16>()).prop_map(
+            |(ahead, age_us, servo_us, esc_us)| Step::Jog { ahead, age_us, servo_us, esc_us }
+        ),
+        6 => (1..100_u32, any::<u16>(), prop_oneof![1_300..1_700_u16, any::<u16>()]).prop_map(
+            |(commands, servo_us, esc_us)| Step::JogWell { commands, servo_us, esc_us }
+        ),
+        1 => (1_300..1_700_u16).prop_map(
+            |esc_us| Step::JogWell { commands: 1_200, servo_us: NEUTRAL, esc_us }
+        ),
         6 => prop_oneof![Just(None), (200..60_000_u32).prop_map(Some)].prop_map(Step::Wheels),
         1 => (any::<u16>(), any::<u32>())
             .prop_map(|(count, last_edge_us)| Step::Motor { count, last_edge_us }),
@@ -202,6 +223,8 @@ struct Watch {
     /// last brake.
     forward_us: u32,
     earned_us: u32,
+    /// Time for which the motor has been jogged without a pause.
+    jogged_us: u32,
 }
 
 impl Watch {
@@ -220,6 +243,7 @@ impl Watch {
             armed_us: 0,
             forward_us: 0,
             earned_us: 0,
+            jogged_us: 0,
         }
     }
 
@@ -228,7 +252,7 @@ impl Watch {
         let elapsed_us = rig.now.wrapping_sub(self.time_us);
         assert!(may_follow(before, mode), "{before:?} -> {mode:?}");
         assert_eq!(
-            mode == BoardMode::Driving,
+            matches!(mode, BoardMode::Driving | BoardMode::Jogging),
             outputs.drive_deadline_us.is_some()
         );
         if let Some(deadline) = outputs.drive_deadline_us {
@@ -267,7 +291,7 @@ impl Watch {
 
         let armed = matches!(
             mode,
-            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
+            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging
         );
         assert_eq!(outputs.power_on, armed && now.kill_output);
         self.armed_us = match (before, mode) {
@@ -343,6 +367,26 @@ impl Watch {
         } else {
             0
         };
+        let jogs = mode == BoardMode::Jogging && esc_us != esc.neutral_us;
+        self.jogged_us = match before {
+            BoardMode::Jogging if jogs => self.jogged_us.saturating_add(elapsed_us),
+            _ => 0,
+        };
+        assert!(self.jogged_us <= JOG_DRIVE_US, "jogged for too long");
+        if mode == BoardMode::Jogging {
+            // What an ESC made of these pulses is not known.
+            self.earned_us = 0;
+            self.forward_us = 0;
+            self.braked_us = 0;
+            assert!(
+                esc_us.abs_diff(esc.neutral_us) <= JOG_LIMIT_US,
+                "{esc_us} us while jogging"
+            );
+            return;
+        }
+        if before == BoardMode::Jogging {
+            assert_eq!(esc_us, esc.neutral_us, "after jogging");
+        }
         if mode == BoardMode::Driving {
             self.drove = true;
             if now.speed.max_reverse_mm_s != 0 {
@@ -376,7 +420,9 @@ impl Watch {
 
 /// Whether one poll may change the mode in this way.
 fn may_follow(before: BoardMode, after: BoardMode) -> bool {
-    use BoardMode::{Armed, Boot, Driving, EmergencyStopped, Failsafe, Neutral, PoweringUp};
+    use BoardMode::{
+        Armed, Boot, Driving, EmergencyStopped, Failsafe, Jogging, Neutral, PoweringUp,
+    };
     before == after
         || after == EmergencyStopped
         || matches!(
@@ -384,12 +430,12 @@ fn may_follow(before: BoardMode, after: BoardMode) -> bool {
             (Boot, Neutral)
                 | (Neutral, Boot | Armed | PoweringUp)
                 | (PoweringUp, Armed | Neutral | Failsafe)
-                | (Armed, Neutral | Driving | Failsafe)
-                | (Driving, Neutral | Failsafe)
+                | (Armed, Neutral | Driving | Jogging | Failsafe)
+                | (Driving | Jogging, Neutral | Failsafe)
                 | (Failsafe, Armed | PoweringUp)
                 // The board stops the car; the arm request in the same poll claims
                 // to know that.
-                | (Driving, Armed | PoweringUp)
+                | (Driving | Jogging, Armed | PoweringUp)
         )
 }
 
@@ -461,6 +507,37 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
                 pose_age_ms,
                 brake,
             });
+        }
+        Step::Jog {
+            ahead,
+            age_us,
+            servo_us,
+            esc_us,
+        } => {
+            rig.send(Jog {
+                sequence: Sequence(rig.board.last_sequence().0.wrapping_add(ahead)),
+                telemetry_time_us: rig.now.wrapping_sub(age_us),
+                servo_us,
+                esc_us,
+            });
+        }
+        Step::JogWell {
+            commands,
+            servo_us,
+            esc_us,
+        } => {
+            for _ in 0..commands {
+                let sequence = rig.board.last_sequence().next();
+                rig.send(Jog {
+                    sequence,
+                    telemetry_time_us: rig.now,
+                    servo_us,
+                    esc_us,
+                });
+                watch.check(rig);
+                rig.run(10 * MS);
+                watch.check(rig);
+            }
         }
         Step::DriveWell {
             commands,

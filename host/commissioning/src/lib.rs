@@ -19,9 +19,11 @@ pub mod edit;
 mod finding;
 pub mod fit;
 mod parameter;
+mod plot;
 mod procedure;
 mod question;
 pub mod report;
+mod teach;
 
 pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
@@ -29,5 +31,7 @@ pub use bench::{
 };
 pub use finding::{Finding, Verdict};
 pub use parameter::{Interval, Parameter};
+pub use plot::{Plot, PlotKind, PlotLine};
 pub use procedure::{Journal, Step, run};
 pub use question::{Answer, Answers, Live, Question};
+pub use teach::{Place, Taught, TeachError, TeachOptions, taught_path};

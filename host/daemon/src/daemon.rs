@@ -58,6 +58,8 @@ pub struct StartOptions {
     pub lock_memory: bool,
     /// The file of the record, instead of a new one in the configured folder.
     pub record: Option<PathBuf>,
+    /// The file of the configuration, for a client that asks to reload it.
+    pub config_path: Option<PathBuf>,
     /// The seed of the simulation, for the metadata of the record.
     pub seed: Option<u64>,
 }
@@ -194,6 +196,8 @@ impl Daemon {
                 ),
                 requests: host.requests,
                 setpoints: host.setpoints,
+                jogs: host.jogs,
+                config_path: options.config_path,
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,

@@ -1,8 +1,8 @@
 //! Access to the running daemon for every thread but the control thread.
 
-use std::sync::Arc;
+use std::{path::PathBuf, sync::Arc};
 
-use singletrack_core::{Requests, setpoint_slot::SetpointSender};
+use singletrack_core::{Requests, jog_slot::JogSender, setpoint_slot::SetpointSender};
 
 use crate::{
     commissioned_file::CommissionedFile, live::LiveView, realtime::RealTimeStatus,
@@ -15,6 +15,9 @@ pub(crate) struct DaemonHandle {
     pub(crate) status: Arc<SharedStatus>,
     pub(crate) requests: Requests,
     pub(crate) setpoints: SetpointSender,
+    pub(crate) jogs: JogSender,
+    /// The file of the configuration, for a reload.
+    pub(crate) config_path: Option<PathBuf>,
     pub(crate) reconfigurer: Reconfigurer,
     pub(crate) realtime: RealTimeStatus,
     /// What the cars have passed.

@@ -111,6 +111,7 @@ fn main() -> ExitCode {
         // A client's request to arm is refused for the same configuration.
         arm: arguments.arm && is_possible && refusal.is_none(),
         lock_memory: true,
+        config_path: Some(path.clone()),
         ..StartOptions::default()
     };
     let manager = ServiceManager::from_environment().unwrap_or_else(|error| {

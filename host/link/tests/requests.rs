@@ -4,7 +4,7 @@
 
 mod common;
 
-use singletrack_link::{DriveCommand, DriveError, Event, NotReady};
+use singletrack_link::{DriveCommand, DriveError, Event, JogCommand, NotReady};
 use singletrack_protocol::{BoardMode, Drive, RefusalReason, Request, Sequence, ToBoard};
 
 use common::{Bench, MS, START_NS, configuration, to_board};
@@ -418,4 +418,60 @@ fn a_board_that_powers_the_esc_up_is_armed_but_gets_no_commands() {
         panic!("no command");
     };
     assert!(drive.brake);
+}
+
+#[test]
+fn pulses_go_to_a_board_that_is_armed_or_jogs_and_to_no_other() {
+    const PULSES: JogCommand = JogCommand {
+        servo_us: 1_400,
+        esc_us: 1_560,
+    };
+    for mode in BoardMode::ALL {
+        let mut bench = Bench::armed();
+        bench.board_mode = mode;
+        bench.pass(10 * MS);
+        let outcome = bench.session.jog(bench.now_ns, PULSES);
+        if !matches!(mode, BoardMode::Armed | BoardMode::Jogging) {
+            assert_eq!(outcome.unwrap_err(), NotReady::NotArmed { mode });
+            continue;
+        }
+        let messages = to_board(outcome.unwrap().as_bytes());
+        let [ToBoard::Jog(first)] = messages.as_slice() else {
+            panic!("{messages:?}");
+        };
+        assert_eq!((first.servo_us, first.esc_us), (1_400, 1_560));
+        let again = bench.session.jog(bench.now_ns, PULSES).unwrap();
+        let messages = to_board(again.as_bytes());
+        let [ToBoard::Jog(second)] = messages.as_slice() else {
+            panic!("{messages:?}");
+        };
+        assert_eq!(second.sequence, first.sequence.next());
+    }
+    let mut bench = Bench::armed();
+    bench.session.disarm(bench.now_ns);
+    assert_eq!(
+        bench.session.jog(bench.now_ns, PULSES).unwrap_err(),
+        NotReady::StopPending
+    );
+}
+
+#[test]
+fn a_jogging_board_is_armed_and_takes_no_drive() {
+    let mut bench = Bench::armed();
+    bench.board_mode = BoardMode::Jogging;
+    bench.pass(10 * MS);
+    assert_eq!(
+        bench.session.drive(bench.now_ns, COMMAND),
+        Err(NotReady::NotArmed {
+            mode: BoardMode::Jogging
+        }
+        .into())
+    );
+    assert_eq!(bench.session.arm(bench.now_ns), Err(NotReady::Armed));
+    assert!(
+        bench
+            .session
+            .configure(bench.now_ns, configuration())
+            .is_err()
+    );
 }

@@ -542,7 +542,12 @@ impl<'a> Drive<'a> {
         let board_is_armed = is_running
             && matches!(
                 board_mode,
-                Some(BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving)
+                Some(
+                    BoardMode::PoweringUp
+                        | BoardMode::Armed
+                        | BoardMode::Driving
+                        | BoardMode::Jogging
+                )
             );
         let moved_by_hand = self.schedule.faults.iter().any(|fault| {
             let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);

@@ -3,8 +3,8 @@
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, EscKind, FailsafeAction, Hello, ImuAxis, ResetCause, Sequence, ToBoard, ToHost,
-    UNNAMED, VERSION,
+    EmergencyStop, EscKind, FailsafeAction, Hello, ImuAxis, JOG_DRIVE_US, JOG_LIMIT_US, Jog,
+    ResetCause, Sequence, ToBoard, ToHost, UNNAMED, VERSION,
 };
 
 use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
@@ -15,7 +15,7 @@ const MS: u32 = 1_000;
 const NEUTRAL_AT_START_US: u16 = 1_500;
 
 /// Type bytes of the messages to the board, and an invalid one.
-const KINDS: [u8; 7] = [0x01, 0x10, 0x11, 0x12, 0x13, 0x14, 0x20];
+const KINDS: [u8; 8] = [0x01, 0x10, 0x11, 0x12, 0x13, 0x14, 0x15, 0x20];
 
 /// Largest number of frames in a poll besides answers: twice a zero and two
 /// greetings, a telemetry record and a status record.
@@ -33,8 +33,8 @@ const _: () = assert!(size_of::<Board>() <= 512);
 ///
 /// # Panics
 ///
-/// If the board drives without an `Arm` of its configuration and a `Drive` after
-/// it, or longer than a command's time to live; if a pulse violates the
+/// If the board drives or jogs without an `Arm` of its configuration and a `Drive` or
+/// a `Jog` after it, or longer than a command's time to live; if a pulse violates the
 /// configuration's limits or slew rate; if a mode transition is invalid; if it
 /// sends bytes that are not a frame, or more frames than requested; if the last
 /// received stop does not stop it.
@@ -62,6 +62,8 @@ struct Bench {
     polled_us: u32,
     request: u8,
     braked_us: u32,
+    /// Time for which the motor has been jogged without a pause.
+    jogged_us: u32,
     /// Number of bytes passed to the board.
     bytes: u64,
 }
@@ -74,6 +76,7 @@ struct PollMessages {
     /// Hashes of the board's present and past configurations.
     arm: bool,
     drive: bool,
+    jog: bool,
     last: Option<ToBoard>,
 }
 
@@ -96,6 +99,7 @@ impl Bench {
             polled_us: 0,
             request: 0,
             braked_us: 0,
+            jogged_us: 0,
             bytes: 0,
         };
         let configuration = Configuration {
@@ -135,7 +139,7 @@ impl Bench {
     }
 
     fn step(&mut self, choices: &mut Choices<'_>) {
-        match choices.byte() % 20 {
+        match choices.byte() % 23 {
             0 => self.poll(choices.bytes()),
             1 => {
                 let kind = choices.byte();
@@ -223,6 +227,28 @@ impl Bench {
                 });
             }
             18 => self.line_open = choices.flag(),
+            20 => self.send(Jog {
+                sequence: Sequence(self.board.last_sequence().0.wrapping_add(choices.byte())),
+                telemetry_time_us: self.now_us.wrapping_sub(choices.u32()),
+                servo_us: choices.u16(),
+                esc_us: choices.u16(),
+            }),
+            21 => {
+                // A correct host for a while.
+                let (servo_us, esc_us) = (choices.u16(), choices.u16());
+                for _ in 0..choices.byte() % 16 {
+                    self.jog_well(servo_us, esc_us);
+                }
+            }
+            22 => {
+                // A disarm, an arm request and pulses: bytes alone seldom find this.
+                let request = self.next_request();
+                self.send(Disarm { request });
+                self.wait(21, 100 * MS);
+                let arm = self.arm_request();
+                self.send(arm);
+                self.jog_well(choices.u16(), choices.u16());
+            }
             _ => {
                 // A correct host for a while.
                 let (speed, steering) = (choices.i16(), choices.i16());
@@ -266,6 +292,16 @@ impl Bench {
         self.wait(2, 5 * MS);
     }
 
+    fn jog_well(&mut self, servo_us: u16, esc_us: u16) {
+        self.send(Jog {
+            sequence: self.board.last_sequence().next(),
+            telemetry_time_us: self.now_us,
+            servo_us,
+            esc_us,
+        });
+        self.wait(2, 5 * MS);
+    }
+
     fn send(&mut self, message: impl Into<ToBoard>) {
         // Ends a partial frame on the line.
         let mut bytes = vec![0];
@@ -303,6 +339,7 @@ impl Bench {
                 }
                 ToBoard::Arm(arm) => messages.arm |= hashes.contains(&arm.configuration_hash),
                 ToBoard::Drive(_) => messages.drive = true,
+                ToBoard::Jog(_) => messages.jog = true,
                 _ => {}
             }
             messages.last = Some(message);
@@ -366,9 +403,9 @@ impl Bench {
     }
 
     fn check_mode(&self, before: BoardMode, messages: &PollMessages) {
-        use BoardMode::{Armed, Driving, EmergencyStopped, PoweringUp};
+        use BoardMode::{Armed, Driving, EmergencyStopped, Jogging, PoweringUp};
         let mode = self.board.mode();
-        let is_armed = |mode| matches!(mode, Armed | Driving | PoweringUp);
+        let is_armed = |mode| matches!(mode, Armed | Driving | PoweringUp | Jogging);
         assert!(
             !is_armed(mode) || is_armed(before) || messages.arm,
             "{before:?} -> {mode:?} unasked"
@@ -376,6 +413,15 @@ impl Bench {
         assert!(
             mode != Driving || before == Driving || messages.drive,
             "{before:?} -> {mode:?} without a command"
+        );
+        assert!(
+            mode != Jogging || before == Jogging || messages.jog,
+            "{before:?} -> {mode:?} without pulses"
+        );
+        // From one to the other leads an arm request only.
+        assert!(
+            !matches!((before, mode), (Driving, Jogging) | (Jogging, Driving)) || messages.arm,
+            "{before:?} -> {mode:?}"
         );
         assert!(
             before != EmergencyStopped || mode == EmergencyStopped,
@@ -386,7 +432,10 @@ impl Bench {
             Some(ToBoard::EmergencyStop(_)) => assert_eq!(mode, EmergencyStopped),
             _ => {}
         }
-        assert_eq!(mode == Driving, self.outputs.drive_deadline_us.is_some());
+        assert_eq!(
+            matches!(mode, Driving | Jogging),
+            self.outputs.drive_deadline_us.is_some()
+        );
         if let Some(deadline_us) = self.outputs.drive_deadline_us {
             let left_us = deadline_us.wrapping_sub(self.now_us);
             assert!(
@@ -434,9 +483,19 @@ impl Bench {
 
     fn check_esc(&mut self, now: &Configuration, before: BoardMode, elapsed_us: u32) {
         let (esc, mode) = (&now.esc, self.board.mode());
+        let jogged = mode == BoardMode::Jogging && self.outputs.esc_us != Some(esc.neutral_us);
+        self.jogged_us = match before {
+            BoardMode::Jogging if jogged => self.jogged_us.saturating_add(elapsed_us),
+            _ => 0,
+        };
+        assert!(
+            self.jogged_us <= JOG_DRIVE_US + COMMAND_TIME_TO_LIVE_US,
+            "jogged for {} us",
+            self.jogged_us
+        );
         let armed = matches!(
             mode,
-            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving
+            BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging
         );
         assert_eq!(self.outputs.power_on, armed && now.kill_output);
         if mode == BoardMode::EmergencyStopped {
@@ -458,7 +517,15 @@ impl Bench {
                 now.speed.max_reverse_mm_s > 0 || pulse_us >= esc.neutral_us || brakes,
                 "reverse"
             );
+        } else if mode == BoardMode::Jogging {
+            self.braked_us = 0;
+            assert!(
+                pulse_us.abs_diff(esc.neutral_us) <= JOG_LIMIT_US,
+                "{pulse_us} us while jogging"
+            );
         } else if pulse_us != esc.neutral_us {
+            // Jogging ends without a brake pulse.
+            assert_ne!(before, BoardMode::Jogging, "{pulse_us} us after jogging");
             // A stop brakes once, after driving, for at most half a second.
             assert!(brakes, "{pulse_us} us in {mode:?}");
             match mode {

@@ -11,7 +11,7 @@ const NOW_NS: u64 = 1_000_000_000_000;
 const MAX_ANSWER: usize = 1_024;
 
 /// Keys of a line, and an unknown one.
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 17] = [
     "version",
     "command",
     "topics",
@@ -25,11 +25,14 @@ const KEYS: [&str; 11] = [
     "uncalibrated",
     "procedure",
     "result",
+    "jog",
+    "servo_us",
+    "esc_us",
     "surplus",
 ];
 
 /// Values that are valid for some keys.
-const VALUES: [&str; 27] = [
+const VALUES: [&str; 30] = [
     "1",
     "2",
     "0",
@@ -57,6 +60,9 @@ const VALUES: [&str; 27] = [
     "{\"kind\":\"velocity-steps\",\"steps\":[{\"duration_s\":1,\"v_x_m_s\":1,\"v_y_m_s\":0}]}",
     "18446744073709551615",
     "1000000000001",
+    "\"jog\"",
+    "\"reload\"",
+    "1500",
 ];
 
 /// Parses lines from a client of the control socket.
@@ -121,11 +127,13 @@ fn check_accepted(command: &Command, line: &[u8]) {
     let word = match command {
         Command::Ask(question) => match question {
             singletrackd::Question::Status => "status",
-            singletrackd::Question::Disarm => "disarm",
+            singletrackd::Question::Disarm | singletrackd::Question::Halt => "disarm",
             singletrackd::Question::Stop => "stop",
         },
-        Command::Arm(_) => "arm",
         Command::Commissioned { .. } => "commissioned",
+        Command::Arm(_) | Command::ArmJog => "arm",
+        Command::Jog(_) => "jog",
+        Command::Reload => "reload",
         Command::Hold => "hold",
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",

@@ -2,7 +2,9 @@
 
 use core::num::NonZeroU32;
 
-use singletrack_link::{DriveCommand, Event, Session, SessionConfig, State, TimedTelemetry};
+use singletrack_link::{
+    DriveCommand, Event, JogCommand, Session, SessionConfig, State, TimedTelemetry,
+};
 use singletrack_protocol::{
     BoardMode, Configuration, Decoder, Drive, Hello, ImuState, RefusalReason, Request, ResetCause,
     Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
@@ -122,7 +124,7 @@ impl Bench {
     }
 
     fn step(&mut self, choices: &mut Choices<'_>) {
-        match choices.byte() % 24 {
+        match choices.byte() % 26 {
             0 => self.receive(choices.bytes()),
             1 => {
                 let kind = choices.byte();
@@ -167,6 +169,7 @@ impl Bench {
                     BoardMode::Neutral,
                     BoardMode::Armed,
                     BoardMode::Driving,
+                    BoardMode::Jogging,
                     BoardMode::Failsafe,
                     BoardMode::EmergencyStopped,
                 ]);
@@ -224,6 +227,19 @@ impl Bench {
                         steering_rad: -0.2,
                         brake: false,
                         pose_time_ns: Some(self.now_ns - 8 * MS),
+                    });
+                    self.run(1);
+                }
+            }
+            24 => self.jog(JogCommand {
+                servo_us: choices.u16(),
+                esc_us: choices.u16(),
+            }),
+            25 => {
+                for _ in 0..choices.byte() % 16 {
+                    self.jog(JogCommand {
+                        servo_us: 1_400,
+                        esc_us: 1_560,
                     });
                     self.run(1);
                 }
@@ -301,6 +317,28 @@ impl Bench {
             panic!("not a drive command");
         };
         self.check_drive(&command, &drive);
+    }
+
+    fn jog(&mut self, command: JogCommand) {
+        let mode = match self.session.state() {
+            State::Ready { mode } => mode,
+            _ => None,
+        };
+        let Ok(bytes) = self.session.jog(self.now_ns, command) else {
+            return;
+        };
+        assert!(
+            matches!(mode, Some(BoardMode::Armed | BoardMode::Jogging)),
+            "pulses for a board in {mode:?}"
+        );
+        assert!(!self.session.is_stop_pending(), "pulses across a stop");
+        let ToBoard::Jog(jog) = message_to_board(bytes.as_bytes()) else {
+            panic!("not pulses");
+        };
+        assert_eq!(
+            (jog.servo_us, jog.esc_us),
+            (command.servo_us, command.esc_us)
+        );
     }
 
     fn check_drive(&self, command: &DriveCommand, drive: &Drive) {
@@ -528,7 +566,7 @@ impl Bench {
             ToBoard::Disarm(_) | ToBoard::EmergencyStop(_) => {
                 assert!(self.session.is_stop_pending());
             }
-            ToBoard::Drive(_) => panic!("a drive command without a request"),
+            ToBoard::Drive(_) | ToBoard::Jog(_) => panic!("a command without a request"),
         }
     }
 }

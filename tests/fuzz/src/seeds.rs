@@ -6,8 +6,8 @@
 use singletrack_mocap::{codec::BitstreamVersion, encode};
 use singletrack_protocol::{
     Acknowledgement, Arm, BoardMode, Configure, Disarm, Drive, EmergencyStop, Frame, Hello,
-    ImuState, Refusal, RefusalReason, Request, ResetCause, Sequence, Status, StopCause, Telemetry,
-    ToBoard, ToHost, VERSION,
+    ImuState, Jog, Refusal, RefusalReason, Request, ResetCause, Sequence, Status, StopCause,
+    Telemetry, ToBoard, ToHost, VERSION,
 };
 
 use crate::samples::CONFIGURATION;
@@ -254,7 +254,7 @@ fn hello() -> Hello {
 
 fn to_board() -> Vec<(&'static str, Frame)> {
     let request = Sequence(3);
-    let messages: [(_, ToBoard); 6] = [
+    let messages: [(_, ToBoard); 7] = [
         ("hello", hello().into()),
         (
             "configure",
@@ -287,6 +287,16 @@ fn to_board() -> Vec<(&'static str, Frame)> {
             .into(),
         ),
         ("emergency-stop", EmergencyStop { request }.into()),
+        (
+            "jog",
+            Jog {
+                sequence: Sequence(2),
+                telemetry_time_us: 2_200_000,
+                servo_us: 1_400,
+                esc_us: 1_560,
+            }
+            .into(),
+        ),
     ];
     messages
         .map(|(name, message)| (name, message.encode()))

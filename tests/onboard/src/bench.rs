@@ -117,6 +117,10 @@ impl VirtualBench {
         &self.guard
     }
 
+    pub(crate) const fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
     /// Lets the car roll out, and looks whether it has come to its end: it stands, disarmed.
     pub fn end_procedure(&mut self) {
         self.pass(4.0);

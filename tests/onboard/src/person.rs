@@ -4,7 +4,7 @@ use core::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use std::collections::VecDeque;
 
 use singletrack_commissioning::{Answer, Answers, Question};
-use singletrack_sim::{HandMotion, StartPose, World};
+use singletrack_sim::{HandMotion, LossKind, StartPose, World};
 
 use crate::random::Random;
 
@@ -18,8 +18,8 @@ pub(crate) struct Person {
     later: Vec<Task>,
     /// Until when nothing is done, in µs.
     idle_until_us: u64,
-    /// What is done a second after the wheels have begun to turn.
-    trigger: Option<Action>,
+    /// What is done so long after the wheels have begun to turn, in s.
+    trigger: Option<(f64, Action)>,
     /// Since when the wheels turn, in µs.
     turning_since_us: Option<u64>,
     /// When the last such action was done, in µs.
@@ -57,6 +57,7 @@ enum Action {
     OpenStopSwitch(bool),
     Plug(bool),
     PlugBattery(bool),
+    CoverMarkers(bool),
 }
 
 impl Action {
@@ -66,6 +67,9 @@ impl Action {
             Self::PressReset => world.press_reset(),
             Self::OpenStopSwitch(open) => world.board_mut().set_stop_input_open(open),
             Self::PlugBattery(plugged) => world.car_mut().set_battery_plugged(plugged),
+            Self::CoverMarkers(covered) => {
+                world.cameras_mut().faults_mut().loss = covered.then_some(LossKind::Occluded);
+            }
             Self::Plug(plugged) => world.set_wire_connected(plugged),
         }
     }
@@ -102,7 +106,22 @@ impl Person {
         let id = question.id;
         match id {
             // Calibration.
-            "place-on-floor" => self.carry(0.0),
+            "place-on-floor" => {
+                let to = StartPose {
+                    x_m: self.random.normal(0.08),
+                    y_m: self.random.normal(0.08),
+                    // Along the longer side of the hall.
+                    yaw_rad: self.random.normal(0.08),
+                };
+                self.do_now(&[
+                    Task::Move(HandMotion::Carry { to, for_s: 4.0 }),
+                    Task::Pause(1.0),
+                ]);
+            }
+            "cover-markers" => {
+                self.trigger = Some((self.random.between(3.0, 6.0), Action::CoverMarkers(true)));
+            }
+            "uncover-markers" => self.do_now(&[Task::Act(Action::CoverMarkers(false))]),
             // Doctor.
             "voltmeter" => {}
             "press-reset" if !world.car().wheels_are_up() => {
@@ -164,10 +183,10 @@ impl Person {
             "on-stand" => self.do_now(&[Task::Move(HandMotion::Lift { height_m: 0.1 })]),
             "esc-dark" | "esc-woke" | "kill-switch" | "wheels-still" | "front-wheels"
             | "wheel-angle" | "at-stop" | "driven-wheels" | "stopped-how" => {}
-            "cut-supply" => self.trigger = Some(Action::SwitchEsc(false)),
-            "open-switch" => self.trigger = Some(Action::OpenStopSwitch(true)),
-            "unplug" => self.trigger = Some(Action::Plug(false)),
-            "press-reset" => self.trigger = Some(Action::PressReset),
+            "cut-supply" => self.trigger = Some((1.0, Action::SwitchEsc(false))),
+            "open-switch" => self.trigger = Some((1.0, Action::OpenStopSwitch(true))),
+            "unplug" => self.trigger = Some((1.0, Action::Plug(false))),
+            "press-reset" => self.trigger = Some((1.0, Action::PressReset)),
             "restore-supply" => {
                 self.do_now(&[Task::Act(Action::SwitchEsc(true)), Task::Pause(3.0)]);
             }
@@ -262,8 +281,8 @@ impl Person {
     pub(crate) fn act(&mut self, world: &mut World) {
         let now_us = world.now_us();
         self.look(world);
-        if let (Some(since), Some(action)) = (self.turning_since_us, self.trigger)
-            && now_us - since > 1_000_000
+        if let (Some(since_us), Some((after_s, action))) = (self.turning_since_us, self.trigger)
+            && now_us.saturating_sub(since_us) as f64 * 1e-6 > after_s
         {
             action.apply(world);
             self.acted_us = Some(now_us);

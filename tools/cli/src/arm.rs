@@ -81,15 +81,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
         return Ok(ExitCode::SUCCESS);
     }
     let interrupt = Interrupt::listen()?;
-    let stream = connect(&args.control.socket)?;
-    stream.set_read_timeout(Some(WAIT))?;
-    let mut drive = Drive {
-        read: BufReader::new(stream.try_clone()?),
-        write: stream,
-        line: Vec::new(),
-        progress: Progress::new(),
-        socket: args.control.socket.clone(),
-    };
+    let mut drive = Drive::connect(&args.control, "the drive")?;
     match args.time {
         None => {
             drive.send(&json!({
@@ -101,6 +93,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
             drive.attend(
                 &interrupt,
                 &json!({ "version": SOCKET_VERSION, "command": "hold" }),
+                None,
             )
         }
         Some(time) => {
@@ -114,13 +107,14 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
             drive.attend(
                 &interrupt,
                 &json!({ "version": SOCKET_VERSION, "command": "status" }),
+                None,
             )
         }
     }
 }
 
 /// A connection that attends a drive.
-struct Drive {
+pub(crate) struct Drive {
     read: BufReader<UnixStream>,
     write: UnixStream,
     /// The line that is being read.
@@ -130,7 +124,20 @@ struct Drive {
 }
 
 impl Drive {
-    fn send(&mut self, line: &Value) -> io::Result<()> {
+    /// `what` is what it attends, for its end.
+    pub(crate) fn connect(args: &ControlArgs, what: &'static str) -> Result<Self, ControlError> {
+        let stream = connect(&args.socket)?;
+        stream.set_read_timeout(Some(WAIT))?;
+        Ok(Self {
+            read: BufReader::new(stream.try_clone()?),
+            write: stream,
+            line: Vec::new(),
+            progress: Progress::new(what),
+            socket: args.socket.clone(),
+        })
+    }
+
+    pub(crate) fn send(&mut self, line: &Value) -> io::Result<()> {
         self.write.write_all(format!("{line}\n").as_bytes())
     }
 
@@ -158,15 +165,22 @@ impl Drive {
         }
     }
 
-    /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car,
-    /// and the end is still waited for.
-    fn attend(&mut self, interrupt: &Interrupt, renewal: &Value) -> Result<ExitCode, ControlError> {
+    /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car, as
+    /// does the end of this time after it was armed, and the end is still waited for.
+    pub(crate) fn attend(
+        &mut self,
+        interrupt: &Interrupt,
+        renewal: &Value,
+        time: Option<Duration>,
+    ) -> Result<ExitCode, ControlError> {
         let begun = Instant::now();
         let mut renewed = begun;
         let mut is_armed = false;
+        let mut armed = begun;
         let mut is_disarmed = false;
         loop {
-            if interrupt.is_raised() && !is_disarmed {
+            let is_over_time = is_armed && time.is_some_and(|time| armed.elapsed() >= time);
+            if (interrupt.is_raised() || is_over_time) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.
                 let disarm = json!({ "version": SOCKET_VERSION, "command": "disarm" });
@@ -196,7 +210,11 @@ impl Drive {
                     self.progress.show(status);
                 }
                 Some(_) => {}
-                None => is_armed = true,
+                None if !is_armed => {
+                    is_armed = true;
+                    armed = Instant::now();
+                }
+                None => {}
             }
         }
     }
@@ -210,12 +228,14 @@ fn is_over(status: &Value) -> bool {
 
 /// Shows on a terminal how the drive goes on.
 struct Progress {
+    what: &'static str,
     is_terminal: bool,
 }
 
 impl Progress {
-    fn new() -> Self {
+    fn new(what: &'static str) -> Self {
         Self {
+            what,
             is_terminal: io::stderr().is_terminal(),
         }
     }
@@ -239,7 +259,8 @@ impl Progress {
         }
         let reason = ended.get("reason").and_then(Value::as_str);
         print(&format!(
-            "the drive has ended after {:.1} s: {}",
+            "{} has ended after {:.1} s: {}",
+            self.what,
             begun.elapsed().as_secs_f64(),
             words(ended)
         ))?;
@@ -263,7 +284,7 @@ fn words(state: &Value) -> String {
     }
 }
 
-fn parse_time(text: &str) -> Result<Duration, String> {
+pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
     let micros = match text.trim().parse::<u32>() {
         Ok(seconds) => u64::from(seconds) * 1_000_000,
         Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,

@@ -10,9 +10,9 @@ use clap::{Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
-    arm,
+    arm, bring_up,
     control::{self, ControlCommand},
-    dump, recover, replay, set_reference, setpoint,
+    doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
@@ -32,6 +32,14 @@ enum Command {
     #[cfg(feature = "desk")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
+    /// Check a new car without moving it, and measure what a hand can show.
+    ///
+    /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
+    Doctor(doctor::DoctorArgs),
+    /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
+    ///
+    /// The exit status is 0 if no step failed, otherwise 3.
+    BringUp(bring_up::BringUpArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
@@ -71,6 +79,8 @@ enum Command {
     /// exit status is 0 if the drive ended as wanted, 1 if the car was not armed or the
     /// connection was lost, and 3 if something else stopped the car.
     Arm(arm::ArmArgs),
+    /// Give servo and ESC bare pulses, with the wheels off the floor, while this command runs.
+    Jog(jog::JogArgs),
     /// Slow down, stop and disarm.
     Disarm(control::ControlArgs),
     /// Emergency stop: neutral at once, until the board is reset.
@@ -79,6 +89,10 @@ enum Command {
     SetReference(set_reference::SetReferenceArgs),
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
+    /// Drive with a game-pad: one button lets the car drive itself, another one gives the sticks.
+    Drive(drive::DriveArgs),
+    /// Record the path that the car is pushed along, as a reference.
+    Teach(teach::TeachArgs),
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -107,6 +121,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
     let done: Result<(), Box<dyn std::error::Error>> = match &cli.command {
         #[cfg(feature = "desk")]
         Command::Demo(args) => Ok(demo::run(args)?),
+        Command::Doctor(args) => return Ok(doctor::run(args)?),
+        Command::BringUp(args) => return Ok(bring_up::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),
@@ -119,10 +135,13 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Identify(args) => Ok(identify::run(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => return Ok(arm::run(args)?),
+        Command::Jog(args) => return Ok(jog::run(args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::SetReference(args) => Ok(set_reference::run(args)?),
         Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        Command::Drive(args) => return Ok(drive::run(args)?),
+        Command::Teach(args) => Ok(teach::run(args)?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,

@@ -6,9 +6,9 @@
 use singletrack_board::{Board, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{
     Arm, BoardMode, COMMAND_TIME_TO_LIVE_US, Configuration, Configure, Decoder, Disarm, Drive,
-    EmergencyStop, EscCalibration, EscKind, FailsafeAction, Hello, ImuAxes, LONGEST_ROLL_OUT_MS,
-    RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status, Telemetry, ToBoard,
-    ToHost, UNNAMED, VERSION,
+    EmergencyStop, EscCalibration, EscKind, FailsafeAction, Hello, ImuAxes, Jog,
+    LONGEST_ROLL_OUT_MS, RefusalReason, ResetCause, Sequence, ServoCalibration, SpeedLoop, Status,
+    Telemetry, ToBoard, ToHost, UNNAMED, VERSION,
 };
 
 pub(crate) const MS: u32 = 1_000;
@@ -291,6 +291,29 @@ impl Rig {
         for _ in 0..duration_us / (10 * MS) {
             self.run(10 * MS);
             self.drive(speed_mm_s, steering_100urad);
+        }
+    }
+
+    pub(crate) fn jog_command(&mut self, servo_us: u16, esc_us: u16) -> Jog {
+        self.next_drive = self.next_drive.next();
+        Jog {
+            sequence: self.next_drive,
+            telemetry_time_us: self.now,
+            servo_us,
+            esc_us,
+        }
+    }
+
+    pub(crate) fn jog(&mut self, servo_us: u16, esc_us: u16) {
+        let command = self.jog_command(servo_us, esc_us);
+        self.send(command);
+    }
+
+    /// Sends pulses every 10 ms, the last ones at the end.
+    pub(crate) fn jog_for(&mut self, duration_us: u32, servo_us: u16, esc_us: u16) {
+        for _ in 0..duration_us / (10 * MS) {
+            self.run(10 * MS);
+            self.jog(servo_us, esc_us);
         }
     }
 

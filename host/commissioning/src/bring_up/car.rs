@@ -632,20 +632,67 @@ impl<'a> Car<'a> {
     /// Until the first pulses come the ESC is driven in bursts: the board takes a motor
     /// that is driven for 0.6 s without a pulse for a dead sensor.
     pub(super) fn spin(&mut self, from_us: u16) -> Result<Option<Jog>, Trouble> {
+        self.spin_at(0.4, from_us)
+    }
+
+    /// As [`Self::spin`], at this speed at least if 150 us reach it.
+    pub(super) fn spin_at(&mut self, wanted: f64, from_us: u16) -> Result<Option<Jog>, Trouble> {
         let Some(mut jog) = self.first_turn(true, from_us)? else {
             return Ok(None);
         };
         let highest = jog.esc_us.max(self.rest().esc_us + JOG_LIMIT_US);
         let begin = self.now()?;
+        let mut before = 0.0;
         loop {
-            let readings = self.hold(jog, 0.5, "spinning up")?;
+            let readings = self.hold(jog, 0.4, "spinning up")?;
             let speed = mean_speed(&readings[readings.len() / 2..]);
             let late = self.now()?.seconds_since(begin) > 5.0;
-            if speed >= 0.4 || late || jog.esc_us >= highest {
+            if speed >= wanted || late || jog.esc_us >= highest {
                 return Ok(Some(jog));
             }
-            jog.esc_us = (jog.esc_us + 6).min(highest);
+            // Steps of 0.15 m/s at most, as far as the last one tells.
+            let step_us = if speed - before > 0.15 { 3 } else { 8 };
+            before = speed;
+            jog.esc_us = (jog.esc_us + step_us).min(highest);
         }
+    }
+
+    /// Turns the motor while a hand is about to stop it, which may come as soon as the wheels
+    /// turn, and watches until the jog ends, the wheels stand, or the time is over.
+    pub(super) fn spin_for_hand(
+        &mut self,
+        from_us: u16,
+        seconds: f64,
+        what: &str,
+    ) -> Result<Spun, Trouble> {
+        let mut jog = self
+            .first_turn(true, from_us)?
+            .ok_or_else(|| super::kill::never_turned(JOG_LIMIT_US))?;
+        let highest = self.rest().esc_us + JOG_LIMIT_US;
+        let begin = self.now()?;
+        let mut spun = Spun::default();
+        while self.now()?.seconds_since(begin) < seconds {
+            let held = self.hold_until(jog, 0.1, what, |reading| reading.motor_speed == 0.0);
+            match held {
+                Ok(readings) => spun.readings.extend(readings),
+                Err(Trouble::Ended { cause, .. }) => {
+                    spun.ended = Some(cause);
+                    break;
+                }
+                Err(trouble) => return Err(trouble),
+            }
+            let Some(last) = spun.readings.last().map(|last| last.motor_speed.abs()) else {
+                continue;
+            };
+            if last == 0.0 {
+                break;
+            }
+            // Not while it slows down: that is the hand.
+            if last < 0.4 && last >= 0.9 * spun.fastest() {
+                jog.esc_us = (jog.esc_us + 4).min(highest);
+            }
+        }
+        Ok(spun)
     }
 
     /// Drives in bursts of 0.5 s, each 8 us farther from neutral, until the wheels turn;
@@ -686,6 +733,9 @@ impl<'a> Car<'a> {
             self.hold_until(jog, 8.0, "rolling out", |reading| {
                 reading.motor_speed == 0.0
             })?;
+            // The speed is zero half a second after the last pulse. The board takes longer to
+            // believe that the wheels stand where the pulses are far apart.
+            self.hold(jog, 0.3, "neutral")?;
         }
         Ok(())
     }
@@ -695,6 +745,48 @@ impl<'a> Car<'a> {
         self.bench
     }
 }
+
+/// A motor that was turned until a hand stopped it.
+#[derive(Debug, Default)]
+pub(super) struct Spun {
+    /// The telemetry until then.
+    pub(super) readings: Vec<BoardReading>,
+    /// The board's word, if the jog ended.
+    pub(super) ended: Option<StopCause>,
+}
+
+impl Spun {
+    /// Highest speed, m/s.
+    pub(super) fn fastest(&self) -> f64 {
+        let speeds = self
+            .readings
+            .iter()
+            .map(|reading| reading.motor_speed.abs());
+        speeds.fold(0.0, f64::max)
+    }
+
+    /// Speed before the end, m/s.
+    pub(super) fn last_speed(&self) -> f64 {
+        let from = self.readings.len().saturating_sub(20);
+        mean_speed(&self.readings[from..])
+    }
+
+    /// Whether the wheels came to rest while their pulse still drove them.
+    pub(super) fn stopped_under_drive(&self) -> bool {
+        let stands = self
+            .readings
+            .last()
+            .is_some_and(|reading| reading.motor_speed == 0.0);
+        // The board takes a motor that does not turn for one without a sensor.
+        stands
+            || self
+                .ended
+                .is_some_and(|cause| cause == StopCause::MotorSensor)
+    }
+}
+
+/// Speed below which wheels that slow down count as standing, m/s.
+pub(super) const CREEPS: f64 = 0.12;
 
 /// The farthest from neutral that the board lets an ESC be jogged, us.
 pub(super) const JOG_LIMIT_US: u16 = 150;
@@ -715,6 +807,19 @@ pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
         .map(|reading| reading.motor_speed.abs())
         .sum();
     sum / readings.len().max(1) as f64
+}
+
+/// The way of wheels that slow down, m. The board takes half a second to report that they
+/// stand: what is slower than [`CREEPS`] does not count.
+pub(super) fn way(readings: &[BoardReading]) -> f64 {
+    readings
+        .windows(2)
+        .take_while(|pair| pair[1].motor_speed.abs() > CREEPS)
+        .map(|pair| {
+            let elapsed = pair[1].receive.seconds_since(pair[0].receive);
+            pair[1].motor_speed.abs() * elapsed
+        })
+        .sum()
 }
 
 /// Runs an armed jog, and again if it was let go.

@@ -3,29 +3,37 @@
 use singletrack_control::Time;
 
 use super::{
-    car::{Car, Outcome, Trouble, armed, beyond, change, conclude, failed, mean_speed},
+    car::{
+        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way,
+    },
     kill::never_turned,
 };
-use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter};
+use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter};
 
 pub(super) const NAME: &str = "esc-kind";
 
-/// How far beyond the deadband the pulses of this step are, us.
-const BEYOND_US: u16 = 60;
+/// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
+/// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
+/// 1.0. Without reverse the pulse at speed is as far as the board allows.
+const AT_REST: f64 = 0.45;
+const AT_SPEED: f64 = 0.85;
 
 /// Longest pulse below neutral, s. The board takes a motor that is driven for 0.6 s without a
 /// pulse for one without a sensor.
 const PULSE_S: f64 = 0.5;
 
-/// Wheels slower than this count as standing here, m/s.
-const SLOW: f64 = 0.12;
-
 /// Wheels that speed up by half and by this, m/s, below neutral, have turned round. Pulses
 /// that are far apart do not show how slow they were in between.
 const TURNED: f64 = 0.08;
 
-/// A brake stops the wheels in this part of the time that they take to roll out.
-const BRAKED: f64 = 0.75;
+/// A brake stops the wheels on this part of the way on which they roll out.
+const BRAKED: f64 = 0.85;
+
+/// The speed from which it does, m/s.
+const FROM_M_S: f64 = 0.65;
+
+/// Times that it is looked at.
+const TIMES: u32 = 2;
 
 pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let outcome = find(bench);
@@ -44,14 +52,14 @@ struct Seen {
     at_rest: [bool; 2],
     /// One at speed turned them round.
     turned_round: bool,
-    /// Times to slow down at neutral and below it, s.
-    rolled_s: f64,
-    braked_s: f64,
+    /// Ways to standstill at neutral and below it, m.
+    rolled_m: f64,
+    braked_m: f64,
 }
 
 impl Seen {
     fn brakes(&self) -> bool {
-        self.braked_s < BRAKED * self.rolled_s
+        self.braked_m < BRAKED * self.rolled_m
     }
 
     fn kind(&self) -> Option<&'static str> {
@@ -67,11 +75,23 @@ impl Seen {
 
 fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let esc = bench.configuration().board.esc;
-    let below_us = beyond(esc.neutral_us, esc.deadband_us + BEYOND_US, false).max(esc.min_us);
-    let seen = armed(bench, |car| look(car, below_us))?;
+    let feed_forward = f64::from(bench.configuration().board.speed.feed_forward_us_per_m_s);
+    let pulse_of = |speed: f64| {
+        let offset_us = esc.deadband_us + (speed * feed_forward).round() as u16;
+        beyond(esc.neutral_us, offset_us.min(JOG_LIMIT_US), false).max(esc.min_us)
+    };
+    let farthest_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
+    let mut brake_us = farthest_us;
+    let seen = armed(bench, |car| {
+        let at_rest = at_rest(car, pulse_of(AT_REST))?;
+        if at_rest.contains(&true) {
+            brake_us = pulse_of(AT_SPEED);
+        }
+        at_speed(car, at_rest, brake_us)
+    })?;
     let found = format!(
-        "at rest the first pulse below neutral {}, the second {}; at speed it {}: {:.2} s to slow \
-         down, {:.2} s at neutral",
+        "at rest the first pulse below neutral {}, the second {}; at speed it {}: the wheels \
+         stood after {:.2} m, after {:.2} m at neutral",
         turned(seen.at_rest[0]),
         turned(seen.at_rest[1]),
         if seen.turned_round {
@@ -81,8 +101,8 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         } else {
             "did not brake"
         },
-        seen.braked_s,
-        seen.rolled_s
+        seen.braked_m,
+        seen.rolled_m
     );
     let Some(kind) = seen.kind() else {
         return Ok(Outcome::warning(
@@ -90,17 +110,11 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             "None, if board.esc.kind is left out: no pulse below neutral is ever sent.",
         ));
     };
-    if kind == "car" && !seen.brakes() {
-        return Ok(Outcome::warning(
-            format!("{found}; it drives in reverse from rest and does not brake at speed"),
-            "Leave board.esc.kind out, and failsafe = \"coast\"; or set up the brake of the ESC.",
-        ));
-    }
     let kind_key = ("board.esc.kind", kind.into());
     if kind == "forward-reverse" {
         change(bench, std::slice::from_ref(&kind_key))?;
     } else {
-        let brake = ("board.esc.brake_us", i64::from(below_us).into());
+        let brake = ("board.esc.brake_us", i64::from(brake_us).into());
         change(bench, &[kind_key.clone(), brake])?;
     }
     let outcome = match bench.configuration().board.esc.kind {
@@ -132,7 +146,8 @@ const fn turned(turned: bool) -> &'static str {
     }
 }
 
-fn look(car: &mut Car<'_>, below_us: u16) -> Result<Seen, Trouble> {
+/// Whether the first and the second pulse below neutral turn wheels at rest.
+fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
     let rest = car.rest();
     let below = Jog {
         esc_us: below_us,
@@ -145,32 +160,53 @@ fn look(car: &mut Car<'_>, below_us: u16) -> Result<Seen, Trouble> {
         *turned = readings.iter().any(|reading| reading.motor_speed != 0.0);
         car.hold_until_standing(rest, 0.8)?;
     }
-    let (rolled_s, _) = slow_down(car, rest)?;
-    let (braked_s, turned_round) = slow_down(car, below)?;
-    Ok(Seen {
-        at_rest,
-        turned_round,
-        rolled_s,
-        braked_s,
-    })
+    Ok(at_rest)
 }
 
-/// Turns the motor, then gives the other pulse; the time to half of the speed, s, and whether
+/// What a pulse below neutral does to wheels that turn.
+fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen, Trouble> {
+    let rest = car.rest();
+    let brake = Jog {
+        esc_us: brake_us,
+        ..rest
+    };
+    let mut seen = Seen {
+        at_rest,
+        turned_round: false,
+        rolled_m: 0.0,
+        braked_m: 0.0,
+    };
+    for _ in 0..TIMES {
+        seen.rolled_m += slow_down(car, rest)?.0 / f64::from(TIMES);
+        let (way, turned_round) = slow_down(car, brake)?;
+        seen.braked_m += way / f64::from(TIMES);
+        seen.turned_round |= turned_round;
+    }
+    Ok(seen)
+}
+
+/// Turns the motor, then gives the other pulse; the way to standstill, m, and whether
 /// the wheels turned round.
 fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
     let rest = car.rest();
     let deadband_us = car.bench().configuration().board.esc.deadband_us;
-    let Some(drive) = car.spin(deadband_us + 4)? else {
-        return Err(never_turned(super::car::JOG_LIMIT_US));
+    let Some(drive) = car.spin_at(FROM_M_S, deadband_us + 4)? else {
+        return Err(never_turned(JOG_LIMIT_US));
     };
-    let speed = mean_speed(&car.hold(drive, 0.4, "turning")?);
-    let begin = car.now()?;
+    car.hold(drive, 0.3, "turning")?;
     let mut slow_since: Option<Time> = None;
+    let mut slowest = f64::INFINITY;
+    let mut turned_round = false;
     // Long enough for an ESC that drives backward at once, and no longer than a motor that
     // stands may be driven.
     let readings = car.hold_until(after, 0.9, "slowing down", |reading| {
         let now = reading.motor_speed.abs();
-        if now > SLOW {
+        slowest = slowest.min(now);
+        if now > 1.5 * slowest + TURNED {
+            turned_round = true;
+            return true;
+        }
+        if now > CREEPS {
             slow_since = None;
             return false;
         }
@@ -178,20 +214,5 @@ fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
         reading.receive.seconds_since(since) > 0.3
     })?;
     car.hold_until_standing(rest, 0.8)?;
-    let half = |reading: &&BoardReading| reading.motor_speed.abs() < speed / 2.0;
-    let slowed_s = readings
-        .iter()
-        .find(half)
-        .map_or(0.9, |reading| reading.receive.seconds_since(begin));
-    Ok((slowed_s, turns_round(&readings)))
-}
-
-/// Whether the wheels slowed down and then turned faster again.
-fn turns_round(readings: &[BoardReading]) -> bool {
-    let mut slowest = f64::INFINITY;
-    readings.iter().any(|reading| {
-        let speed = reading.motor_speed.abs();
-        slowest = slowest.min(speed);
-        speed > 1.5 * slowest + TURNED
-    })
+    Ok((way(&readings), turned_round))
 }

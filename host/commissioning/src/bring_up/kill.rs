@@ -1,7 +1,7 @@
 //! The kill, before anything turns for another reason.
 
 use super::{
-    car::{JOG_LIMIT_US, Outcome, Trouble, armed, ask, ask_yes, conclude, failed, mean_speed},
+    car::{Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
     questions,
 };
 use crate::{Bench, BoardReading, Finding, Interrupted};
@@ -76,51 +76,32 @@ fn by_hand(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         ));
     }
     ask(bench, &questions::cut_supply())?;
-    let rolled_s = armed(bench, |car| {
-        let Some(jog) = car.spin(FROM_US)? else {
-            return Err(never_turned(JOG_LIMIT_US));
-        };
-        let before = car.hold(jog, 0.3, "cut the supply")?;
-        let speed = mean_speed(&before);
-        let begin = car.now()?;
-        let readings = car.hold_until(jog, CUT_WITHIN_S, "cut the supply", |reading| {
-            reading.motor_speed == 0.0
-        });
-        match readings {
-            Ok(readings) => Ok(roll_down(&readings, speed).filter(|_| {
-                readings
-                    .last()
-                    .is_some_and(|reading| reading.motor_speed == 0.0)
-            })),
-            // The board takes a motor that does not turn for one without a sensor.
-            Err(Trouble::Ended { .. }) if car.board.is_some_and(|b| b.motor_speed == 0.0) => {
-                Ok(Some(car.now()?.seconds_since(begin)))
-            }
-            Err(trouble) => Err(trouble),
-        }
+    let spun = armed(bench, |car| {
+        car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
     })?;
     ask(bench, &questions::restore_supply())?;
-    match rolled_s {
-        Some(rolled_s) => Ok(Outcome::good(format!(
-            "without its supply the motor came to rest within {rolled_s:.1} s, with the pulse \
-             still driving it"
-        ))),
-        None => Err(failed(
+    if !spun.stopped_under_drive() {
+        return Err(failed(
             format!("the motor turned on for {CUT_WITHIN_S} s: the kill does not cut it"),
             NONE,
-        )),
+        ));
     }
+    Ok(Outcome::good(format!(
+        "without its supply the motor came to rest within {:.1} s, with the pulse still driving it",
+        roll_down(&spun.readings, spun.fastest())
+    )))
 }
 
 /// Time from the last telemetry with nine tenths of the speed to rest, s.
-fn roll_down(readings: &[BoardReading], speed: f64) -> Option<f64> {
-    let end = readings.last()?.receive;
+fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
     let begin = readings
         .iter()
         .rev()
-        .find(|reading| reading.motor_speed.abs() >= 0.9 * speed)?
-        .receive;
-    Some(end.seconds_since(begin))
+        .find(|reading| reading.motor_speed.abs() >= 0.9 * speed);
+    match (begin, readings.last()) {
+        (Some(begin), Some(end)) => end.receive.seconds_since(begin.receive),
+        _ => 0.0,
+    }
 }
 
 /// The motor does not turn.

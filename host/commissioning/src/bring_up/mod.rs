@@ -20,80 +20,63 @@ mod stand;
 mod steering;
 mod stops;
 
-use crate::Step;
+use crate::{Bench, Finding, Interrupted, Step};
 
 /// The steps, with the ESC watched at neutral for a minute in each order, which finds what
 /// only sometimes turns.
+pub const STEPS: &[Step] = &steps_with::<60>();
+
+/// [`STEPS`].
 #[must_use]
-pub fn steps() -> Vec<Step> {
-    steps_with::<60>()
+pub const fn steps() -> &'static [Step] {
+    STEPS
 }
 
 /// The steps, with the ESC watched at neutral for so many seconds.
 #[must_use]
-pub fn steps_with<const NEUTRAL_S: u32>() -> Vec<Step> {
-    let step = |name, title, essential, run| Step {
-        name,
-        title,
-        essential,
-        run,
-    };
-    vec![
-        step(stand::NAME, "The car on its stand", true, stand::run),
-        step(kill::NAME, "The kill of the ESC's supply", true, kill::run),
+pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
+    [
+        step(stand::NAME, "The car on its stand", stand::run),
+        step(kill::NAME, "The kill of the ESC's supply", kill::run),
         step(
             neutral::NAME,
             "The ESC at neutral",
-            true,
             neutral::run::<NEUTRAL_S>,
         ),
         step(
             steering::DIRECTION,
             "Direction of the servo",
-            true,
             steering::direction,
         ),
-        step(
-            steering::CENTRE,
-            "Centre of the servo",
-            true,
-            steering::centre,
-        ),
-        step(
-            steering::STOPS,
-            "End stops of the servo",
-            true,
-            steering::stops,
-        ),
-        step(steering::GAIN, "Gain of the servo", true, steering::gain),
-        step(
-            motor::DIRECTION,
-            "Direction of the motor",
-            true,
-            motor::direction,
-        ),
-        step(
-            motor::MAP,
-            "Deadband and speeds of the motor",
-            true,
-            motor::map,
-        ),
+        step(steering::CENTRE, "Centre of the servo", steering::centre),
+        step(steering::STOPS, "End stops of the servo", steering::stops),
+        step(steering::GAIN, "Gain of the servo", steering::gain),
+        step(motor::DIRECTION, "Direction of the motor", motor::direction),
+        step(motor::MAP, "Deadband and speeds of the motor", motor::map),
         step(
             esc_kind::NAME,
             "What a pulse below neutral does",
-            true,
             esc_kind::run,
         ),
-        step(stops::SILENCE, "Stop: no more jogs", true, stops::silence),
-        step(stops::DISARM, "Stop: disarm", true, stops::disarm),
-        step(stops::SWITCH, "Stop: the stop switch", true, stops::switch),
-        step(stops::RESET, "Stop: reset of the board", true, stops::reset),
-        step(stops::UNPLUG, "Stop: the cable", true, stops::unplug),
-        step(
-            stops::EMERGENCY,
-            "Stop: emergency stop",
-            true,
-            stops::emergency,
-        ),
+        step(stops::SILENCE, "Stop: no more jogs", stops::silence),
+        step(stops::DISARM, "Stop: disarm", stops::disarm),
+        step(stops::SWITCH, "Stop: the stop switch", stops::switch),
+        step(stops::RESET, "Stop: reset of the board", stops::reset),
+        step(stops::UNPLUG, "Stop: the cable", stops::unplug),
+        step(stops::EMERGENCY, "Stop: emergency stop", stops::emergency),
     ]
+}
+
+const fn step(
+    name: &'static str,
+    title: &'static str,
+    run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
+) -> Step {
+    Step {
+        name,
+        title,
+        // Nothing is worth trying on a car on which this failed.
+        essential: true,
+        run,
+    }
 }

@@ -1,26 +1,27 @@
 //! The motor: direction, deadband on both sides of neutral, feed-forward.
 //!
-//! The deadband is that of board.esc.deadband_us: the band of pulses in which the wheels
+//! The deadband is that of `board.esc.deadband_us`: the band of pulses in which the wheels
 //! stand, with what the ESC ignores and what the drive train holds. Its edges come from the
 //! speeds beyond it: a slow wheel gives too few pulses to tell one that stands from one that
 //! creeps.
 
 use singletrack_control::Time;
+use singletrack_protocol::StopCause;
 
 use super::{
     car::{
         Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask_word, beyond, change, conclude, failed,
-        mean_speed,
+        mean_speed, way,
     },
     kill::never_turned,
     questions::{self, WAYS},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter,
+    Bench, Finding, Interrupted, Interval, Jog, Parameter,
     fit::{
-        least_squares,
+        least_squares, mean,
         speed_curve::{SpeedCurve, fit_speed_curve},
-        student_quantile,
+        standard_deviation, student_quantile,
     },
 };
 
@@ -40,6 +41,18 @@ const FASTEST: f64 = 0.75;
 /// Wanted change of the speed from one level to the next, m/s.
 const STEP: f64 = 0.09;
 
+/// Step of the search for the slowest speed, us.
+const SLOWER_US: u16 = 4;
+
+/// Slope of speed over pulse that is reckoned with before it is known.
+const STEEPEST_M_S_PER_US: f64 = 0.016;
+
+/// The longest time between two pulses of a motor that turns slowly, s.
+const PULSE_WITHIN_S: f64 = 0.35;
+
+/// Most levels on one way.
+const MOST_LEVELS: usize = 24;
+
 /// Time for which the motor is driven without a rest, s. The board allows 10.
 const DRIVEN_S: f64 = 5.0;
 
@@ -56,6 +69,17 @@ const CHARGE: f64 = 0.06;
 /// What a drive train holds beyond the band that the ESC ignores, us, where only the ESC's own
 /// edge is seen on the other side: from nothing to twice this.
 const HELD_US: f64 = 5.0;
+
+/// What the middle of the standing band may differ from a configured neutral at which the wheels
+/// stand, us.
+const NEUTRAL_US: f64 = 20.0;
+
+/// What the edge of a brake is known to, us, besides its scatter: ESCs do not begin to brake at
+/// a microsecond.
+const BRAKE_US: f64 = 6.0;
+
+/// Time from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
+const LATE_S: f64 = 0.06;
 
 /// The widest band that an ESC ignores, to one side, us.
 const WIDEST_US: f64 = 60.0;
@@ -81,7 +105,10 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     });
     let turned = match turned {
         // The motor may turn while its sensor does not count.
-        Err(Trouble::Ended { cause, .. }) if cause.name() == "motor-sensor" => None,
+        Err(Trouble::Ended {
+            cause: StopCause::MotorSensor,
+            ..
+        }) => None,
         turned => turned?,
     };
     let seen = ask_word(bench, &questions::driven_wheels(), WAYS)?;
@@ -154,9 +181,11 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             let half = upper.half_width().hypot(edge.half_width()) / 2.0;
             let middle = f64::midpoint(upper.value - HELD_US, -edge.value);
             let neutral = Interval::around(middle, half).widened(HELD_US / 2.0);
+            // The wheels stood at the configured neutral: it is about right.
+            let neutral = with_prior(neutral, NEUTRAL_US);
             (
                 neutral,
-                Interval::around(upper.value - middle, half).widened(HELD_US / 2.0),
+                neutral.scaled(-1.0).shifted(upper.value),
                 "turns forward, brakes below neutral",
             )
         }
@@ -247,6 +276,13 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ]))
 }
 
+/// With a value of zero that is known before to ±`bound` in 95 of 100 cases.
+fn with_prior(measured: Interval, bound: f64) -> Interval {
+    let weight = measured.half_width().powi(-2);
+    let sum = weight + bound.powi(-2);
+    Interval::around(measured.value * weight / sum, sum.sqrt().recip())
+}
+
 /// The settled speeds on one side of neutral; nothing if the wheels do not turn there.
 fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble> {
     let Some(first) = car.first_turn(forward, FROM_US)? else {
@@ -270,12 +306,32 @@ fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble
 /// Pulses beyond neutral and their settled speeds, up and down again.
 fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>, Trouble> {
     let rest = car.rest();
-    let mut offset_us = rest.esc_us.abs_diff(first.esc_us);
+    let begin_us = rest.esc_us.abs_diff(first.esc_us);
     let mut since = car.now()?;
-    let mut levels = Vec::new();
-    let mut last: Option<(u16, f64)> = None;
-    let mut way_up = Vec::new();
-    while offset_us <= JOG_LIMIT_US && way_up.len() < 24 {
+    let mut levels: Vec<[f64; 2]> = Vec::new();
+    // The first turn may be well beyond the edge: the pulses are far apart, or the step large.
+    // The board ends a jog without a pulse for 0.6 s.
+    let pulse_m = f64::from(car.bench().configuration().board.speed.pulse_distance_um) * 1e-6;
+    let slowest = SLOWEST.max(pulse_m / PULSE_WITHIN_S);
+    let mut slowest_us = begin_us;
+    let mut drop = STEEPEST_M_S_PER_US * f64::from(SLOWER_US);
+    loop {
+        let speed = settled(car, &mut since, forward, slowest_us)?;
+        if let Some([_, before]) = levels.last() {
+            drop = before - speed;
+        }
+        if speed >= SLOWEST {
+            levels.push([slowest_us.into(), speed]);
+        }
+        if speed - drop < slowest || slowest_us < SLOWER_US + 4 {
+            break;
+        }
+        slowest_us -= SLOWER_US;
+    }
+    let mut offset_us = begin_us + SLOWER_US;
+    let mut last: Option<(u16, f64)> = levels.first().map(|[_, speed]| (begin_us, *speed));
+    let mut way_up = vec![begin_us];
+    while offset_us <= JOG_LIMIT_US && way_up.len() < MOST_LEVELS {
         let speed = settled(car, &mut since, forward, offset_us)?;
         if speed >= SLOWEST {
             levels.push([offset_us.into(), speed]);
@@ -287,9 +343,9 @@ fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>,
         let step_us = match last {
             Some((before_us, before)) if speed > before => {
                 let per_us = (speed - before) / f64::from(offset_us - before_us);
-                (STEP.min(0.9 - speed) / per_us).floor().clamp(2.0, 16.0) as u16
+                (STEP.min(0.9 - speed) / per_us).floor().clamp(2.0, 14.0) as u16
             }
-            _ => 4,
+            _ => SLOWER_US,
         };
         last = Some((offset_us, speed));
         offset_us += step_us;
@@ -324,42 +380,41 @@ fn settled(
     Ok(mean_speed(&car.hold(jog, MEASURE_S, "measuring")?))
 }
 
-/// Pulse below neutral beyond which a turning motor is braked, us, from how much faster it
+/// Pulse below neutral beyond which a turning motor is braked, us, from how much harder it
 /// slows down the farther below neutral the pulse is.
 fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>, Trouble> {
     /// Pulses below neutral, us. A steady brake grows with them.
-    const PULSES_US: [u16; 7] = [30, 40, 50, 60, 70, 80, 90];
-    let mut slowing = |offset_us: u16| {
-        let speed_us = ahead.pulse(0.7).round().clamp(0.0, 150.0) as u16;
-        slows_down(car, speed_us, offset_us)
-    };
-    let free = [slowing(0)?, slowing(0)?];
-    let [Some(first), Some(second)] = free else {
-        return Ok(None);
-    };
-    let free = f64::midpoint(first, second);
+    const PULSES_US: [u16; 8] = [35, 50, 65, 80, 95, 110, 125, 140];
+    let ahead_us = ahead.pulse(FASTEST).round().clamp(0.0, 150.0) as u16;
+    let mut free = Vec::new();
     let mut braked = Vec::new();
-    for offset_us in PULSES_US.into_iter().chain(PULSES_US.into_iter().rev()) {
-        if let Some(deceleration) = slowing(offset_us)? {
-            // What differs from rolling only by its own scatter is not braked.
-            if deceleration - free > 0.25 + 3.0 * (first - second).abs() {
-                braked.push((deceleration - free, f64::from(offset_us)));
-            }
+    for _ in 0..2 {
+        free.extend(slows_down(car, ahead_us, 0)?);
+        for offset_us in PULSES_US {
+            let slowing = slows_down(car, ahead_us, offset_us)?;
+            braked.extend(slowing.map(|slowing| (slowing, f64::from(offset_us))));
         }
+        free.extend(slows_down(car, ahead_us, 0)?);
     }
-    let Some(fit) = least_squares(braked.iter().map(|(by, at)| ([1.0, *by], *at))) else {
+    let (Some(rolling), Some(scatter)) = (mean(&free), standard_deviation(&free)) else {
         return Ok(None);
     };
+    // What differs from rolling by no more than that scatters is not braked.
+    braked.retain(|(slowing, _)| slowing - rolling > 0.15 * rolling + 3.0 * scatter);
+    let rows = braked
+        .iter()
+        .map(|(slowing, at)| ([1.0, slowing - rolling], *at));
     let freedom = braked.len().saturating_sub(2);
-    if freedom < 3 || fit.parameters[1] <= 0.0 {
-        return Ok(None);
-    }
-    let half = student_quantile(freedom) * fit.standard_errors[0];
-    // Edges of an ESC are not sharp to a microsecond.
-    Ok(Some(Interval::around(fit.parameters[0], half).widened(2.0)))
+    Ok(least_squares(rows)
+        .filter(|fit| freedom >= 3 && fit.parameters[1] > 0.0)
+        .map(|fit| {
+            let half = student_quantile(freedom) * fit.standard_errors[0];
+            Interval::around(fit.parameters[0], half).widened(BRAKE_US)
+        }))
 }
 
-/// How fast the wheels slow down at this pulse below neutral, m/s².
+/// How hard the wheels slow down at this pulse below neutral, m/s²: by their way to
+/// standstill, less what they do before the ESC has acted.
 fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option<f64>, Trouble> {
     let rest = car.rest();
     car.hold_until_standing(rest, 0.8)?;
@@ -367,32 +422,19 @@ fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option
         esc_us: beyond(rest.esc_us, ahead_us, true),
         ..rest
     };
-    car.hold(drive, 1.2, "turning")?;
-    let begin = car.now()?;
+    let readings = car.hold(drive, 1.2, "turning")?;
+    let speed = mean_speed(&readings[readings.len() / 2..]);
     let slow = Jog {
         esc_us: beyond(rest.esc_us, offset_us, false),
         ..rest
     };
-    let readings = car.hold(slow, 0.4, "slowing down")?;
-    let line = |reading: &BoardReading| {
-        let at = reading.receive.seconds_since(begin);
-        (at > 0.08 && reading.motor_speed.abs() > 0.15)
-            .then_some(([1.0, at], reading.motor_speed.abs()))
-    };
-    let fit = least_squares(
-        readings
-            .iter()
-            .map_while(|reading| {
-                let early = reading.receive.seconds_since(begin) <= 0.08;
-                if early {
-                    Some(None)
-                } else {
-                    line(reading).map(Some)
-                }
-            })
-            .flatten(),
-    );
-    Ok(fit
-        .filter(|fit| fit.count >= 4)
-        .map(|fit| -fit.parameters[1]))
+    // Shorter than what the board takes for a dead sensor, if the wheels stand at once.
+    let mut all = car.hold(slow, 0.5, "slowing down")?;
+    if all.last().is_some_and(|last| last.motor_speed != 0.0) {
+        all.extend(car.hold_until(rest, 4.0, "slowing down", |reading| {
+            reading.motor_speed == 0.0
+        })?);
+    }
+    let rolled = way(&all) - speed * LATE_S;
+    Ok((speed > 0.2 && rolled > 0.0).then(|| speed * speed / (2.0 * rolled)))
 }

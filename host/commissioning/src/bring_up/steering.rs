@@ -30,6 +30,9 @@ const CENTRE_ANSWERS: u32 = 40;
 /// What an eye takes for straight on, besides what is seen as straight: 1.5 degrees, rad.
 const EYE_RAD: f64 = 0.026;
 
+/// The default of `limits.max_steering_rad`.
+const USUAL_STEERING_RAD: f64 = 0.45;
+
 /// The nominal gain may be so far below the true one.
 const GAIN_UNKNOWN: f64 = 1.3;
 
@@ -155,8 +158,8 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     if sign == believed {
         return Ok(Outcome::good(found));
     }
-    let gain = i64::from(servo.gain_us_per_rad) * -1;
-    change(bench, &[("board.servo.gain_us_per_rad", gain.into())])?;
+    let gain = -i64::from(servo.gain_us_per_rad);
+    change_servo(bench, &[("board.servo.gain_us_per_rad", gain)])?;
     Ok(Outcome::warning(
         format!("{found}; board.servo.gain_us_per_rad had the other sign"),
         "None: its sign was changed.",
@@ -241,13 +244,13 @@ fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let half = EYE_RAD * gain + play / 2.0 + f64::from(CENTRE_STEPS_US[3]) / 2.0;
     let centre_us = limited(servo.min_us, servo.max_us, centre.round() as i32);
     turn_to(bench, centre_us)?;
-    let key = ("board.servo.centre_us", i64::from(centre_us).into());
-    change(bench, std::slice::from_ref(&key))?;
+    let key = ("board.servo.centre_us", i64::from(centre_us));
+    change_servo(bench, &[key])?;
     let parameter = Parameter {
         name: "servo-centre",
         unit: "us",
         estimate: Interval::around(centre, half),
-        key: Some(key),
+        key: Some((key.0, key.1.into())),
     };
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
@@ -278,7 +281,7 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
-    let mut touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
+    let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
         let pulse_us = limited(servo.min_us, servo.max_us, pulse);
         let back = limited(servo.min_us, servo.max_us, i32::midpoint(centre, pulse));
         armed(bench, |car| {
@@ -330,12 +333,12 @@ fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         ));
     }
     let keys = [
-        ("board.servo.min_us", i64::from(min).into()),
-        ("board.servo.max_us", i64::from(max).into()),
+        ("board.servo.min_us", i64::from(min)),
+        ("board.servo.max_us", i64::from(max)),
     ];
-    change(bench, &keys)?;
+    change_servo(bench, &keys)?;
     let [min_key, max_key] = keys;
-    let parameter = |name, free: i32, stop: Option<i32>, key| {
+    let parameter = |name, free: i32, stop: Option<i32>, key: (&'static str, i64)| {
         let free = f64::from(free);
         let stop = stop.map_or(free, f64::from);
         Parameter {
@@ -346,7 +349,7 @@ fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
                 low: free.min(stop),
                 high: free.max(stop),
             },
-            key: Some(key),
+            key: Some((key.0, key.1.into())),
         }
     };
     let said = |stop: Option<i32>| match stop {
@@ -412,13 +415,13 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     if !(50.0..=5_000.0).contains(&rounded.abs()) {
         return Err(unread());
     }
-    let key = ("board.servo.gain_us_per_rad", (rounded as i64).into());
-    change(bench, std::slice::from_ref(&key))?;
+    let key = ("board.servo.gain_us_per_rad", rounded as i64);
+    change_servo(bench, &[key])?;
     let parameter = Parameter {
         name: "servo-gain",
         unit: "us/rad",
         estimate: gain,
-        key: Some(key),
+        key: Some((key.0, key.1.into())),
     };
     let found = format!(
         "{:.0} us/rad, {:.0} to {:.0}; the readings scatter by {:.1} degrees and say straight on \
@@ -430,11 +433,58 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         straight.value
     );
     let outcome = if scatter > 0.07 {
-        Outcome::warning(found, "Read the angles again: `--again servo-gain`.")
+        Outcome::warning(
+            found,
+            "Read the angles again: run the bring-up with --again.",
+        )
     } else {
         Outcome::good(found)
     };
     Ok(outcome.with(vec![parameter]))
+}
+
+/// Puts values of the servo in force, and lowers the steering limit to what they reach.
+fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result<(), Trouble> {
+    let config = bench.configuration();
+    let servo = config.board.servo;
+    let limit = config.limits.max_steering_rad;
+    let new = |key: &str, old: i64| {
+        let value = values.iter().find(|(name, _)| name.ends_with(key));
+        value.map_or(old, |(_, value)| *value) as f64
+    };
+    let reach = |centre: f64, gain: f64, min: f64, max: f64| {
+        let rad = (centre - min).min(max - centre) / gain.abs();
+        // Written with three digits.
+        (rad * 1e3).floor() / 1e3
+    };
+    let before = reach(
+        servo.centre_us.into(),
+        servo.gain_us_per_rad.into(),
+        servo.min_us.into(),
+        servo.max_us.into(),
+    );
+    let after = reach(
+        new("centre_us", servo.centre_us.into()),
+        new("gain_us_per_rad", servo.gain_us_per_rad.into()),
+        new("min_us", servo.min_us.into()),
+        new("max_us", servo.max_us.into()),
+    );
+    // A limit that an earlier step lowered may rise again with the gain.
+    let is_lowered = (limit - before).abs() < 1e-9;
+    let wanted = if is_lowered {
+        limit.max(USUAL_STEERING_RAD)
+    } else {
+        limit
+    };
+    let limited = wanted.min(after);
+    let mut changed: Vec<(&str, toml_edit::Value)> = values
+        .iter()
+        .map(|(key, value)| (*key, (*value).into()))
+        .collect();
+    if (limited - limit).abs() > 1e-9 {
+        changed.push(("limits.max_steering_rad", limited.into()));
+    }
+    change(bench, &changed)
 }
 
 fn limited(min_us: u16, max_us: u16, pulse: i32) -> u16 {

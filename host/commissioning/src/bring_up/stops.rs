@@ -10,7 +10,8 @@ use singletrack_protocol::BoardMode;
 
 use super::{
     car::{
-        Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask, ask_word, conclude, failed, mean_speed,
+        Car, JOG_LIMIT_US, Outcome, Spun, Trouble, armed, ask, ask_word, conclude, failed,
+        mean_speed,
     },
     kill::never_turned,
     questions::{self, STOPS},
@@ -195,27 +196,25 @@ fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             ..Outcome::good("board.stop_input is false: there is no stop switch")
         });
     }
-    let stop = by_hand(bench, &questions::open_switch(), |car, jog, speed| {
-        let begin = car.now()?;
-        let held = car.hold_until(jog, HAND_S, "press the stop switch", |reading| {
-            reading.mode == BoardMode::EmergencyStopped
-        });
-        match held {
-            Err(Trouble::Ended { .. }) => {}
-            Err(trouble) => return Err(trouble),
-            Ok(_) => {
-                return Err(failed(
-                    format!("the board did not notice a stop switch within {HAND_S:.0} s"),
-                    "Check the switch and its wire (D4 to ground, normally closed): docs/uno.md.",
-                ));
-            }
-        }
-        let mut readings: Vec<BoardReading> = car.board.into_iter().collect();
-        readings.extend(car.watch(WATCHED_S, "stopping")?);
-        // The board's mode and its pulse are of the same record: the hand has no time.
-        let noticed = readings.first().map_or(begin, |reading| reading.receive);
-        Ok(evaluate(car, &readings, noticed, speed))
-    })?;
+    ask(bench, &questions::open_switch())?;
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let spun = spin_for_hand(&mut car, "press the stop switch")?;
+    let first = car.board;
+    if !first.is_some_and(|reading| reading.mode == BoardMode::EmergencyStopped) {
+        return Err(failed(
+            format!("the board did not notice a stop switch within {HAND_S:.0} s"),
+            "Check the switch and its wire (D4 to ground, normally closed): docs/uno.md.",
+        ));
+    }
+    let mut readings: Vec<BoardReading> = first.into_iter().collect();
+    // The board's mode and its pulse are of the same record: the hand has no time.
+    let noticed = match first {
+        Some(reading) => reading.receive,
+        None => car.now()?,
+    };
+    readings.extend(car.watch(WATCHED_S, "stopping")?);
+    let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
     ask(bench, &questions::close_switch())?;
     stop.outcome(SWITCH, PULSE_WITHIN_S)
 }
@@ -254,21 +253,14 @@ fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
     }
 }
 
-/// Asks for an action, turns the motor, and watches.
-fn by_hand<T>(
-    bench: &mut dyn Bench,
-    question: &Question,
-    mut action: impl FnMut(&mut Car<'_>, Jog, f64) -> Result<T, Trouble>,
-) -> Result<T, Trouble> {
-    ask(bench, question)?;
-    let mut car = Car::look(bench)?;
-    car.arm()?;
-    let (jog, speed) = turn(&mut car)?;
-    action(&mut car, jog, speed)
+/// Turns the motor until a hand stops it.
+fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
+    let deadband_us = car.bench().configuration().board.esc.deadband_us;
+    car.spin_for_hand(deadband_us + 4, HAND_S, what)
 }
 
 pub(super) fn reset(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = unheard(bench, &questions::press_reset(), None);
+    let outcome = unheard(bench, &questions::reset_at_speed(), None);
     conclude(
         bench,
         RESET,
@@ -293,18 +285,18 @@ fn unheard(
     question: &Question,
     after: Option<Question>,
 ) -> Result<Outcome, Trouble> {
-    by_hand(bench, question, |car, jog, _| {
-        match car.hold(jog, HAND_S, "now, by hand") {
-            Err(Trouble::Ended { .. }) => Ok(()),
-            Err(trouble) => Err(trouble),
-            // The daemon may not have noticed yet that the line is dead.
-            Ok(_) if car.is_silent_for(0.2)? => Ok(()),
-            Ok(_) => Err(failed(
-                format!("the board went on for {HAND_S:.0} s: nothing was done by hand"),
-                "Run the bring-up again.",
-            )),
-        }
-    })?;
+    ask(bench, question)?;
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let spun = spin_for_hand(&mut car, "now, by hand")?;
+    if spun.ended.is_none() {
+        return Err(failed(
+            format!("the board went on for {HAND_S:.0} s: nothing was done by hand"),
+            "Run the bring-up again.",
+        ));
+    }
+    // What the wheels do now is for the operator to see.
+    car.watch(2.0, "stopping")?;
     let seen = ask_word(bench, &questions::stopped_how(), STOPS);
     if let Some(after) = after {
         ask(bench, &after)?;
@@ -313,7 +305,7 @@ fn unheard(
     Car::wait_for_board(bench)?;
     match seen? {
         "at-once" => Ok(Outcome::good("the motor stopped at once, by eye")),
-        "late" => Err(failed(
+        "late" => Ok(Outcome::warning(
             "the motor drove on for a while without pulses",
             ESC_HOLDS,
         )),

@@ -150,13 +150,15 @@ pub(super) fn turn_right_about_rear_axle() -> Question {
     )
 }
 
-/// The operator rolls the car straight forward by two metres, or as far as the cameras see, at
-/// about 0.3 m/s, on all wheels and without a push to the side.
+/// The operator rolls the car straight forward by two metres (1.5 m at least), at about 0.4 m/s,
+/// on all wheels and without a push to the side, in stretches of half a metre with a pause of a
+/// second after each: the board takes wheels that turn for longer for a motor that runs.
 pub(super) fn roll_forward() -> Question {
     begin(
         "roll-forward",
         "Put the car where the cameras see the next two metres in front of it, wheels straight. \
-         Press Enter, then roll it forward by two metres, or as far as there is room, in about \
-         six seconds. Push it from behind, not to the side.",
+         Press Enter, then roll it forward by two metres, in stretches of half a metre that take a \
+         second or two each, with a pause of a second between them: wheels that turn for longer \
+         count as a motor that runs. Push from behind, not to the side.",
     )
 }

@@ -7,6 +7,8 @@
 //! passes have in common is added as a stated systematic part.
 
 mod body;
+mod body_in_bends;
+mod delay;
 mod drive_train;
 mod gauss_newton;
 mod least_squares;
@@ -16,7 +18,9 @@ pub(crate) mod steering;
 mod track;
 mod wheels;
 
-pub use body::{Body, body};
+pub use body::{FloorPose, Rolled, rolled, turned_about};
+pub use body_in_bends::{Body, body};
+pub use delay::{Delay, stamp_delay};
 pub use drive_train::{DriveTrain, deceleration, drive_train, stop};
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};

@@ -4,7 +4,7 @@
 //! beyond the edge: a line that bends. Its inverse `x = a v / (1 - w v)` has two parameters
 //! that enter linearly, the edge and `a = 1 / g`, and the bend `w`, which is searched.
 
-use super::{least_squares, student_quantile};
+use super::{LeastSquares, least_squares, student_quantile};
 use crate::Interval;
 
 /// Highest bend that is searched, s/m: speeds reach 0.9 m/s, and 1/w is the highest of all.
@@ -12,6 +12,11 @@ const MAX_BEND: f64 = 0.8;
 
 /// Steps of the search.
 const BENDS: u32 = 160;
+
+/// The bend of drive trains, and its standard deviation, s/m: what is known before. Without it
+/// slow speeds alone, or few, say nothing of the edge.
+const USUAL_BEND: f64 = 0.25;
+const BEND_SPREAD: f64 = 0.2;
 
 /// What a pulse rounds to: the least scatter that is believed, us.
 const LEAST_SCATTER_US: f64 = 0.3;
@@ -40,7 +45,7 @@ fn bent(speed: f64, bend: f64) -> f64 {
     speed / (1.0 - bend * speed)
 }
 
-/// Fits settled speeds, each with its pulse beyond neutral in us and in m/s, both positive.
+/// Fits settled speeds, each after its pulse beyond neutral, in us and m/s, both positive.
 ///
 /// `systematic_us` is what all of them may be off by: the wheels of some drive trains begin to
 /// turn later than they stop. The feed-forward is that at `at_speed`. `None` of fewer than five
@@ -57,11 +62,15 @@ pub(crate) fn fit_speed_curve(
             .map(move |[pulse, speed]| ([1.0, bent(*speed, bend)], *pulse));
         least_squares(rows).filter(|fit| fit.parameters[1] > 0.0)
     };
+    let unlikely = |(bend, fit): &(f64, LeastSquares<2>)| {
+        fit.count as f64 * (fit.residual / LEAST_SCATTER_US).powi(2)
+            + ((bend - USUAL_BEND) / BEND_SPREAD).powi(2)
+    };
     let (bend, fit) = (0..=BENDS)
         .map(|step| MAX_BEND * f64::from(step) / f64::from(BENDS))
         .filter(|bend| readings.iter().all(|[_, speed]| bend * speed < 0.95))
         .filter_map(|bend| Some((bend, of_bend(bend)?)))
-        .min_by(|(_, a), (_, b)| a.residual.total_cmp(&b.residual))?;
+        .min_by(|a, b| unlikely(a).total_cmp(&unlikely(b)))?;
     let [edge, slope] = fit.parameters;
     let scatter = fit.residual * (fit.count as f64 / freedom as f64).sqrt();
     // Linear around the solution, the bend with it.
@@ -69,8 +78,9 @@ pub(crate) fn fit_speed_curve(
         let by = bent(*speed, bend);
         [1.0, by, slope * by * by]
     });
-    let covariance = Covariance::of(columns)?;
-    let half = student_quantile(freedom) * scatter.max(LEAST_SCATTER_US);
+    let believed = scatter.max(LEAST_SCATTER_US);
+    let covariance = Covariance::of(columns, (believed / BEND_SPREAD).powi(2))?;
+    let half = student_quantile(freedom) * believed;
     let at = bent(at_speed, bend);
     let towards = [0.0, at / at_speed, slope * at * at / at_speed];
     Some(SpeedCurve {
@@ -88,8 +98,10 @@ pub(crate) fn fit_speed_curve(
 struct Covariance([[f64; 3]; 3]);
 
 impl Covariance {
-    fn of(columns: impl Iterator<Item = [f64; 3]> + Clone) -> Option<Self> {
+    /// `known` is the weight of what is known of the third.
+    fn of(columns: impl Iterator<Item = [f64; 3]>, known: f64) -> Option<Self> {
         let mut normal = [[0.0; 3]; 3];
+        normal[2][2] = known;
         for row in columns {
             for i in 0..3 {
                 for j in 0..3 {

@@ -105,9 +105,13 @@ impl Drives {
 }
 
 impl Ticket {
+    fn is_latest(&self) -> bool {
+        self.drives.0.number.load(Ordering::Acquire) == self.number
+    }
+
     /// Passes a request on if the drive is still the latest one.
     fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), String> {
-        if self.drives.0.number.load(Ordering::Acquire) != self.number {
+        if !self.is_latest() {
             return Ok(());
         }
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
@@ -247,6 +251,21 @@ fn ready(daemon: &DaemonHandle) -> Result<(), String> {
     Ok(())
 }
 
+/// Passes a request to jog on. There is nothing to judge: poses, geofence and reference do not
+/// matter.
+fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), String> {
+    let snapshot = daemon.snapshot();
+    if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
+        return Err(cannot_arm(snapshot.mode(), snapshot.reason()));
+    }
+    if daemon.drives.is_open(&snapshot) {
+        return Err("can't arm: another client has just armed".to_owned());
+    }
+    let ticket = daemon.drives.next();
+    ticket.push(daemon, PilotRequest::ArmJog)?;
+    Ok((ticket, DriveWatch::new()))
+}
+
 /// Renews a drive until `time` after it began to drive, then ends it.
 async fn renew(ticket: Ticket, daemon: DaemonHandle, time: Duration) {
     let mut watch = DriveWatch::new();
@@ -292,12 +311,36 @@ pub(super) async fn hold(
             return Ok(true);
         }
     };
-    let result = attend(read, write, daemon, &ticket, watch).await;
-    if !matches!(result, Ok(true)) {
-        // The client is gone, and the drive is not over.
-        let _ = ticket.push(daemon, PilotRequest::OperatorGone);
-    }
-    result
+    let drive = Attended {
+        ticket,
+        jogs: false,
+    };
+    attend(read, write, daemon, &drive, watch).await
+}
+
+/// Arms to jog, and passes pulses on for as long as the client gives them. Returns whether the
+/// connection is still open.
+pub(super) async fn jog(
+    read: &mut BufReader<OwnedReadHalf>,
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+) -> io::Result<bool> {
+    let (ticket, watch) = match begin_jogging(daemon) {
+        Ok(begun) => begun,
+        Err(error) => {
+            send(write, &failure(error)).await?;
+            return Ok(true);
+        }
+    };
+    let drive = Attended { ticket, jogs: true };
+    attend(read, write, daemon, &drive, watch).await
+}
+
+/// A drive that a connection holds.
+struct Attended {
+    ticket: Ticket,
+    /// The client gives pulses.
+    jogs: bool,
 }
 
 /// Returns when the client hangs up without having sent more; reads nothing.
@@ -315,7 +358,22 @@ async fn attend(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
-    ticket: &Ticket,
+    drive: &Attended,
+    watch: DriveWatch,
+) -> io::Result<bool> {
+    let result = serve_drive(read, write, daemon, drive, watch).await;
+    if !matches!(result, Ok(true)) {
+        // The client is gone, and the drive is not over.
+        let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
+    }
+    result
+}
+
+async fn serve_drive(
+    read: &mut BufReader<OwnedReadHalf>,
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+    drive: &Attended,
     mut watch: DriveWatch,
 ) -> io::Result<bool> {
     let mut line = Vec::new();
@@ -372,23 +430,29 @@ async fn attend(
             Ok(Command::Hold) => {
                 if renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL) {
                     renewed = Some(Instant::now());
-                    if let Err(error) = ticket.push(daemon, PilotRequest::Hold) {
+                    if let Err(error) = drive.ticket.push(daemon, PilotRequest::Hold) {
                         send(write, &failure(error)).await?;
                     }
+                }
+            }
+            Ok(Command::Jog(pulses)) if drive.jogs => {
+                if drive.ticket.is_latest() {
+                    daemon.jogs.send(pulses);
                 }
             }
             Ok(Command::Ask(question)) => {
                 send(write, &answer(question, daemon).await).await?;
             }
-            Ok(Command::Setpoint(setpoint)) => pass_setpoint(write, daemon, &setpoint).await?,
-            Ok(
-                Command::Arm(_)
-                | Command::SetReference(_)
-                | Command::Commissioned { .. }
-                | Command::Watch { .. },
-            ) => {
-                let error = "this connection holds a drive: it takes hold, status, disarm, stop \
-                             and setpoint";
+            Ok(Command::Setpoint(setpoint)) if !drive.jogs => {
+                pass_setpoint(write, daemon, &setpoint).await?;
+            }
+            Ok(_) => {
+                let error = if drive.jogs {
+                    "this connection jogs: it takes jog, hold, status, disarm and stop"
+                } else {
+                    "this connection holds a drive: it takes hold, status, disarm, stop and \
+                     setpoint"
+                };
                 send(write, &failure(error)).await?;
             }
             Err(error) => send(write, &failure(error)).await?,
@@ -478,6 +542,8 @@ mod tests {
                 reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
                 requests: ring,
                 setpoints: host.setpoints,
+                jogs: host.jogs,
+                config_path: None,
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked: false,

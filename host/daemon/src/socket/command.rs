@@ -8,6 +8,7 @@ use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
+use singletrack_pilot::Jog;
 use singletrack_record::Topic;
 
 /// The version of the protocol. Client and daemon must have the same one.
@@ -20,8 +21,16 @@ pub enum Command {
     Ask(Question),
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
     Arm(Arm),
+    /// Arm to jog, held by this connection; answered when the board takes pulses or can't be
+    /// armed.
+    ArmJog,
+    /// Pulses for servo and ESC while this connection jogs, which they renew; not answered.
+    Jog(Jog),
     /// Renews the drive that this connection holds; not answered.
     Hold,
+    /// Read the configuration's file again, answered by one line when it is in force or
+    /// refused.
+    Reload,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
@@ -67,6 +76,8 @@ pub enum Question {
     Status,
     /// Slow down, stop and disarm.
     Disarm,
+    /// Disarm at once: neutral without a ramp.
+    Halt,
     /// Emergency stop: neutral at once, until the board is reset.
     Stop,
 }
@@ -87,6 +98,10 @@ struct Line {
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
     time_ns: Option<u64>,
+    jog: Option<bool>,
+    servo_us: Option<u16>,
+    esc_us: Option<u16>,
+    at_once: Option<bool>,
 }
 
 /// The shortest and the longest time of a timed drive, s.
@@ -117,12 +132,27 @@ impl Command {
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
-            "arm" => Self::Arm(Arm {
-                uncalibrated: line.uncalibrated.take().unwrap_or(false),
-                attendance: line.take_attendance()?,
-            }),
+            "arm" => {
+                let jogs = line.jog.take().unwrap_or(false);
+                let uncalibrated = line.uncalibrated.take().unwrap_or(false);
+                match line.take_attendance()? {
+                    Attendance::Hold if jogs => Self::ArmJog,
+                    _ if jogs => {
+                        return Err("jogging must be held: \"attendance\":\"hold\"".to_owned());
+                    }
+                    attendance => Self::Arm(Arm {
+                        attendance,
+                        uncalibrated,
+                    }),
+                }
+            }
             "hold" => Self::Hold,
-            "disarm" => Self::Ask(Question::Disarm),
+            "jog" => Self::Jog(line.take_jog()?),
+            "reload" => Self::Reload,
+            "disarm" => match line.at_once.take() {
+                Some(true) => Self::Ask(Question::Halt),
+                Some(false) | None => Self::Ask(Question::Disarm),
+            },
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {
                 let missing = "set-reference needs a reference, such as {\"kind\":\"circle\",\
@@ -142,7 +172,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, disarm, stop, set-reference, setpoint, commissioned or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
                 ));
             }
         };
@@ -198,6 +228,13 @@ impl Line {
         })
     }
 
+    fn take_jog(&mut self) -> Result<Jog, String> {
+        match (self.servo_us.take(), self.esc_us.take()) {
+            (Some(servo_us), Some(esc_us)) => Ok(Jog { servo_us, esc_us }),
+            _ => Err("jog needs servo_us and esc_us, such as 1500 and 1500".to_owned()),
+        }
+    }
+
     fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
         let velocity = self
             .velocity_m_s
@@ -234,6 +271,10 @@ impl Line {
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
             ("position_m", self.position_m.is_some(), "setpoint"),
             ("time_ns", self.time_ns.is_some(), "setpoint"),
+            ("jog", self.jog.is_some(), "arm"),
+            ("servo_us", self.servo_us.is_some(), "jog"),
+            ("esc_us", self.esc_us.is_some(), "jog"),
+            ("at_once", self.at_once.is_some(), "disarm"),
         ] {
             if is_there {
                 return Err(format!(
@@ -300,6 +341,10 @@ mod tests {
                 "arm takes no topics; only watch does",
             ),
             (
+                r#"{"version":2,"command":"stop","at_once":true}"#,
+                "stop takes no at_once; only disarm does",
+            ),
+            (
                 r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
                 "ticks",
             ),
@@ -356,6 +401,34 @@ mod tests {
                 "position_m",
             ),
             (
+                r#"{"version":2,"command":"arm","attendance":"unattended","jog":true}"#,
+                "jogging must be held",
+            ),
+            (
+                r#"{"version":2,"command":"arm","jog":true}"#,
+                "arm needs an attendance",
+            ),
+            (
+                r#"{"version":2,"command":"hold","jog":true}"#,
+                "hold takes no jog; only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500}"#,
+                "jog needs servo_us and esc_us",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":-1,"esc_us":1500}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":65536}"#,
+                "invalid value",
+            ),
+            (
+                r#"{"version":2,"command":"reload","esc_us":1500}"#,
+                "reload takes no esc_us; only jog does",
+            ),
+            (
                 r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
                 "CLOCK_MONOTONIC of this computer says 1000",
             ),
@@ -384,6 +457,14 @@ mod tests {
                 Command::Ask(Question::Status),
             ),
             (
+                r#"{"version":2,"command":"disarm","at_once":true}"#,
+                Command::Ask(Question::Halt),
+            ),
+            (
+                r#"{"version":2,"command":"disarm","at_once":false}"#,
+                Command::Ask(Question::Disarm),
+            ),
+            (
                 r#"{"version":2,"command":"arm","attendance":"hold"}"#,
                 Command::Arm(arm(Attendance::Hold)),
             ),
@@ -409,6 +490,22 @@ mod tests {
                     result: ProcedureResult::Passed,
                 },
             ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+                Command::ArmJog,
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
+                Command::Arm(arm(Attendance::Hold)),
+            ),
+            (
+                r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,
+                Command::Jog(Jog {
+                    servo_us: 1_400,
+                    esc_us: u16::MAX,
+                }),
+            ),
+            (r#"{"version":2,"command":"reload"}"#, Command::Reload),
             (r#"{"version":2,"command":"hold"}"#, Command::Hold),
             (
                 "{\"command\":\"stop\",\"version\":2}\r\n",

@@ -24,7 +24,7 @@ use tokio::{
 };
 
 use super::{
-    attend::{arm, hold},
+    attend::{arm, hold, jog},
     command::{Attendance, Command, Question, SOCKET_VERSION},
 };
 use crate::{
@@ -48,9 +48,10 @@ pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Res
     let mut read = BufReader::new(read).take(LONGEST_LINE);
     let first_line = tokio::time::timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line)).await;
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
-        (Ok(Ok(_)), Ok(Command::Ask(question @ (Question::Stop | Question::Disarm)))) => {
-            answer(question, daemon).await
-        }
+        (
+            Ok(Ok(_)),
+            Ok(Command::Ask(question @ (Question::Stop | Question::Disarm | Question::Halt))),
+        ) => answer(question, daemon).await,
         _ => failure(format!("{CLIENTS} clients are connected; close one")),
     };
     send(&mut write, &answer).await
@@ -91,6 +92,19 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 if !hold(&mut read, &mut write, daemon, request).await? {
                     return Ok(());
                 }
+            }
+            Ok(Command::ArmJog) => {
+                if !jog(&mut read, &mut write, daemon).await? {
+                    return Ok(());
+                }
+            }
+            Ok(Command::Jog(_)) => {
+                let error = "jog gives pulses on a connection that jogs: arm first with \
+                             {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
+                send(&mut write, &failure(error)).await?;
+            }
+            Ok(Command::Reload) => {
+                send(&mut write, &reload(daemon).await).await?;
             }
             Ok(Command::Arm(request)) => {
                 let answer = match arm(daemon, request).await {
@@ -163,7 +177,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
-    if matches!(question, Question::Disarm | Question::Stop) {
+    if matches!(question, Question::Disarm | Question::Halt | Question::Stop) {
         daemon.drives.stop();
     }
     // No mode in an answer: the effect of a request shows after the next tick only.
@@ -181,6 +195,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
             }
             (result, _) => result,
         },
+        Question::Halt => push(PilotRequest::Halt),
         Question::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {
@@ -194,6 +209,23 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
     let stopped = matches!(snapshot.mode(), Mode::Fault | Mode::Disconnected)
         && snapshot.reason() == Some(Reason::EmergencyStop);
     stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
+}
+
+/// Reads the configuration's file again, as SIGHUP does.
+async fn reload(daemon: &DaemonHandle) -> Value {
+    let Some(path) = daemon.config_path.clone() else {
+        return failure("this daemon was not started with a file");
+    };
+    let changing = daemon.clone();
+    match spawn_blocking(move || changing.reconfigurer.reload(&path)).await {
+        Ok(Ok(number)) => json!({
+            "version": SOCKET_VERSION,
+            "ok": true,
+            "configuration": number,
+        }),
+        Ok(Err(error)) => failure(error),
+        Err(error) => failure(error),
+    }
 }
 
 async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Value {
@@ -263,7 +295,7 @@ pub(super) fn arm_outcome(
         return None;
     }
     match mode {
-        Mode::Driving => Some(Ok(())),
+        Mode::Driving | Mode::Jogging => Some(Ok(())),
         Mode::Arming => None,
         // The attempt has ended, even if no poll saw it in progress.
         mode => Some(Err(cannot_arm(mode, reason))),

@@ -6,6 +6,7 @@ mod arming;
 mod attendance;
 mod bench;
 mod faults;
+mod jogging;
 mod poses;
 mod stopping;
 
@@ -196,14 +197,21 @@ fn the_words_for_the_modes_do_not_change() {
             "driving",
             "slowing",
             "stopping",
-            "fault"
+            "fault",
+            "jogging",
         ]
     );
 }
 
 #[test]
 fn modes_and_reasons_are_consistent_with_their_words() {
-    let underway = [Mode::Arming, Mode::Driving, Mode::Slowing, Mode::Stopping];
+    let underway = [
+        Mode::Arming,
+        Mode::Driving,
+        Mode::Slowing,
+        Mode::Stopping,
+        Mode::Jogging,
+    ];
     for mode in Mode::ALL {
         assert_eq!(mode.is_underway(), underway.contains(&mode));
         assert_eq!(mode.commands(), underway[1..].contains(&mode));

@@ -73,13 +73,16 @@ impl Unarmed {
             }
             ToBoard::Disarm(_) => self.withdraw(time_us, "a disarm request"),
             ToBoard::EmergencyStop(_) => self.withdraw(time_us, "an emergency stop request"),
-            ToBoard::Drive(drive) if self.armed => {
-                if board_time_us.wrapping_sub(drive.telemetry_time_us) <= IN_FORCE_US {
-                    self.command_us = Some(drive.telemetry_time_us);
-                    self.command_is_old = false;
-                }
-            }
-            ToBoard::Drive(_) | ToBoard::Hello(_) | ToBoard::Configure(_) => {}
+            ToBoard::Drive(drive) => self.command(board_time_us, drive.telemetry_time_us),
+            ToBoard::Jog(jog) => self.command(board_time_us, jog.telemetry_time_us),
+            ToBoard::Hello(_) | ToBoard::Configure(_) => {}
+        }
+    }
+
+    const fn command(&mut self, board_time_us: u32, telemetry_time_us: u32) {
+        if self.armed && board_time_us.wrapping_sub(telemetry_time_us) <= IN_FORCE_US {
+            self.command_us = Some(telemetry_time_us);
+            self.command_is_old = false;
         }
     }
 }
@@ -150,7 +153,8 @@ impl Invariant for Unasked {
         let requested = |request| tick.events.contains(&Event::Request(request));
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
-        if self.underway && !was_underway && !requested(PilotRequest::Arm) {
+        let armed = requested(PilotRequest::Arm) || requested(PilotRequest::ArmJog);
+        if self.underway && !was_underway && !armed {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
@@ -165,11 +169,14 @@ impl Invariant for Unasked {
         }
         if was_underway
             && requested(PilotRequest::Disarm)
-            && matches!(mode, Mode::Arming | Mode::Driving | Mode::Slowing)
+            && matches!(
+                mode,
+                Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Jogging
+            )
         {
             return Err(format!("mode {mode} in the tick of a disarm request"));
         }
-        if tick.output.command.is_some() && !self.underway {
+        if (tick.output.command.is_some() || tick.output.jog.is_some()) && !self.underway {
             return Err(format!("a command in mode {mode}"));
         }
         Ok(())

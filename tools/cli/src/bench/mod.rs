@@ -4,6 +4,7 @@
 mod connection;
 mod journal;
 mod observations;
+mod picture;
 mod session;
 mod terminal;
 
@@ -19,7 +20,8 @@ use jiff::Timestamp;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 use singletrack_commissioning::{
-    Answer, Answers, Attendance, Bench, Interrupted, Jog, Live, Observation, Question, Refused,
+    Answer, Answers, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question,
+    Refused,
     edit::{Edit, EditError},
 };
 use singletrack_control::{Position, Velocity};
@@ -106,6 +108,8 @@ pub(crate) struct LiveBench {
     interrupt: Interrupt,
     /// The text of the configuration at the start, for the page.
     before: Edit,
+    /// Begin of the paths of pictures.
+    pictures: PathBuf,
 }
 
 /// A drive that a connection holds.
@@ -136,6 +140,7 @@ impl LiveBench {
             terminal: Terminal::new(args.json),
             interrupt,
             before,
+            pictures: PathBuf::new(),
         })
     }
 
@@ -146,6 +151,17 @@ impl LiveBench {
             .before
             .until(&now)
             .diff(&self.path.display().to_string()))
+    }
+
+    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
+    fn report(&self, procedure: &str, result: &str) -> Result<(), ControlError> {
+        let line = json!({
+            "version": SOCKET_VERSION,
+            "command": "commissioned",
+            "procedure": procedure,
+            "result": result,
+        });
+        control::ask(&line, &self.socket).map(drop)
     }
 
     /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
@@ -397,6 +413,16 @@ impl Bench for LiveBench {
 
     fn show(&mut self, live: &Live<'_>) {
         self.terminal.show(live);
+    }
+
+    fn plot(&mut self, plot: &Plot) {
+        let mut path = self.pictures.clone().into_os_string();
+        path.push(format!("-{}.svg", plot.name));
+        let path = PathBuf::from(path);
+        if let Err(error) = journal::write(&path, &picture::svg(plot)) {
+            self.terminal
+                .say(&format!("no figure {}: {error}", path.display()));
+        }
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {

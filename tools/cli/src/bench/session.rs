@@ -44,6 +44,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     let mut bench = LiveBench::open(args)?;
     let folder = args.state.clone().unwrap_or_else(|| beside(&args.config));
     fs::create_dir_all(&folder)?;
+    bench.pictures = folder.join(procedure.name);
     let mut journal = SessionJournal {
         file: FileJournal::open(
             &folder.join(format!("{}.json", procedure.name)),
@@ -64,6 +65,11 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
             Timestamp::now(),
         );
     }
+    let is_resumed = procedure
+        .steps
+        .iter()
+        .any(|step| journal.file.found(step.name).is_some());
+    bench.report(procedure.name, if is_resumed { "resumed" } else { "begun" })?;
     bench.terminal.say(procedure.about);
     for step in procedure.steps {
         if let Some(finding) = journal.file.found(step.name) {
@@ -83,6 +89,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     let failed = findings
         .iter()
         .any(|finding| finding.verdict == Verdict::Failed);
+    bench.report(procedure.name, if failed { "failed" } else { "passed" })?;
     if !failed {
         bench.terminal.say(procedure.next);
     }
@@ -115,12 +122,13 @@ fn write_page(
     let name = format!("{}-{}", procedure.name, now.strftime("%Y-%m-%dT%H%M%SZ"));
     let date = now.strftime("%Y-%m-%d %H:%M UTC").to_string();
     let configuration = configuration_hash(&bench.config).map_err(io::Error::other)?;
+    let figures = dated_pictures(procedure.name, folder, &name)?;
     let about = report::About {
         procedure: procedure.name,
         date: &date,
         car_id: bench.config.board.car_id,
         configuration,
-        figures: &[],
+        figures: &figures,
         diff: &bench.diff()?,
     };
     let path = folder.join(format!("{name}.md"));
@@ -134,6 +142,33 @@ fn write_page(
     });
     journal::write(&folder.join(format!("{name}.json")), &json.to_string())?;
     Ok(path)
+}
+
+/// Gives the pictures of this procedure, which an earlier start may have drawn, the date of the
+/// page. Returns their files and titles.
+fn dated_pictures(
+    procedure: &str,
+    folder: &Path,
+    dated: &str,
+) -> Result<Vec<(String, String)>, BenchError> {
+    let mut pictures = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let file = entry?.file_name();
+        let Some(name) = file
+            .to_str()
+            .and_then(|file| file.strip_prefix(procedure)?.strip_prefix('-'))
+            .and_then(|rest| rest.strip_suffix(".svg"))
+            // Those of earlier pages begin with a date.
+            .filter(|name| !name.starts_with(|first: char| first.is_ascii_digit()))
+        else {
+            continue;
+        };
+        let new = format!("{dated}-{name}.svg");
+        fs::rename(folder.join(&file), folder.join(&new))?;
+        pictures.push((new, name.to_owned()));
+    }
+    pictures.sort();
+    Ok(pictures)
 }
 
 /// Prints what is begun and found, and keeps it.

@@ -5,8 +5,8 @@ use core::fmt::Write;
 use clap::ValueEnum;
 use singletrack_protocol::{
     Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop,
-    FrameError, Hello, Identity, MAX_PAYLOAD_LENGTH, Message, Packet, Refusal, Status, Telemetry,
-    ToBoard, ToHost, VERSION,
+    FrameError, Hello, Identity, Jog, MAX_PAYLOAD_LENGTH, Message, Packet, Refusal, Status,
+    Telemetry, ToBoard, ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
 
@@ -209,6 +209,7 @@ impl Content {
                 zero::<Disarm>(&zeros),
                 zero::<Drive>(&zeros),
                 zero::<EmergencyStop>(&zeros),
+                zero::<Jog>(&zeros),
             ],
         };
         let understood = packets
@@ -231,6 +232,7 @@ impl Content {
             Self::ToBoard(ToBoard::Disarm(_)) => "disarm",
             Self::ToBoard(ToBoard::Drive(_)) => "drive",
             Self::ToBoard(ToBoard::EmergencyStop(_)) => "emergency-stop",
+            Self::ToBoard(ToBoard::Jog(_)) => "jog",
             Self::Broken { .. } => BROKEN,
         }
     }
@@ -241,6 +243,7 @@ impl Content {
             Self::ToHost(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
             Self::ToHost(ToHost::Status(status)) => Some(status.board_time_us),
             Self::ToBoard(ToBoard::Drive(drive)) => Some(drive.telemetry_time_us),
+            Self::ToBoard(ToBoard::Jog(jog)) => Some(jog.telemetry_time_us),
             Self::ToBoard(ToBoard::Arm(arm)) => Some(arm.telemetry_time_us),
             _ => None,
         }
@@ -356,6 +359,12 @@ impl Content {
             }
             Self::ToBoard(ToBoard::EmergencyStop(stop)) => {
                 field("request", number(stop.request.0.into()));
+            }
+            Self::ToBoard(ToBoard::Jog(jog)) => {
+                field("sequence", number(jog.sequence.0.into()));
+                field("telemetry_time_us", number(jog.telemetry_time_us));
+                field("servo_us", number(jog.servo_us.into()));
+                field("esc_us", number(jog.esc_us.into()));
             }
             Self::Broken {
                 reason,
