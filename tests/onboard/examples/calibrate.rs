@@ -50,6 +50,22 @@ fn brought_up(seed: u64) -> OnboardCar {
         v.front_cornering_stiffness_n_rad *= 4.0;
         v.rear_cornering_stiffness_n_rad *= 4.0;
     }
+    if flags.contains("acc") {
+        car.simulation.car.motor.max_acceleration_m_s2 = 100.0;
+    }
+    if flags.contains("sat") {
+        car.simulation.car.motor.saturation_us = 1e7;
+    }
+    if flags.contains("coast") {
+        car.simulation.car.motor.coasting_m_s2 = 20.0;
+    }
+    if flags.contains("pulse") {
+        car.simulation.car.motor_sensor.pulse_distance_um = 1000.0;
+    }
+    if flags.contains("dead") {
+        car.simulation.car.motor.dead_time_us = 0;
+        car.simulation.car.servo.dead_time_us = 0;
+    }
     let truth = car.simulation.clone();
     let t = &truth.car;
     let mut set = |section: &str, key: &str, value: Value| {

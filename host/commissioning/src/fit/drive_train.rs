@@ -58,7 +58,7 @@ pub fn drive_train(
                 .map(|(&time, &way)| {
                     while now + STEP <= time {
                         now += STEP;
-                        let wanted = (pulses.at(now - delay) - edge) * gain * 1e-3;
+                        let wanted = (pulses.at(now - 0.5 * STEP - delay) - edge) * gain * 1e-3;
                         let change = (share * (wanted.max(0.0) - speed)).max(-rolling * STEP);
                         position += (speed + 0.5 * change) * STEP;
                         speed += change;
