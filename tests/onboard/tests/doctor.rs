@@ -1,5 +1,11 @@
 //! The doctor on random cars, with scripted hands.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 use core::f64::consts::TAU;
 
 use singletrack_commissioning::{
