@@ -1,6 +1,8 @@
 //! A process that is killed while it changes the configuration leaves the old file or the new
 //! one.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::{
     env, fs,
     path::Path,

@@ -1,5 +1,11 @@
 //! The doctor on random cars, with scripted hands.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 use core::f64::consts::TAU;
 
 use singletrack_commissioning::{
@@ -117,7 +123,7 @@ fn truths(car: &OnboardCar) -> Vec<(&'static str, f64)> {
 
 #[test]
 fn the_parameters_of_random_cars_are_inside_their_intervals() {
-    let cars = 20;
+    let cars = 12;
     let mut missed = Vec::new();
     for seed in 0..cars {
         let car = OnboardCar::planted(seed, None);

@@ -41,7 +41,7 @@ pub(crate) mod tests {
             Self(seed)
         }
 
-        /// Uniform from 0 to 1 (SplitMix64).
+        /// Uniform from 0 to 1 (`SplitMix64`).
         pub(crate) fn uniform(&mut self) -> f64 {
             self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
             let mut bits = self.0;
