@@ -10,8 +10,8 @@ use singletrack_protocol::StopCause;
 
 use super::{
     car::{
-        Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask_word, beyond, change, conclude, failed,
-        mean_speed, way,
+        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask_word, beyond, change, conclude,
+        failed, mean_speed, way,
     },
     kill::never_turned,
     questions::{self, WAYS},
@@ -19,7 +19,7 @@ use super::{
 use crate::{
     Bench, Finding, Interrupted, Interval, Jog, Parameter,
     fit::{
-        least_squares, mean,
+        LeastSquares, least_squares, mean,
         speed_curve::{SpeedCurve, fit_speed_curve},
         standard_deviation, student_quantile,
     },
@@ -78,8 +78,11 @@ const NEUTRAL_US: f64 = 20.0;
 /// a microsecond.
 const BRAKE_US: f64 = 6.0;
 
-/// Time from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
-const LATE_S: f64 = 0.06;
+/// Residuals of a line that are not worse than the least ones.
+const NEARLY: f64 = 1.5;
+
+/// Times from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
+const LATE_S: [f64; 7] = [0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12];
 
 /// The widest band that an ESC ignores, to one side, us.
 const WIDEST_US: f64 = 60.0;
@@ -396,26 +399,74 @@ fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>,
         }
         free.extend(slows_down(car, ahead_us, 0)?);
     }
-    let (Some(rolling), Some(scatter)) = (mean(&free), standard_deviation(&free)) else {
-        return Ok(None);
-    };
-    // What differs from rolling by no more than that scatters is not braked.
-    braked.retain(|(slowing, _)| slowing - rolling > 0.15 * rolling + 3.0 * scatter);
-    let rows = braked
-        .iter()
-        .map(|(slowing, at)| ([1.0, slowing - rolling], *at));
-    let freedom = braked.len().saturating_sub(2);
-    Ok(least_squares(rows)
-        .filter(|fit| freedom >= 3 && fit.parameters[1] > 0.0)
-        .map(|fit| {
-            let half = student_quantile(freedom) * fit.standard_errors[0];
-            Interval::around(fit.parameters[0], half).widened(BRAKE_US)
-        }))
+    // The brake grows in a line with the pulse; seen with another lateness than the true one it
+    // grows in a curve.
+    let fits: Vec<_> = LATE_S
+        .into_iter()
+        .filter_map(|late_s| edge_if_late(&free, &braked, late_s))
+        .collect();
+    let best = fits.iter().min_by(|a, b| a.residual.total_cmp(&b.residual));
+    Ok(best.and_then(|best| {
+        let freedom = best.count.checked_sub(3).filter(|freedom| *freedom >= 3)?;
+        let half = student_quantile(freedom) * best.standard_errors[0];
+        let edge = best.parameters[0];
+        // The readings do not tell a line from what is nearly one.
+        let late = fits
+            .iter()
+            .filter(|fit| fit.residual < NEARLY * best.residual)
+            .map(|fit| (fit.parameters[0] - edge).abs())
+            .fold(0.0, f64::max);
+        Some(Interval::around(edge, half).widened(BRAKE_US.hypot(late)))
+    }))
 }
 
-/// How hard the wheels slow down at this pulse below neutral, m/s²: by their way to
-/// standstill, less what they do before the ESC has acted.
-fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option<f64>, Trouble> {
+/// Where the brake begins if the wheels show it so late: pulses below neutral over the
+/// deceleration beyond that of rolling, m/s².
+fn edge_if_late(
+    free: &[Slowing],
+    braked: &[(Slowing, f64)],
+    late_s: f64,
+) -> Option<LeastSquares<2>> {
+    let free: Vec<f64> = free
+        .iter()
+        .filter_map(|slowing| slowing.deceleration(late_s))
+        .collect();
+    let (rolling, scatter) = (mean(&free)?, standard_deviation(&free)?);
+    let rows: Vec<_> = braked
+        .iter()
+        .filter_map(|(slowing, at)| {
+            let more = slowing.deceleration(late_s)? - rolling;
+            // What differs from rolling by no more than that scatters is not braked.
+            (more > 0.15 * rolling + 3.0 * scatter).then_some(([1.0, more], *at))
+        })
+        .collect();
+    // All readings, or as good as all: a fit of few of them is no better.
+    let enough = 2 * rows.len() >= braked.len();
+    least_squares(rows.iter().copied()).filter(|fit| enough && fit.parameters[1] > 0.0)
+}
+
+/// Wheels that slowed down.
+#[derive(Clone, Copy, Debug)]
+struct Slowing {
+    speed: f64,
+    way: f64,
+}
+
+impl Slowing {
+    /// By the way, less what they turned before the pulse acted.
+    fn deceleration(&self, late_s: f64) -> Option<f64> {
+        let way = self.way - self.speed * late_s;
+        let squares = self.speed.powi(2) - CREEPS.powi(2);
+        (squares > 0.0 && way > 0.1 * self.way).then(|| squares / (2.0 * way))
+    }
+}
+
+/// Turns the motor, then gives this pulse below neutral.
+fn slows_down(
+    car: &mut Car<'_>,
+    ahead_us: u16,
+    offset_us: u16,
+) -> Result<Option<Slowing>, Trouble> {
     let rest = car.rest();
     car.hold_until_standing(rest, 0.8)?;
     let drive = Jog {
@@ -435,6 +486,6 @@ fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option
             reading.motor_speed == 0.0
         })?);
     }
-    let rolled = way(&all) - speed * LATE_S;
-    Ok((speed > 0.2 && rolled > 0.0).then(|| speed * speed / (2.0 * rolled)))
+    let way = way(&all);
+    Ok((speed > 0.2).then_some(Slowing { speed, way }))
 }
