@@ -23,6 +23,8 @@ const IN_TURN: f64 = 3.0;
 const IN_STEPS: [f64; 2] = [0.009, 0.008];
 /// the axles, which are measured with a ruler, m;
 const RULER: f64 = 0.002;
+/// one axle, m;
+const AXLE: f64 = 0.0013;
 /// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
@@ -154,7 +156,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
     let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
     let yaw = interval(&|(body, _)| body.yaw, 0.000_5)?;
-    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(0.001))?;
+    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(AXLE))?;
     let ahead = ahead.shifted(-believed.rear_axle);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
     let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * IN_STEPS[0])?;

@@ -57,7 +57,7 @@ pub fn wheels(
         // Its sign is known.
         [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
         [0.002, 0.3],
-        [0.0, 0.2],
+        [-0.03, 0.2],
         [0.0, 40.0],
     ]
     .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
