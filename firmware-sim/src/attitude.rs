@@ -3,10 +3,19 @@
 use libm::{cos, sin, sqrt};
 use singletrack_protocol::{ImuAxes, ImuAxis};
 
-/// The unit quaternion w, x, y, z of a yaw after a small roll and pitch, in rad.
+/// A tilt beyond this is not small, in rad.
+const SMALL: f64 = 0.1;
+
+/// The unit quaternion w, x, y, z of a yaw after a roll and a pitch, in rad, of which only
+/// one is not small.
 pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
     let (c, s) = (cos(yaw / 2.0), sin(yaw / 2.0));
-    let (a, b) = (roll / 2.0, pitch / 2.0);
+    let (mut a, mut b) = (roll / 2.0, pitch / 2.0);
+    let half = libm::hypot(a, b);
+    if 2.0 * half > SMALL {
+        let scale = libm::tan(half) / half;
+        (a, b) = (a * scale, b * scale);
+    }
     let norm = sqrt(1.0 + a * a + b * b);
     [
         c / norm,

@@ -26,6 +26,7 @@
 
 mod attitude;
 mod board;
+mod by_hand;
 mod cameras;
 mod car;
 mod clock;
@@ -48,14 +49,15 @@ pub use board::{
     BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
     SimulatedBoard, UnknownBoard, UnoError,
 };
+pub use by_hand::{HAND_COMMANDS, HandCommand, UnknownHandCommand, seen};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     LossKind, TICKS_PER_SECOND, UpAxis,
 };
 pub use car::{
-    BatteryParameters, Car, CarParameters, EscKind, ImuFault, ImuParameters, ImuReading,
-    MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push, ServoParameters,
-    StartPose, Truth,
+    BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
+    ImuReading, MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push,
+    ServoParameters, StartPose, Truth,
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;

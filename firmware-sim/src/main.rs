@@ -1,6 +1,8 @@
 //! `singletrack-sim`: the real-time simulator, with the board behind a
 //! pseudo-terminal and the cameras behind UDP.
 
+mod hands_socket;
+
 use std::{net::Ipv4Addr, path::PathBuf, process::ExitCode, time::Duration};
 
 use clap::Parser;
@@ -86,6 +88,13 @@ struct Arguments {
     /// Stop after this long, such as 40s; without it, run until Ctrl-C
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     duration: Option<Duration>,
+
+    /// Unix socket that takes what a person does to the car, as lines
+    ///
+    /// The answer to each is what the person sees. `lift 0.1`, `roll 0.5 0.4`, `look`;
+    /// any other line answers with the list of all.
+    #[arg(long, value_name = "PATH")]
+    hands: Option<PathBuf>,
 
     /// Print only errors
     #[arg(long, short)]
@@ -188,12 +197,22 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
             None => core::future::pending().await,
         }
     };
+    let hands = async {
+        match &arguments.hands {
+            Some(path) => hands_socket::serve(&simulator, path).await,
+            None => core::future::pending().await,
+        }
+    };
     let failure = tokio::select! {
+        error = hands => return Err(format!("the hands' socket: {error}").into()),
         _ = interrupt.recv() => None,
         _ = terminate.recv() => None,
         () = end => None,
         failure = board_failure(&simulator) => Some(failure?),
     };
+    if let Some(path) = &arguments.hands {
+        let _ = std::fs::remove_file(path);
+    }
     let finished = simulator.stop()?;
     let failure = failure.or_else(|| finished.world.board().failure().map(str::to_owned));
     if let Some(failure) = failure {

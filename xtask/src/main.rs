@@ -1,5 +1,5 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
-//! `cargo demo`, `cargo faults`, `cargo uno`, `cargo odroid`, `cargo verify`.
+//! `cargo demo`, `cargo faults`, `cargo onboard`, `cargo uno`, `cargo odroid`, `cargo verify`.
 //!
 //! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
 
@@ -13,6 +13,7 @@ mod gates;
 mod image;
 mod machine;
 mod odroid;
+mod onboard;
 mod packages;
 mod prerequisites;
 mod process;
@@ -32,17 +33,18 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let Some((command, arguments)) = arguments.split_first() else {
-        eprintln!("usage: cargo demo | faults | uno | odroid | verify, each with --help");
+        eprintln!("usage: cargo demo | faults | onboard | uno | odroid | verify, each with --help");
         return ExitCode::FAILURE;
     };
     let result = workspace::find().and_then(|_| match command.as_str() {
         "demo" => demo::main(arguments),
         "faults" => faults::main(arguments),
+        "onboard" => onboard::main(arguments),
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
         "verify" => verify::main(arguments),
         unknown => Err(process::Failure::new(format!(
-            "unknown command {unknown:?}; known: cargo demo | faults | uno | odroid | verify"
+            "unknown command {unknown:?}; known: cargo demo | faults | onboard | uno | odroid | verify"
         ))),
     });
     match result {

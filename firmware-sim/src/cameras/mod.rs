@@ -304,6 +304,20 @@ impl Cameras {
             truth.y - (s * forward + c * left),
             p.car.height_m,
         ];
+        if truth.held {
+            let on_car = p.car.pivot();
+            // The car is tilted about the point of the floor below its centre of mass.
+            let along = [
+                p.car.height_m * sin(truth.pitch) - on_car[0] * (1.0 - cos(truth.pitch)),
+                -p.car.height_m * sin(truth.roll) - on_car[1] * (1.0 - cos(truth.roll)),
+            ];
+            let (c, s) = (cos(truth.yaw), sin(truth.yaw));
+            pivot[0] += c * along[0] - s * along[1];
+            pivot[1] += s * along[0] + c * along[1];
+            pivot[2] = truth.height + p.car.height_m * cos(truth.pitch) * cos(truth.roll)
+                - on_car[0] * sin(truth.pitch)
+                + on_car[1] * sin(truth.roll);
+        }
         // Along the body's axes.
         let (c, s) = (cos(p.car.yaw_rad), sin(p.car.yaw_rad));
         let mut tilt = [

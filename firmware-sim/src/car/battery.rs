@@ -63,6 +63,7 @@ pub(crate) struct Battery {
     current_a: f64,
     /// A dip is underway.
     dips: bool,
+    is_unplugged: bool,
 }
 
 impl Battery {
@@ -93,8 +94,20 @@ impl Battery {
         self.dips = dips;
     }
 
+    /// Unplugs the battery, or plugs it in.
+    pub(crate) const fn set_plugged(&mut self, plugged: bool) {
+        self.is_unplugged = !plugged;
+    }
+
+    pub(crate) const fn is_plugged(&self) -> bool {
+        !self.is_unplugged
+    }
+
     /// Voltage at the terminals, in V.
     pub(crate) fn voltage(&self, p: &BatteryParameters) -> f64 {
+        if self.is_unplugged {
+            return 0.0;
+        }
         if let (true, Some(dip_v)) = (self.dips, p.dip_v) {
             return dip_v;
         }

@@ -255,7 +255,7 @@ impl Imu {
         self.yaw_drift += self.attitude_random.normal() * p.yaw_walk_rad * root_period;
         let tilt = self.attitude_random.normal3(p.attitude_noise_rad);
 
-        let mut rate = [0.0, 0.0, truth.yaw_rate];
+        let mut rate = [truth.roll_rate, truth.pitch_rate, truth.yaw_rate];
         let mut acceleration = [
             truth.longitudinal_acceleration,
             truth.lateral_acceleration,

@@ -1,6 +1,7 @@
 //! The car: actuators, dynamics and sensors.
 
 mod battery;
+mod hands;
 mod imu;
 mod motor;
 mod motor_sensor;
@@ -8,6 +9,7 @@ mod servo;
 mod vehicle;
 
 pub use battery::BatteryParameters;
+pub use hands::HandMotion;
 pub use imu::{ImuFault, ImuParameters, ImuReading};
 pub use motor::{EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};

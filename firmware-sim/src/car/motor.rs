@@ -260,6 +260,22 @@ impl MotorParameters {
         -GRAVITY * sin(self.slope_deg.to_radians()) * along
     }
 
+    /// The drive train while the wheels are off the floor: they and the motor are all that is
+    /// accelerated, and the tyres do not roll.
+    pub(crate) fn wheels_up(&self) -> Self {
+        const INERTIA_SHARE: f64 = 0.15;
+        const FRICTION_SHARE: f64 = 0.25;
+        let friction = FRICTION_SHARE / INERTIA_SHARE;
+        Self {
+            // The ESC's own ramp remains.
+            lag_s: (self.lag_s * 0.5).max(0.01),
+            max_acceleration_m_s2: self.max_acceleration_m_s2 / INERTIA_SHARE,
+            coasting_m_s2: self.coasting_m_s2 * friction,
+            viscous_per_s: self.viscous_per_s * friction,
+            ..*self
+        }
+    }
+
     /// Whether friction and brakes hold a standing car against `downhill` (m/s²).
     pub(crate) fn holds(&self, drive: Drive, downhill: f64) -> bool {
         let brake = match drive {

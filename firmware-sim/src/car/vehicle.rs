@@ -4,12 +4,15 @@ use std::collections::VecDeque;
 
 use libm::{cos, sin, tan};
 use serde::{Deserialize, Serialize};
-use singletrack_control::{RelaxedSingleTrack, SingleTrackState, VehicleParameters};
+use singletrack_control::{
+    RelaxedSingleTrack, SingleTrackDerivative, SingleTrackState, VehicleParameters,
+};
 
 use super::{
     BatteryParameters, ImuParameters, MotorParameters, MotorPulses, MotorSensorFault,
     MotorSensorParameters, ServoParameters,
     battery::Battery,
+    hands::{HandMotion, Hands},
     motor::{Drive, SpeedController},
     motor_sensor::MotorSensor,
 };
@@ -33,6 +36,8 @@ pub struct CarParameters {
     pub battery: BatteryParameters,
     /// Initial pose of the car.
     pub start: StartPose,
+    /// The plugs of servo and ESC have been exchanged: each gets the other's pulses.
+    pub swapped_wires: bool,
 }
 
 /// Initial pose of the car.
@@ -74,12 +79,20 @@ pub struct Truth {
     pub lateral_acceleration: f64,
     /// Voltage at the battery's terminals, in V.
     pub battery_v: f64,
-    /// Way of G so far, in m; it grows in both directions.
+    /// Way of G so far, in m; it grows in both directions, but not in hands.
     pub way: f64,
-    /// Roll on a slope, in rad; left side up is positive.
+    /// Roll on a slope or in hands, in rad; left side up is positive.
     pub roll: f64,
-    /// Pitch on a slope, in rad; nose down is positive.
+    /// Pitch on a slope or in hands, in rad; nose down is positive.
     pub pitch: f64,
+    /// Whether the car is in hands or on a stand.
+    pub held: bool,
+    /// Height of the wheels above the floor, in m.
+    pub height: f64,
+    /// Rate of the roll, in rad/s.
+    pub roll_rate: f64,
+    /// Rate of the pitch, in rad/s.
+    pub pitch_rate: f64,
 }
 
 impl Truth {
@@ -100,6 +113,10 @@ impl Truth {
         way: 0.0,
         roll: 0.0,
         pitch: 0.0,
+        held: false,
+        height: 0.0,
+        roll_rate: 0.0,
+        pitch_rate: 0.0,
     };
 
     /// The point P, `point_distance_m` beyond the front axle in the direction
@@ -177,6 +194,7 @@ pub struct Car {
     battery: Battery,
     sensor: MotorSensor,
     sensor_fault: MotorSensorFault,
+    hands: Hands,
 }
 
 /// The timed events of the parameters, at the present time.
@@ -190,6 +208,8 @@ struct Happened {
     blown: bool,
     /// The speed at which the car is being moved, in m/s.
     moved_at: Option<f64>,
+    /// Its acceleration, in m/s².
+    moved_rate: f64,
 }
 
 impl Car {
@@ -215,6 +235,7 @@ impl Car {
             battery: Battery::default(),
             sensor: MotorSensor::default(),
             sensor_fault: MotorSensorFault::None,
+            hands: Hands::default(),
             parameters,
         };
         car.battery.draw(&parameters.battery, false, 0.0, 0.0, 0.0);
@@ -244,6 +265,54 @@ impl Car {
         self.servo_held_us = self.parameters.servo.centre_us;
     }
 
+    /// Begins what a person does with the car; a motion that is under way ends where it is.
+    /// A car that moves is stopped.
+    pub fn begin_by_hand(&mut self, motion: HandMotion) {
+        let track = self.state.track;
+        if !self.wheels_are_up() {
+            self.state.wheel_speed = 0.0;
+        }
+        self.rest([track.x, track.y], track.yaw);
+        self.hands
+            .begin(motion, self.now_us, [track.x, track.y], track.yaw);
+    }
+
+    /// Whether a motion by hand is under way.
+    #[must_use]
+    pub const fn is_in_motion_by_hand(&self) -> bool {
+        self.hands.is_busy()
+    }
+
+    /// Whether the wheels are off the floor.
+    #[must_use]
+    pub fn wheels_are_up(&self) -> bool {
+        self.hands.wheels_are_up(self.now_us)
+    }
+
+    /// Whether the ESC drives the motor, in either direction.
+    #[must_use]
+    pub fn motor_is_driven(&self) -> bool {
+        self.is_driven()
+    }
+
+    /// Whether the servo pushes against a mechanical stop: it buzzes.
+    #[must_use]
+    pub fn servo_strains(&self) -> bool {
+        let servo = &self.parameters.servo;
+        let wanted = (self.servo_held_us - servo.centre_us) / servo.gain_us_per_rad;
+        wanted.abs() > servo.stop_rad + 0.01
+    }
+
+    /// The car stands here, or is held.
+    fn rest(&mut self, [x, y]: [f64; 2], yaw: f64) {
+        self.state.track = SingleTrackState {
+            x,
+            y,
+            yaw,
+            ..SingleTrackState::default()
+        };
+    }
+
     /// Sets the seed of the sensors' random numbers.
     pub(crate) fn seed(&mut self, seed: u64) {
         self.sensor.seed(seed);
@@ -267,6 +336,12 @@ impl Car {
         self.cut_esc_without_power();
     }
 
+    /// Unplugs the battery, or plugs it in. The board stays on its USB; the servo is limp.
+    pub fn set_battery_plugged(&mut self, plugged: bool) {
+        self.battery.set_plugged(plugged);
+        self.cut_esc_without_power();
+    }
+
     /// Sets the board's kill output: whether it holds the relay in the ESC's supply. Of no
     /// effect without a relay.
     pub fn set_kill_output(&mut self, held: bool) {
@@ -279,6 +354,7 @@ impl Car {
     #[must_use]
     pub const fn esc_has_power(&self) -> bool {
         self.esc_is_switched_on
+            && self.battery.is_plugged()
             && !self.happened.esc_reboots
             && (self.kill_output || !self.parameters.motor.kill_relay)
     }
@@ -329,7 +405,10 @@ impl Car {
                     .is_within(Some(push.at_s), push.for_s * 1e3, now_us)
                     .then_some(push.speed_m_s)
             }),
+            moved_rate: 0.0,
         };
+        let rolled = self.hands.roll(now_us);
+        let place = self.hands.end(now_us);
         self.happened = happened;
         if happened.supply_dips != was.supply_dips {
             self.battery.set_dip(happened.supply_dips);
@@ -346,8 +425,15 @@ impl Car {
             self.happened.blown = true;
             self.state.wheel_speed += push.speed_m_s;
         }
-        if let Some(speed) = happened.moved_at {
+        if let Some([speed, rate]) = rolled {
+            self.happened.moved_at = Some(speed);
+            self.happened.moved_rate = rate;
+        }
+        if let Some(speed) = self.happened.moved_at {
             self.state.wheel_speed = speed;
+        }
+        if let Some(place) = place {
+            self.rest(place.position, place.yaw);
         }
     }
 
@@ -359,7 +445,12 @@ impl Car {
     /// Applies one servo frame: both pulses start at the car's present time. Zero
     /// means no pulse.
     pub fn apply_pulses(&mut self, servo_us: u16, esc_us: u16) {
-        if servo_us != 0 && !self.happened.supply_dips {
+        let (servo_us, esc_us) = if self.parameters.swapped_wires {
+            (esc_us, servo_us)
+        } else {
+            (servo_us, esc_us)
+        };
+        if servo_us != 0 && !self.happened.supply_dips && self.battery.is_plugged() {
             self.servo_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.servo.dead_time_us,
                 pulse_us: servo_us,
@@ -420,7 +511,7 @@ impl Car {
         let turning = speed * (d.track.sideslip + track.yaw_rate);
         let sin_sideslip = sin(track.sideslip);
         let (roll, pitch) = self.tilt(track.yaw);
-        Truth {
+        let free = Truth {
             time_us: self.now_us,
             x: track.x,
             y: track.y,
@@ -436,6 +527,44 @@ impl Car {
             way: self.way,
             roll,
             pitch,
+            held: self.hands.holds(),
+            height: self.hands.stand(),
+            roll_rate: 0.0,
+            pitch_rate: 0.0,
+        };
+        self.truth_in_hands(free)
+    }
+
+    /// What differs of a car that is held.
+    fn truth_in_hands(&self, free: Truth) -> Truth {
+        if !free.held || self.hands.roll(self.now_us).is_some() {
+            return free;
+        }
+        let Some(motion) = self.hands.motion(self.now_us) else {
+            return Truth {
+                speed: 0.0,
+                longitudinal_acceleration: 0.0,
+                lateral_acceleration: 0.0,
+                ..free
+            };
+        };
+        let [forward, left] = motion.velocity;
+        let [x, y] = motion.place.position;
+        Truth {
+            x,
+            y,
+            yaw: motion.place.yaw,
+            yaw_rate: motion.yaw_rate,
+            sideslip: 0.0,
+            speed: libm::hypot(forward, left),
+            longitudinal_acceleration: motion.acceleration[0],
+            lateral_acceleration: motion.acceleration[1],
+            roll: motion.place.roll,
+            pitch: motion.place.pitch,
+            height: motion.place.height,
+            roll_rate: motion.roll_rate,
+            pitch_rate: motion.pitch_rate,
+            ..free
         }
     }
 
@@ -502,8 +631,23 @@ impl Car {
             k1.wheel_speed,
             h,
         );
+        if let Some(moved) = self.hands.motion(end_us) {
+            let [x, y] = moved.place.position;
+            next.track = SingleTrackState {
+                x,
+                y,
+                yaw: moved.place.yaw,
+                ..SingleTrackState::default()
+            };
+            if !self.hands.wheels_are_up(end_us) {
+                // The rear wheels roll as far as their axle moves along the car.
+                next.wheel_speed = moved.velocity[0];
+            }
+        }
         let rolled = (s.wheel_speed + next.wheel_speed) / 2.0 * h;
-        self.way += (rolled / cos(next.track.sideslip).max(0.5)).abs();
+        if !self.hands.holds() {
+            self.way += (rolled / cos(next.track.sideslip).max(0.5)).abs();
+        }
         let grip = motor.grip(self.drive(), self.epoch, start_us);
         let sensor = &self.parameters.motor_sensor;
         self.sensor
@@ -515,8 +659,12 @@ impl Car {
 
     fn derivative(&self, s: &State) -> State {
         let p = &self.parameters;
-        let speed = course_speed(s.wheel_speed, s.track.sideslip);
-        let d = self.model.derivative(&s.track, speed, s.steering);
+        let d = if self.hands.holds() && self.happened.moved_at.is_none() {
+            SingleTrackDerivative::default()
+        } else {
+            let speed = course_speed(s.wheel_speed, s.track.sideslip);
+            self.model.derivative(&s.track, speed, s.steering)
+        };
         let voltage_share = self.battery.voltage(&p.battery) / p.battery.nominal_v;
         State {
             track: SingleTrackState {
@@ -538,10 +686,19 @@ impl Car {
     /// Acceleration of the wheels, in m/s².
     fn wheel_acceleration(&self, s: &State, voltage_share: f64) -> f64 {
         if self.happened.moved_at.is_some() {
-            return 0.0;
+            return self.happened.moved_rate;
         }
         let motor = &self.parameters.motor;
         let drive = self.drive();
+        if self.hands.holds() {
+            return if self.wheels_are_up() {
+                motor
+                    .wheels_up()
+                    .acceleration(drive, s.wheel_speed, voltage_share)
+            } else {
+                0.0
+            };
+        }
         let acceleration = motor.acceleration(drive, s.wheel_speed, voltage_share);
         let downhill = motor.downhill(s.track.yaw);
         if downhill == 0.0 {

@@ -5,7 +5,7 @@ use singletrack_core::Config;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, StopCause};
 
-use crate::{Answer, Live, Question};
+use crate::{Answer, Live, Plot, Question};
 
 /// A car, its daemon and a person beside it.
 pub trait Bench {
@@ -28,6 +28,10 @@ pub trait Bench {
 
     /// Shows how a measurement goes on. It is called in every tick.
     fn show(&mut self, live: &Live<'_>);
+
+    /// Takes a picture of a measurement, for the page of the procedure. A bench that writes none
+    /// drops it.
+    fn plot(&mut self, _: &Plot) {}
 
     /// Asks the daemon to arm, and waits for its answer. The drive is held: it ends with the
     /// procedure.

@@ -11,10 +11,18 @@
 //! procedure keeps the findings, so that it can be resumed.
 
 mod bench;
+pub mod bring_up;
+pub mod calibrate;
+mod diff;
+pub mod doctor;
+pub mod edit;
 mod finding;
+pub mod fit;
 mod parameter;
+mod plot;
 mod procedure;
 mod question;
+pub mod report;
 mod teach;
 
 pub use bench::{
@@ -23,6 +31,7 @@ pub use bench::{
 };
 pub use finding::{Finding, Verdict};
 pub use parameter::{Interval, Parameter};
+pub use plot::{Plot, PlotKind, PlotLine};
 pub use procedure::{Journal, Step, run};
 pub use question::{Answer, Answers, Live, Question};
 pub use teach::{Place, Taught, TeachError, TeachOptions, taught_path};

@@ -21,6 +21,49 @@ impl Interval {
             high: value + half_width,
         }
     }
+
+    /// Half of its width.
+    #[must_use]
+    pub fn half_width(&self) -> f64 {
+        (self.high - self.low) / 2.0
+    }
+
+    /// Whether a value lies in it.
+    #[must_use]
+    pub fn contains(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+
+    /// With an independent error that is within ±`bound` in 95 of 100 cases.
+    #[must_use]
+    pub fn widened(&self, bound: f64) -> Self {
+        Self {
+            value: self.value,
+            low: self.value - (self.value - self.low).hypot(bound),
+            high: self.value + (self.high - self.value).hypot(bound),
+        }
+    }
+
+    /// In another unit, or of the other sign.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let ends = [self.low * factor, self.high * factor];
+        Self {
+            value: self.value * factor,
+            low: ends[0].min(ends[1]),
+            high: ends[0].max(ends[1]),
+        }
+    }
+
+    /// Moved by a known distance.
+    #[must_use]
+    pub fn shifted(&self, by: f64) -> Self {
+        Self {
+            value: self.value + by,
+            low: self.low + by,
+            high: self.high + by,
+        }
+    }
 }
 
 /// A parameter of the car that was measured.

@@ -4,7 +4,13 @@
 //! A state machine without a clock or a socket. The caller polls it when a datagram
 //! waits or the returned deadline has passed.
 
-use std::net::SocketAddr;
+use std::{
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicI64, Ordering},
+    },
+};
 
 use rtrb::Producer;
 use singletrack_mocap::planar::{
@@ -59,6 +65,7 @@ pub enum CameraReport {
 #[derive(Debug)]
 pub struct CameraReceiver {
     session: PlanarSession,
+    stamp_offset_ns: Arc<AtomicI64>,
     observations: Producer<Observation>,
     reports: Producer<CameraReport>,
     buffer: Vec<u8>,
@@ -71,15 +78,18 @@ pub struct CameraReceiver {
 
 impl CameraReceiver {
     /// A receiver at the beginning of a session. Observations go to the control loop and,
-    /// in `reports`, to the record.
+    /// in `reports`, to the record. `stamp_offset_ns` replaces that of the session; it may
+    /// change at any time.
     #[must_use]
     pub fn new(
         session: PlanarSession,
+        stamp_offset_ns: Arc<AtomicI64>,
         observations: Producer<Observation>,
         reports: Producer<CameraReport>,
     ) -> Self {
         Self {
             session,
+            stamp_offset_ns,
             observations,
             reports,
             buffer: vec![0; LONGEST],
@@ -111,6 +121,8 @@ impl CameraReceiver {
         sockets: &mut impl Sockets,
         on_event: &mut impl FnMut(&PlanarEvent),
     ) -> u64 {
+        let offset_ns = self.stamp_offset_ns.load(Ordering::Relaxed);
+        self.session.set_stamp_offset_ns(offset_ns);
         let mut are_left = false;
         let mut watch = core::mem::take(&mut self.watch);
         let mut on_event = |event: &PlanarEvent| {

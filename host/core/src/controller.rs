@@ -506,7 +506,8 @@ const fn imu_fault(status: &Status) -> bool {
 }
 
 /// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world.
-fn imu_tilt(quaternion: [i16; 4]) -> Tilt {
+#[must_use]
+pub fn imu_tilt(quaternion: [i16; 4]) -> Tilt {
     let [w, x, y, z] = quaternion.map(|part| f64::from(part) / 16_384.0);
     Tilt {
         roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),

@@ -10,6 +10,8 @@
 //! The daemon gives each part a thread of its own. Simulations and tests poll them in
 //! virtual time, see [`VirtualHost`](crate::virtual_host::VirtualHost).
 
+use std::sync::{Arc, atomic::AtomicI64};
+
 use rtrb::{Consumer, RingBuffer};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::planar::PlanarSession;
@@ -104,6 +106,9 @@ impl<L: Line> Host<L> {
         );
         let session = PlanarSession::new(config.motion_capture.session()?)
             .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
+        let stamp_offset_ns = Arc::new(AtomicI64::new(
+            session.config().session.timing.stamp_offset_ns,
+        ));
         let period_ns = config.control.period_ns();
         let aligns = config.control.align_to_cameras;
 
@@ -139,11 +144,16 @@ impl<L: Line> Host<L> {
                 control
             },
             reader: SerialReader::new(serial_in, returned_out),
-            receiver: CameraReceiver::new(session, observations_in, camera_reports),
+            receiver: CameraReceiver::new(
+                session,
+                Arc::clone(&stamp_offset_ns),
+                observations_in,
+                camera_reports,
+            ),
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
             jogs: jogs_in,
-            configurations: Configurations::new(config, reconfigured_out),
+            configurations: Configurations::new(config, reconfigured_out, stamp_offset_ns),
             ticks: ticks_out,
             reports: reports_out,
             camera_reports: camera_reports_out,

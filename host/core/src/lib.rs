@@ -6,6 +6,7 @@
 //! socket; time, bytes and datagrams are arguments.
 
 pub mod cameras;
+pub mod commissioned;
 pub mod config;
 pub mod control_loop;
 pub mod controller;

@@ -77,6 +77,10 @@ pub fn configuration_hash(config: &Config) -> Result<u64, ConfigError> {
     for number in [forward, left, body.marker_yaw_rad, braking] {
         hash.add(&number.to_bits().to_le_bytes());
     }
+    let offset_ms = body.timing.stamp_offset_ms;
+    if offset_ms != 0.0 {
+        hash.add(&offset_ms.to_bits().to_le_bytes());
+    }
     Ok(hash.0)
 }
 
@@ -122,7 +126,8 @@ mod tests {
             same,
             hash(|config| config.fence.corners_m[0] = [-2.0, -2.0])
         );
-        let changes: [fn(&mut Config); 7] = [
+        let changes: [fn(&mut Config); 8] = [
+            |config| config.motion_capture.timing.stamp_offset_ms = -3.0,
             |config| config.fence.braking_m_s2 = 0.8,
             |config| config.board.servo.gain_us_per_rad = 801,
             |config| config.board.car_id = 7,

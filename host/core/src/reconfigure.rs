@@ -4,7 +4,13 @@
 //! in a box. The loop returns the box, and the caller frees it: the loop reads no file,
 //! never waits and frees no memory. A refused configuration has no effect.
 
-use std::path::PathBuf;
+use std::{
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicI64, Ordering},
+    },
+};
 
 use rtrb::Consumer;
 
@@ -52,18 +58,25 @@ pub struct Configurations {
     number: u32,
     returned: Consumer<Box<Reconfiguration>>,
     under_way: Option<Config>,
+    /// For the camera receiver, which is not stopped for a change.
+    stamp_offset_ns: Arc<AtomicI64>,
 }
 
 impl Configurations {
     /// `config` is in force, with the number 1; `returned` is the ring on which boxes
-    /// are returned.
+    /// are returned. The camera receiver reads `stamp_offset_ns`.
     #[must_use]
-    pub const fn new(config: Config, returned: Consumer<Box<Reconfiguration>>) -> Self {
+    pub const fn new(
+        config: Config,
+        returned: Consumer<Box<Reconfiguration>>,
+        stamp_offset_ns: Arc<AtomicI64>,
+    ) -> Self {
         Self {
             in_force: config,
             number: 1,
             returned,
             under_way: None,
+            stamp_offset_ns,
         }
     }
 
@@ -145,6 +158,8 @@ impl Configurations {
             Some(Err(refusal)) => return Some(Err(refusal.into())),
             None => return Some(Err(Stalled.into())),
         }
+        let offset_ns = config.motion_capture.timing.stamp_offset_ns();
+        self.stamp_offset_ns.store(offset_ns, Ordering::Relaxed);
         self.in_force = config;
         self.number = change.number;
         Some(Ok(self.number))

@@ -49,6 +49,8 @@ mod tests {
         new.limits.max_speed_m_s = 1.0;
         new.control.stop_deceleration_m_s2 = 2.5;
         new.supervisor.hold_ms = 200;
+        new.motion_capture.marker_yaw_rad = 0.1;
+        new.motion_capture.timing.stamp_offset_ms = 2.0;
         assert_eq!(restart_keys(&old, &new).unwrap(), [""; 0]);
 
         new.serial.port = "/dev/ttyACM1".into();
@@ -59,8 +61,8 @@ mod tests {
             restart_keys(&old, &new).unwrap(),
             [
                 "serial.port",
-                "motion_capture.pose.max_speed_m_s",
                 "socket.enabled",
+                "motion_capture.pose.max_speed_m_s",
                 "control.period_ms"
             ]
         );

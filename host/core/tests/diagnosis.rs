@@ -7,6 +7,7 @@
 )]
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
 
 use rtrb::{Consumer, RingBuffer};
 use singletrack_core::{
@@ -76,6 +77,7 @@ impl Scene {
             world: World::new(simulation).unwrap(),
             receiver: CameraReceiver::new(
                 PlanarSession::new(config).unwrap(),
+                Arc::default(),
                 observations,
                 reports_in,
             ),

@@ -28,6 +28,7 @@ use tracing::{error, info, warn};
 use crate::{
     clock::{monotonic_ns, wall_ns},
     collector::Collector,
+    commissioned_file::CommissionedFile,
     control_thread::{self, ControlThreadState, SetOnDrop},
     handle::DaemonHandle,
     live::{LiveError, LiveThread},
@@ -136,6 +137,7 @@ impl Daemon {
     /// [`StartError`], with what to do about it. No thread runs then.
     pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
         let state = StateFile::load(&config.state.directory);
+        let commissioned = CommissionedFile::load(&config.state.directory);
         let seed = wall_ns() ^ u64::from(std::process::id());
         let host = Host::new(
             config,
@@ -202,6 +204,7 @@ impl Daemon {
                     idle_bounded: idle_bound.is_some(),
                     refusals,
                 },
+                commissioned,
                 drives: Drives::default(),
                 live: live_thread.as_ref().map(|thread| thread.view.clone()),
             },

@@ -5,8 +5,8 @@ use std::{path::PathBuf, sync::Arc};
 use singletrack_core::{Requests, jog_slot::JogSender, setpoint_slot::SetpointSender};
 
 use crate::{
-    live::LiveView, realtime::RealTimeStatus, reconfigure::Reconfigurer,
-    shared_status::SharedStatus, snapshot::Snapshot, socket::Drives,
+    commissioned_file::CommissionedFile, live::LiveView, realtime::RealTimeStatus,
+    reconfigure::Reconfigurer, shared_status::SharedStatus, snapshot::Snapshot, socket::Drives,
 };
 
 /// Reads the daemon's status and passes requests to the control thread.
@@ -20,6 +20,8 @@ pub(crate) struct DaemonHandle {
     pub(crate) config_path: Option<PathBuf>,
     pub(crate) reconfigurer: Reconfigurer,
     pub(crate) realtime: RealTimeStatus,
+    /// What the cars have passed.
+    pub(crate) commissioned: CommissionedFile,
     /// Numbers the drives that clients arm.
     pub(crate) drives: Drives,
     pub(crate) live: Option<LiveView>,
@@ -38,6 +40,10 @@ impl DaemonHandle {
             figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),
+            commissioned: self
+                .reconfigurer
+                .subject()
+                .map(|subject| self.commissioned.view(subject)),
             live: self.live.as_ref().map(LiveView::status),
             record_error: latest.record_error.clone(),
         }

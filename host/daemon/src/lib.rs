@@ -19,6 +19,7 @@ pub mod socket;
 
 mod clock;
 mod collector;
+mod commissioned_file;
 mod control_thread;
 mod daemon;
 mod handle;
@@ -37,6 +38,7 @@ mod wake;
 mod wall_watch;
 
 pub use clock::monotonic_ns;
+pub use commissioned_file::not_commissioned;
 pub use daemon::{Daemon, StartError, StartOptions, StopError};
 pub use live::{LiveError, LiveStatus};
 pub use mocap_socket::MocapSocketError;
@@ -44,5 +46,5 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::{Snapshot, TickView};
-pub use socket::{Attendance, Command, Question, SOCKET_VERSION, SocketError};
+pub use socket::{Arm, Attendance, Command, Question, SOCKET_VERSION, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

@@ -9,7 +9,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
 use singletrack_core::Config;
-use singletrackd::{Daemon, StartOptions, notify::ServiceManager};
+use singletrackd::{Daemon, StartOptions, not_commissioned, notify::ServiceManager};
 use tracing::{error, info, warn};
 
 use check::StandArgument;
@@ -34,6 +34,11 @@ struct Arguments {
     /// A configuration that --check finds impossible is not armed.
     #[arg(long)]
     arm: bool,
+    /// With --arm: also if doctor, bring-up and calibrate have not passed with this configuration
+    ///
+    /// The car then drives with values that have not been measured on it.
+    #[arg(long, requires = "arm")]
+    uncalibrated: bool,
     /// Judge the configuration, and end: mistakes, values left as in the example, and whether
     /// the car can drive its reference inside the geofence
     ///
@@ -96,9 +101,15 @@ fn main() -> ExitCode {
              another reference and arm with `singletrack arm`"
         );
     }
+    let refusal = (arguments.arm && !arguments.uncalibrated)
+        .then(|| not_commissioned(&config))
+        .flatten();
+    if let Some(refusal) = &refusal {
+        error!("--arm: not armed: {refusal}");
+    }
     let options = StartOptions {
         // A client's request to arm is refused for the same configuration.
-        arm: arguments.arm && is_possible,
+        arm: arguments.arm && is_possible && refusal.is_none(),
         lock_memory: true,
         config_path: Some(path.clone()),
         ..StartOptions::default()

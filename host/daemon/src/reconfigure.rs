@@ -13,13 +13,14 @@ use std::{
 use serde::Serialize;
 use singletrack_core::{
     Requests, Stalled,
+    commissioned::Subject,
     config::{Config, ReferenceSection},
     reconfigure::{CHANGE_TIMEOUT_NS, ChangeError, Configurations},
 };
 use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
 use tracing::{info, warn};
 
-use crate::clock::monotonic_ns;
+use crate::{clock::monotonic_ns, commissioned_file::subject};
 
 /// The longest time until the control thread takes a change.
 const CHANGE_TIMEOUT: Duration = Duration::from_nanos(CHANGE_TIMEOUT_NS);
@@ -66,6 +67,7 @@ struct Published {
     view: ConfigurationView,
     takes_setpoints: bool,
     braking_m_s2: f64,
+    subject: Option<Subject>,
 }
 
 #[derive(Debug)]
@@ -91,6 +93,7 @@ impl Reconfigurer {
                 },
                 takes_setpoints: takes_setpoints(configurations.in_force()),
                 braking_m_s2: configurations.in_force().fence.braking_m_s2,
+                subject: subject(configurations.in_force()).ok(),
             }),
             state: Mutex::new(State {
                 configurations,
@@ -131,6 +134,11 @@ impl Reconfigurer {
     /// `fence.braking_m_s2` of the configuration in force.
     pub(crate) fn braking_m_s2(&self) -> f64 {
         self.published().braking_m_s2
+    }
+
+    /// The car of the configuration in force.
+    pub(crate) fn subject(&self) -> Option<Subject> {
+        self.published().subject
     }
 
     /// Delays every change and every reader of the configuration for as long as it is held.
@@ -236,7 +244,9 @@ impl Reconfigurer {
             level,
             text,
         }));
+        let subject = subject(configurations.in_force()).ok();
         let mut published = self.published();
+        published.subject = subject;
         published.view.number = number;
         published.view.last_change = Some(ChangeView { by, error: None });
         published.takes_setpoints = takes_setpoints(configurations.in_force());

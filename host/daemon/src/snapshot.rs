@@ -32,6 +32,8 @@ pub struct Snapshot {
     pub realtime: RealTimeStatus,
     /// The configuration in force.
     pub configuration: ConfigurationView,
+    /// What the car of this configuration has passed.
+    pub commissioned: Option<Value>,
     /// The live view; `None` if it is disabled.
     pub live: Option<LiveStatus>,
     /// Why the record ended before the daemon, such as a full disk.
@@ -137,6 +139,7 @@ impl Snapshot {
                 "stop_input_open": self.board_status.map(|status| status.stop_input_open),
             })),
             "proved": self.proved,
+            "commissioned": self.commissioned,
             "cameras": self.cameras,
             "figures": self.figures,
             "realtime": self.realtime,

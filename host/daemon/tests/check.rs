@@ -161,7 +161,7 @@ fn log_with_arm(folder: &Path, text: &str) -> Vec<String> {
     let path = folder.join("car.toml");
     fs::write(&path, text).unwrap();
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_singletrackd"))
-        .args(["--arm", "--config"])
+        .args(["--arm", "--uncalibrated", "--config"])
         .arg(&path)
         .env("NO_COLOR", "1")
         .env_remove("NOTIFY_SOCKET")

@@ -76,6 +76,9 @@ pub struct Timing {
     /// Without mid-exposure time: the age assumed of a frame's timestamp when the
     /// frame arrives.
     pub assumed_latency_ns: u64,
+    /// Constant error of the server's time stamps, which is subtracted from every capture
+    /// time. Positive: the stamps are too late.
+    pub stamp_offset_ns: i64,
     /// Largest difference between the rates of the two clocks.
     pub max_clock_skew_ppm: f64,
 }
@@ -91,6 +94,7 @@ impl Default for Timing {
             reconnect_after_ns: 2_000_000_000,
             assumed_network_delay_ns: 300_000,
             assumed_latency_ns: 4_000_000,
+            stamp_offset_ns: 0,
             max_clock_skew_ppm: 200.0,
         }
     }

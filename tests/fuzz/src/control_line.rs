@@ -11,7 +11,7 @@ const NOW_NS: u64 = 1_000_000_000_000;
 const MAX_ANSWER: usize = 1_024;
 
 /// Keys of a line, and an unknown one.
-const KEYS: [&str; 14] = [
+const KEYS: [&str; 17] = [
     "version",
     "command",
     "topics",
@@ -22,6 +22,9 @@ const KEYS: [&str; 14] = [
     "for_s",
     "time_ns",
     "kind",
+    "uncalibrated",
+    "procedure",
+    "result",
     "jog",
     "servo_us",
     "esc_us",
@@ -127,6 +130,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
             singletrackd::Question::Disarm | singletrackd::Question::Halt => "disarm",
             singletrackd::Question::Stop => "stop",
         },
+        Command::Commissioned { .. } => "commissioned",
         Command::Arm(_) | Command::ArmJog => "arm",
         Command::Jog(_) => "jog",
         Command::Reload => "reload",

@@ -36,6 +36,11 @@ pub struct ArmArgs {
     /// Arm and return: the drive is unattended and continues until a stop
     #[arg(long, conflicts_with = "time")]
     unattended: bool,
+    /// Arm also if doctor, bring-up and calibrate have not passed with this configuration on
+    /// this car: it then drives with values that have not been measured on it, and can steer to
+    /// the wrong side, be faster than commanded and stop later than the geofence allows for
+    #[arg(long)]
+    uncalibrated: bool,
 }
 
 /// What `--unattended` means.
@@ -68,6 +73,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
                 "version": SOCKET_VERSION,
                 "command": "arm",
                 "attendance": "unattended",
+                "uncalibrated": args.uncalibrated,
             }),
             &args.control.socket,
         )?;
@@ -82,6 +88,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
                 "version": SOCKET_VERSION,
                 "command": "arm",
                 "attendance": "hold",
+                "uncalibrated": args.uncalibrated,
             }))?;
             drive.attend(
                 &interrupt,
@@ -94,6 +101,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
                 "version": SOCKET_VERSION,
                 "command": "arm",
                 "attendance": "timed",
+                "uncalibrated": args.uncalibrated,
                 "for_s": time.as_secs_f64(),
             }))?;
             drive.attend(

@@ -1,9 +1,12 @@
 //! The command line of Singletrack, as a library for its tests.
 
 pub mod arm;
+pub mod bench;
+pub mod bring_up;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;
+pub mod doctor;
 pub mod drive;
 pub mod dump;
 pub mod jog;

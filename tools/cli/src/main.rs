@@ -10,9 +10,9 @@ use clap::{Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
-    arm,
+    arm, bring_up,
     control::{self, ControlCommand},
-    drive, dump, jog, recover, replay, set_reference, setpoint, teach,
+    doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
@@ -32,6 +32,14 @@ enum Command {
     #[cfg(feature = "desk")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
+    /// Check a new car without moving it, and measure what a hand can show.
+    ///
+    /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
+    Doctor(doctor::DoctorArgs),
+    /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
+    ///
+    /// The exit status is 0 if no step failed, otherwise 3.
+    BringUp(bring_up::BringUpArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
@@ -113,6 +121,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
     let done: Result<(), Box<dyn std::error::Error>> = match &cli.command {
         #[cfg(feature = "desk")]
         Command::Demo(args) => Ok(demo::run(args)?),
+        Command::Doctor(args) => return Ok(doctor::run(args)?),
+        Command::BringUp(args) => return Ok(bring_up::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),

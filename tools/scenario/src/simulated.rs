@@ -4,10 +4,10 @@ use std::net::Ipv4Addr;
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, FenceSection, LawKind, LawSection,
-    LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
-    ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
-    WatchSection,
+    ActuatorsSection, BoardSection, Config, ControlSection, EstimatorSection, FenceSection,
+    LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection,
+    RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection,
+    UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -77,12 +77,14 @@ pub fn daemon_config(drive: Drive) -> Config {
         // The simulated car is known to be as configured.
         supervisor: SupervisorSection {
             prove_first_metre: false,
+            require_calibration: false,
             ..SupervisorSection::default()
         },
         watch: WatchSection::default(),
         // The size of a hall, so that drives may begin and end anywhere.
         fence: FenceSection::square(HALL_WIDTH_M, BRAKING_M_S2),
         board: BoardSection::from(&default_board_configuration()),
+        actuators: ActuatorsSection::default(),
         control: ControlSection::default(),
         record: RecordSection::default(),
         state: StateSection::default(),

@@ -4,6 +4,7 @@
 //! Each section is declared once, with `section!`; the example file
 //! `singletrackd.example.toml` and `docs/configuration.md` are generated from that.
 
+mod actuators;
 mod board;
 mod choice;
 mod control;
@@ -39,6 +40,7 @@ use singletrack_protocol::Configuration;
 
 use section::{Declared as _, Maps as _};
 
+pub use actuators::ActuatorsSection;
 pub use board::{
     BoardSection, EscKindName, EscSection, FailsafeKind, ImuAxisName, ImuSection, ServoSection,
     SpeedSection,
@@ -96,6 +98,9 @@ pub struct Config {
     pub fence: FenceSection,
     /// What the board is given.
     pub board: BoardSection,
+    /// How steering and motor are believed to follow their pulses.
+    #[serde(default)]
+    pub actuators: ActuatorsSection,
     /// How the controller runs.
     #[serde(default)]
     pub control: ControlSection,
@@ -187,6 +192,7 @@ impl Config {
         self.fence.fence(&self.vehicle)?;
         self.control.check()?;
         self.board.validate()?;
+        self.actuators.check()?;
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;

@@ -25,30 +25,30 @@ pub(crate) const EXAMPLE_SERVER: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 10);
 
 section! {
     /// The cameras: a NatNet server, such as OptiTrack Motive, 2.7 to 4.4.
-    "motion_capture", restart => pub MotionCaptureSection;
+    "motion_capture" => pub MotionCaptureSection;
     [new];
 
     /// Address of the computer that runs the server.
-    server: Ipv4Addr, example EXAMPLE_SERVER;
+    @restart server: Ipv4Addr, example EXAMPLE_SERVER;
     /// Name of the car's rigid body in the server's asset list. Its x axis points forward, or
     /// see `marker_yaw_rad`.
-    rigid_body: String, example "car";
+    @restart rigid_body: String, example "car";
     /// The axis that points up, a streaming setting of the server ("y" by default in Motive).
     /// It is not on the wire: ask the server's operator, and check that a car driven forward
     /// moves forward.
-    up_axis: UpAxisKind, example UpAxisKind::Y;
+    @restart up_axis: UpAxisKind, example UpAxisKind::Y;
     /// Address of the local network interface to the cameras; mandatory for multicast.
-    interface: Ipv4Addr = Ipv4Addr::UNSPECIFIED;
+    @restart interface: Ipv4Addr = Ipv4Addr::UNSPECIFIED;
     /// How the frames arrive: "unicast", or "multicast" to `group`.
-    transport: TransportKind = TransportKind::Unicast;
+    @restart transport: TransportKind = TransportKind::Unicast;
     /// Bitstream to request from the server (unicast only); the server's own if left out.
-    bitstream: Option<Bitstream> = None, text "2.7 to 4.4", example "4.1";
+    @restart bitstream: Option<Bitstream> = None, text "2.7 to 4.4", example "4.1";
     /// Command port of the server.
-    command_port: u16 = DEFAULT_COMMAND_PORT, in 1..=65_535;
+    @restart command_port: u16 = DEFAULT_COMMAND_PORT, in 1..=65_535;
     /// Port on which multicast frames arrive; unicast needs none.
-    data_port: u16 = DEFAULT_DATA_PORT, in 1..=65_535;
+    @restart data_port: u16 = DEFAULT_DATA_PORT, in 1..=65_535;
     /// Multicast group to which the server sends.
-    group: Ipv4Addr = DEFAULT_MULTICAST_GROUP, text "224.0.0.0 to 239.255.255.255";
+    @restart group: Ipv4Addr = DEFAULT_MULTICAST_GROUP, text "224.0.0.0 to 239.255.255.255";
     /// Position of the rigid body's pivot from the centre of mass: forward, left.
     marker_offset_m: [f64; 2] = [0.0; 2], in -1.0..=1.0;
     /// Yaw of the rigid body when the car's yaw is zero.
@@ -79,44 +79,54 @@ choice! {
 
 section! {
     /// Which poses are accepted, before the estimator uses them.
-    "motion_capture.pose", restart => pub PoseSection: Copy;
+    "motion_capture.pose" => pub PoseSection: Copy;
     [maps PoseLimits = PoseLimits::default()];
 
     /// Largest mean marker error.
-    max_mean_error_m: f64 => max_mean_error_m, in up_to(0.1);
+    @restart max_mean_error_m: f64 => max_mean_error_m, in up_to(0.1);
     /// Faster movement is a jump.
-    max_speed_m_s: f64 => max_speed_m_s, in up_to(50.0);
+    @restart max_speed_m_s: f64 => max_speed_m_s, in up_to(50.0);
     /// Distance allowed on top of what speed and time explain.
-    jump_margin_m: f64 => jump_margin_m, in up_to(1.0);
+    @restart jump_margin_m: f64 => jump_margin_m, in up_to(1.0);
     /// Faster rotation is a jump.
-    max_yaw_rate_rad_s: f64 => max_yaw_rate_rad_s, in up_to(100.0);
+    @restart max_yaw_rate_rad_s: f64 => max_yaw_rate_rad_s, in up_to(100.0);
     /// Yaw allowed on top of what yaw rate and time explain.
-    yaw_margin_rad: f64 => yaw_margin_rad, in up_to(3.0);
+    @restart yaw_margin_rad: f64 => yaw_margin_rad, in up_to(3.0);
     /// Largest angle between the body's up axis and the world's. Beyond it the car lies on
     /// its side.
-    max_tilt_rad: f64 => max_tilt_rad, in up_to(1.5);
+    @restart max_tilt_rad: f64 => max_tilt_rad, in up_to(1.5);
     /// Height band of the body's pivot: to arm, the car must be in it. Left out, the height
     /// is not checked.
     height_m: Option<[f64; 2]> = None, in -100.0..=100.0, example [0.05, 0.25];
     /// Largest deviation of the quaternion's norm from one.
-    quaternion_norm_tolerance: f64 = DEFAULT_QUATERNION_NORM_TOLERANCE, in up_to(0.5);
+    @restart quaternion_norm_tolerance: f64 = DEFAULT_QUATERNION_NORM_TOLERANCE, in up_to(0.5);
     /// After this many rejected poses in a row the body counts as lost.
-    max_consecutive_rejects: u32 => max_consecutive_rejects, in 1..=1_000;
+    @restart max_consecutive_rejects: u32 => max_consecutive_rejects, in 1..=1_000;
 }
 
 section! {
     /// Intervals, time-outs and assumptions.
-    "motion_capture.timing", restart => pub TimingSection: Copy, Eq;
+    "motion_capture.timing" => pub TimingSection: Copy;
     [maps Timing = Timing::default()];
 
     /// A stream silent for longer is stale.
-    stale_after_ms: u32 => stale_after_ns, in 20..=1_000;
+    @restart stale_after_ms: u32 => stale_after_ns, in 20..=1_000;
     /// After a longer silence the daemon connects to the server again.
-    reconnect_after_ms: u32 => reconnect_after_ns, in 500..=60_000;
+    @restart reconnect_after_ms: u32 => reconnect_after_ns, in 500..=60_000;
     /// Network delay assumed of servers before NatNet 3.0, which answer no echo requests.
-    assumed_network_delay_us: u32 => assumed_network_delay_ns, in 0..=20_000;
+    @restart assumed_network_delay_us: u32 => assumed_network_delay_ns, in 0..=20_000;
     /// Age assumed of a frame at its arrival, if the server sends no mid-exposure time.
-    assumed_latency_us: u32 => assumed_latency_ns, in 0..=50_000;
+    @restart assumed_latency_us: u32 => assumed_latency_ns, in 0..=50_000;
+    /// Constant error of the server's time stamps, subtracted from every mid-exposure.
+    /// Positive: the stamps are too late. `singletrack calibrate` measures it.
+    stamp_offset_ms: f64 => stamp_offset_ns, in -200.0..=200.0;
+}
+
+impl TimingSection {
+    /// The constant error of the time stamps, in ns.
+    pub(crate) fn stamp_offset_ns(self) -> i64 {
+        self.onto(Timing::default()).stamp_offset_ns
+    }
 }
 
 /// A NatNet bitstream version, written `"4.1"`.

@@ -1,10 +1,10 @@
 //! The list of the sections.
 
 use super::{
-    BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection, ImuSection,
-    LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection, RecordSection,
-    SerialSection, ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection,
-    TimingSection, WatchSection,
+    ActuatorsSection, BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection,
+    ImuSection, LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection,
+    RecordSection, SerialSection, ServoSection, SocketSection, SpeedSection, StateSection,
+    SupervisorSection, TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -31,6 +31,7 @@ pub const SECTIONS: &[Section] = &[
     EscSection::SECTION,
     SpeedSection::SECTION,
     ImuSection::SECTION,
+    ActuatorsSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
     StateSection::SECTION,

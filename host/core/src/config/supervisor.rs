@@ -52,6 +52,10 @@ section! {
     /// Drives the first metre of a configuration that has not been proved on this car with
     /// 0.3 m/s at most, and compares the sensors. A contradiction stops the car.
     prove_first_metre: bool => prove;
+    /// Refuses to arm unless `doctor`, `bring-up` and `calibrate` have passed with this
+    /// configuration on this car, within the last 90 days. An `arm` that says `uncalibrated`
+    /// is not refused.
+    require_calibration: bool = true;
     /// Refuses to drive unless the system grants `SCHED_FIFO` and locked memory.
     require_real_time: bool => require_real_time;
 }

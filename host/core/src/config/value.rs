@@ -172,6 +172,17 @@ impl Convert<u64> for u32 {
     }
 }
 
+/// Milliseconds, of nanoseconds with a sign.
+impl Convert<i64> for f64 {
+    fn to_inner(self, _: &str) -> i64 {
+        (self * 1e6).round() as i64
+    }
+
+    fn from_inner(inner: i64, _: &str) -> Self {
+        inner as Self / 1e6
+    }
+}
+
 /// Nanoseconds in the unit of a key.
 fn nanoseconds(key: &str) -> u64 {
     match key.ends_with("_us") {

@@ -26,7 +26,7 @@ use tokio::{
 };
 
 use super::{
-    command::{Attendance, Command, SOCKET_VERSION},
+    command::{Arm, Attendance, Command, SOCKET_VERSION},
     serve::{
         LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, not_ready, pass_setpoint, send,
         skip_line,
@@ -170,9 +170,9 @@ impl DriveWatch {
 }
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
-pub(super) async fn arm(daemon: &DaemonHandle, attendance: Attendance) -> Result<(), String> {
-    let (ticket, mut watch) = begin(daemon, attendance).await?;
-    if let Attendance::Timed(time) = attendance {
+pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), String> {
+    let (ticket, mut watch) = begin(daemon, request).await?;
+    if let Attendance::Timed(time) = request.attendance {
         // Renews also while the board arms.
         tokio::spawn(renew(ticket, daemon.clone(), time));
     }
@@ -192,10 +192,11 @@ pub(super) async fn arm(daemon: &DaemonHandle, attendance: Attendance) -> Result
 /// The judgement takes up to 0.3 s. Meanwhile other clients are served and the car stands:
 /// nothing has been asked of the pilot. A disarm, a stop, another mode or another configuration
 /// that comes in this time ends the request.
-async fn begin(
-    daemon: &DaemonHandle,
-    attendance: Attendance,
-) -> Result<(Ticket, DriveWatch), String> {
+async fn begin(daemon: &DaemonHandle, request: Arm) -> Result<(Ticket, DriveWatch), String> {
+    let Arm {
+        attendance,
+        uncalibrated,
+    } = request;
     ready(daemon)?;
     let judging = Arc::clone(&daemon.drives.0.judging)
         .try_lock_owned()
@@ -211,7 +212,11 @@ async fn begin(
         let _judging = judging;
         let (number, config) = judged.reconfigurer.in_force();
         let stand = judgement::stand(&judged.snapshot());
-        (number, judgement::refusal(&config, stand, longest))
+        let refusal = (!uncalibrated)
+            .then(|| judged.commissioned.refusal(&config))
+            .flatten();
+        let refusal = refusal.or_else(|| judgement::refusal(&config, stand, longest));
+        (number, refusal)
     });
     let (number, refusal) = judgement.await.map_err(|error| error.to_string())?;
     if let Some(refusal) = refusal {
@@ -293,9 +298,10 @@ pub(super) async fn hold(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    request: Arm,
 ) -> io::Result<bool> {
     let begun = tokio::select! {
-        begun = begin(daemon, Attendance::Hold) => begun,
+        begun = begin(daemon, request) => begun,
         () = hung_up(read) => return Ok(false),
     };
     let (ticket, watch) = match begun {
@@ -495,10 +501,21 @@ mod tests {
 
     use super::*;
     use crate::{
+        commissioned_file::CommissionedFile,
         realtime::RealTimeStatus,
         reconfigure::Reconfigurer,
         shared_status::SharedStatus,
         socket::{command::Question, serve::serve},
+    };
+
+    const UNATTENDED: Arm = Arm {
+        attendance: Attendance::Unattended,
+        uncalibrated: true,
+    };
+
+    const HELD: Arm = Arm {
+        attendance: Attendance::Hold,
+        uncalibrated: true,
     };
 
     /// A daemon without threads: the test sets the mode, and requests stay in their ring.
@@ -512,11 +529,11 @@ mod tests {
         /// With the example's circle, which can be driven.
         fn ready() -> Self {
             let text = include_str!("../../singletrackd.example.toml");
-            let host = Host::<crate::serial_port::WriteHalf>::new(
-                Config::from_toml(text).unwrap(),
-                HostOptions::default(),
-            )
-            .unwrap();
+            let mut config = Config::from_toml(text).unwrap();
+            config.state.directory = "/nonexistent".into();
+            let commissioned = CommissionedFile::load(&config.state.directory);
+            let host =
+                Host::<crate::serial_port::WriteHalf>::new(config, HostOptions::default()).unwrap();
             let (ring, requests) = RingBuffer::new(16);
             let ring = Requests::new(ring);
             let (entries, _) = mpsc::channel();
@@ -533,6 +550,7 @@ mod tests {
                     idle_bounded: false,
                     refusals: Vec::new(),
                 },
+                commissioned,
                 drives: Drives::default(),
                 live: None,
             };
@@ -568,7 +586,7 @@ mod tests {
         fn arm_while(&self, happens: impl FnOnce(&Self)) -> Result<(), String> {
             let _context = self.runtime.enter();
             let judging = self.daemon.reconfigurer.pause();
-            let mut begun = pin!(begin(&self.daemon, Attendance::Unattended));
+            let mut begun = pin!(begin(&self.daemon, UNATTENDED));
             // It runs up to the judgement, which waits for the configuration.
             let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
             assert!(polled.is_pending());
@@ -579,7 +597,7 @@ mod tests {
 
         /// The refusal of an `arm`, without waiting for anything.
         fn refusal_now(&self) -> String {
-            let begun = pin!(begin(&self.daemon, Attendance::Unattended));
+            let begun = pin!(begin(&self.daemon, UNATTENDED));
             match begun.poll(&mut Context::from_waker(Waker::noop())) {
                 Poll::Ready(Err(error)) => error,
                 Poll::Ready(Ok(_)) => "armed".to_owned(),
@@ -646,12 +664,29 @@ mod tests {
     }
 
     #[test]
+    fn a_car_that_has_passed_no_procedure_is_not_armed_unless_the_client_says_so() {
+        let mut bench = Bench::ready();
+        let calibrated = Arm {
+            uncalibrated: false,
+            ..UNATTENDED
+        };
+        let error = bench
+            .runtime
+            .block_on(begin(&bench.daemon, calibrated))
+            .map(drop)
+            .unwrap_err();
+        assert!(error.contains("Run `singletrack doctor`"), "{error}");
+        assert_eq!(bench.requests(), []);
+        assert_eq!(bench.arm_while(|_| {}), Ok(()));
+    }
+
+    #[test]
     fn a_client_that_hangs_up_while_its_arm_is_judged_arms_nothing() {
         let mut bench = Bench::ready();
         {
             let _context = bench.runtime.enter();
             let judging = bench.daemon.reconfigurer.pause();
-            let mut begun = Box::pin(begin(&bench.daemon, Attendance::Hold));
+            let mut begun = Box::pin(begin(&bench.daemon, HELD));
             let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
             assert!(polled.is_pending());
             drop(begun);
@@ -674,7 +709,7 @@ mod tests {
             let client = async move {
                 let (read, mut write) = client.into_split();
                 let lines = concat!(
-                    r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+                    r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
                     "\n",
                     r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#,
                     "\n",

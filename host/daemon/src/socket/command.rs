@@ -4,7 +4,10 @@ use core::{str::FromStr, time::Duration};
 
 use serde::Deserialize;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::{
+    commissioned::{Procedure, ProcedureResult},
+    config::ReferenceSection,
+};
 use singletrack_pilot::Jog;
 use singletrack_record::Topic;
 
@@ -17,7 +20,7 @@ pub enum Command {
     /// A question or request, answered by one line.
     Ask(Question),
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
-    Arm(Attendance),
+    Arm(Arm),
     /// Arm to jog, held by this connection; answered when the board takes pulses or can't be
     /// armed.
     ArmJog,
@@ -32,11 +35,27 @@ pub enum Command {
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
     Setpoint(Setpoint),
+    /// What became of a procedure, answered by one line when it is kept.
+    Commissioned {
+        /// The procedure.
+        procedure: Procedure,
+        /// What became of it.
+        result: ProcedureResult,
+    },
     /// A subscription, answered by a stream of entries.
     Watch {
         /// The topics; empty for all.
         topics: Vec<Topic>,
     },
+}
+
+/// A request to arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Arm {
+    /// Who attends the drive.
+    pub attendance: Attendance,
+    /// Whether the car may drive without having passed doctor, bring-up and calibrate.
+    pub uncalibrated: bool,
 }
 
 /// Who attends a drive.
@@ -71,6 +90,9 @@ struct Line {
     command: String,
     attendance: Option<String>,
     for_s: Option<f64>,
+    uncalibrated: Option<bool>,
+    procedure: Option<String>,
+    result: Option<String>,
     topics: Option<Vec<String>>,
     reference: Option<ReferenceSection>,
     velocity_m_s: Option<[f64; 2]>,
@@ -112,12 +134,16 @@ impl Command {
             "status" => Self::Ask(Question::Status),
             "arm" => {
                 let jogs = line.jog.take().unwrap_or(false);
+                let uncalibrated = line.uncalibrated.take().unwrap_or(false);
                 match line.take_attendance()? {
                     Attendance::Hold if jogs => Self::ArmJog,
                     _ if jogs => {
                         return Err("jogging must be held: \"attendance\":\"hold\"".to_owned());
                     }
-                    attendance => Self::Arm(attendance),
+                    attendance => Self::Arm(Arm {
+                        attendance,
+                        uncalibrated,
+                    }),
                 }
             }
             "hold" => Self::Hold,
@@ -134,6 +160,7 @@ impl Command {
                 Self::SetReference(line.reference.take().ok_or(missing)?)
             }
             "setpoint" => Self::Setpoint(line.take_setpoint(now_ns)?),
+            "commissioned" => line.take_commissioned()?,
             "watch" => Self::Watch {
                 topics: line
                     .topics
@@ -145,7 +172,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, reload or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
                 ));
             }
         };
@@ -186,6 +213,21 @@ impl Line {
         }
     }
 
+    fn take_commissioned(&mut self) -> Result<Command, String> {
+        let procedure = self.procedure.take().unwrap_or_default();
+        let result = self.result.take().unwrap_or_default();
+        Ok(Command::Commissioned {
+            procedure: Procedure::named(&procedure).ok_or_else(|| {
+                format!("procedure is {procedure:?}: use \"doctor\", \"bring-up\" or \"calibrate\"")
+            })?,
+            result: ProcedureResult::named(&result).ok_or_else(|| {
+                format!(
+                    "result is {result:?}: use \"begun\", \"resumed\", \"passed\" or \"failed\""
+                )
+            })?,
+        })
+    }
+
     fn take_jog(&mut self) -> Result<Jog, String> {
         match (self.servo_us.take(), self.esc_us.take()) {
             (Some(servo_us), Some(esc_us)) => Ok(Jog { servo_us, esc_us }),
@@ -221,6 +263,9 @@ impl Line {
         for (key, is_there, owner) in [
             ("attendance", self.attendance.is_some(), "arm"),
             ("for_s", self.for_s.is_some(), "arm"),
+            ("uncalibrated", self.uncalibrated.is_some(), "arm"),
+            ("procedure", self.procedure.is_some(), "commissioned"),
+            ("result", self.result.is_some(), "commissioned"),
             ("topics", self.topics.is_some(), "watch"),
             ("reference", self.reference.is_some(), "set-reference"),
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
@@ -308,6 +353,18 @@ mod tests {
                 "only setpoint does",
             ),
             (
+                r#"{"version":2,"command":"status","uncalibrated":true}"#,
+                "only arm does",
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"drive","result":"passed"}"#,
+                "procedure is \"drive\": use \"doctor\"",
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"doctor"}"#,
+                "result is \"\": use \"begun\"",
+            ),
+            (
                 r#"{"version":2,"command":"set-reference"}"#,
                 "needs a reference",
             ),
@@ -383,6 +440,10 @@ mod tests {
 
     #[test]
     fn valid_lines_are_parsed() {
+        let arm = |attendance| Arm {
+            attendance,
+            uncalibrated: false,
+        };
         let setpoint = |position, time| {
             Command::Setpoint(Setpoint {
                 position,
@@ -405,15 +466,29 @@ mod tests {
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold"}"#,
-                Command::Arm(Attendance::Hold),
+                Command::Arm(arm(Attendance::Hold)),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"timed","for_s":1.5}"#,
-                Command::Arm(Attendance::Timed(Duration::from_millis(1_500))),
+                Command::Arm(arm(Attendance::Timed(Duration::from_millis(1_500)))),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
-                Command::Arm(Attendance::Unattended),
+                Command::Arm(arm(Attendance::Unattended)),
+            ),
+            (
+                r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+                Command::Arm(Arm {
+                    attendance: Attendance::Hold,
+                    uncalibrated: true,
+                }),
+            ),
+            (
+                r#"{"version":2,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
+                Command::Commissioned {
+                    procedure: Procedure::BringUp,
+                    result: ProcedureResult::Passed,
+                },
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
@@ -421,7 +496,7 @@ mod tests {
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
-                Command::Arm(Attendance::Hold),
+                Command::Arm(arm(Attendance::Hold)),
             ),
             (
                 r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,

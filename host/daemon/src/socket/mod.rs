@@ -45,5 +45,5 @@ mod thread;
 pub(crate) use attend::Drives;
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
-pub use command::{Attendance, Command, Question, SOCKET_VERSION};
+pub use command::{Arm, Attendance, Command, Question, SOCKET_VERSION};
 pub(crate) use thread::SocketThread;

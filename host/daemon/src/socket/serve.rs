@@ -5,7 +5,12 @@ use std::{io, time::Duration};
 
 use serde_json::{Value, json};
 use singletrack_control::Setpoint;
-use singletrack_core::{ControlRequest, config::ReferenceSection, reconfigure::ChangeError};
+use singletrack_core::{
+    ControlRequest,
+    commissioned::{Procedure, ProcedureResult},
+    config::ReferenceSection,
+    reconfigure::ChangeError,
+};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
 use tokio::{
@@ -22,7 +27,10 @@ use super::{
     attend::{arm, hold, jog},
     command::{Attendance, Command, Question, SOCKET_VERSION},
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement, snapshot::Snapshot};
+use crate::{
+    clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
+    snapshot::Snapshot,
+};
 
 /// The largest number of clients at a time.
 pub(super) const CLIENTS: usize = 32;
@@ -80,8 +88,8 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                     closed = read.read(&mut rest) => closed.map(drop),
                 };
             }
-            Ok(Command::Arm(Attendance::Hold)) => {
-                if !hold(&mut read, &mut write, daemon).await? {
+            Ok(Command::Arm(request)) if request.attendance == Attendance::Hold => {
+                if !hold(&mut read, &mut write, daemon, request).await? {
                     return Ok(());
                 }
             }
@@ -98,8 +106,8 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
             Ok(Command::Reload) => {
                 send(&mut write, &reload(daemon).await).await?;
             }
-            Ok(Command::Arm(attendance)) => {
-                let answer = match arm(daemon, attendance).await {
+            Ok(Command::Arm(request)) => {
+                let answer = match arm(daemon, request).await {
                     Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
                     Err(error) => failure(error),
                 };
@@ -115,6 +123,10 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
             }
             Ok(Command::SetReference(reference)) => {
                 send(&mut write, &set_reference(reference, daemon).await).await?;
+            }
+            Ok(Command::Commissioned { procedure, result }) => {
+                let answer = commissioned(procedure, result, daemon).await;
+                send(&mut write, &answer).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {
                 pass_setpoint(&mut write, daemon, &setpoint).await?;
@@ -239,6 +251,33 @@ async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Va
             }
             answer
         }
+        Ok(Err(error)) => failure(error),
+        Err(error) => failure(error),
+    }
+}
+
+/// Keeps what became of a procedure with the configuration in force.
+async fn commissioned(
+    procedure: Procedure,
+    result: ProcedureResult,
+    daemon: &DaemonHandle,
+) -> Value {
+    let noting = daemon.clone();
+    // It waits for a change that is under way, and for the disk.
+    let noted = spawn_blocking(move || {
+        let (_, config) = noting.reconfigurer.in_force();
+        let subject = subject(&config).map_err(|error| error.to_string())?;
+        let noted = noting.commissioned.note(procedure, result, subject);
+        noted.map_err(|error| {
+            format!(
+                "can't be kept in {}: {error}",
+                config.state.directory.display()
+            )
+        })
+    })
+    .await;
+    match noted {
+        Ok(Ok(())) => json!({ "version": SOCKET_VERSION, "ok": true }),
         Ok(Err(error)) => failure(error),
         Err(error) => failure(error),
     }

@@ -137,6 +137,12 @@ impl PlanarSession {
 
     // Requests.
 
+    /// As [`Session::set_stamp_offset_ns`].
+    pub const fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
+        self.config.session.timing.stamp_offset_ns = offset_ns;
+        self.session.set_stamp_offset_ns(offset_ns);
+    }
+
     /// As [`Session::close`].
     pub const fn close(&mut self) {
         self.session.close();

@@ -266,6 +266,8 @@ impl Session {
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, frame: &Frame<'_>, now_ns: u64) -> Option<CaptureTime> {
         let mut capture = self.clock.capture(frame, now_ns)?;
+        let offset_ns = self.config.timing.stamp_offset_ns;
+        capture.time_ns = capture.time_ns.saturating_sub_signed(offset_ns);
         if self.consistency.is_distrusted(now_ns) {
             self.counters.distrusted += 1;
             return None;

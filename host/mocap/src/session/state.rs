@@ -121,6 +121,11 @@ impl Session {
         self.schedule.models_incomplete();
     }
 
+    /// Replaces [`Timing::stamp_offset_ns`](crate::Timing), from the next frame on.
+    pub const fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
+        self.config.timing.stamp_offset_ns = offset_ns;
+    }
+
     /// Leaves the server: [`poll_transmit`](Self::poll_transmit) returns the
     /// disconnect message and then nothing more.
     pub const fn close(&mut self) {

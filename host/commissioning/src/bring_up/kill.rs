@@ -1,0 +1,115 @@
+//! The kill, before anything turns for another reason.
+
+use super::{
+    car::{Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
+    questions,
+};
+use crate::{Bench, BoardReading, Finding, Interrupted};
+
+/// Time for which an armed board holds neutral, s.
+const ARMED_S: f64 = 1.0;
+
+/// Time in which the operator cuts the supply, s. The board ends a jog after 10 s.
+const CUT_WITHIN_S: f64 = 6.0;
+
+/// Where the search for the first turn begins, beyond neutral, us.
+const FROM_US: u16 = 16;
+
+pub(super) const NAME: &str = "kill";
+
+pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = if bench.configuration().board.kill_output {
+        by_board(bench)
+    } else {
+        by_hand(bench)
+    };
+    conclude(
+        bench,
+        NAME,
+        "The supply of the ESC can be cut, whatever pulses it gets.",
+        outcome,
+    )
+}
+
+fn by_board(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    const WIRING: &str = "Check the wiring of the kill output (pin D7) and of its relay, which is \
+                          normally open: docs/uno.md.";
+    let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::esc_dark());
+    if !dark(bench)? {
+        return Err(failed(
+            "the ESC has its supply although the kill output is off",
+            WIRING,
+        ));
+    }
+    let power = armed(bench, |car| {
+        let rest = car.rest();
+        car.hold(rest, ARMED_S, "armed at neutral")?;
+        Ok(car.status.is_some_and(|status| status.power_on))
+    })?;
+    if !power {
+        return Err(failed(
+            "the armed board does not hold its kill output",
+            "Load the image again: `cargo uno`.",
+        ));
+    }
+    if !ask_yes(bench, &questions::esc_woke())? {
+        return Err(failed("the armed board does not switch the ESC on", WIRING));
+    }
+    if !dark(bench)? {
+        return Err(failed(
+            "the ESC keeps its supply after the board was disarmed",
+            WIRING,
+        ));
+    }
+    Ok(Outcome::good(
+        "the ESC is on while the board is armed, and off before and after",
+    ))
+}
+
+fn by_hand(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    const NONE: &str = "Wire the kill output (docs/uno.md) and set board.kill_output, or put a \
+                        switch that you reach at any time into the supply of the ESC.";
+    if !ask_yes(bench, &questions::kill_switch())? {
+        return Ok(Outcome::warning(
+            "nothing but the pulses on one wire stops the motor",
+            NONE,
+        ));
+    }
+    ask(bench, &questions::cut_supply())?;
+    let spun = armed(bench, |car| {
+        car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
+    })?;
+    ask(bench, &questions::restore_supply())?;
+    if !spun.stopped_under_drive() {
+        return Err(failed(
+            format!("the motor turned on for {CUT_WITHIN_S} s: the kill does not cut it"),
+            NONE,
+        ));
+    }
+    Ok(Outcome::good(format!(
+        "without its supply the motor came to rest within {:.1} s, with the pulse still driving it",
+        roll_down(&spun.readings, spun.fastest())
+    )))
+}
+
+/// Time from the last telemetry with nine tenths of the speed to rest, s.
+fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
+    let begin = readings
+        .iter()
+        .rev()
+        .find(|reading| reading.motor_speed.abs() >= 0.9 * speed);
+    match (begin, readings.last()) {
+        (Some(begin), Some(end)) => end.receive.seconds_since(begin.receive),
+        _ => 0.0,
+    }
+}
+
+/// The motor does not turn.
+pub(super) fn never_turned(limit_us: u16) -> Trouble {
+    failed(
+        format!("no motor pulse up to {limit_us} us beyond neutral"),
+        "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
+         swapped? Does the pulse sensor count when the wheels are turned by hand \
+         (`singletrack doctor`)?",
+    )
+}

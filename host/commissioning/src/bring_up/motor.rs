@@ -1,0 +1,440 @@
+//! The motor: direction, deadband on both sides of neutral, feed-forward.
+//!
+//! The deadband is that of `board.esc.deadband_us`: the band of pulses in which the wheels
+//! stand, with what the ESC ignores and what the drive train holds. Its edges come from the
+//! speeds beyond it: a slow wheel gives too few pulses to tell one that stands from one that
+//! creeps.
+
+use singletrack_control::Time;
+use singletrack_protocol::StopCause;
+
+use super::{
+    car::{
+        Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask_word, beyond, change, conclude, failed,
+        mean_speed, way,
+    },
+    kill::never_turned,
+    questions::{self, WAYS},
+};
+use crate::{
+    Bench, Finding, Interrupted, Interval, Jog, Parameter,
+    fit::{
+        least_squares, mean,
+        speed_curve::{SpeedCurve, fit_speed_curve},
+        standard_deviation, student_quantile,
+    },
+};
+
+pub(super) const DIRECTION: &str = "motor-direction";
+pub(super) const MAP: &str = "motor-map";
+
+/// Where the search for the first turn begins, beyond neutral, us.
+const FROM_US: u16 = 16;
+
+/// Time that a speed is given to settle, and in which it is measured, s.
+const SETTLE_S: f64 = 0.7;
+const MEASURE_S: f64 = 0.6;
+
+/// Speeds that are measured, m/s. The board ends a jog beyond 1.0.
+const SLOWEST: f64 = 0.06;
+const FASTEST: f64 = 0.75;
+/// Wanted change of the speed from one level to the next, m/s.
+const STEP: f64 = 0.09;
+
+/// Step of the search for the slowest speed, us.
+const SLOWER_US: u16 = 4;
+
+/// Slope of speed over pulse that is reckoned with before it is known.
+const STEEPEST_M_S_PER_US: f64 = 0.016;
+
+/// The longest time between two pulses of a motor that turns slowly, s.
+const PULSE_WITHIN_S: f64 = 0.35;
+
+/// Most levels on one way.
+const MOST_LEVELS: usize = 24;
+
+/// Time for which the motor is driven without a rest, s. The board allows 10.
+const DRIVEN_S: f64 = 5.0;
+
+/// What the standing band may differ from its curve by, us: the first turn needs more than
+/// the last one.
+const BREAKAWAY_US: f64 = 1.0;
+
+/// The speed for which the feed-forward is given, m/s.
+const AT_SPEED: f64 = 0.5;
+
+/// Change of the feed-forward with the charge of the battery.
+const CHARGE: f64 = 0.06;
+
+/// What a drive train holds beyond the band that the ESC ignores, us, where only the ESC's own
+/// edge is seen on the other side: from nothing to twice this.
+const HELD_US: f64 = 5.0;
+
+/// What the middle of the standing band may differ from a configured neutral at which the wheels
+/// stand, us.
+const NEUTRAL_US: f64 = 20.0;
+
+/// What the edge of a brake is known to, us, besides its scatter: ESCs do not begin to brake at
+/// a microsecond.
+const BRAKE_US: f64 = 6.0;
+
+/// Time from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
+const LATE_S: f64 = 0.06;
+
+/// The widest band that an ESC ignores, to one side, us.
+const WIDEST_US: f64 = 60.0;
+
+pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_direction(bench);
+    conclude(
+        bench,
+        DIRECTION,
+        "A pulse above neutral drives forward, and the motor's pulses count.",
+        outcome,
+    )
+}
+
+fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let turned = armed(bench, |car| {
+        let Some(jog) = car.spin(FROM_US)? else {
+            return Ok(None);
+        };
+        // For the operator to see.
+        car.hold(jog, 1.0, "which way do the wheels turn?")?;
+        Ok(Some(jog.esc_us))
+    });
+    let turned = match turned {
+        // The motor may turn while its sensor does not count.
+        Err(Trouble::Ended {
+            cause: StopCause::MotorSensor,
+            ..
+        }) => None,
+        turned => turned?,
+    };
+    let seen = ask_word(bench, &questions::driven_wheels(), WAYS)?;
+    match (turned, seen) {
+        (Some(pulse_us), "forward") => Ok(Outcome::good(format!(
+            "forward at {pulse_us} us, and the pulses count"
+        ))),
+        (Some(_), "backward") => Err(failed(
+            "a pulse above neutral drives backward",
+            "Swap two of the motor's wires (brushless: any two; brushed: both), or reverse the \
+             direction in the settings of the ESC.",
+        )),
+        (Some(_), _) => Err(failed(
+            "motor pulses came, and the driven wheels did not turn",
+            "Does the drive train slip? Is D2 connected to the motor's sensor, and no other wire?",
+        )),
+        (None, "stood") => Err(never_turned(JOG_LIMIT_US)),
+        (None, _) => Err(failed(
+            "the wheels turned, and no motor pulse came",
+            "Check the pulse sensor on D2: magnet, distance, supply.",
+        )),
+    }
+}
+
+pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_map(bench);
+    conclude(
+        bench,
+        MAP,
+        "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
+        outcome,
+    )
+}
+
+/// What lies below neutral.
+enum Below {
+    /// The wheels turn backward beyond this edge.
+    Reverse(SpeedCurve),
+    /// Beyond this edge the ESC brakes.
+    Brake(Interval),
+    /// Nothing that shows in the speed.
+    Nothing,
+}
+
+fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let (ahead, below) = armed(bench, |car| {
+        let ahead = curve(car, true)?.ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+        let below = match curve(car, false)? {
+            Some(curve) => Below::Reverse(curve),
+            None => brake_edge(car, &ahead)?.map_or(Below::Nothing, Below::Brake),
+        };
+        Ok((ahead, below))
+    })?;
+    let esc = bench.configuration().board.esc;
+    let configured = f64::from(esc.neutral_us);
+    let upper = ahead.edge;
+    // Both relative to the configured neutral.
+    let (neutral, deadband, how) = match below {
+        Below::Reverse(curve) => {
+            let half = upper.half_width().hypot(curve.edge.half_width()) / 2.0;
+            let lower = -curve.edge.value;
+            (
+                Interval::around(f64::midpoint(upper.value, lower), half),
+                Interval::around((upper.value - lower) / 2.0, half),
+                "turns both ways",
+            )
+        }
+        Below::Brake(edge) => {
+            // The ESC's own edge: on the other side the drive train holds a little more.
+            let half = upper.half_width().hypot(edge.half_width()) / 2.0;
+            let middle = f64::midpoint(upper.value - HELD_US, -edge.value);
+            let neutral = Interval::around(middle, half).widened(HELD_US / 2.0);
+            // The wheels stood at the configured neutral: it is about right.
+            let neutral = with_prior(neutral, NEUTRAL_US);
+            (
+                neutral,
+                neutral.scaled(-1.0).shifted(upper.value),
+                "turns forward, brakes below neutral",
+            )
+        }
+        Below::Nothing => {
+            let neutral = Interval {
+                value: 0.0,
+                low: (upper.low - WIDEST_US).min(0.0),
+                high: upper.high.max(0.0),
+            };
+            let deadband = Interval {
+                value: upper.value,
+                low: 0.0,
+                high: WIDEST_US.max(upper.high),
+            };
+            (neutral, deadband, "turns forward only")
+        }
+    };
+    let neutral = neutral.shifted(configured);
+    let neutral_us = neutral.value.round();
+    // The band between both edges, whatever the rounding does.
+    let band = (upper.value - (neutral_us - configured))
+        .min(deadband.value + (deadband.value - 0.5).clamp(0.0, 0.5))
+        .floor()
+        .clamp(0.0, 200.0);
+    if (neutral_us - 1_500.0).abs() > band {
+        return Err(failed(
+            format!(
+                "the wheels stand from {:.0} to {:.0} us: not at 1500 us, which the board gives \
+                 before it is configured",
+                neutral.value - deadband.value,
+                neutral.value + deadband.value
+            ),
+            "Calibrate the neutral of the ESC to 1500 us as its manual says.",
+        ));
+    }
+    let feed_forward = ahead
+        .feed_forward
+        .widened(CHARGE * ahead.feed_forward.value);
+    let integer = |value: f64| toml_edit::Value::from(value as i64);
+    let keys = [
+        ("board.esc.neutral_us", integer(neutral_us)),
+        ("board.esc.deadband_us", integer(band)),
+        (
+            "board.speed.feed_forward_us_per_m_s",
+            integer(feed_forward.value.round().clamp(0.0, 5_000.0)),
+        ),
+    ];
+    change(bench, &keys)?;
+    let found = format!(
+        "{how}: neutral {:.1} us (to {:.1}), deadband {:.1} us (to {:.1}), {:.0} us per m/s at \
+         {AT_SPEED} m/s; the speeds are within {:.1} us of their curve",
+        neutral.value,
+        neutral.half_width(),
+        deadband.value,
+        deadband.half_width(),
+        feed_forward.value,
+        ahead.scatter
+    );
+    let [neutral_key, deadband_key, feed_forward_key] = keys;
+    let outcome = if ahead.scatter > 4.0 {
+        Outcome::warning(
+            found,
+            "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
+             interference?",
+        )
+    } else {
+        Outcome::good(found)
+    };
+    Ok(outcome.with(vec![
+        Parameter {
+            name: "esc-neutral",
+            unit: "us",
+            estimate: neutral,
+            key: Some(neutral_key),
+        },
+        Parameter {
+            name: "esc-deadband",
+            unit: "us",
+            estimate: deadband,
+            key: Some(deadband_key),
+        },
+        Parameter {
+            name: "feed-forward",
+            unit: "us/(m/s)",
+            estimate: feed_forward,
+            key: Some(feed_forward_key),
+        },
+    ]))
+}
+
+/// With a value of zero that is known before to ±`bound` in 95 of 100 cases.
+fn with_prior(measured: Interval, bound: f64) -> Interval {
+    let weight = measured.half_width().powi(-2);
+    let sum = weight + bound.powi(-2);
+    Interval::around(measured.value * weight / sum, sum.sqrt().recip())
+}
+
+/// The settled speeds on one side of neutral; nothing if the wheels do not turn there.
+fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble> {
+    let Some(first) = car.first_turn(forward, FROM_US)? else {
+        return Ok(None);
+    };
+    let levels = levels(car, forward, first)?;
+    fit_speed_curve(&levels, BREAKAWAY_US, AT_SPEED)
+        .map(Some)
+        .ok_or_else(|| {
+            failed(
+                format!(
+                    "{} settled speeds give no curve of speed over pulse",
+                    levels.len()
+                ),
+                "The motor turns too fast or too unsteadily within 150 us of neutral: reduce the \
+                 power in the settings of the ESC, and check the pulse sensor.",
+            )
+        })
+}
+
+/// Pulses beyond neutral and their settled speeds, up and down again.
+fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>, Trouble> {
+    let rest = car.rest();
+    let begin_us = rest.esc_us.abs_diff(first.esc_us);
+    let mut since = car.now()?;
+    let mut levels: Vec<[f64; 2]> = Vec::new();
+    // The first turn may be well beyond the edge: the pulses are far apart, or the step large.
+    // The board ends a jog without a pulse for 0.6 s.
+    let pulse_m = f64::from(car.bench().configuration().board.speed.pulse_distance_um) * 1e-6;
+    let slowest = SLOWEST.max(pulse_m / PULSE_WITHIN_S);
+    let mut slowest_us = begin_us;
+    let mut drop = STEEPEST_M_S_PER_US * f64::from(SLOWER_US);
+    loop {
+        let speed = settled(car, &mut since, forward, slowest_us)?;
+        if let Some([_, before]) = levels.last() {
+            drop = before - speed;
+        }
+        if speed >= SLOWEST {
+            levels.push([slowest_us.into(), speed]);
+        }
+        if speed - drop < slowest || slowest_us < SLOWER_US + 4 {
+            break;
+        }
+        slowest_us -= SLOWER_US;
+    }
+    let mut offset_us = begin_us + SLOWER_US;
+    let mut last: Option<(u16, f64)> = levels.first().map(|[_, speed]| (begin_us, *speed));
+    let mut way_up = vec![begin_us];
+    while offset_us <= JOG_LIMIT_US && way_up.len() < MOST_LEVELS {
+        let speed = settled(car, &mut since, forward, offset_us)?;
+        if speed >= SLOWEST {
+            levels.push([offset_us.into(), speed]);
+            way_up.push(offset_us);
+        }
+        if speed >= FASTEST {
+            break;
+        }
+        let step_us = match last {
+            Some((before_us, before)) if speed > before => {
+                let per_us = (speed - before) / f64::from(offset_us - before_us);
+                (STEP.min(0.9 - speed) / per_us).floor().clamp(2.0, 14.0) as u16
+            }
+            _ => SLOWER_US,
+        };
+        last = Some((offset_us, speed));
+        offset_us += step_us;
+    }
+    for offset_us in way_up.into_iter().rev() {
+        let speed = settled(car, &mut since, forward, offset_us)?;
+        if speed >= SLOWEST {
+            levels.push([offset_us.into(), speed]);
+        }
+    }
+    car.hold_until_standing(rest, 0.8)?;
+    Ok(levels)
+}
+
+/// The settled speed at this pulse, m/s, after a rest if the motor has been driven for long.
+fn settled(
+    car: &mut Car<'_>,
+    since: &mut Time,
+    forward: bool,
+    offset_us: u16,
+) -> Result<f64, Trouble> {
+    let rest = car.rest();
+    if car.now()?.seconds_since(*since) > DRIVEN_S - SETTLE_S - MEASURE_S {
+        car.hold_until_standing(rest, 0.8)?;
+        *since = car.now()?;
+    }
+    let jog = Jog {
+        esc_us: beyond(rest.esc_us, offset_us, forward),
+        ..rest
+    };
+    car.hold(jog, SETTLE_S, "settling")?;
+    Ok(mean_speed(&car.hold(jog, MEASURE_S, "measuring")?))
+}
+
+/// Pulse below neutral beyond which a turning motor is braked, us, from how much harder it
+/// slows down the farther below neutral the pulse is.
+fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>, Trouble> {
+    /// Pulses below neutral, us. A steady brake grows with them.
+    const PULSES_US: [u16; 8] = [35, 50, 65, 80, 95, 110, 125, 140];
+    let ahead_us = ahead.pulse(FASTEST).round().clamp(0.0, 150.0) as u16;
+    let mut free = Vec::new();
+    let mut braked = Vec::new();
+    for _ in 0..2 {
+        free.extend(slows_down(car, ahead_us, 0)?);
+        for offset_us in PULSES_US {
+            let slowing = slows_down(car, ahead_us, offset_us)?;
+            braked.extend(slowing.map(|slowing| (slowing, f64::from(offset_us))));
+        }
+        free.extend(slows_down(car, ahead_us, 0)?);
+    }
+    let (Some(rolling), Some(scatter)) = (mean(&free), standard_deviation(&free)) else {
+        return Ok(None);
+    };
+    // What differs from rolling by no more than that scatters is not braked.
+    braked.retain(|(slowing, _)| slowing - rolling > 0.15 * rolling + 3.0 * scatter);
+    let rows = braked
+        .iter()
+        .map(|(slowing, at)| ([1.0, slowing - rolling], *at));
+    let freedom = braked.len().saturating_sub(2);
+    Ok(least_squares(rows)
+        .filter(|fit| freedom >= 3 && fit.parameters[1] > 0.0)
+        .map(|fit| {
+            let half = student_quantile(freedom) * fit.standard_errors[0];
+            Interval::around(fit.parameters[0], half).widened(BRAKE_US)
+        }))
+}
+
+/// How hard the wheels slow down at this pulse below neutral, m/s²: by their way to
+/// standstill, less what they do before the ESC has acted.
+fn slows_down(car: &mut Car<'_>, ahead_us: u16, offset_us: u16) -> Result<Option<f64>, Trouble> {
+    let rest = car.rest();
+    car.hold_until_standing(rest, 0.8)?;
+    let drive = Jog {
+        esc_us: beyond(rest.esc_us, ahead_us, true),
+        ..rest
+    };
+    let readings = car.hold(drive, 1.2, "turning")?;
+    let speed = mean_speed(&readings[readings.len() / 2..]);
+    let slow = Jog {
+        esc_us: beyond(rest.esc_us, offset_us, false),
+        ..rest
+    };
+    // Shorter than what the board takes for a dead sensor, if the wheels stand at once.
+    let mut all = car.hold(slow, 0.5, "slowing down")?;
+    if all.last().is_some_and(|last| last.motor_speed != 0.0) {
+        all.extend(car.hold_until(rest, 4.0, "slowing down", |reading| {
+            reading.motor_speed == 0.0
+        })?);
+    }
+    let rolled = way(&all) - speed * LATE_S;
+    Ok((speed > 0.2 && rolled > 0.0).then(|| speed * speed / (2.0 * rolled)))
+}

@@ -1,0 +1,106 @@
+//! The ESC and its neutral: the wheels stand, in whatever order the parts are switched on.
+
+use super::{
+    car::{Car, Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
+    questions,
+};
+use crate::{Bench, BoardReading, Finding, Interrupted};
+
+pub(super) const NAME: &str = "esc-neutral";
+
+/// Edges that the board refuses in this step at most, as milliseconds with too many.
+const REFUSED: u16 = 2;
+
+/// Watches for so many seconds in each order.
+pub(super) fn run<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find(bench, SECONDS.into());
+    conclude(
+        bench,
+        NAME,
+        "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
+        outcome,
+    )
+}
+
+fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Outcome, Trouble> {
+    let orders = if bench.configuration().board.kill_output {
+        // The board starts the ESC: there is one order.
+        let readings = armed(bench, |car| {
+            let rest = car.rest();
+            watch(car, |car| car.hold(rest, seconds, "armed at neutral"))
+        })?;
+        check(&readings, "after the board")?;
+        still(bench)?;
+        "the board starts the ESC"
+    } else {
+        for (question, order) in [
+            (questions::esc_after_board(), "after the board"),
+            (questions::board_after_esc(), "before the board"),
+        ] {
+            ask(bench, &question)?;
+            let mut car = Car::look(bench)?;
+            let readings = watch(&mut car, |car| car.watch(seconds, "at neutral"))?;
+            check(&readings, order)?;
+            still(bench)?;
+        }
+        "ESC on before and after the board"
+    };
+    Ok(Outcome::good(format!(
+        "no motor pulse in {seconds:.0} s at neutral: {orders}"
+    )))
+}
+
+/// Watches, and compares what the sensor refused.
+fn watch(
+    car: &mut Car<'_>,
+    mut readings: impl FnMut(&mut Car<'_>) -> Result<Vec<BoardReading>, Trouble>,
+) -> Result<Vec<BoardReading>, Trouble> {
+    let refused = |car: &Car<'_>| car.status.map(|status| status.edges_refused);
+    let before = refused(car);
+    let readings = readings(car)?;
+    if let (Some(before), Some(after)) = (before, refused(car)) {
+        let noisy = after.wrapping_sub(before);
+        if noisy > REFUSED {
+            return Err(failed(
+                format!("interference on the pulse sensor's wire in {noisy} ms"),
+                "Keep the wire of D2 away from the motor's; 1 kOhm and 10 nF at the pin: \
+                 docs/uno.md.",
+            ));
+        }
+    }
+    Ok(readings)
+}
+
+fn check(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
+    let Some(last) = readings.last() else {
+        return Err(failed(
+            "the board sent no telemetry",
+            "Check the serial line with `singletrack doctor`.",
+        ));
+    };
+    let turned = readings
+        .iter()
+        .filter(|reading| reading.motor_speed != 0.0)
+        .count();
+    if turned == 0 {
+        return Ok(());
+    }
+    Err(failed(
+        format!(
+            "the motor turned at {} us with the ESC switched on {order}",
+            last.esc_us
+        ),
+        "Calibrate the neutral of the ESC to 1500 us as its manual says (most learn it with the \
+         throttle at rest), or write its neutral to board.esc.neutral_us.",
+    ))
+}
+
+fn still(bench: &mut dyn Bench) -> Result<(), Trouble> {
+    if ask_yes(bench, &questions::wheels_still())? {
+        return Ok(());
+    }
+    Err(failed(
+        "the wheels turned at neutral, and no motor pulse came",
+        "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.",
+    ))
+}

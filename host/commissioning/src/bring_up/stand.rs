@@ -1,0 +1,42 @@
+//! The car is on its stand, and somebody sees whether it stays there.
+
+use super::{
+    car::{Car, Outcome, Trouble, ask_yes, conclude, failed},
+    questions,
+};
+use crate::{Bench, Finding, Interrupted};
+
+/// Time for which the car is watched, s.
+const WATCHED_S: f64 = 2.0;
+
+pub(super) const NAME: &str = "stand";
+
+pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find(bench);
+    conclude(
+        bench,
+        NAME,
+        "All wheels are clear of the floor, the cameras see the car, and it stands still.",
+        outcome,
+    )
+}
+
+fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    if !ask_yes(bench, &questions::on_stand())? {
+        return Err(failed(
+            "the car is not on a stand",
+            "Put a box under the chassis so that all wheels turn freely.",
+        ));
+    }
+    let mut car = Car::look(bench)?;
+    let readings = car.watch(WATCHED_S, "standing")?;
+    car.check_stand(false)?;
+    if readings.iter().any(|reading| reading.motor_speed != 0.0) {
+        return Err(failed(
+            "the motor turns although the car is not armed",
+            "Cut the supply of the ESC. Its neutral is not at 1500 us, or the pulse sensor \
+             picks up interference: see docs/uno.md.",
+        ));
+    }
+    Ok(Outcome::good("the car stands still in view of the cameras"))
+}

@@ -1,0 +1,492 @@
+//! The servo: direction, centre, end stops, gain.
+//!
+//! An angle is read while the car is disarmed: the board leaves the servo where it was. The
+//! end stops are only touched: the servo is back before the operator answers.
+
+use super::{
+    car::{Car, Outcome, Trouble, armed, ask_number, ask_word, ask_yes, change, conclude, failed},
+    questions::{self, SIDES},
+};
+use crate::{
+    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter,
+    fit::steering::{Steering, fit_steering},
+};
+
+/// How far the servo turns to show its direction, us: 9 degrees with 800 us/rad.
+const SHOWN_US: u16 = 120;
+
+/// Speed of the servo's pulse, us/s, while it may be the ESC that gets it.
+const CREEP_US_PER_S: f64 = 100.0;
+
+/// Speed of the servo's pulse after that, us/s.
+const TURN_US_PER_S: f64 = 600.0;
+
+/// First and last step of the search for the centre, us.
+const CENTRE_STEPS_US: [i32; 4] = [64, 32, 16, 8];
+
+/// Most answers in one search for the centre.
+const CENTRE_ANSWERS: u32 = 40;
+
+/// What an eye takes for straight on, besides what is seen as straight: 1.5 degrees, rad.
+const EYE_RAD: f64 = 0.026;
+
+/// The default of `limits.max_steering_rad`.
+const USUAL_STEERING_RAD: f64 = 0.45;
+
+/// The nominal gain may be so far below the true one.
+const GAIN_UNKNOWN: f64 = 1.3;
+
+/// Where the search for the end stops begins, from the centre, and its steps, us.
+const STOPS_FROM_US: i32 = 160;
+const STOPS_STEP_US: i32 = 40;
+
+/// Where angles are read, as a part of the way to the nearer end stop.
+const READ_AT: [f64; 6] = [-0.9, -0.6, -0.3, 0.3, 0.6, 0.9];
+
+/// The least scatter of a protractor that is believed, rad: one degree.
+const READING_RAD: f64 = 0.0175;
+
+/// Scale error of the readings: parallax, and the linkage's curve.
+const SCALE: f64 = 0.02;
+
+pub(super) const DIRECTION: &str = "servo-direction";
+pub(super) const CENTRE: &str = "servo-centre";
+pub(super) const STOPS: &str = "servo-stops";
+pub(super) const GAIN: &str = "servo-gain";
+
+/// Moves the servo and leaves it there.
+fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
+    armed(bench, |car| turn(car, pulse_us, TURN_US_PER_S))
+}
+
+/// Moves the servo within an armed jog, at this speed. No motor may turn meanwhile.
+fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> {
+    let rest = car.rest();
+    let from = f64::from(rest.servo_us);
+    let way = f64::from(pulse_us) - from;
+    let turns = |reading: &BoardReading| reading.motor_speed != 0.0;
+    let begin = car.now()?;
+    loop {
+        let part = car.now()?.seconds_since(begin) * us_per_s / way.abs().max(1.0);
+        let arrived = part >= 1.0;
+        let jog = Jog {
+            servo_us: (from + way * part.min(1.0)).round() as u16,
+            ..rest
+        };
+        // At its end the servo needs a moment.
+        let seconds = if arrived { 0.4 } else { 0.03 };
+        let readings = car.hold_until(jog, seconds, "steering", turns)?;
+        if readings.iter().any(turns) {
+            return Err(swapped(car, jog));
+        }
+        if arrived {
+            return Ok(());
+        }
+    }
+}
+
+/// The motor turns with the servo's pulse: back to where it stood still, and no farther.
+fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
+    let centre_us = car.bench().configuration().board.servo.centre_us;
+    let back = Jog {
+        servo_us: centre_us,
+        ..jog
+    };
+    // What ends this jog as well is told by the trouble below.
+    let _ = car.hold(back, 2.0, "back to the centre");
+    failed(
+        format!(
+            "the motor turned while the servo's pulse was {} us and the ESC at neutral",
+            jog.servo_us
+        ),
+        "Servo and ESC are swapped: servo to D9, ESC to D10. Or the neutral of the ESC is not at \
+         board.esc.neutral_us.",
+    )
+}
+
+fn direction_of(side: &str) -> i32 {
+    match side {
+        "left" => 1,
+        "right" => -1,
+        _ => 0,
+    }
+}
+
+fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
+    ask_word(bench, &questions::front_wheels(), SIDES).map(direction_of)
+}
+
+pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_direction(bench);
+    conclude(
+        bench,
+        DIRECTION,
+        "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
+        outcome,
+    )
+}
+
+fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let servo = bench.configuration().board.servo;
+    let believed = i32::from(servo.gain_us_per_rad).signum();
+    let centre = i32::from(servo.centre_us);
+    let mut seen = [0; 2];
+    for attempt in 1.. {
+        let way = i32::from(SHOWN_US) * attempt;
+        for (seen, sign) in seen.iter_mut().zip([1, -1]) {
+            let pulse_us = limited(servo.min_us, servo.max_us, centre + sign * way);
+            armed(bench, |car| turn(car, pulse_us, CREEP_US_PER_S))?;
+            *seen = sign * see(bench)?;
+        }
+        if seen[0] != 0 && seen[0] == seen[1] {
+            break;
+        }
+        if attempt == 2 {
+            let fix = "Is the servo's plug on D9, the right way round, with 5 V on it? Is its \
+                       horn tight? Answer as seen from behind the car.";
+            return Err(failed(
+                "the front wheels did not turn to one side with a longer pulse and to the other \
+                 side with a shorter one",
+                fix,
+            ));
+        }
+    }
+    turn_to(bench, servo.centre_us)?;
+    let sign = seen[0];
+    let longer = if sign > 0 { "left" } else { "right" };
+    let found = format!("a longer pulse steers to the {longer}");
+    if sign == believed {
+        return Ok(Outcome::good(found));
+    }
+    let gain = -i64::from(servo.gain_us_per_rad);
+    change_servo(bench, &[("board.servo.gain_us_per_rad", gain)])?;
+    Ok(Outcome::warning(
+        format!("{found}; board.servo.gain_us_per_rad had the other sign"),
+        "None: its sign was changed.",
+    ))
+}
+
+pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_centre(bench);
+    conclude(
+        bench,
+        CENTRE,
+        "The front wheels point straight on at board.servo.centre_us.",
+        outcome,
+    )
+}
+
+/// Searches the pulse at which the wheels are seen straight, and the width of what is seen
+/// so.
+///
+/// The two edges of it are found separately, by halving: each is where the answer changes
+/// from one side to straight. Every pulse is reached from the same side, so that play
+/// cancels; `from` is that side.
+fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2], Trouble> {
+    let servo = bench.configuration().board.servo;
+    let sign = i32::from(servo.gain_us_per_rad).signum();
+    let mut answers = 0;
+    let mut look = |bench: &mut dyn Bench, pulse: i32| -> Result<i32, Trouble> {
+        answers += 1;
+        if answers > CENTRE_ANSWERS {
+            return Err(failed(
+                "the answers about the front wheels contradict each other",
+                "Mark straight on with a ruler along the front wheels, and look again.",
+            ));
+        }
+        let before = limited(servo.min_us, servo.max_us, pulse + from * 60);
+        let pulse = limited(servo.min_us, servo.max_us, pulse);
+        armed(bench, |car| {
+            turn(car, before, TURN_US_PER_S)?;
+            turn(car, pulse, TURN_US_PER_S)
+        })?;
+        // To the side of longer pulses.
+        Ok(see(bench)? * sign)
+    };
+    let mut edges = [0.0; 2];
+    for (edge, side) in edges.iter_mut().zip([-1, 1]) {
+        // Where the wheels are seen on this side, or not.
+        let mut pulse = begin;
+        let mut was = None;
+        let mut steps = CENTRE_STEPS_US.into_iter();
+        let Some(mut step) = steps.next() else {
+            continue;
+        };
+        loop {
+            let beyond = look(bench, pulse)? == side;
+            if was.is_some_and(|was| was != beyond) {
+                match steps.next() {
+                    Some(next) => step = next,
+                    None => {
+                        // Between this pulse and the one before.
+                        let back = if beyond { -side } else { side };
+                        *edge = f64::from(pulse) + f64::from(back * step) / 2.0;
+                        break;
+                    }
+                }
+            }
+            was = Some(beyond);
+            pulse += if beyond { -side * step } else { side * step };
+        }
+    }
+    Ok(edges)
+}
+
+fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let servo = bench.configuration().board.servo;
+    let up = find_straight(bench, servo.centre_us.into(), -1)?;
+    let middle = f64::midpoint(up[0], up[1]);
+    let down = find_straight(bench, middle.round() as i32, 1)?;
+    let others = f64::midpoint(down[0], down[1]);
+    let centre = f64::midpoint(middle, others);
+    let play = (others - middle).abs();
+    let gain = f64::from(servo.gain_us_per_rad.unsigned_abs()) * GAIN_UNKNOWN;
+    let half = EYE_RAD * gain + play / 2.0 + f64::from(CENTRE_STEPS_US[3]) / 2.0;
+    let centre_us = limited(servo.min_us, servo.max_us, centre.round() as i32);
+    turn_to(bench, centre_us)?;
+    let key = ("board.servo.centre_us", i64::from(centre_us));
+    change_servo(bench, &[key])?;
+    let parameter = Parameter {
+        name: "servo-centre",
+        unit: "us",
+        estimate: Interval::around(centre, half),
+        key: Some((key.0, key.1.into())),
+    };
+    let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
+    let found = format!(
+        "straight on at {centre:.0} us, to {half:.0} us; it looks straight over {wide:.0} us, and \
+         from the other side {play:.0} us beside"
+    );
+    let outcome = if play > 30.0 {
+        Outcome::warning(
+            found,
+            "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.",
+        )
+    } else {
+        Outcome::good(found)
+    };
+    Ok(outcome.with(vec![parameter]))
+}
+
+pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_stops(bench);
+    conclude(
+        bench,
+        STOPS,
+        "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
+        outcome,
+    )
+}
+
+fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let servo = bench.configuration().board.servo;
+    let centre = i32::from(servo.centre_us);
+    let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
+        let pulse_us = limited(servo.min_us, servo.max_us, pulse);
+        let back = limited(servo.min_us, servo.max_us, i32::midpoint(centre, pulse));
+        armed(bench, |car| {
+            turn(car, pulse_us, TURN_US_PER_S)?;
+            turn(car, back, TURN_US_PER_S)
+        })?;
+        ask_yes(bench, &questions::at_stop(pulse_us))
+    };
+    let mut limits = [(i32::from(servo.min_us), None), (servo.max_us.into(), None)];
+    for ((limit, stop), sign) in limits.iter_mut().zip([-1, 1]) {
+        let farthest = *limit;
+        let mut free = centre;
+        let mut pulse = centre + sign * STOPS_FROM_US;
+        loop {
+            pulse = if sign > 0 {
+                pulse.min(farthest)
+            } else {
+                pulse.max(farthest)
+            };
+            if touches(bench, pulse)? {
+                *stop = Some(pulse);
+                break;
+            }
+            free = pulse;
+            if pulse == farthest {
+                break;
+            }
+            pulse += sign * STOPS_STEP_US;
+        }
+        // Halve the last step once.
+        if let Some(at) = *stop {
+            let middle = i32::midpoint(free, at);
+            if (at - free).abs() > STOPS_STEP_US / 2 && free != centre {
+                if touches(bench, middle)? {
+                    *stop = Some(middle);
+                } else {
+                    free = middle;
+                }
+            }
+        }
+        *limit = free;
+    }
+    turn_to(bench, servo.centre_us)?;
+    let [(min, below), (max, above)] = limits;
+    if centre - min < STOPS_FROM_US || max - centre < STOPS_FROM_US {
+        return Err(failed(
+            format!("an end stop is within {STOPS_FROM_US} us of the centre"),
+            "Turn the servo's horn by a tooth so that the wheels stand straight at about 1500 us.",
+        ));
+    }
+    let keys = [
+        ("board.servo.min_us", i64::from(min)),
+        ("board.servo.max_us", i64::from(max)),
+    ];
+    change_servo(bench, &keys)?;
+    let [min_key, max_key] = keys;
+    let parameter = |name, free: i32, stop: Option<i32>, key: (&'static str, i64)| {
+        let free = f64::from(free);
+        let stop = stop.map_or(free, f64::from);
+        Parameter {
+            name,
+            unit: "us",
+            estimate: Interval {
+                value: free,
+                low: free.min(stop),
+                high: free.max(stop),
+            },
+            key: Some((key.0, key.1.into())),
+        }
+    };
+    let said = |stop: Option<i32>| match stop {
+        Some(stop) => format!("stop at {stop} us"),
+        None => "no stop".into(),
+    };
+    Ok(Outcome::good(format!(
+        "free from {min} us ({}) to {max} us ({})",
+        said(below),
+        said(above)
+    ))
+    .with(vec![
+        parameter("servo-min", min, below, min_key),
+        parameter("servo-max", max, above, max_key),
+    ]))
+}
+
+pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_gain(bench);
+    conclude(
+        bench,
+        GAIN,
+        "The angle of the front wheels follows board.servo.gain_us_per_rad.",
+        outcome,
+    )
+}
+
+fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let servo = bench.configuration().board.servo;
+    let believed = f64::from(servo.gain_us_per_rad);
+    let centre = i32::from(servo.centre_us);
+    let range = (centre - i32::from(servo.min_us)).min(i32::from(servo.max_us) - centre);
+    let mut readings = Vec::new();
+    // There and back, so that play cancels.
+    for part in READ_AT.into_iter().chain(READ_AT.into_iter().rev()) {
+        let pulse = centre + (part * f64::from(range)).round() as i32;
+        turn_to(bench, limited(servo.min_us, servo.max_us, pulse))?;
+        let degrees = ask_number(bench, &questions::wheel_angle())?;
+        readings.push([f64::from(pulse), degrees.to_radians()]);
+    }
+    turn_to(bench, servo.centre_us)?;
+    let unread = || {
+        failed(
+            "the readings give no gain",
+            "Read the angle of the front wheels from straight on, left positive.",
+        )
+    };
+    let Steering {
+        gain,
+        straight,
+        scatter,
+    } = fit_steering(&readings, READING_RAD, SCALE).ok_or_else(unread)?;
+    if gain.value * believed < 0.0 {
+        return Err(failed(
+            format!(
+                "the readings say {:.0} us/rad, and the wheels were seen to turn the other way",
+                gain.value
+            ),
+            "Left is positive: run the bring-up again from the direction of the servo.",
+        ));
+    }
+    let rounded = gain.value.round();
+    if !(50.0..=5_000.0).contains(&rounded.abs()) {
+        return Err(unread());
+    }
+    let key = ("board.servo.gain_us_per_rad", rounded as i64);
+    change_servo(bench, &[key])?;
+    let parameter = Parameter {
+        name: "servo-gain",
+        unit: "us/rad",
+        estimate: gain,
+        key: Some((key.0, key.1.into())),
+    };
+    let found = format!(
+        "{:.0} us/rad, {:.0} to {:.0}; the readings scatter by {:.1} degrees and say straight on \
+         at {:.0} us",
+        gain.value,
+        gain.low,
+        gain.high,
+        scatter.to_degrees(),
+        straight.value
+    );
+    let outcome = if scatter > 0.07 {
+        Outcome::warning(
+            found,
+            "Read the angles again: run the bring-up with --again.",
+        )
+    } else {
+        Outcome::good(found)
+    };
+    Ok(outcome.with(vec![parameter]))
+}
+
+/// Puts values of the servo in force, and lowers the steering limit to what they reach.
+fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result<(), Trouble> {
+    let config = bench.configuration();
+    let servo = config.board.servo;
+    let limit = config.limits.max_steering_rad;
+    let new = |key: &str, old: i64| {
+        let value = values.iter().find(|(name, _)| name.ends_with(key));
+        value.map_or(old, |(_, value)| *value) as f64
+    };
+    let reach = |centre: f64, gain: f64, min: f64, max: f64| {
+        let rad = (centre - min).min(max - centre) / gain.abs();
+        // Written with three digits.
+        (rad * 1e3).floor() / 1e3
+    };
+    let before = reach(
+        servo.centre_us.into(),
+        servo.gain_us_per_rad.into(),
+        servo.min_us.into(),
+        servo.max_us.into(),
+    );
+    let after = reach(
+        new("centre_us", servo.centre_us.into()),
+        new("gain_us_per_rad", servo.gain_us_per_rad.into()),
+        new("min_us", servo.min_us.into()),
+        new("max_us", servo.max_us.into()),
+    );
+    // A limit that an earlier step lowered may rise again with the gain.
+    let is_lowered = (limit - before).abs() < 1e-9;
+    let wanted = if is_lowered {
+        limit.max(USUAL_STEERING_RAD)
+    } else {
+        limit
+    };
+    let limited = wanted.min(after);
+    let mut changed: Vec<(&str, toml_edit::Value)> = values
+        .iter()
+        .map(|(key, value)| (*key, (*value).into()))
+        .collect();
+    if (limited - limit).abs() > 1e-9 {
+        changed.push(("limits.max_steering_rad", limited.into()));
+    }
+    change(bench, &changed)
+}
+
+fn limited(min_us: u16, max_us: u16, pulse: i32) -> u16 {
+    pulse.clamp(min_us.into(), max_us.into()) as u16
+}

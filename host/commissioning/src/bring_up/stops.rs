@@ -1,0 +1,317 @@
+//! Every way to stop, at speed.
+//!
+//! Two times are measured for each: from the request to the neutral pulse, and from there
+//! until the wheels begin to slow down, which is for how long the ESC holds. A hand that pulls
+//! a cable or presses a button has no time: there the board's own record counts, or what the
+//! operator sees.
+
+use singletrack_control::Time;
+use singletrack_protocol::BoardMode;
+
+use super::{
+    car::{
+        Car, JOG_LIMIT_US, Outcome, Spun, Trouble, armed, ask, ask_word, conclude, failed,
+        mean_speed,
+    },
+    kill::never_turned,
+    questions::{self, STOPS},
+};
+use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Question};
+
+pub(super) const SILENCE: &str = "stop-silence";
+pub(super) const DISARM: &str = "stop-disarm";
+pub(super) const SWITCH: &str = "stop-switch";
+pub(super) const RESET: &str = "stop-reset";
+pub(super) const UNPLUG: &str = "stop-unplug";
+pub(super) const EMERGENCY: &str = "stop-emergency";
+
+/// From a request to the neutral pulse at most, s.
+const PULSE_WITHIN_S: f64 = 0.2;
+
+/// The hold of a jog, s: from the last one to the request of the daemon.
+const HOLD_S: f64 = 0.25;
+
+/// From the neutral pulse until the wheels begin to slow down at most, s, and a pulse of the
+/// motor in which that can't be seen.
+const ESC_WITHIN_S: f64 = 0.2;
+
+/// Part of the speed that shows that the wheels slow down.
+const SLOWER: f64 = 0.92;
+
+/// For how long a hand has time, s. The board ends a jog after 10 s.
+const HAND_S: f64 = 5.0;
+
+/// For how long the stop is watched, s.
+const WATCHED_S: f64 = 3.0;
+
+/// The time between two records of the board, s.
+const RECORD_S: f64 = 0.01;
+
+const ESC_HOLDS: &str = "Set the time-out of the ESC for lost pulses to 100 ms or less, and its \
+                         drag brake as you like. See docs/safety.md.";
+
+/// What was observed of a stop.
+struct Stop {
+    /// To the neutral pulse, s; none if it did not come.
+    pulse_s: Option<f64>,
+    /// From there until the wheels slow down, s; none if they do not.
+    slower_s: Option<f64>,
+    /// One pulse of the motor at the speed, s.
+    blind_s: f64,
+    speed: f64,
+}
+
+/// Turns the motor at about 0.5 m/s.
+fn turn(car: &mut Car<'_>) -> Result<(Jog, f64), Trouble> {
+    let deadband_us = car.bench().configuration().board.esc.deadband_us;
+    let Some(jog) = car.spin(deadband_us + 4)? else {
+        return Err(never_turned(JOG_LIMIT_US));
+    };
+    let speed = mean_speed(&car.hold(jog, 0.4, "turning")?);
+    Ok((jog, speed))
+}
+
+/// Watches a stop that began now.
+fn watch(car: &mut Car<'_>, speed: f64) -> Result<Stop, Trouble> {
+    let begin = car.now()?;
+    let readings = car.watch(WATCHED_S, "stopping")?;
+    Ok(evaluate(car, &readings, begin, speed))
+}
+
+fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f64) -> Stop {
+    let board = car.bench().configuration().board;
+    let is_neutral = |reading: &&BoardReading| {
+        reading.esc_us == 0
+            || reading.esc_us.abs_diff(board.esc.neutral_us) <= board.esc.deadband_us
+            || reading.esc_us == 1_500
+    };
+    let neutral = readings
+        .iter()
+        .find(is_neutral)
+        .map(|reading| reading.receive);
+    let slower = neutral.and_then(|neutral| {
+        readings
+            .iter()
+            .filter(|reading| reading.receive >= neutral)
+            .find(|reading| reading.motor_speed.abs() < SLOWER * speed)
+            .map(|reading| reading.receive.seconds_since(neutral))
+    });
+    Stop {
+        pulse_s: neutral.map(|neutral| neutral.seconds_since(begin)),
+        slower_s: slower,
+        blind_s: f64::from(board.speed.pulse_distance_um) * 1e-6 / speed.max(0.1),
+        speed,
+    }
+}
+
+impl Stop {
+    fn outcome(&self, name: &'static str, within_s: f64) -> Result<Outcome, Trouble> {
+        let Some(pulse_s) = self.pulse_s else {
+            return Err(failed(
+                "the pulse did not go to neutral",
+                "Cut the supply of the ESC. See the log of the daemon.",
+            ));
+        };
+        let Some(slower_s) = self.slower_s else {
+            return Err(failed(
+                format!(
+                    "the wheels kept {:.2} m/s for {WATCHED_S:.0} s after the pulse was neutral",
+                    self.speed
+                ),
+                "Cut the supply of the ESC: it does not obey neutral.",
+            ));
+        };
+        let found = format!(
+            "neutral pulse after {:.0} ms; the wheels slow down {:.0} ms later, from {:.2} m/s",
+            pulse_s * 1e3,
+            slower_s * 1e3,
+            self.speed
+        );
+        if pulse_s > within_s {
+            return Err(failed(
+                found,
+                "The daemon or the line is late: see docs/troubleshooting.md.",
+            ));
+        }
+        if slower_s > ESC_WITHIN_S + self.blind_s {
+            return Err(failed(found, ESC_HOLDS));
+        }
+        let ms = |seconds: f64| Interval {
+            value: seconds * 1e3,
+            low: ((seconds - RECORD_S) * 1e3).max(0.0),
+            high: (seconds + RECORD_S) * 1e3,
+        };
+        Ok(Outcome::good(found).with(vec![Parameter {
+            name,
+            unit: "ms",
+            estimate: ms(pulse_s),
+            key: None,
+        }]))
+    }
+}
+
+pub(super) fn silence(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = armed(bench, |car| {
+        let (_, speed) = turn(car)?;
+        watch(car, speed)
+    })
+    .and_then(|stop| stop.outcome(SILENCE, HOLD_S + PULSE_WITHIN_S));
+    conclude(
+        bench,
+        SILENCE,
+        "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
+        outcome,
+    )
+}
+
+pub(super) fn disarm(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = armed(bench, |car| {
+        let (_, speed) = turn(car)?;
+        car.request_disarm()?;
+        watch(car, speed)
+    })
+    .and_then(|stop| stop.outcome(DISARM, PULSE_WITHIN_S));
+    conclude(
+        bench,
+        DISARM,
+        "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+        outcome,
+    )
+}
+
+pub(super) fn switch(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = find_switch(bench);
+    conclude(
+        bench,
+        SWITCH,
+        "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
+        outcome,
+    )
+}
+
+fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    if !bench.configuration().board.stop_input {
+        return Ok(Outcome {
+            verdict: crate::Verdict::Skipped,
+            ..Outcome::good("board.stop_input is false: there is no stop switch")
+        });
+    }
+    ask(bench, &questions::open_switch())?;
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let spun = spin_for_hand(&mut car, "press the stop switch")?;
+    let first = car.board;
+    if !first.is_some_and(|reading| reading.mode == BoardMode::EmergencyStopped) {
+        return Err(failed(
+            format!("the board did not notice a stop switch within {HAND_S:.0} s"),
+            "Check the switch and its wire (D4 to ground, normally closed): docs/uno.md.",
+        ));
+    }
+    let mut readings: Vec<BoardReading> = first.into_iter().collect();
+    // The board's mode and its pulse are of the same record: the hand has no time.
+    let noticed = match first {
+        Some(reading) => reading.receive,
+        None => car.now()?,
+    };
+    readings.extend(car.watch(WATCHED_S, "stopping")?);
+    let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
+    ask(bench, &questions::close_switch())?;
+    stop.outcome(SWITCH, PULSE_WITHIN_S)
+}
+
+pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let stop = by_request(bench);
+    let outcome = match stop {
+        Ok(stop) => ask(bench, &questions::clear_latch())
+            .and_then(|_| stop.outcome(EMERGENCY, PULSE_WITHIN_S)),
+        Err(trouble) => Err(trouble),
+    };
+    conclude(
+        bench,
+        EMERGENCY,
+        "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+        outcome,
+    )
+}
+
+fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let (_, speed) = turn(&mut car)?;
+    car.request_emergency_stop()?;
+    let stop = watch(&mut car, speed)?;
+    let latched = car
+        .board
+        .is_some_and(|reading| reading.mode == BoardMode::EmergencyStopped);
+    if latched {
+        Ok(stop)
+    } else {
+        Err(failed(
+            "the board is not latched after an emergency stop",
+            "Cut the supply of the ESC. See the log of the daemon.",
+        ))
+    }
+}
+
+/// Turns the motor until a hand stops it.
+fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
+    let deadband_us = car.bench().configuration().board.esc.deadband_us;
+    car.spin_for_hand(deadband_us + 4, HAND_S, what)
+}
+
+pub(super) fn reset(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = unheard(bench, &questions::reset_at_speed(), None);
+    conclude(
+        bench,
+        RESET,
+        "A reset of the board stops the motor at once.",
+        outcome,
+    )
+}
+
+pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let outcome = unheard(bench, &questions::unplug(), Some(questions::plug_in()));
+    conclude(
+        bench,
+        UNPLUG,
+        "A pulled cable stops the motor at once.",
+        outcome,
+    )
+}
+
+/// A stop after which the board says nothing: the operator sees it.
+fn unheard(
+    bench: &mut dyn Bench,
+    question: &Question,
+    after: Option<Question>,
+) -> Result<Outcome, Trouble> {
+    ask(bench, question)?;
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let spun = spin_for_hand(&mut car, "now, by hand")?;
+    if spun.ended.is_none() {
+        return Err(failed(
+            format!("the board went on for {HAND_S:.0} s: nothing was done by hand"),
+            "Run the bring-up again.",
+        ));
+    }
+    // What the wheels do now is for the operator to see.
+    car.watch(2.0, "stopping")?;
+    let seen = ask_word(bench, &questions::stopped_how(), STOPS);
+    if let Some(after) = after {
+        ask(bench, &after)?;
+    }
+    // The board starts again, and the ESC with it where the board holds its supply.
+    Car::wait_for_board(bench)?;
+    match seen? {
+        "at-once" => Ok(Outcome::good("the motor stopped at once, by eye")),
+        "late" => Ok(Outcome::warning(
+            "the motor drove on for a while without pulses",
+            ESC_HOLDS,
+        )),
+        _ => Err(failed(
+            "the motor drove on without pulses",
+            "Cut the supply of the ESC, and do not use it: it must stop without pulses.",
+        )),
+    }
+}

@@ -1,0 +1,276 @@
+//! Bends to both sides, with a weave: the steering, and the body on the car.
+
+use super::floor::{self, Ends, Figure, SLOW, round};
+use crate::{
+    Bench, Finding, Interrupted, Interval, Parameter, Verdict,
+    fit::{self, Body, Motion, Signal, Track, Turning, Wheels},
+};
+
+/// How often both circles are driven.
+const PASSES: usize = 5;
+/// The way before the first pass that is not used, m: the car finds its way.
+const LEAD: f64 = 0.9;
+/// The weave: its period, s, and the speed across the course, m/s.
+const PERIOD: f64 = 1.4;
+const ACROSS: f64 = 0.12;
+
+/// A servo frame takes over what the telemetry tells by half of its period later, on average.
+pub(super) const FRAME_WAIT: f64 = 0.010;
+
+/// What all passes have in common, within which 95 of 100 cars are. The time stamps of gyro,
+/// telemetry and pulses against each other, s:
+const STAMPS: f64 = 0.003;
+/// the axles, which are measured with a ruler, m;
+const RULER: f64 = 0.0013;
+/// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
+/// acceleration and per rad/(m/s²) of the configured one.
+const STIFFNESS: f64 = 0.35;
+
+const EXPECTED: &str = "the same values from every pass, near those of doctor and bring-up";
+
+pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let found = measure(bench);
+    floor::result("bends", EXPECTED, found)
+}
+
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::limit_speed(bench, SLOW)?;
+    let stands = floor::ready(bench)?;
+    let figure = Figure::find(bench, &stands)?;
+    let lead = figure.approach() + LEAD;
+    let seconds = (lead + 2.0 * PASSES as f64 * figure.lap()) / SLOW;
+    let mut drive = floor::drive(bench, seconds, "circles to both sides", &|time| {
+        let [offset, rate] = weave(time);
+        figure.at(SLOW * time, SLOW).aside(offset, rate)
+    })?
+    .completed()?;
+    let begin = drive.on_track(lead / SLOW);
+    let pass = 2.0 * figure.lap() / SLOW;
+    let bounds: Vec<f64> = (0..=PASSES)
+        .map(|index| begin + pass * index as f64)
+        .collect();
+    identified(bench, &drive.track, &bounds)
+}
+
+/// A triangle: the offset to the left, m, and its rate, m/s.
+fn weave(time: f64) -> [f64; 2] {
+    let phase = (time / PERIOD).rem_euclid(1.0);
+    let amplitude = ACROSS * PERIOD / 4.0;
+    if phase < 0.5 {
+        [amplitude * (4.0 * phase - 1.0), ACROSS]
+    } else {
+        [amplitude * (3.0 - 4.0 * phase), -ACROSS]
+    }
+}
+
+/// The motion between two times.
+fn between(motion: &Motion, begin: f64, end: f64) -> Motion {
+    let first = motion.time.partition_point(|time| *time < begin);
+    let last = motion.time.partition_point(|time| *time < end);
+    Motion {
+        time: motion.time[first..last].to_vec(),
+        position: motion.position[first..last].to_vec(),
+        yaw: motion.yaw[first..last].to_vec(),
+        yaw_rate: motion.yaw_rate[first..last].to_vec(),
+    }
+}
+
+/// What the configuration says of the car.
+struct Believed {
+    body_yaw: f64,
+    offset: [f64; 2],
+    rear_axle: f64,
+    rear_slip: f64,
+    turning: Turning,
+    servo: [f64; 2],
+}
+
+impl Believed {
+    fn of(bench: &dyn Bench) -> Self {
+        let config = bench.configuration();
+        let v = &config.vehicle;
+        let length = v.wheelbase_m();
+        let (front, rear) = (v.front_axle_distance_m, v.rear_axle_distance_m);
+        let (c_f, c_r) = (
+            v.front_cornering_stiffness_n_rad,
+            v.rear_cornering_stiffness_n_rad,
+        );
+        Self {
+            body_yaw: config.motion_capture.marker_yaw_rad,
+            offset: config.motion_capture.marker_offset_m,
+            rear_axle: rear,
+            rear_slip: v.mass_kg * front / (length * c_r),
+            turning: Turning {
+                wheelbase: length,
+                understeer: v.mass_kg / length * (rear / c_f - front / c_r),
+                // The yaw rate of a car at this speed follows its wheels like this.
+                yaw_lag: v.yaw_inertia_kg_m2 * SLOW / (c_f * front * front + c_r * rear * rear),
+            },
+            servo: [
+                config.board.servo.centre_us.into(),
+                config.board.servo.gain_us_per_rad.into(),
+            ],
+        }
+    }
+}
+
+fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Ends> {
+    let undetermined = || {
+        Ends::Failed(
+            "the drive does not determine the car: too few poses, or too little steering"
+                .to_owned(),
+            "check that all markers are visible everywhere, and run this step again",
+        )
+    };
+    let believed = Believed::of(bench);
+    let [over, of] = track.latency();
+    let late = if of > 0.0 { over / of } else { 0.0 };
+    let motion = track.motion(late);
+    let (pulses, way) = (track.pulses(0), track.way());
+    let passes: Vec<(Body, Wheels)> = bounds
+        .windows(2)
+        .map(|ends| {
+            pass(
+                &between(&motion, ends[0], ends[1]),
+                &pulses,
+                &way,
+                &believed,
+            )
+        })
+        .collect::<Option<_>>()
+        .ok_or_else(undetermined)?;
+    let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
+        let values: Vec<f64> = passes.iter().map(of).collect();
+        fit::mean_interval(&values, systematic).ok_or_else(undetermined)
+    };
+    let speed = SLOW;
+    let slip = STIFFNESS * believed.rear_slip * speed * speed;
+    let of_length = RULER / believed.turning.wheelbase;
+    let gain = interval(&|(_, steering)| steering.gain_us_per_rad, 0.0)?;
+    let gain = gain.widened(gain.value * of_length.hypot(0.003));
+    let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
+    let yaw = interval(&|(body, _)| body.yaw, 0.000_5)?;
+    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(0.001))?;
+    let ahead = ahead.shifted(-believed.rear_axle);
+    let left = interval(&|(body, _)| body.left, 0.000_5)?;
+    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * STAMPS)?;
+    let dead = interval(
+        &|(_, steering)| 1e3 * (steering.delay - FRAME_WAIT),
+        1e3 * STAMPS,
+    )?;
+    let excess = [0, 1].map(|side| {
+        let sum: f64 = passes
+            .iter()
+            .map(|(_, steering)| steering.excess[side])
+            .sum();
+        100.0 * sum / passes.len() as f64
+    });
+    let play = passes
+        .iter()
+        .map(|(_, steering)| steering.play_us)
+        .sum::<f64>()
+        / passes.len() as f64;
+
+    let config = bench.configuration();
+    let servo = &config.board.servo;
+    let reach = (f64::from(servo.max_us) - centre.value)
+        .min(centre.value - f64::from(servo.min_us))
+        / gain.value.abs();
+    let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
+        (
+            "board.servo.centre_us",
+            (centre.value.round() as i64).into(),
+        ),
+        (
+            "board.servo.gain_us_per_rad",
+            (gain.value.round() as i64).into(),
+        ),
+        (
+            "motion_capture.marker_yaw_rad",
+            round(floor::angle(yaw.value), 5).into(),
+        ),
+        (
+            "motion_capture.marker_offset_m",
+            [ahead.value, left.value]
+                .map(|value| round(value, 5))
+                .into_iter()
+                .collect::<toml_edit::Array>()
+                .into(),
+        ),
+        ("actuators.steering_lag_ms", round(lag.value, 1).into()),
+        (
+            "actuators.steering_dead_time_ms",
+            round(dead.value.max(0.0), 1).into(),
+        ),
+    ];
+    let reach = (1_000.0 * reach).floor() / 1_000.0 - 0.001;
+    if config.limits.max_steering_rad > reach {
+        values.push(("limits.max_steering_rad", reach.into()));
+    }
+    let is_doubtful = (gain.value / believed.servo[1] - 1.0).abs() > 0.25;
+    let moved = (ahead.value - believed.offset[0]).hypot(left.value - believed.offset[1]);
+    floor::change(bench, &values)?;
+    let parameter = |name, unit, estimate: Interval, key: &str| Parameter {
+        name,
+        unit,
+        estimate,
+        key: values
+            .iter()
+            .find(|(other, _)| *other == key)
+            .map(|(key, value)| (*key, value.clone())),
+    };
+    Ok(Finding {
+        step: "bends",
+        verdict: if is_doubtful {
+            Verdict::Warning
+        } else {
+            Verdict::Good
+        },
+        found: format!(
+            "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from \
+             where it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % \
+             tighter than the map",
+            passes.len(),
+            1e3 * late,
+            1e3 * moved,
+            floor::angle(yaw.value - believed.body_yaw).to_degrees(),
+            excess[0],
+            excess[1]
+        ),
+        expected: EXPECTED.to_owned(),
+        fix: if is_doubtful {
+            "the gain differs by more than a quarter from that of bring-up: measure \
+             vehicle.front_axle_distance_m and rear_axle_distance_m again"
+                .to_owned()
+        } else {
+            String::new()
+        },
+        parameters: vec![
+            parameter("servo-centre", "us", centre, "board.servo.centre_us"),
+            parameter("servo-gain", "us/rad", gain, "board.servo.gain_us_per_rad"),
+            parameter("body-yaw", "rad", yaw, "motion_capture.marker_yaw_rad"),
+            parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
+            parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
+            parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
+            parameter(
+                "servo-dead-time",
+                "ms",
+                dead,
+                "actuators.steering_dead_time_ms",
+            ),
+        ],
+    })
+}
+
+/// One pass.
+fn pass(
+    motion: &Motion,
+    pulses: &Signal,
+    way: &Signal,
+    believed: &Believed,
+) -> Option<(Body, Wheels)> {
+    let body = fit::body(motion, way, believed.body_yaw, believed.rear_slip)?;
+    let speed = motion.rear_speed(body.yaw, body.left, 5);
+    let steering = fit::wheels(motion, pulses, &speed, &believed.turning, believed.servo)?;
+    Some((body, steering))
+}

@@ -1,0 +1,448 @@
+//! Drives on the floor: where there is room, and what a drive shows.
+
+use singletrack_control::{Position, Velocity};
+use singletrack_pilot::{Fence, Mode};
+
+use crate::{
+    Answer, Answers, Attendance, Bench, Finding, Interrupted, Live, Observation, Question,
+    TickReading, Verdict, fit::Track,
+};
+
+/// The speed of the first drives, m/s.
+pub(super) const SLOW: f64 = 0.3;
+
+/// The top speed of the configuration above the speed of a drive, m/s: for corrections.
+const SPARE: f64 = 0.05;
+
+/// Room that is kept beyond the margin of the geofence, m.
+const ROOM: f64 = 0.15;
+
+/// How far P may be from where it should be before a drive is given up, m.
+const ASTRAY: f64 = 0.6;
+
+/// How long a car may take to be ready, in ticks.
+const READY_TICKS: usize = 1_500;
+
+/// Where P is to be and how fast, in m and m/s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    pub(super) position: [f64; 2],
+    pub(super) velocity: [f64; 2],
+}
+
+/// Why a step ends without a result.
+pub(super) enum Ends {
+    /// The operator, or the daemon.
+    Interrupted(Interrupted),
+    /// What was found, and what to do.
+    Failed(String, &'static str),
+}
+
+impl From<Interrupted> for Ends {
+    fn from(interrupted: Interrupted) -> Self {
+        Self::Interrupted(interrupted)
+    }
+}
+
+/// What a drive showed.
+#[derive(Default)]
+pub(super) struct Drive {
+    pub(super) track: Track,
+    pub(super) ticks: Vec<TickReading>,
+    /// When the drive began, in ns.
+    pub(super) begun_ns: u64,
+    /// When its last frame with a pose arrived, in ns.
+    pub(super) last_pose_ns: u64,
+    /// The deceleration of the stop, m/s².
+    pub(super) braking: Option<f64>,
+    /// Why it ended, if by itself.
+    pub(super) reason: Option<&'static str>,
+}
+
+/// A step whose drive ended otherwise than planned.
+pub(super) fn result(
+    step: &'static str,
+    expected: &str,
+    found: Result<Finding, Ends>,
+) -> Result<Finding, Interrupted> {
+    match found {
+        Ok(finding) => Ok(finding),
+        Err(Ends::Interrupted(interrupted)) => Err(interrupted),
+        Err(Ends::Failed(found, fix)) => Ok(Finding {
+            step,
+            verdict: Verdict::Failed,
+            found,
+            expected: expected.to_owned(),
+            fix: fix.to_owned(),
+            parameters: Vec::new(),
+        }),
+    }
+}
+
+/// Puts values into the configuration.
+pub(super) fn change(
+    bench: &mut dyn Bench,
+    values: &[(&str, toml_edit::Value)],
+) -> Result<(), Ends> {
+    bench.change(values).map_err(|refused| {
+        Ends::Failed(
+            format!("the values are refused: {refused}"),
+            "correct the key that the message names, and run this step again",
+        )
+    })
+}
+
+/// Limits the car to this speed.
+pub(super) fn limit_speed(bench: &mut dyn Bench, speed: f64) -> Result<(), Ends> {
+    let top = round(speed + SPARE, 2);
+    let limits = &bench.configuration().limits;
+    let mut values = Vec::new();
+    if limits.creep_speed_m_s > top {
+        values.push(("limits.creep_speed_m_s", SLOW.into()));
+    }
+    if limits.max_speed_m_s != top {
+        values.push(("limits.max_speed_m_s", top.into()));
+    }
+    if values.is_empty() {
+        return Ok(());
+    }
+    change(bench, &values)
+}
+
+/// A value with so many digits after the point.
+pub(super) fn round(value: f64, digits: i32) -> f64 {
+    let scale = 10.0_f64.powi(digits);
+    (value * scale).round() / scale
+}
+
+/// Waits until the car can be armed, and gives where it stands.
+pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Ends> {
+    let mut observed = Vec::new();
+    let mut reason = None;
+    for _ in 0..READY_TICKS {
+        observed.clear();
+        bench.wait(&mut observed)?;
+        for observation in &observed {
+            if let Observation::Tick(tick) = observation {
+                reason = tick.preflight.or(tick.reason);
+                let stands = tick.preflight.is_none_or(|reason| {
+                    // The set-points begin with the request to arm.
+                    reason == singletrack_pilot::Reason::SetpointStale
+                });
+                if tick.mode == Mode::Ready && tick.pose.is_some() && stands {
+                    return Ok(*tick);
+                }
+            }
+        }
+    }
+    let reason = reason.map_or("no reason", singletrack_pilot::Reason::name);
+    Err(Ends::Failed(
+        format!("the car is not ready to be armed: {reason}"),
+        "docs/reasons.md says what the word means; correct it and run this step again",
+    ))
+}
+
+/// Asks the operator to put the car on the floor.
+pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Ends> {
+    let answer = bench.ask(&Question {
+        id: "place-on-floor",
+        text: "Put the car on the floor in the middle of the geofence, looking along its longer \
+               side. Keep everybody out of the geofence. The car drives by itself while you hold \
+               the key, and stops when you let it go."
+            .to_owned(),
+        answers: Answers::Begin,
+    })?;
+    match answer {
+        Answer::Skip => Err(Ends::Failed(
+            "the car is not on the floor".to_owned(),
+            "run this step again when there is room",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Two circles that touch where P is: the way is to the left first.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Figure {
+    start: [f64; 2],
+    tangent: [f64; 2],
+    heading: f64,
+    pub(super) radius: f64,
+}
+
+impl Figure {
+    /// The one that has room nearest to where the car stands.
+    pub(super) fn find(bench: &dyn Bench, stands: &TickReading) -> Result<Self, Ends> {
+        let config = bench.configuration();
+        let no_room = || {
+            Ends::Failed(
+                "the geofence has no room for two circles that touch each other".to_owned(),
+                "widen fence.corners_m: the car needs about 3 by 5 m of free floor",
+            )
+        };
+        let fence = config.fence.fence(&config.vehicle).map_err(|_| no_room())?;
+        let (Some(point), Some((_, yaw))) = (stands.point, stands.pose) else {
+            return Err(no_room());
+        };
+        let steering = 0.6 * config.limits.max_steering_rad.min(0.5);
+        let length = config.vehicle.wheelbase_m();
+        let p = config.law.point_distance_m;
+        let radius =
+            (length + p * steering.cos()).hypot(length / steering.tan() - p * steering.sin());
+        let start = [point.x, point.y];
+        let corners = fence.corners();
+        let count = corners.len() as f64;
+        let middle = [
+            corners.iter().map(|corner| corner.x).sum::<f64>() / count,
+            corners.iter().map(|corner| corner.y).sum::<f64>() / count,
+        ];
+        let to_middle = (middle[1] - start[1]).atan2(middle[0] - start[0]);
+        let mut best: Option<(f64, Self)> = None;
+        for (tangent, course) in [(start, yaw), (middle, to_middle)] {
+            let way = (tangent[0] - start[0]).hypot(tangent[1] - start[1]);
+            for turn in -11..=12 {
+                let turned = f64::from(turn) * 15.0_f64.to_radians();
+                let figure = Self {
+                    start,
+                    tangent,
+                    heading: course + turned,
+                    radius,
+                };
+                // A way to drive there, and a turn at both of its ends, are to be avoided.
+                let off = angle(course - yaw).abs();
+                let cost = way + turned.abs() + off;
+                let is_better = best.as_ref().is_none_or(|(least, _)| cost < *least);
+                if is_better && figure.fits(&fence) {
+                    best = Some((cost, figure));
+                }
+            }
+        }
+        best.map(|(_, figure)| figure).ok_or_else(no_room)
+    }
+
+    fn fits(&self, fence: &Fence) -> bool {
+        (0..48).all(|index| {
+            let way = f64::from(index) / 48.0 * 2.0 * self.lap();
+            let [x, y] = self.at(self.approach() + way, 0.0).position;
+            fence.clearance(&Position::new(x, y)) > ROOM
+        })
+    }
+
+    /// The way around one circle, m.
+    pub(super) fn lap(&self) -> f64 {
+        core::f64::consts::TAU * self.radius
+    }
+
+    /// The way to where the circles touch, m.
+    pub(super) fn approach(&self) -> f64 {
+        let [dx, dy] = [0, 1].map(|i| self.tangent[i] - self.start[i]);
+        dx.hypot(dy)
+    }
+
+    /// Where P is to be after a way, and how fast: `speed` m/s along it.
+    pub(super) fn at(&self, way: f64, speed: f64) -> Wanted {
+        let approach = self.approach();
+        if way < approach {
+            let share = way / approach;
+            let [dx, dy] = [0, 1].map(|i| self.tangent[i] - self.start[i]);
+            return Wanted {
+                position: [self.start[0] + share * dx, self.start[1] + share * dy],
+                velocity: [speed * dx / approach, speed * dy / approach],
+            };
+        }
+        let laps = (way - approach) / self.lap();
+        let side = if laps.rem_euclid(2.0) < 1.0 {
+            1.0
+        } else {
+            -1.0
+        };
+        let phase = laps.rem_euclid(1.0) * core::f64::consts::TAU;
+        let course = self.heading + side * phase;
+        // From where the circles touch to the centre, and from there outward.
+        let inward = self.heading + side * core::f64::consts::FRAC_PI_2;
+        let outward = course - side * core::f64::consts::FRAC_PI_2;
+        Wanted {
+            position: [
+                self.tangent[0] + self.radius * (inward.cos() + outward.cos()),
+                self.tangent[1] + self.radius * (inward.sin() + outward.sin()),
+            ],
+            velocity: [speed * course.cos(), speed * course.sin()],
+        }
+    }
+}
+
+impl Wanted {
+    /// Moved across its course by `offset` m to the left, which grows with `rate` m/s.
+    pub(super) fn aside(self, offset: f64, rate: f64) -> Self {
+        let [vx, vy] = self.velocity;
+        let speed = vx.hypot(vy).max(1e-6);
+        let left = [-vy / speed, vx / speed];
+        Self {
+            position: [0, 1].map(|i| self.position[i] + offset * left[i]),
+            velocity: [0, 1].map(|i| self.velocity[i] + rate * left[i]),
+        }
+    }
+}
+
+/// An angle between -π and π.
+pub(super) fn angle(angle: f64) -> f64 {
+    angle.sin().atan2(angle.cos())
+}
+
+/// Drives P as wanted for a time in s, then stops and disarms. A drive that ends by itself is no
+/// error.
+pub(super) fn drive(
+    bench: &mut dyn Bench,
+    seconds: f64,
+    text: &str,
+    wanted: &dyn Fn(f64) -> Wanted,
+) -> Result<Drive, Ends> {
+    let send = |bench: &mut dyn Bench, wanted: Wanted| {
+        let [vx, vy] = wanted.velocity;
+        let [x, y] = wanted.position;
+        bench.drive(Velocity::new(vx, vy), Some(Position::new(x, y)))
+    };
+    let refused = |reason: String| {
+        Ends::Failed(
+            format!("the car can't be armed: {reason}"),
+            "docs/reasons.md says what the word means; correct it and run this step again",
+        )
+    };
+    bench
+        .arm(Attendance::Drive)
+        .map_err(|error| refused(error.to_string()))?;
+    let mut drive = Drive::default();
+    let mut observed = Vec::new();
+    let mut is_over = false;
+    let mut now = 0.0;
+    while !is_over && now < seconds {
+        let mut next = wanted(now);
+        if drive.begun_ns == 0 {
+            // The board arms.
+            next.velocity = [0.0; 2];
+        }
+        if let Err(error) = send(bench, next) {
+            drive.reason = Some("refused");
+            let _ = bench.disarm();
+            return Err(refused(error.to_string()));
+        }
+        observed.clear();
+        bench.wait(&mut observed)?;
+        for observation in &observed {
+            drive.take(observation);
+            if let Observation::Tick(tick) = observation {
+                if drive.begun_ns == 0 {
+                    if tick.mode == Mode::Arming {
+                        continue;
+                    }
+                    drive.begun_ns = tick.time.0;
+                }
+                now = tick.time.0.saturating_sub(drive.begun_ns) as f64 * 1e-9;
+                if tick.mode != Mode::Driving {
+                    drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
+                    is_over |= tick.mode != Mode::Slowing;
+                }
+                let [x, y] = next.position;
+                if tick
+                    .point
+                    .is_some_and(|p| (p.x - x).hypot(p.y - y) > ASTRAY)
+                {
+                    drive.reason = Some("astray");
+                    is_over = true;
+                }
+            }
+        }
+        let live = Live {
+            text,
+            done: (now / seconds).clamp(0.0, 1.0),
+        };
+        bench.show(&live);
+    }
+    let _ = bench.disarm();
+    // Until it stands and can be armed again.
+    for _ in 0..600 {
+        observed.clear();
+        bench.wait(&mut observed)?;
+        for observation in &observed {
+            drive.take(observation);
+        }
+        let last = drive.ticks.last().map(|tick| tick.mode);
+        if matches!(
+            last,
+            Some(Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault)
+        ) {
+            break;
+        }
+    }
+    Ok(drive)
+}
+
+impl Drive {
+    fn take(&mut self, observation: &Observation) {
+        self.track.push(observation);
+        match observation {
+            Observation::Tick(tick) => {
+                self.braking = tick.braking_measured.or(self.braking);
+                self.ticks.push(*tick);
+            }
+            Observation::Pose(pose) => self.last_pose_ns = pose.receive.0,
+            _ => {}
+        }
+    }
+
+    /// When a time in s of the drive is on the axis of its track.
+    pub(super) fn on_track(&mut self, time: f64) -> f64 {
+        self.track.seconds(self.begun_ns) + time
+    }
+
+    /// Refuses a drive that ended by itself.
+    pub(super) fn completed(self) -> Result<Self, Ends> {
+        match self.reason {
+            None => Ok(self),
+            Some("astray") => Err(Ends::Failed(
+                format!("the car was {ASTRAY} m from its way, and was stopped"),
+                "check board.servo.gain_us_per_rad, marker_yaw_rad and vehicle.*, or run \
+                 `singletrack bring-up` again",
+            )),
+            Some(reason) => Err(Ends::Failed(
+                format!("the drive ended by itself: {reason}"),
+                "docs/reasons.md says what the word means; correct it and run this step again",
+            )),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_figure_goes_around_both_circles_without_a_jump() {
+        let figure = Figure {
+            start: [-1.0, 0.5],
+            tangent: [0.2, 0.1],
+            heading: 0.7,
+            radius: 0.9,
+        };
+        let length = figure.approach() + 4.0 * figure.lap();
+        let mut last = figure.at(0.0, 0.3);
+        assert_eq!(last.position, [-1.0, 0.5]);
+        let step = 0.005;
+        for index in 1..(length / step) as u32 {
+            let next = figure.at(f64::from(index) * step, 0.3);
+            let moved = [0, 1].map(|i| next.position[i] - last.position[i]);
+            assert!((moved[0].hypot(moved[1]) - step).abs() < 1e-4, "{index}");
+            if f64::from(index) * step > figure.approach() + step {
+                // The course is along the way.
+                let along = (moved[0] * next.velocity[0] + moved[1] * next.velocity[1]) / 0.3;
+                assert!((along - step).abs() < 1e-3 * step, "{index}: {along}");
+            }
+            last = next;
+        }
+        let half = figure.at(figure.approach() + 0.5 * figure.lap(), 0.3);
+        let across = [0, 1].map(|i| half.position[i] - figure.tangent[i]);
+        assert!((across[0].hypot(across[1]) - 1.8).abs() < 1e-9);
+        // To the left of the heading.
+        assert!(across[1] * figure.heading.cos() - across[0] * figure.heading.sin() > 1.7);
+    }
+}

@@ -1,0 +1,116 @@
+//! Roll-outs from rising speeds. The speed is raised only after the stops from the one below
+//! were as strong as the geofence counts on.
+
+use super::floor::{self, Ends, Figure, SLOW, round};
+use crate::{Bench, Finding, Interrupted, Parameter, Verdict, fit};
+
+/// The speeds, m/s.
+const SPEEDS: [f64; 3] = [SLOW, 0.6, 1.0];
+/// The stops from each.
+const STOPS: usize = 3;
+/// How much of the weakest stop the geofence counts on.
+const COUNTED: f64 = 0.8;
+
+const EXPECTED: &str = "every stop at least as strong as fence.braking_m_s2";
+
+pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let found = measure(bench);
+    floor::result("roll-out", EXPECTED, found)
+}
+
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    let mut stops: Vec<(f64, f64)> = Vec::new();
+    let mut passed = 0.0;
+    let top = f64::from(bench.configuration().board.speed.max_forward_mm_s) * 1e-3;
+    for speed in SPEEDS {
+        if speed + 0.05 > top {
+            break;
+        }
+        floor::limit_speed(bench, speed)?;
+        for _ in 0..STOPS {
+            let braking = stop(bench, speed)?;
+            stops.push((speed, braking));
+        }
+        passed = speed;
+        // The next speed counts on what this one has shown.
+        let counted = counted(bench, &stops);
+        if counted != bench.configuration().fence.braking_m_s2 {
+            floor::change(bench, &[("fence.braking_m_s2", counted.into())])?;
+        }
+    }
+    let mean = |speed: f64| {
+        let of: Vec<f64> = stops
+            .iter()
+            .filter(|(other, _)| *other == speed)
+            .map(|(_, braking)| *braking)
+            .collect();
+        Some((fit::mean(&of)?, of))
+    };
+    let weakest = SPEEDS
+        .into_iter()
+        .filter_map(mean)
+        .min_by(|(one, _), (other, _)| one.total_cmp(other))
+        .and_then(|(mean, of)| fit::mean_interval(&of, 0.05 * mean));
+    let counted = bench.configuration().fence.braking_m_s2;
+    let text: Vec<String> = stops
+        .iter()
+        .map(|(speed, braking)| format!("{braking:.2} from {speed:.1} m/s"))
+        .collect();
+    Ok(Finding {
+        step: "roll-out",
+        verdict: if weakest.is_some() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
+        found: format!(
+            "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up \
+             to {} m/s",
+            text.join(", "),
+            round(passed + 0.05, 2)
+        ),
+        expected: EXPECTED.to_owned(),
+        fix: String::new(),
+        parameters: weakest
+            .map(|estimate| Parameter {
+                name: "braking",
+                unit: "m/s2",
+                estimate,
+                key: Some(("fence.braking_m_s2", counted.into())),
+            })
+            .into_iter()
+            .collect(),
+    })
+}
+
+/// What the geofence may count on: the weakest stop, less 20 %.
+fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
+    let weakest = stops
+        .iter()
+        .map(|(_, braking)| *braking)
+        .fold(f64::INFINITY, f64::min);
+    let most = bench.configuration().control.stop_deceleration_m_s2;
+    ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
+}
+
+/// Drives along a circle with this speed and stops. Gives the deceleration, m/s².
+fn stop(bench: &mut dyn Bench, speed: f64) -> Result<f64, Ends> {
+    let stands = floor::ready(bench)?;
+    let figure = Figure::find(bench, &stands)?;
+    let acceleration = 0.5;
+    let seconds = figure.approach() / speed + speed / acceleration + 2.0;
+    let text = format!("a stop from {speed:.1} m/s");
+    let drive = floor::drive(bench, seconds, &text, &|time| {
+        let now = (acceleration * time).min(speed);
+        let rising = now * now / (2.0 * acceleration);
+        let way = rising + now * (time - now / acceleration);
+        figure.at(way, now)
+    })?
+    .completed()?;
+    drive.braking.ok_or_else(|| {
+        Ends::Failed(
+            format!("the stop from {speed:.1} m/s could not be measured"),
+            "check that the markers are visible everywhere, and run this step again",
+        )
+    })
+}

@@ -1,0 +1,186 @@
+//! Changes of speed: the ESC, the motor, and how the car rolls.
+
+use super::{
+    bends::FRAME_WAIT,
+    floor::{self, Ends, Figure, SLOW, round},
+};
+use crate::{
+    Bench, Finding, Interrupted, Interval, Parameter, Verdict,
+    fit::{self, DriveTrain},
+};
+
+/// The lower speed, m/s.
+const LOW: f64 = 0.15;
+/// How long each speed lasts, s.
+const LASTS: f64 = 2.0;
+/// How often the speed rises.
+const RISES: usize = 16;
+/// A rise is looked at from before to after it, s.
+const LOOK: [f64; 2] = [0.4, 1.3];
+/// The time stamps of pulses and cameras against each other, s, in 95 of 100 cars.
+const STAMPS: f64 = 0.004;
+
+const EXPECTED: &str = "the speed follows within 0.3 s, and the same at every rise";
+
+pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let found = measure(bench);
+    floor::result("speed", EXPECTED, found)
+}
+
+/// Speed and way after a time in s.
+fn profile(time: f64) -> [f64; 2] {
+    let period = (LOW + SLOW) * LASTS;
+    let periods = (time / (2.0 * LASTS)).floor();
+    let rest = time - 2.0 * LASTS * periods;
+    let (speed, way) = if rest < LASTS {
+        (LOW, LOW * rest)
+    } else {
+        (SLOW, LOW * LASTS + SLOW * (rest - LASTS))
+    };
+    [speed, periods * period + way]
+}
+
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::limit_speed(bench, SLOW)?;
+    let stands = floor::ready(bench)?;
+    let figure = Figure::find(bench, &stands)?;
+    // P reaches the figure at the higher speed.
+    let approach = (figure.approach() + 0.9) / SLOW;
+    let seconds = approach + 2.0 * LASTS * RISES as f64;
+    let mut drive = floor::drive(bench, seconds, "faster and slower", &|time| {
+        if time < approach {
+            return figure.at(SLOW * time, SLOW);
+        }
+        let [speed, way] = profile(time - approach);
+        figure.at(SLOW * approach + way, speed)
+    })?
+    .completed()?;
+    let begin = drive.on_track(approach);
+    let config = bench.configuration();
+    let motion = drive.track.motion(0.0);
+    let [_, left] = config.motion_capture.marker_offset_m;
+    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
+    let pulses = drive.track.pulses(1);
+    let esc = &config.board.esc;
+    let edge = f64::from(esc.neutral_us) + f64::from(esc.deadband_us);
+    let about = [
+        f64::from(config.board.speed.feed_forward_us_per_m_s).max(30.0),
+        edge,
+    ];
+    let within = |from: f64, to: f64| {
+        let first = motion.time.partition_point(|time| *time < from);
+        let last = motion.time.partition_point(|time| *time < to);
+        first..last
+    };
+    let rises: Vec<DriveTrain> = (0..RISES)
+        .filter_map(|index| {
+            let rise = begin + LASTS * (2.0 * index as f64 + 1.0);
+            let range = within(rise - LOOK[0], rise + LOOK[1]);
+            fit::drive_train(&motion.time[range.clone()], &way[range], &pulses, about)
+        })
+        .filter(|rise| rise.lag < 0.5 && rise.delay < 0.18)
+        .collect();
+    let rolls: Vec<f64> = (1..RISES)
+        .filter_map(|index| {
+            // From the first pulse that does not drive until the next one that does.
+            let fall = begin + 2.0 * LASTS * index as f64;
+            let free = |time: f64| pulses.at(time) <= edge;
+            let steps = (0..100).map(|step| fall + 0.01 * f64::from(step));
+            let from = steps.clone().find(|time| free(*time))?;
+            let to = steps
+                .clone()
+                .find(|time| *time > from && !free(*time))
+                .unwrap_or(fall + 1.0);
+            // Both take effect later.
+            let range = within(from + 0.07, to + 0.02);
+            fit::deceleration(&motion.time[range.clone()], &way[range])
+        })
+        .filter(|roll| (0.05..6.0).contains(roll))
+        .collect();
+    finding(bench, &rises, &rolls)
+}
+
+fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Ends> {
+    let undetermined = || {
+        Ends::Failed(
+            "the changes of speed do not determine motor and ESC".to_owned(),
+            "charge the battery, check that the markers are visible everywhere, and run this step \
+             again",
+        )
+    };
+    if rises.len() < RISES / 2 {
+        return Err(undetermined());
+    }
+    let interval = |of: &dyn Fn(&DriveTrain) -> f64, systematic: f64| {
+        // A pulse of a coarse motor sensor can spoil single rises.
+        let values = typical(rises.iter().map(of).collect());
+        fit::mean_interval(&values, systematic).ok_or_else(undetermined)
+    };
+    let gain = interval(&|rise| rise.us_per_m_s, 0.0)?;
+    let gain = gain.widened(0.02 * gain.value);
+    let lag = interval(&|rise| 1e3 * rise.lag, 1e3 * STAMPS)?;
+    let dead = interval(&|rise| 1e3 * (rise.delay - FRAME_WAIT), 1e3 * STAMPS)?;
+    let edge = interval(&|rise| rise.edge_us, 1.0)?;
+    let roll = fit::mean_interval(rolls, 0.05);
+    // Less than the car needs: the proportional term would overshoot.
+    let feed_forward = (0.8 * gain.value).round() as i64;
+    let values: Vec<(&'static str, toml_edit::Value)> = vec![
+        ("board.speed.feed_forward_us_per_m_s", feed_forward.into()),
+        ("actuators.speed_lag_ms", round(lag.value, 1).into()),
+        (
+            "actuators.speed_dead_time_ms",
+            round(dead.value.max(0.0), 1).into(),
+        ),
+    ];
+    floor::change(bench, &values)?;
+    let parameter = |name, unit, estimate: Interval, index: usize| Parameter {
+        name,
+        unit,
+        estimate,
+        key: values.get(index).cloned(),
+    };
+    let is_slow = lag.value + dead.value > 300.0;
+    Ok(Finding {
+        step: "speed",
+        verdict: if is_slow {
+            Verdict::Warning
+        } else {
+            Verdict::Good
+        },
+        found: format!(
+            "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
+            rises.len(),
+            edge.value,
+            roll.map_or_else(String::new, |roll| format!(
+                "; at neutral it slows down with {:.2} m/s2",
+                roll.value
+            ))
+        ),
+        expected: EXPECTED.to_owned(),
+        fix: if is_slow {
+            "the motor follows slowly: lower the speeds of your references, or change the ESC's \
+             settings"
+                .to_owned()
+        } else {
+            String::new()
+        },
+        parameters: vec![
+            parameter("feed-forward", "us/(m/s)", gain, 0),
+            parameter("motor-lag", "ms", lag, 1),
+            parameter("motor-dead-time", "ms", dead, 2),
+        ],
+    })
+}
+
+/// The values without those that are far from most.
+fn typical(values: Vec<f64>) -> Vec<f64> {
+    let Some(middle) = fit::median(&values) else {
+        return values;
+    };
+    let off: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
+    let reach = 5.0 * fit::median(&off).unwrap_or(0.0);
+    values
+        .into_iter()
+        .filter(|value| (value - middle).abs() <= reach)
+        .collect()
+}

@@ -1,0 +1,84 @@
+//! A straight metre: what contradicts the configuration, before the car drives bends.
+
+use super::floor::{self, Drive, Ends, SLOW, Wanted};
+use crate::{Bench, Finding, Interrupted, Verdict};
+
+/// The way, m.
+const WAY: f64 = 1.2;
+/// The largest angle between the body and the course, rad.
+const COURSE: f64 = 0.17;
+/// The largest difference of the ways by pulses and cameras, as a fraction.
+const PULSES: f64 = 0.15;
+
+const EXPECTED: &str = "it moves along its own axis within 10 degrees, and by what the motor's \
+                        pulses say within 15 %";
+
+pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let found = measure(bench);
+    floor::result("straight", EXPECTED, found)
+}
+
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::place(bench)?;
+    floor::limit_speed(bench, SLOW)?;
+    let stands = floor::ready(bench)?;
+    let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
+    let Some(point) = stands.point else {
+        return Err(Ends::Failed("no estimate".to_owned(), "run it again"));
+    };
+    let (sin, cos) = yaw.sin_cos();
+    let wanted = |time: f64| Wanted {
+        position: [point.x + SLOW * time * cos, point.y + SLOW * time * sin],
+        velocity: [SLOW * cos, SLOW * sin],
+    };
+    let mut drive = floor::drive(bench, WAY / SLOW, "a straight metre", &wanted)?.completed()?;
+    let begin = drive.on_track(1.5);
+    let end = drive.on_track(WAY / SLOW - 0.2);
+    let Drive { track, .. } = &drive;
+    let body_yaw = bench.configuration().motion_capture.marker_yaw_rad;
+    let motion = track.motion(0.0);
+    let inside: Vec<usize> = (0..motion.time.len())
+        .filter(|&index| (begin..=end).contains(&motion.time[index]))
+        .collect();
+    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
+        return Err(Ends::Failed(
+            "the cameras saw too little of it".to_owned(),
+            "check that all markers are visible, and run it again",
+        ));
+    };
+    let [along, across] = motion.displacement(body_yaw)[first..last]
+        .iter()
+        .fold([0.0; 2], |sum, moved| {
+            [sum[0] + moved[0], sum[1] + moved[1]]
+        });
+    let course = across.atan2(along);
+    let way = track.way();
+    let pulses = way.at(motion.time[last]) - way.at(motion.time[first]);
+    let ratio = pulses / along.hypot(across);
+    let turn = motion.yaw[last] - motion.yaw[first];
+    let is_good = course.abs() < COURSE && (ratio - 1.0).abs() < PULSES;
+    Ok(Finding {
+        step: "straight",
+        verdict: if is_good {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        },
+        found: format!(
+            "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % \
+             of that way",
+            along.hypot(across),
+            course.to_degrees(),
+            turn.to_degrees(),
+            100.0 * ratio
+        ),
+        expected: EXPECTED.to_owned(),
+        fix: if is_good {
+            String::new()
+        } else {
+            "run `singletrack doctor` again: its step geometry measures the body and the pulses"
+                .to_owned()
+        },
+        parameters: Vec::new(),
+    })
+}

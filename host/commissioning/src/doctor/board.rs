@@ -1,0 +1,352 @@
+//! Board and supply: what the board says of itself, with a reset, a voltmeter and a switch.
+
+use singletrack_pilot::Reason;
+use singletrack_protocol::{ResetCause, Status};
+
+use super::{
+    finding::Checks,
+    gather::{Readings, for_time, reset_if_stopped, until},
+    questions,
+};
+use crate::{Answer, Bench, Finding, Interrupted, Question};
+
+/// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
+/// one for a second.
+const SLOW_RESET_S: f64 = 3.5;
+/// A reset that takes longer was none, or the board does not start.
+const RESET_PATIENCE_S: f64 = 30.0;
+/// The longest wait for a plug or a switch, in s.
+const PLUG_PATIENCE_S: f64 = 45.0;
+/// The supply below which the board may be reset by the next load, and below which it is.
+const LOW_SUPPLY_MV: u16 = 4_700;
+const BAD_SUPPLY_MV: u16 = 4_450;
+/// The share by which the board's voltage may differ from a voltmeter's: the reference of the
+/// processor differs by a few percent, see docs/uno.md.
+const VOLTAGE_SHARE: f64 = 0.05;
+
+/// Whether the board answers, with which reset cause, and how long a reset takes.
+pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    let readings = for_time(bench, 1.5, "board")?;
+    if let Some(reason) = refusal(&readings) {
+        let (found, fix) = reason;
+        checks.failed(
+            found,
+            "the board's image and configuration are accepted",
+            fix,
+        );
+        return checks.finding("board", bench);
+    }
+    let Some(status) = readings.health.last().map(|health| health.status) else {
+        checks.failed(
+            "the board is silent",
+            "telemetry 100 times a second",
+            "connect the board, look at serial.port, and flash the image: cargo uno",
+        );
+        return checks.finding("board", bench);
+    };
+    let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
+    checks.check(
+        rate > 80.0,
+        format!("telemetry {rate:.0} times a second"),
+        "100",
+        "look for a noisy or slow line: serial.baud, cable, hub",
+    );
+    check_line(&readings, &mut checks);
+    check_reset_cause(status.reset_cause, &mut checks);
+    reset(bench, &mut checks)?;
+    checks.finding("board", bench)
+}
+
+/// Why the daemon does not accept the board, and what to do.
+fn refusal(readings: &Readings) -> Option<(&'static str, &'static str)> {
+    match readings.ticks.last()?.preflight? {
+        Reason::VersionDiffers => Some((
+            "the image on the board is of another protocol version",
+            "flash the image of this release: cargo uno --flash",
+        )),
+        Reason::ConfigurationRefused => Some((
+            "the board refuses the configuration",
+            "compare board.car_id with the number that the image was built with; \
+             singletrack status says what was refused",
+        )),
+        _ => None,
+    }
+}
+
+fn check_line(readings: &Readings, checks: &mut Checks) {
+    let (Some(first), Some(last)) = (readings.health.first(), readings.health.last()) else {
+        return;
+    };
+    let lost = |key: fn(&Status) -> u16| key(&last.status).wrapping_sub(key(&first.status));
+    let damaged = lost(|status| status.frames_damaged);
+    let overrun = lost(|status| status.bytes_overrun);
+    checks.check(
+        damaged <= 1 && overrun == 0,
+        format!("{damaged} frames damaged, {overrun} bytes lost"),
+        "none",
+        "use a short USB cable, away from the motor's wires",
+    );
+}
+
+fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
+    let found = format!("last reset: {}", cause.name());
+    let expected = "power-on or external";
+    match cause {
+        ResetCause::PowerOn | ResetCause::External => checks.good(found, expected),
+        ResetCause::BrownOut => checks.warning(
+            found,
+            expected,
+            "the 5 V have dipped: give the servo a supply of its own",
+        ),
+        ResetCause::Watchdog => {
+            checks.warning(found, expected, "report it: the image has hung");
+        }
+        ResetCause::Unknown => checks.warning(
+            found,
+            expected,
+            "the bootloader hides the cause: flash the one of docs/uno.md",
+        ),
+    }
+}
+
+/// The time without telemetry after the button.
+fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+    if bench.ask(&questions::press_reset())? == Answer::Skip {
+        checks.skipped("reset");
+        return Ok(());
+    }
+    let (readings, is_done) = until(bench, |readings| {
+        let silence = readings.longest_silence();
+        let since = silent_since(readings);
+        let is_back = silence > 0.2 && since < 0.1 && readings.links.last() != Some(&false);
+        let gives_up = readings.duration() > RESET_PATIENCE_S;
+        (
+            format!("silent for {:.1} s", silence.max(since)),
+            f64::from(u8::from(is_back || gives_up)),
+        )
+    })?;
+    let silence = readings.longest_silence();
+    let found = format!("a reset takes {silence:.1} s");
+    let expected = format!("at most {SLOW_RESET_S} s");
+    if silence < 0.2 || !is_done || readings.duration() > RESET_PATIENCE_S {
+        checks.failed(
+            "no reset was seen",
+            expected,
+            "press the button of the board itself; if it was pressed, the board does not start \
+             again: flash the image",
+        );
+    } else if silence > SLOW_RESET_S {
+        checks.warning(
+            found,
+            expected,
+            "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md",
+        );
+    } else {
+        checks.good(found, expected);
+    }
+    Ok(())
+}
+
+/// Time since the last telemetry, in s.
+fn silent_since(readings: &Readings) -> f64 {
+    let Some(now) = readings.ticks.last() else {
+        return 0.0;
+    };
+    let since = readings.boards.last().map_or_else(
+        || readings.ticks.first().map(|tick| tick.time),
+        |board| Some(board.receive),
+    );
+    since.map_or(0.0, |since| {
+        super::gather::seconds(since, now.time).max(0.0)
+    })
+}
+
+/// Battery, supply and stop switch.
+pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    let config = bench.configuration();
+    let (wanted, minimum) = (
+        config.supervisor.arm_battery_v,
+        config.supervisor.min_battery_v,
+    );
+    let has_switch = config.board.stop_input;
+    let readings = for_time(bench, 1.0, "supply")?;
+    let Some(status) = readings.health.last().map(|health| health.status) else {
+        checks.failed(
+            "the board is silent",
+            "a status five times a second",
+            "see step board",
+        );
+        return checks.finding("power", bench);
+    };
+    if wanted > 0.0 {
+        battery(bench, &status, [minimum, wanted], &mut checks)?;
+    } else {
+        checks.warning(
+            "the battery is not watched",
+            "a voltage divider on A0",
+            "wire it as in docs/uno.md and set supervisor.arm_battery_v",
+        );
+    }
+    if has_switch {
+        stop_switch(bench, &mut checks)?;
+    } else {
+        checks.warning(
+            "no stop switch is configured",
+            "a normally-closed switch",
+            "wire one as in docs/uno.md and set board.stop_input = true",
+        );
+    }
+    supply(bench, &mut checks)?;
+    checks.finding("power", bench)
+}
+
+fn battery(
+    bench: &mut dyn Bench,
+    status: &Status,
+    [minimum, wanted]: [f64; 2],
+    checks: &mut Checks,
+) -> Result<(), Interrupted> {
+    let volts = f64::from(status.battery_mv) * 1e-3;
+    if status.battery_open {
+        checks.failed(
+            "nothing is connected to A0",
+            "the battery's divider",
+            "wire it as in docs/uno.md",
+        );
+        return Ok(());
+    }
+    checks.check(
+        volts >= wanted,
+        format!("battery {volts:.2} V"),
+        format!("at least {wanted:.1} V to arm"),
+        "charge the battery, or set supervisor.arm_battery_v for its cells",
+    );
+    match bench.ask(&questions::voltmeter())? {
+        Answer::Number(meter) => {
+            let share = (volts - meter).abs() / meter.max(1.0);
+            checks.check(
+                share <= VOLTAGE_SHARE,
+                format!("the voltmeter shows {meter:.2} V"),
+                format!("the same within {:.0} %", 100.0 * VOLTAGE_SHARE),
+                "look at the two resistors of the divider: they must be equal, see docs/uno.md",
+            );
+        }
+        _ => checks.skipped("voltmeter"),
+    }
+    if bench.ask(&questions::unplug_battery())? == Answer::Skip {
+        checks.skipped("unplugged battery");
+        return Ok(());
+    }
+    let is_gone =
+        |status: &Status| status.battery_open || f64::from(status.battery_mv) * 1e-3 < minimum;
+    let noticed = seen(bench, "battery", is_gone)?;
+    checks.check(
+        noticed,
+        if noticed {
+            "an unplugged battery is noticed"
+        } else {
+            "an unplugged battery is not noticed"
+        },
+        "noticed",
+        "A0 is fed from somewhere else: wire the divider to the battery's plug",
+    );
+    if bench.ask(&questions::plug_battery())? != Answer::Skip {
+        let is_back = seen(bench, "battery", |status| !is_gone(status))?;
+        checks.check(
+            is_back,
+            "battery plugged in",
+            "plugged in",
+            "plug it in again",
+        );
+    }
+    Ok(())
+}
+
+fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+    let steps: [(Question, bool, &str); 2] = [
+        (questions::open_stop_switch(), true, "open"),
+        (questions::close_stop_switch(), false, "closed"),
+    ];
+    for (question, is_open, word) in steps {
+        if bench.ask(&question)? == Answer::Skip {
+            checks.skipped("stop switch");
+            return Ok(());
+        }
+        let was_seen = seen(bench, "stop switch", |status| {
+            status.stop_input_open == is_open
+        })?;
+        checks.check(
+            was_seen,
+            format!(
+                "stop switch {word}: {}",
+                if was_seen { "seen" } else { "not seen" }
+            ),
+            "seen",
+            "wire the switch as in docs/uno.md: normally closed, between its pin and ground",
+        );
+    }
+    // An open switch stops the board until its reset.
+    if !reset_if_stopped(bench)? {
+        checks.failed(
+            "the board is stopped by the switch",
+            "reset after the check",
+            "press the reset button of the board",
+        );
+    }
+    Ok(())
+}
+
+fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+    if bench.ask(&questions::push_wheels())? == Answer::Skip {
+        checks.skipped("supply under load");
+        return Ok(());
+    }
+    let readings = for_time(bench, 5.0, "supply")?;
+    let lowest = readings
+        .health
+        .iter()
+        .map(|health| health.status.supply_mv)
+        .min()
+        .unwrap_or(0);
+    let found = format!("supply at least {:.2} V", f64::from(lowest) * 1e-3);
+    let expected = format!("{:.1} V", f64::from(LOW_SUPPLY_MV) * 1e-3);
+    let fix = "feed the servo from the ESC's BEC or from a supply of its own, not from the board";
+    if lowest >= LOW_SUPPLY_MV {
+        checks.good(found, expected);
+    } else if lowest >= BAD_SUPPLY_MV {
+        checks.warning(found, expected, fix);
+    } else {
+        checks.failed(found, expected, fix);
+    }
+    Ok(())
+}
+
+/// Whether a status with a property comes within the doctor's patience.
+fn seen(
+    bench: &mut dyn Bench,
+    what: &str,
+    property: impl Fn(&Status) -> bool,
+) -> Result<bool, Interrupted> {
+    let mut was_seen = false;
+    until(bench, |readings| {
+        // The first ones may have been on their way before the answer.
+        was_seen = readings
+            .health
+            .iter()
+            .skip(1)
+            .any(|health| property(&health.status));
+        let waited = readings.duration();
+        let is_over = was_seen || waited > PLUG_PATIENCE_S;
+        (
+            format!("{what}: {:.0} s", PLUG_PATIENCE_S - waited),
+            if is_over {
+                1.0
+            } else {
+                waited / PLUG_PATIENCE_S
+            },
+        )
+    })?;
+    Ok(was_seen)
+}

@@ -1,0 +1,481 @@
+//! The cameras: rate, height, which body it is, and when its poses were taken.
+
+use singletrack_core::Config;
+use singletrack_pilot::Reason;
+
+use super::{
+    finding::{Checks, put_in_force},
+    gather::{Readings, distance, for_time, motion, seconds, turned, until},
+    questions,
+};
+use crate::{
+    Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine,
+    fit::{mean, median, stamp_delay, standard_deviation},
+};
+
+/// Distance from the height of the body at rest to the ends of its band, in m.
+const BAND_M: f64 = 0.04;
+/// A movement of the body that is enough, and the least that is the car's, in m.
+const ENOUGH_M: f64 = 0.35;
+const LEAST_M: f64 = 0.1;
+/// A change of the height on a level floor that can't be, in m.
+const CLIMB_M: f64 = 0.05;
+/// For how long the car is twisted, in s, and the least angular velocity on the way, in rad/s.
+const TWIST_S: f64 = 10.0;
+const TWIST_RAD_S: f64 = 0.4;
+/// The largest error of the camera's stamps with which a car drives well, in s.
+const LATE_S: f64 = 0.005;
+/// How much older a sample of the IMU may be than the board can know: its own filter, and the
+/// time until the board asks for it, in s.
+const GYRO_AGE_S: f64 = 0.002;
+/// The key of the offset of the stamps.
+const OFFSET_KEY: &str = "motion_capture.timing.stamp_offset_ms";
+
+/// Rate, gaps, uncertainty and height; then the car is pushed.
+pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    let readings = for_time(bench, 5.0, "cameras")?;
+    if readings.poses.len() < 50 {
+        checks.failed(
+            format!(
+                "{} poses in 5 s; frames without one: {}",
+                readings.poses.len(),
+                states(&readings)
+            ),
+            "100 poses a second",
+            no_pose(bench.configuration(), &readings),
+        );
+        return checks.finding("cameras", bench);
+    }
+    check_stream(bench, &readings, &mut checks);
+    check_push(bench, &mut checks)?;
+    if !checks.has_failed()
+        && let Some(height) = median(&heights(&readings))
+    {
+        // To the centimetre, so that a repeated doctor changes nothing.
+        let round = |value: f64| (value * 100.0).round() / 100.0;
+        let band = [round(height - BAND_M), round(height + BAND_M)];
+        let (low, high) = (band[0], band[1]);
+        checks.good(
+            format!("height {height:.3} m: band {low} to {high} m"),
+            "the same whenever the car is on the floor",
+        );
+        let key = "motion_capture.pose.height_m";
+        let values = [(key, toml_edit::Value::from_iter(band))];
+        if let Err(refused) = put_in_force(bench, &values)? {
+            checks.failed(
+                format!("the band is not in force: {refused}"),
+                "in force",
+                "correct what the daemon refuses, and run this step again",
+            );
+        }
+    }
+    checks.finding("cameras", bench)
+}
+
+fn heights(readings: &Readings) -> Vec<f64> {
+    readings.poses.iter().map(|pose| pose.position[2]).collect()
+}
+
+/// The words of the frames without a pose, each once.
+fn states(readings: &Readings) -> String {
+    let mut words = readings.lost.clone();
+    words.sort_unstable();
+    words.dedup();
+    if words.is_empty() {
+        "none".to_owned()
+    } else {
+        words.join(", ")
+    }
+}
+
+/// What to do without poses.
+fn no_pose(config: &Config, readings: &Readings) -> String {
+    let cameras = &config.motion_capture;
+    match readings.lost.last().copied() {
+        None | Some("no-frames" | "stale") => format!(
+            "nothing comes from motion_capture.server = {}: look at address, network interface, \
+             firewall, and the streaming settings of the cameras' program",
+            cameras.server
+        ),
+        Some("unbound" | "absent") => format!(
+            "the server does not stream a body named {:?}: compare motion_capture.rigid_body with \
+             its asset list",
+            cameras.rigid_body
+        ),
+        Some("untracked") => "the body's markers are not seen: put the car into the cameras' \
+                              volume, and look for hidden markers"
+            .to_owned(),
+        Some(_) => "the poses are rejected: singletrack dump live --topic pose says why; an \
+                    up_axis that is not the server's lays the car on its side"
+            .to_owned(),
+    }
+}
+
+fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
+    let config = bench.configuration();
+    let rate = readings.poses.len() as f64 / readings.duration().max(1.0);
+    let missing = readings.lost.len() as f64 / (readings.lost.len() + readings.poses.len()) as f64;
+    let found = format!("{rate:.0} poses a second, {:.1} % missing", 100.0 * missing);
+    if rate >= 80.0 && missing < 0.02 {
+        checks.good(found, "100, below 2 %");
+    } else if rate >= 45.0 {
+        checks.warning(
+            found,
+            "100, below 2 %",
+            "set the cameras to 100 Hz, and look for markers that are hidden at times",
+        );
+    } else {
+        checks.failed(found, "100, below 2 %", "set the cameras to 100 Hz");
+    }
+    let uncertainty = readings
+        .poses
+        .iter()
+        .map(|pose| pose.uncertainty)
+        .fold(0.0, f64::max);
+    let limit = config.watch.max_capture_uncertainty_ms * 1e-3;
+    checks.check(
+        uncertainty < limit,
+        format!("mid-exposure known to {:.2} ms", 1e3 * uncertainty),
+        format!("below {:.0} ms", 1e3 * limit),
+        "use a server of NatNet 3.0 or later on a wired network",
+    );
+    let errors: Vec<f64> = readings.poses.iter().map(|pose| pose.mean_error).collect();
+    let error = mean(&errors).unwrap_or(0.0);
+    let noise = |axis: usize| {
+        let values: Vec<f64> = readings
+            .poses
+            .iter()
+            .map(|pose| pose.position[axis])
+            .collect();
+        standard_deviation(&values).unwrap_or(0.0)
+    };
+    let found = format!(
+        "marker error {:.2} mm, noise {:.2} mm",
+        1e3 * error,
+        1e3 * noise(0).max(noise(1))
+    );
+    if error < config.motion_capture.pose.max_mean_error_m / 2.0 {
+        checks.good(found, "half of motion_capture.pose.max_mean_error_m");
+    } else {
+        checks.warning(
+            found,
+            "half of motion_capture.pose.max_mean_error_m",
+            "calibrate the cameras, and define the body again with the markers as they are now",
+        );
+    }
+}
+
+/// A push forward: body and wheels move together.
+fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+    if bench.ask(&questions::push_forward())? == Answer::Skip {
+        checks.skipped("push");
+        return Ok(());
+    }
+    let (readings, is_done) = motion(bench, |readings| {
+        // A body that is not the car's does not move, and the wheels still do.
+        let moved = moved(readings).max(rolled(readings));
+        (format!("{moved:.2} m"), moved / ENOUGH_M)
+    })?;
+    if readings.is_latched() {
+        checks.latched();
+    }
+    let (moved, rolled) = (moved(&readings), rolled(&readings));
+    let found = format!("pushed: body {moved:.2} m, wheels {rolled:.2} m");
+    let expected = "0.5 m, both";
+    if moved < LEAST_M && rolled > LEAST_M {
+        checks.failed(
+            format!("{found}: the body is not on this car"),
+            expected,
+            format!(
+                "motion_capture.rigid_body = {:?} is another body: compare with the server's list",
+                bench.configuration().motion_capture.rigid_body
+            ),
+        );
+        return Ok(());
+    }
+    if moved < LEAST_M || !is_done {
+        checks.failed(
+            found,
+            expected,
+            "push the car as asked, and run this step again",
+        );
+        return Ok(());
+    }
+    if rolled < LEAST_M {
+        checks.failed(
+            format!("{found}: no motor pulses"),
+            expected,
+            "look at the motor's sensor and its wire to D2, see docs/uno.md; the wheels must not \
+             slide",
+        );
+    } else {
+        checks.good(found, expected);
+    }
+    let heights = heights(&readings);
+    let climb = heights.iter().copied().fold(f64::MIN, f64::max)
+        - heights.iter().copied().fold(f64::MAX, f64::min);
+    checks.check(
+        climb < CLIMB_M,
+        format!("its height changed by {:.0} mm", 1e3 * climb),
+        format!("below {:.0} mm on a level floor", 1e3 * CLIMB_M),
+        "motion_capture.up_axis is not the server's, or the ground plane is tilted: set it again",
+    );
+    if let Some(angle) = heading(&readings) {
+        let found = format!(
+            "it moved at {:.0} degrees to its x axis",
+            angle.to_degrees()
+        );
+        if angle.abs() < 0.5 {
+            checks.good(found, "about 0");
+        } else {
+            checks.good(
+                format!("{found}; step geometry measures it"),
+                "about 0, or any: it is measured",
+            );
+        }
+    }
+    Ok(())
+}
+
+/// The distance of the body from where it was, in m.
+fn moved(readings: &Readings) -> f64 {
+    match (readings.poses.first(), readings.poses.last()) {
+        (Some(first), Some(last)) => distance(first.position, last.position),
+        _ => 0.0,
+    }
+}
+
+/// The way of the wheels, by the believed distance of a pulse, in m.
+fn rolled(readings: &Readings) -> f64 {
+    readings
+        .boards
+        .windows(2)
+        .map(|pair| pair[1].motor_speed.abs() * seconds(pair[0].time, pair[1].time).clamp(0.0, 0.1))
+        .sum()
+}
+
+/// The direction of the body's movement, from its x axis, in rad.
+fn heading(readings: &Readings) -> Option<f64> {
+    let (first, last) = (readings.poses.first()?, readings.poses.last()?);
+    let direction =
+        (last.position[1] - first.position[1]).atan2(last.position[0] - first.position[0]);
+    Some(super::gather::wrap(direction - last.yaw))
+}
+
+/// The stamps of the cameras against the gyro, in a twist.
+pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    if bench.ask(&questions::twist())? == Answer::Skip {
+        checks.skipped("twist");
+        return checks.finding("latency", bench);
+    }
+    let (readings, is_done) = until(bench, |readings| {
+        let gyro = readings.gyro();
+        let begin = gyro
+            .iter()
+            .find(|(_, rate)| rate[2].abs() > TWIST_RAD_S)
+            .map(|(time, _)| *time);
+        let now = gyro.last().map_or(0.0, |(time, _)| *time);
+        let rate = gyro.last().map_or(0.0, |(_, rate)| rate[2]);
+        let done = begin.map_or(0.0, |begin| (now - begin) / TWIST_S);
+        (format!("{:+4.0} degrees/s", rate.to_degrees()), done)
+    })?;
+    let again = "twist the car as asked, in view of the cameras, and run this step again";
+    let Some(begin) = readings.ticks.first().map(|tick| tick.time) else {
+        return checks.finding("latency", bench);
+    };
+    let yaw = turned(&readings.poses);
+    let angles: Vec<(f64, f64)> = readings
+        .poses
+        .iter()
+        .zip(yaw)
+        .map(|(pose, yaw)| (seconds(begin, pose.capture), yaw))
+        .collect();
+    let velocities: Vec<(f64, f64)> = readings
+        .gyro()
+        .iter()
+        .map(|(time, rate)| (*time, rate[2]))
+        .collect();
+    let uncertainty = median(
+        &readings
+            .poses
+            .iter()
+            .map(|pose| pose.uncertainty)
+            .collect::<Vec<_>>(),
+    )
+    .unwrap_or(0.0);
+    let delay = stamp_delay(&angles, &velocities, GYRO_AGE_S.hypot(uncertainty));
+    let Some(delay) = delay.filter(|_| is_done) else {
+        checks.failed("the car was not twisted", "10 s to and fro", again);
+        return checks.finding("latency", bench);
+    };
+    bench.plot(&plot(&angles, &velocities));
+    let scale = delay.scale.value;
+    if scale < 0.0 {
+        checks.failed(
+            "gyro and cameras turn in opposite directions",
+            "the same",
+            "the cameras' world is mirrored, or motion_capture.up_axis points down: set it again",
+        );
+    } else {
+        checks.check(
+            (scale - 1.0).abs() < 0.1,
+            format!("the cameras turn {scale:.3} times as far as the gyro"),
+            "0.9 to 1.1",
+            "the IMU is mounted askew, or the body is not on this car",
+        );
+    }
+    if !checks.has_failed() {
+        judge_delay(bench, &mut checks, delay.late.scaled(1e3));
+    }
+    checks.finding("latency", bench)
+}
+
+/// The angular velocities of both, in the middle of the twist.
+fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
+    const SHOWN_S: f64 = 3.0;
+    let middle = angles.get(angles.len() / 2).map_or(0.0, |(time, _)| *time);
+    let is_shown = |time: f64| (time - middle).abs() < SHOWN_S / 2.0;
+    let cameras = angles
+        .windows(3)
+        .filter_map(|around| {
+            let (first, last) = (around.first()?, around.last()?);
+            let time = f64::midpoint(first.0, last.0);
+            let rate = (last.1 - first.1) / (last.0 - first.0);
+            is_shown(time).then_some([time, rate])
+        })
+        .collect();
+    let gyro = velocities
+        .iter()
+        .filter(|(time, _)| is_shown(*time))
+        .map(|(time, rate)| [*time, *rate])
+        .collect();
+    Plot {
+        name: "latency",
+        title: "A twist by hand, seen by gyro and cameras",
+        x: ("time", "s"),
+        y: ("yaw rate", "rad/s"),
+        equal: false,
+        lines: vec![
+            PlotLine {
+                name: "cameras",
+                kind: PlotKind::Measured,
+                points: cameras,
+            },
+            PlotLine {
+                name: "gyro",
+                kind: PlotKind::Other,
+                points: gyro,
+            },
+        ],
+    }
+}
+
+/// `late` is in ms, beyond the offset that is in force.
+fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
+    let offset = number(bench.configuration(), OFFSET_KEY);
+    let whole = late.shifted(offset.unwrap_or(0.0));
+    // To a tenth, and not in the file if it is in force already.
+    let value = (whole.value * 10.0).round() / 10.0;
+    checks.measured(Parameter {
+        name: "camera-latency",
+        unit: "ms",
+        estimate: whole,
+        key: offset.map(|_| (OFFSET_KEY, value.into())),
+    });
+    let found = format!(
+        "the cameras' stamps are {:.1} ms {}",
+        late.value.abs(),
+        if late.value < 0.0 {
+            "too early"
+        } else {
+            "too late"
+        }
+    );
+    let expected = format!("within {:.0} ms", 1e3 * LATE_S);
+    if late.value.abs() <= 1e3 * LATE_S {
+        checks.good(found, expected);
+    } else if offset.is_some() {
+        checks.warning(
+            format!("{found}: corrected"),
+            expected,
+            "nothing; the configuration corrects it",
+        );
+    } else {
+        checks.failed(
+            found,
+            expected,
+            "look at the latency settings of the cameras' program",
+        );
+    }
+}
+
+/// The value of a key of the configuration; none if it has no such key.
+fn number(config: &Config, key: &str) -> Option<f64> {
+    let document: toml_edit::DocumentMut = config.to_toml().ok()?.parse().ok()?;
+    let item = key
+        .split('.')
+        .try_fold(document.as_item(), |item, part| item.get(part))?;
+    item.as_float()
+        .or_else(|| item.as_integer().map(|integer| integer as f64))
+}
+
+/// Whether the system lets the car drive, and the car its reference.
+pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    use singletrack_core::feasibility::{Severity, Stand, judge_reference};
+
+    /// How long the estimate may take to settle, in s.
+    const SETTLED_S: f64 = 8.0;
+    /// The longest drive that is judged, in s.
+    const LONGEST_S: f64 = 60.0;
+
+    let mut checks = Checks::default();
+    let (readings, _) = until(bench, |readings| {
+        let reason = readings.ticks.last().and_then(|tick| tick.preflight);
+        let is_over = reason.is_none() || readings.duration() > SETTLED_S;
+        let text = reason.map_or("", |reason| reason.name());
+        (
+            format!("arming check: {text}"),
+            f64::from(u8::from(is_over)),
+        )
+    })?;
+    let tick = readings.ticks.last();
+    match tick.and_then(|tick| tick.preflight) {
+        None => checks.good("nothing speaks against arming", "nothing"),
+        Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => checks.failed(
+            format!("arming would be refused: {reason}"),
+            "nothing",
+            "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see docs/odroid.md",
+        ),
+        Some(reason) => checks.warning(
+            format!("arming would be refused: {reason}"),
+            "nothing",
+            "see docs/reasons.md",
+        ),
+    }
+    let stand = tick
+        .and_then(|tick| tick.pose)
+        .map(|([x_m, y_m], yaw_rad)| Stand { x_m, y_m, yaw_rad });
+    match judge_reference(bench.configuration(), stand, Some(LONGEST_S)) {
+        Err(error) => checks.failed(
+            format!("the configuration is invalid: {error}"),
+            "valid",
+            "correct it",
+        ),
+        Ok(judgement) => {
+            for finding in &judgement.findings {
+                let (key, value) = (finding.key, &finding.value);
+                let found = match finding.severity {
+                    Severity::Warning => format!("{key} is {value}"),
+                    Severity::Impossible => format!("{key} is {value}: it can't be driven"),
+                };
+                checks.warning(found, "", format!("{key}: {}", finding.fix));
+            }
+            if judgement.is_possible() {
+                checks.good("the reference can be driven", "inside limits and geofence");
+            }
+        }
+    }
+    checks.finding("drive", bench)
+}

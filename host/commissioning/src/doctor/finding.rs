@@ -1,0 +1,155 @@
+//! Several checks of one step become one finding.
+
+use super::gather::reset_if_stopped;
+use crate::{Bench, Finding, Interrupted, Parameter, Refused, Verdict};
+
+/// The checks of a step.
+#[derive(Debug, Default)]
+pub(super) struct Checks {
+    verdict: Option<Verdict>,
+    found: Vec<String>,
+    expected: Vec<String>,
+    fixes: Vec<String>,
+    parameters: Vec<Parameter>,
+}
+
+impl Checks {
+    /// Something is as it should be.
+    pub(super) fn good(&mut self, found: impl Into<String>, expected: impl Into<String>) {
+        self.add(Verdict::Good, found, expected);
+    }
+
+    /// Something was not checked.
+    pub(super) fn skipped(&mut self, what: &str) {
+        self.add(Verdict::Skipped, format!("{what}: skipped"), "");
+    }
+
+    /// Something works, and could be better.
+    pub(super) fn warning(
+        &mut self,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
+        self.add(Verdict::Warning, found, expected);
+        self.fixes.push(fix.into());
+    }
+
+    /// Something is not as it must be.
+    pub(super) fn failed(
+        &mut self,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
+        self.add(Verdict::Failed, found, expected);
+        self.fixes.push(fix.into());
+    }
+
+    /// One of these, by whether it is as it should be.
+    pub(super) fn check(
+        &mut self,
+        is_good: bool,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
+        if is_good {
+            self.good(found, expected);
+        } else {
+            self.failed(found, expected, fix);
+        }
+    }
+
+    /// The board took a car that was rolled by hand for one that runs by itself.
+    pub(super) fn latched(&mut self) {
+        self.warning(
+            "the board stopped: it took the rolled wheels for a motor that runs",
+            "at most 1 m or 3 s of rolling without a pause",
+            "press the reset button of the board",
+        );
+    }
+
+    pub(super) fn measured(&mut self, parameter: Parameter) {
+        self.parameters.push(parameter);
+    }
+
+    pub(super) fn has_failed(&self) -> bool {
+        self.verdict == Some(Verdict::Failed)
+    }
+
+    fn add(&mut self, verdict: Verdict, found: impl Into<String>, expected: impl Into<String>) {
+        self.verdict = Some(match (self.verdict, verdict) {
+            // A step of which a part was checked was not skipped.
+            (Some(Verdict::Skipped), Verdict::Good) => Verdict::Good,
+            (Some(Verdict::Good), Verdict::Skipped) => Verdict::Good,
+            (Some(before), now) => before.max(now),
+            (None, now) => now,
+        });
+        for (list, text) in [
+            (&mut self.found, found.into()),
+            (&mut self.expected, expected.into()),
+        ] {
+            if !text.is_empty() {
+                list.push(text);
+            }
+        }
+    }
+
+    /// The finding of a step. Values that were measured are put into the configuration, unless
+    /// the step failed.
+    ///
+    /// # Errors
+    ///
+    /// The operator interrupts, or the daemon is gone.
+    pub(super) fn finding(
+        mut self,
+        step: &'static str,
+        bench: &mut dyn Bench,
+    ) -> Result<Finding, Interrupted> {
+        let values: Vec<(&str, toml_edit::Value)> = self
+            .parameters
+            .iter()
+            .filter_map(|parameter| parameter.key.clone())
+            .collect();
+        if !values.is_empty() && !self.has_failed() {
+            if let Err(refused) = put_in_force(bench, &values)? {
+                self.failed(
+                    format!("the measured values are not in force: {refused}"),
+                    "in force",
+                    "correct what the daemon refuses, and run this step again",
+                );
+            }
+        }
+        if self.has_failed() {
+            // What is not in force is not in the file either.
+            for parameter in &mut self.parameters {
+                parameter.key = None;
+            }
+        }
+        Ok(Finding {
+            step,
+            verdict: self.verdict.unwrap_or(Verdict::Skipped),
+            found: self.found.join("; "),
+            expected: self.expected.join("; "),
+            fix: self.fixes.join("; "),
+            parameters: self.parameters,
+        })
+    }
+}
+
+/// Puts values into the configuration. A board that is stopped takes none: it is reset before.
+///
+/// # Errors
+///
+/// The operator interrupts, or the daemon is gone.
+pub(super) fn put_in_force(
+    bench: &mut dyn Bench,
+    values: &[(&str, toml_edit::Value)],
+) -> Result<Result<(), Refused>, Interrupted> {
+    if !reset_if_stopped(bench)? {
+        let reason = "the board is stopped: it takes no configuration before its reset";
+        return Ok(Err(Refused(reason.to_owned())));
+    }
+    Ok(bench.change(values))
+}

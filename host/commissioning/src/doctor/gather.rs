@@ -1,0 +1,228 @@
+//! Readings of a while, and when a hand has done what it was asked.
+
+use singletrack_control::Time;
+use singletrack_protocol::{BoardMode, StopCause};
+
+use super::questions;
+use crate::{
+    Answer, Bench, BoardReading, Health, Interrupted, Live, Observation, PoseReading, TickReading,
+};
+
+/// What was observed for a while, each kind in the order of its arrival.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Readings {
+    pub(super) boards: Vec<BoardReading>,
+    pub(super) health: Vec<Health>,
+    pub(super) poses: Vec<PoseReading>,
+    /// The states of frames without a pose.
+    pub(super) lost: Vec<&'static str>,
+    pub(super) ticks: Vec<TickReading>,
+    pub(super) links: Vec<bool>,
+}
+
+/// Angular velocity below which a gyro at rest stays, in rad/s: bias and noise.
+const STILL_RAD_S: f64 = 0.08;
+/// Movement of the body below which it stands, within [`STILL_S`], in m and in rad.
+const STILL_M: f64 = 0.004;
+const STILL_RAD: f64 = 0.02;
+/// Time without movement after which a motion by hand has ended, in s.
+const STILL_S: f64 = 0.8;
+/// The longest time for a motion by hand, in s.
+const PATIENCE_S: f64 = 90.0;
+
+impl Readings {
+    fn take(&mut self, observed: &mut Vec<Observation>) {
+        for observation in observed.drain(..) {
+            match observation {
+                Observation::Board(reading) => self.boards.push(reading),
+                Observation::Health(health) => self.health.push(health),
+                Observation::Pose(pose) => self.poses.push(pose),
+                Observation::NoPose { state, .. } => self.lost.push(state),
+                Observation::Tick(tick) => self.ticks.push(tick),
+                Observation::Link(ready) => self.links.push(ready),
+            }
+        }
+    }
+
+    /// Time from the first tick to the last, in s.
+    pub(super) fn duration(&self) -> f64 {
+        match (self.ticks.first(), self.ticks.last()) {
+            (Some(first), Some(last)) => seconds(first.time, last.time),
+            _ => 0.0,
+        }
+    }
+
+    /// Whether nothing has moved for a while, as far as IMU and cameras see it.
+    fn is_still(&self) -> bool {
+        let Some(now) = self.ticks.last().map(|tick| tick.time) else {
+            return false;
+        };
+        if self.duration() < STILL_S {
+            return false;
+        }
+        let is_recent = |time| seconds(time, now) < STILL_S;
+        let turns = self
+            .boards
+            .iter()
+            .rev()
+            .filter_map(|board| board.inertial)
+            .take_while(|inertial| is_recent(inertial.time))
+            .any(|inertial| norm(inertial.angular_velocity) > STILL_RAD_S);
+        let mut recent = self
+            .poses
+            .iter()
+            .rev()
+            .take_while(|pose| is_recent(pose.capture));
+        let moves = recent.next().is_some_and(|last| {
+            recent.any(|pose| {
+                distance(pose.position, last.position) > STILL_M
+                    || wrap(pose.yaw - last.yaw).abs() > STILL_RAD
+            })
+        });
+        !turns && !moves
+    }
+
+    /// Whether the board took wheels that were rolled by hand for a motor that runs. It then
+    /// stays stopped until its reset.
+    pub(super) fn is_latched(&self) -> bool {
+        self.boards.last().is_some_and(|board| {
+            board.mode == BoardMode::EmergencyStopped
+                && board.stop_cause == StopCause::RunsAtNeutral
+        })
+    }
+
+    /// The samples of the IMU, with their times in s from the first tick.
+    pub(super) fn gyro(&self) -> Vec<(f64, [f64; 3])> {
+        let Some(first) = self.ticks.first() else {
+            return Vec::new();
+        };
+        self.boards
+            .iter()
+            .filter_map(|board| board.inertial)
+            .map(|inertial| {
+                (
+                    seconds(first.time, inertial.time),
+                    inertial.angular_velocity,
+                )
+            })
+            .collect()
+    }
+
+    /// The longest time between two telemetry records, in s.
+    pub(super) fn longest_silence(&self) -> f64 {
+        self.boards
+            .windows(2)
+            .map(|pair| seconds(pair[0].receive, pair[1].receive))
+            .fold(0.0, f64::max)
+    }
+}
+
+/// Gathers readings for a time.
+pub(super) fn for_time(
+    bench: &mut dyn Bench,
+    for_s: f64,
+    what: &str,
+) -> Result<Readings, Interrupted> {
+    until(bench, |readings| {
+        let done = readings.duration() / for_s;
+        (format!("{what}: {:.0} s", readings.duration()), done)
+    })
+    .map(|(readings, _)| readings)
+}
+
+/// Gathers readings until `progress` gives 1 or more, and the reading so far in words. The flag
+/// is whether that was within the patience of the doctor.
+pub(super) fn until(
+    bench: &mut dyn Bench,
+    mut progress: impl FnMut(&Readings) -> (String, f64),
+) -> Result<(Readings, bool), Interrupted> {
+    let mut readings = Readings::default();
+    let mut observed = Vec::new();
+    loop {
+        bench.wait(&mut observed)?;
+        readings.take(&mut observed);
+        let (text, done) = progress(&readings);
+        bench.show(&Live { text: &text, done });
+        if done >= 1.0 {
+            return Ok((readings, true));
+        }
+        if readings.duration() > PATIENCE_S {
+            return Ok((readings, false));
+        }
+    }
+}
+
+/// Gathers readings while a hand moves the car: until `progress` has reached 1 and the car
+/// stands again. The flag is whether that happened.
+pub(super) fn motion(
+    bench: &mut dyn Bench,
+    mut progress: impl FnMut(&Readings) -> (String, f64),
+) -> Result<(Readings, bool), Interrupted> {
+    let mut reached = false;
+    until(bench, |readings| {
+        let (text, done) = progress(readings);
+        reached |= done >= 1.0;
+        match (reached, readings.is_still()) {
+            (true, true) => (text, 1.0),
+            _ => (text, done.min(0.99)),
+        }
+    })
+}
+
+/// Has a board that is stopped for good reset by the operator. Whether it is not stopped now.
+pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
+    /// The board holds neutral for two seconds after a reset, and is configured again.
+    const SETTLED_S: f64 = 3.0;
+    let is_stopped = |readings: &Readings| {
+        readings
+            .boards
+            .last()
+            .is_some_and(|board| board.mode == BoardMode::EmergencyStopped)
+    };
+    let readings = for_time(bench, 0.3, "board")?;
+    if !is_stopped(&readings) {
+        return Ok(true);
+    }
+    if bench.ask(&questions::press_reset())? == Answer::Skip {
+        return Ok(false);
+    }
+    let (readings, is_done) = until(bench, |readings| {
+        let is_reset = !is_stopped(readings) && readings.longest_silence() > 0.2;
+        ("reset".to_owned(), f64::from(u8::from(is_reset)))
+    })?;
+    for_time(bench, SETTLED_S, "the board starts")?;
+    Ok(is_done && !is_stopped(&readings))
+}
+
+/// The angle turned by the body so far, unwrapped, in rad.
+pub(super) fn turned(poses: &[PoseReading]) -> Vec<f64> {
+    let mut yaw = 0.0;
+    let mut before: Option<f64> = None;
+    poses
+        .iter()
+        .map(|pose| {
+            yaw += before.map_or(0.0, |before| wrap(pose.yaw - before));
+            before = Some(pose.yaw);
+            yaw
+        })
+        .collect()
+}
+
+/// Time from one moment to another, in s; negative if the second is the earlier one.
+pub(super) fn seconds(from: Time, to: Time) -> f64 {
+    to.0.wrapping_sub(from.0).cast_signed() as f64 * 1e-9
+}
+
+pub(super) fn norm(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|part| part * part).sum::<f64>().sqrt()
+}
+
+/// Distance on the floor, in m.
+pub(super) fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
+    (to[0] - from[0]).hypot(to[1] - from[1])
+}
+
+/// An angle from -π to π.
+pub(super) fn wrap(angle: f64) -> f64 {
+    angle.sin().atan2(angle.cos())
+}

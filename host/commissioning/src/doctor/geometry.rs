@@ -1,0 +1,445 @@
+//! Where the body sits on the car, and how far the car rolls in a pulse.
+
+use core::f64::consts::TAU;
+
+use singletrack_control::Time;
+
+use super::{
+    finding::Checks,
+    gather::{Readings, distance, motion, seconds, turned, wrap},
+    questions,
+};
+use crate::{
+    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
+    PlotLine, PoseReading,
+    fit::{FloorPose, mean, mean_interval, rolled, turned_about},
+};
+
+/// Turns to each side, and rolls.
+const TURNS: usize = 2;
+const ROLLS: usize = 4;
+/// An angle that is enough, in rad: three quarters of a turn.
+const ENOUGH_RAD: f64 = 0.75 * TAU;
+/// A way that is enough, in m.
+const ENOUGH_M: f64 = 1.4;
+/// How well a person keeps the middle of an axle over a point, in m.
+const AXLE_M: f64 = 0.004;
+/// A point that wandered more than this was not held, in m.
+const HELD_M: f64 = 0.02;
+/// The angle between the car and the way of its rear axle, in rad: play and toe of the wheels.
+const TOE_RAD: f64 = 0.003;
+/// The share of the wheels' way that is lost by slip, by a tyre that is loaded otherwise, or by
+/// the board's clock: a ceramic resonator is 0.5 % wrong.
+const SLIP: f64 = 0.006;
+/// What is lost by the steps of the board's speed, in m/s: it rounds towards zero.
+const HALF_STEP_M_S: f64 = 0.000_5;
+/// The share of the highest speed of a stretch from which on it counts for the pulses.
+const STEADY: f64 = 0.85;
+/// A slower body stands, in m/s.
+const SLOW_M_S: f64 = 0.08;
+/// A shorter stretch is not counted, in s.
+const STRETCH_S: f64 = 0.2;
+/// A roll that turned more than this was not straight, in rad.
+const STRAIGHT_RAD: f64 = 0.6;
+
+/// Pivot, yaw and pulse distance, by turns and rolls.
+pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    let Some(origins) = turns(bench, &mut checks)? else {
+        return checks.finding("geometry", bench);
+    };
+    let axis = |index: usize| -> Vec<f64> { origins.iter().map(|origin| origin[index]).collect() };
+    let (Some(along), Some(across)) = (
+        mean_interval(&axis(0), AXLE_M),
+        mean_interval(&axis(1), AXLE_M),
+    ) else {
+        return checks.finding("geometry", bench);
+    };
+    let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
+        return checks.finding("geometry", bench);
+    };
+    if let Some(yaw) = mean_interval(
+        &unwrapped(
+            &passes
+                .iter()
+                .map(|pass| -pass.direction)
+                .collect::<Vec<_>>(),
+        ),
+        TOE_RAD,
+    ) {
+        place(bench, [along, across], yaw, &mut checks);
+    }
+    pulses(bench, &passes, &mut checks);
+    checks.finding("geometry", bench)
+}
+
+/// The origin of the body from the rear axle, along the body's axes, by each turn.
+fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 2]>>, Interrupted> {
+    let mut origins = Vec::new();
+    let mut paths = [const { Vec::new() }; 2];
+    for turn in 0..2 * TURNS {
+        let question = if turn % 2 == 0 {
+            questions::turn_left_about_rear_axle()
+        } else {
+            questions::turn_right_about_rear_axle()
+        };
+        if bench.ask(&question)? == Answer::Skip {
+            checks.skipped("turn about the rear axle");
+            return Ok(None);
+        }
+        let (readings, is_done) = motion(bench, |readings| {
+            let angle = readings
+                .poses
+                .last()
+                .and_then(|_| turned(&readings.poses).last().copied())
+                .unwrap_or(0.0);
+            (
+                format!("{:+.0} degrees", angle.to_degrees()),
+                angle.abs() / ENOUGH_RAD,
+            )
+        })?;
+        let poses = floor(&readings.poses);
+        let found = turned_about(&poses).filter(|_| is_done);
+        let Some((origin, _)) = found.filter(|(_, wander)| *wander < HELD_M) else {
+            checks.failed(
+                match found {
+                    Some((_, wander)) => {
+                        format!("the rear axle wandered by {:.0} mm", 1e3 * wander)
+                    }
+                    None => "the car was not turned".to_owned(),
+                },
+                "a whole turn about the middle of the rear axle",
+                "turn it as asked, and run this step again",
+            );
+            return Ok(None);
+        };
+        origins.push(origin);
+        for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
+            path.extend(poses.iter().map(|pose| place_of(pose, held)));
+            // The next turn is another line.
+            path.push([f64::NAN; 2]);
+        }
+    }
+    let [body, axle] = paths;
+    bench.plot(&Plot {
+        name: "turns",
+        title: "Turns about the rear axle",
+        x: ("x", "m"),
+        y: ("y", "m"),
+        equal: true,
+        lines: vec![
+            PlotLine {
+                name: "body",
+                kind: PlotKind::Measured,
+                points: body,
+            },
+            PlotLine {
+                name: "rear axle",
+                kind: PlotKind::Fitted,
+                points: axle,
+            },
+        ],
+    });
+    Ok(Some(origins))
+}
+
+/// A pass of the car over the floor.
+struct Pass {
+    /// Of the rear axle, from the body's x axis, in rad.
+    direction: f64,
+    way: f64,
+    turn: f64,
+    /// Way by the cameras over way by the pulses, where the car was fast.
+    ratio: Option<f64>,
+}
+
+fn rolls(
+    bench: &mut dyn Bench,
+    origin: [f64; 2],
+    checks: &mut Checks,
+) -> Result<Option<Vec<Pass>>, Interrupted> {
+    let believed = 1e-6 * f64::from(bench.configuration().board.speed.pulse_distance_um);
+    let mut passes = Vec::new();
+    let mut is_latched = false;
+    for _ in 0..ROLLS {
+        if bench.ask(&questions::roll_forward())? == Answer::Skip {
+            checks.skipped("roll");
+            return Ok(None);
+        }
+        let (readings, is_done) = motion(bench, |readings| {
+            let way = match (readings.poses.first(), readings.poses.last()) {
+                (Some(first), Some(last)) => distance(first.position, last.position),
+                _ => 0.0,
+            };
+            (format!("{way:.2} m"), way / ENOUGH_M)
+        })?;
+        let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
+            checks.failed(
+                "the car was not rolled",
+                "2 m, or 1.5 m at least",
+                "roll it as asked, and run this step again",
+            );
+            return Ok(None);
+        };
+        is_latched |= readings.is_latched();
+        passes.push(Pass {
+            direction: found.direction,
+            way: found.way,
+            turn: found.turn,
+            ratio: ratio(&readings, origin, believed)
+                .and_then(|share| ratio(&readings, origin, share * believed)),
+        });
+    }
+    if is_latched {
+        checks.latched();
+    }
+    let way = mean(&passes.iter().map(|pass| pass.way).collect::<Vec<_>>()).unwrap_or(0.0);
+    let turn = passes
+        .iter()
+        .map(|pass| pass.turn.abs())
+        .fold(0.0, f64::max);
+    let found = format!(
+        "{ROLLS} rolls of {way:.2} m, turned by {:.0} degrees at most",
+        turn.to_degrees()
+    );
+    let expected = "below 34 degrees";
+    if turn < STRAIGHT_RAD {
+        checks.good(found, expected);
+    } else {
+        checks.warning(found, expected, "put the front wheels straight, and repeat");
+    }
+    Ok(Some(passes))
+}
+
+/// Where the body is on the car.
+fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut Checks) {
+    let rear = bench.configuration().vehicle.rear_axle_distance_m;
+    let [along, across] = origin;
+    // From the body's axes to those of the car.
+    let (sin, cos) = yaw.value.sin_cos();
+    let spin = yaw.half_width();
+    let turned = |first: (f64, Interval), second: (f64, Interval), lever: f64| {
+        let (a, one) = first;
+        let (b, other) = second;
+        let width = (a * one.half_width())
+            .hypot(b * other.half_width())
+            .hypot(spin * lever);
+        Interval::around(a * one.value + b * other.value, width)
+    };
+    let forward_lever = sin * along.value + cos * across.value;
+    let left_lever = cos * along.value - sin * across.value;
+    let forward = turned((cos, along), (-sin, across), forward_lever).shifted(-rear);
+    let left = turned((sin, along), (cos, across), left_lever);
+    checks.good(
+        format!(
+            "the body's pivot is {:.0} mm in front of the centre of mass and {:.0} mm to its \
+             left, turned by {:.1} degrees",
+            1e3 * forward.value,
+            1e3 * left.value,
+            yaw.value.to_degrees()
+        ),
+        "where its markers are",
+    );
+    let round = |value: f64, digits: f64| (value * digits).round() / digits;
+    let offset = [round(forward.value, 1e4), round(left.value, 1e4)];
+    let is_possible = offset.iter().all(|part| part.abs() < 1.0);
+    checks.check(
+        is_possible,
+        if is_possible {
+            ""
+        } else {
+            "the pivot is more than 1 m away"
+        },
+        "",
+        "define the body's pivot on the car, in the cameras' program",
+    );
+    let yaw = Interval {
+        value: wrap(yaw.value),
+        ..yaw.shifted(wrap(yaw.value) - yaw.value)
+    };
+    checks.measured(Parameter {
+        name: "body-yaw",
+        unit: "rad",
+        estimate: yaw,
+        key: Some((
+            "motion_capture.marker_yaw_rad",
+            round(yaw.value, 1e4).into(),
+        )),
+    });
+    checks.measured(Parameter {
+        name: "body-forward",
+        unit: "m",
+        estimate: forward,
+        // One key takes both.
+        key: Some((
+            "motion_capture.marker_offset_m",
+            toml_edit::Value::from_iter(offset),
+        )),
+    });
+    checks.measured(Parameter {
+        name: "body-left",
+        unit: "m",
+        estimate: left,
+        key: None,
+    });
+}
+
+/// The distance of a pulse.
+fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
+    let believed = f64::from(bench.configuration().board.speed.pulse_distance_um);
+    let ratios: Vec<f64> = passes.iter().filter_map(|pass| pass.ratio).collect();
+    let fix = "look at the motor's sensor and its wire to D2, see docs/uno.md";
+    let Some(ratio) = mean_interval(&ratios, 0.0).filter(|_| ratios.len() == passes.len()) else {
+        checks.failed("no motor pulses", "pulses while the wheels turn", fix);
+        return;
+    };
+    let ratio = ratio.widened(SLIP * ratio.value);
+    let distance = ratio.scaled(believed);
+    checks.good(
+        format!(
+            "{:.0} um in a pulse, configured were {believed:.0}",
+            distance.value
+        ),
+        "as measured",
+    );
+    let share = ratio.half_width() / ratio.value;
+    if share > 0.05 {
+        checks.warning(
+            format!("it is known to {:.0} % only", 100.0 * share),
+            "5 %",
+            "roll the car for the whole two metres, at an even speed",
+        );
+    }
+    // A sensor that the board can't use.
+    if !(100.0..=30_000.0).contains(&distance.value) {
+        checks.failed(
+            format!("a pulse every {:.2} mm", 1e-3 * distance.value),
+            "0.1 to 30 mm",
+            fix,
+        );
+    }
+    checks.measured(Parameter {
+        name: "pulse-distance",
+        unit: "um",
+        estimate: distance,
+        key: Some((
+            "board.speed.pulse_distance_um",
+            (distance.value.round() as i64).into(),
+        )),
+    });
+}
+
+/// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car
+/// may have been rolled in several stretches.
+///
+/// The board measures a speed over the time between two pulses and keeps it until the next one:
+/// on the average it is late by the time of a pulse, with a period of the board on top. The pulse
+/// is `pulse` long, in m.
+fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
+    const PERIOD_S: f64 = 0.005;
+    let speeds = speeds(&readings.poses);
+    let mut by_pulses = 0.0;
+    let mut by_cameras = 0.0;
+    for stretch in speeds.chunk_by(|left, right| (left.1 > SLOW_M_S) == (right.1 > SLOW_M_S)) {
+        let highest = stretch.iter().map(|(_, speed)| *speed).fold(0.0, f64::max);
+        let is_fast = |reading: &&(Time, f64)| reading.1 > STEADY * highest;
+        let (Some((begin, _)), Some((end, _))) =
+            (stretch.iter().find(is_fast), stretch.iter().rfind(is_fast))
+        else {
+            continue;
+        };
+        if highest <= SLOW_M_S || seconds(*begin, *end) < STRETCH_S {
+            continue;
+        }
+        let way = way(&readings.poses, origin, *begin, *end)?;
+        let late = PERIOD_S + pulse * seconds(*begin, *end) / way;
+        by_cameras += way;
+        by_pulses += wheel_way(&readings.boards, *begin, *end, late);
+    }
+    (by_pulses > 0.0).then(|| by_cameras / by_pulses)
+}
+
+/// The speed of the body at its poses, over a tenth of a second.
+fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
+    const AROUND: usize = 5;
+    poses
+        .windows(2 * AROUND + 1)
+        .filter_map(|window| {
+            let (first, last) = (window.first()?, window.last()?);
+            let time = seconds(first.capture, last.capture);
+            let speed = distance(first.position, last.position) / time;
+            // A gap is no movement.
+            (time < 0.3).then_some((window.get(AROUND)?.capture, speed))
+        })
+        .collect()
+}
+
+/// The way of the wheels between two moments, by the believed distance of a pulse, if their speed
+/// is measured late, in s.
+fn wheel_way(boards: &[BoardReading], begin: Time, end: Time, late: f64) -> f64 {
+    boards
+        .windows(2)
+        .map(|pair| {
+            let from = (seconds(begin, pair[0].time) - late).max(0.0);
+            let to = (seconds(begin, pair[1].time) - late).min(seconds(begin, end));
+            let speed = pair[1].motor_speed.abs();
+            let speed = if speed > 0.0 {
+                speed + HALF_STEP_M_S
+            } else {
+                0.0
+            };
+            speed * (to - from).max(0.0)
+        })
+        .sum()
+}
+
+/// The way of the rear axle between two moments, along its path.
+fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Option<f64> {
+    let at = |time: Time| {
+        let after = poses.partition_point(|pose| seconds(pose.capture, time) >= 0.0);
+        let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
+        let gap = seconds(before.capture, after.capture);
+        let share = seconds(before.capture, time) / gap;
+        let ends = [before, after].map(|pose| place_of(&floor_pose(pose), origin));
+        let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
+        (gap < 0.2).then_some((place, before.yaw))
+    };
+    let ((from, yaw), (to, later)) = (at(begin)?, at(end)?);
+    let chord = (to[0] - from[0]).hypot(to[1] - from[1]);
+    // The arc over a chord, of a car that turned by this angle.
+    let half = wrap(later - yaw).abs() / 2.0;
+    Some(chord * if half > 1e-3 { half / half.sin() } else { 1.0 })
+}
+
+fn floor(poses: &[PoseReading]) -> Vec<FloorPose> {
+    poses.iter().map(floor_pose).collect()
+}
+
+const fn floor_pose(pose: &PoseReading) -> FloorPose {
+    let [x, y, _] = pose.position;
+    FloorPose {
+        x,
+        y,
+        yaw: pose.yaw,
+    }
+}
+
+/// The place of the point from which the body's origin is at `origin`, along the body's axes.
+fn place_of(pose: &FloorPose, origin: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = pose.yaw.sin_cos();
+    [
+        pose.x - cos * origin[0] + sin * origin[1],
+        pose.y - sin * origin[0] - cos * origin[1],
+    ]
+}
+
+/// Angles near to the first one, also around ±π.
+fn unwrapped(angles: &[f64]) -> Vec<f64> {
+    let Some(first) = angles.first() else {
+        return Vec::new();
+    };
+    angles
+        .iter()
+        .map(|angle| first + wrap(angle - first))
+        .collect()
+}

@@ -1,0 +1,488 @@
+//! The IMU at rest and turned by hand.
+
+use singletrack_core::config::{ImuAxisName, ImuSection};
+
+use super::{
+    finding::{Checks, put_in_force},
+    gather::{Readings, for_time, motion, norm, seconds},
+    questions,
+};
+use crate::{
+    Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
+    Question,
+    fit::{block_means, mean, mean_interval, standard_deviation},
+};
+
+/// For how long the car stands, in s.
+const REST_S: f64 = 60.0;
+/// Blocks of the rest, for the interval of the bias.
+const BLOCKS: usize = 10;
+/// Half a step of the gyro's numbers, in rad/s: what all readings may share.
+const HALF_STEP: f64 = 0.000_5;
+/// The largest tilt of the IMU on a level floor, in rad: 5 degrees.
+const MAX_TILT: f64 = 0.087;
+/// A lift or turn of the car, in rad, that is enough.
+const ENOUGH_RAD: f64 = 0.5;
+
+/// Registers, tilt, bias and noise of a car that stands.
+pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    if bench.ask(&questions::stand_still())? == Answer::Skip {
+        checks.skipped("rest");
+        return checks.finding("rest", bench);
+    }
+    // The hand leaves the car.
+    for_time(bench, 1.0, "wait")?;
+    let readings = for_time(bench, REST_S, "rest")?;
+    check_registers(&readings, &mut checks);
+    let samples: Vec<Inertial> = readings
+        .boards
+        .iter()
+        .filter_map(|board| board.inertial)
+        .collect();
+    let rate = samples.len() as f64 / readings.duration().max(1.0);
+    checks.check(
+        rate > 80.0,
+        format!("{rate:.0} samples a second"),
+        "100",
+        "look at the IMU's wires (SDA, SCL, 5 V, ground), see docs/uno.md",
+    );
+    if samples.len() > 10 * BLOCKS {
+        check_gyro(bench, &samples, &mut checks);
+        check_tilt(bench, &samples, &readings, &mut checks);
+    }
+    check_wheels(&readings, &mut checks);
+    bench.plot(&Plot {
+        name: "rest",
+        title: "The gyro at rest",
+        x: ("time", "s"),
+        y: ("yaw rate", "rad/s"),
+        equal: false,
+        lines: vec![PlotLine {
+            name: "gyro",
+            kind: PlotKind::Measured,
+            points: readings
+                .gyro()
+                .iter()
+                .map(|(time, rate)| [*time, rate[2]])
+                .collect(),
+        }],
+    });
+    checks.finding("rest", bench)
+}
+
+fn check_registers(readings: &Readings, checks: &mut Checks) {
+    let Some(status) = readings.health.last().map(|health| health.status) else {
+        return;
+    };
+    let [system, gyro, accelerometer] =
+        [6, 4, 2].map(|shift| status.imu_calibration >> shift & 0b11);
+    let errors = readings.health.first().map_or(0, |first| {
+        status.imu_errors.wrapping_sub(first.status.imu_errors)
+    });
+    // Accelerometer, gyro and controller; the magnetometer is not used. Zero: not read yet.
+    let has_passed = matches!(status.imu_self_test & 0b1101, 0 | 0b1101);
+    checks.check(
+        status.imu_status != 1 && status.imu_error == 0 && has_passed,
+        format!(
+            "IMU status {}, error {}, self-test {:04b}",
+            status.imu_status, status.imu_error, status.imu_self_test
+        ),
+        "status 5, error 0, self-test 1111",
+        "switch the board off and on; if it stays, replace the IMU",
+    );
+    if gyro < 3 {
+        checks.warning(
+            format!("calibration: system {system}, gyro {gyro}, accelerometer {accelerometer}"),
+            "gyro 3",
+            "leave the car at rest for some seconds after each start",
+        );
+    } else {
+        checks.good(format!("gyro calibrated ({gyro} of 3)"), "3");
+    }
+    if errors > 0 {
+        checks.warning(
+            format!("{errors} errors on the bus to the IMU"),
+            "none",
+            "shorten its wires, and keep them away from the motor's",
+        );
+    }
+}
+
+fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
+    let rates: Vec<f64> = samples
+        .iter()
+        .map(|sample| sample.angular_velocity[2])
+        .collect();
+    let means = block_means(&rates, BLOCKS);
+    let Some(noise) = standard_deviation(&rates) else {
+        return;
+    };
+    // Noise of more than a step makes the mean finer than the steps.
+    let steps = if noise > HALF_STEP { 0.1 } else { 1.0 } * HALF_STEP;
+    let Some(bias) = mean_interval(&means, steps) else {
+        return;
+    };
+    let limit = bench.configuration().watch.max_gyro_bias_rad_s;
+    checks.check(
+        bias.value.abs() < limit / 4.0,
+        format!("gyro bias {:.4} rad/s", bias.value),
+        format!("below {:.3}", limit / 4.0),
+        "leave the car at rest while the IMU starts: it calibrates its gyro then",
+    );
+    checks.check(
+        noise < 0.02,
+        format!("noise {noise:.4} rad/s"),
+        "below 0.02",
+        "fix the IMU to the chassis, and the car to a floor that does not shake",
+    );
+    checks.measured(Parameter {
+        name: "gyro-bias",
+        unit: "rad/s",
+        estimate: bias,
+        key: None,
+    });
+    // The noise is white: the standard deviation's own error is 1 / sqrt(2 n).
+    let spread = 1.96 * noise / (2.0 * rates.len() as f64).sqrt();
+    checks.measured(Parameter {
+        name: "gyro-noise",
+        unit: "rad/s",
+        estimate: Interval::around(noise, spread).widened(0.3 * HALF_STEP),
+        key: None,
+    });
+}
+
+fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {
+    let average = |part: fn(&Inertial) -> f64| {
+        mean(&samples.iter().map(part).collect::<Vec<_>>()).unwrap_or(0.0)
+    };
+    let (roll, pitch) = (
+        average(|sample| sample.roll),
+        average(|sample| sample.pitch),
+    );
+    checks.check(
+        roll.hypot(pitch) < MAX_TILT,
+        format!(
+            "IMU roll {:.1}, pitch {:.1} degrees",
+            roll.to_degrees(),
+            pitch.to_degrees()
+        ),
+        "below 5",
+        "if the floor is level, the IMU is mounted askew or board.imu is wrong: see the next step",
+    );
+    if readings.poses.is_empty() {
+        return;
+    }
+    let limit = bench.configuration().watch.max_tilt_difference_rad;
+    let body = |part: fn(&crate::PoseReading) -> f64| {
+        mean(&readings.poses.iter().map(part).collect::<Vec<_>>()).unwrap_or(0.0)
+    };
+    let difference = (roll - body(|pose| pose.roll)).hypot(pitch - body(|pose| pose.pitch));
+    if difference < limit {
+        checks.good(
+            format!("{:.1} degrees from the cameras", difference.to_degrees()),
+            format!("below {:.1}", limit.to_degrees()),
+        );
+    } else {
+        // The next steps find out which of them is wrong.
+        checks.warning(
+            format!("{:.1} degrees from the cameras", difference.to_degrees()),
+            format!("below {:.1}", limit.to_degrees()),
+            "define the rigid body in the cameras' program with the car level",
+        );
+    }
+}
+
+/// No pulse comes from wheels that stand.
+fn check_wheels(readings: &Readings, checks: &mut Checks) {
+    let moving = readings
+        .boards
+        .iter()
+        .filter(|board| board.motor_speed != 0.0)
+        .count();
+    let refused = match (readings.health.first(), readings.health.last()) {
+        (Some(first), Some(last)) => last
+            .status
+            .edges_refused
+            .wrapping_sub(first.status.edges_refused),
+        _ => 0,
+    };
+    checks.check(
+        moving == 0 && refused == 0,
+        if moving == 0 && refused == 0 {
+            "no motor pulses at rest".to_owned()
+        } else {
+            format!("motor pulses at rest: {moving} readings, {refused} refused edges")
+        },
+        "none",
+        "the wire to D2 picks up noise: 1 kOhm and 10 nF at the pin, see docs/uno.md",
+    );
+}
+
+/// The axes by three motions. Wrong ones are corrected in the configuration, and tried again.
+pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    let mut checks = Checks::default();
+    let before = bench.configuration().board.imu;
+    let Some(found) = mounting(bench, &mut checks)? else {
+        return checks.finding("imu-axes", bench);
+    };
+    if same(found, before) {
+        checks.good(format!("axes are {}", words(found)), "as configured");
+        return checks.finding("imu-axes", bench);
+    }
+    let values = [
+        ("board.imu.forward", found.forward),
+        ("board.imu.left", found.left),
+        ("board.imu.up", found.up),
+    ]
+    .map(|(key, axis)| (key, toml_edit::Value::from(name(axis))));
+    let fix = "correct board.imu in the configuration, and run this step again";
+    let text = format!(
+        "axes are {}, configured were {}",
+        words(found),
+        words(before)
+    );
+    if let Err(refused) = put_in_force(bench, &values)? {
+        checks.failed(
+            format!("{text}; not changed: {refused}"),
+            "as configured",
+            fix,
+        );
+        return checks.finding("imu-axes", bench);
+    }
+    // The board restarts the IMU with the new axes.
+    for_time(bench, 2.0, "the IMU starts with its new axes")?;
+    if let Some(again) = mounting(bench, &mut checks)? {
+        if same(again, found) {
+            checks.warning(
+                format!("{text}: corrected"),
+                "as configured",
+                "nothing; the configuration is corrected",
+            );
+        } else {
+            checks.failed(
+                format!("{text}; after the correction they are {}", words(again)),
+                "as configured",
+                fix,
+            );
+        }
+    }
+    checks.finding("imu-axes", bench)
+}
+
+/// How the chip is mounted, by three motions; none if they do not say.
+fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSection>, Interrupted> {
+    let steps: [(Question, &str); 3] = [
+        (questions::left_side_up(), "left side up"),
+        (questions::nose_up(), "nose up"),
+        (questions::turn_left(), "turn to the left"),
+    ];
+    let mut rotations = [[0.0; 3]; 3];
+    for (rotation, (question, what)) in rotations.iter_mut().zip(steps) {
+        if bench.ask(&question)? == Answer::Skip {
+            checks.skipped(what);
+            return Ok(None);
+        }
+        let (readings, is_done) = motion(bench, |readings| {
+            let angle = norm(largest_rotation(readings));
+            (
+                format!("{what}: {:.0} degrees", angle.to_degrees()),
+                angle / ENOUGH_RAD,
+            )
+        })?;
+        if !is_done {
+            checks.failed(
+                format!("{what}: the IMU turned by {:.0} degrees only", {
+                    norm(largest_rotation(&readings)).to_degrees()
+                }),
+                "30 degrees or more",
+                "repeat the motion; if it was done, the IMU does not measure it",
+            );
+            return Ok(None);
+        }
+        *rotation = largest_rotation(&readings);
+    }
+    let [roll, nose_up, turn] = rotations;
+    let axes = bench.configuration().board.imu;
+    // Along the chip's own axes, in the sense of forward, left and up.
+    let measured = [roll, nose_up.map(|part| -part), turn].map(|vector| on_chip(axes, vector));
+    let found = nearest(measured);
+    if found.is_none() {
+        checks.failed(
+            "the three motions are not about the axes of the IMU",
+            "each within 35 degrees of one",
+            "mount the IMU along the axes of the car, and repeat the motions one axis at a time",
+        );
+    }
+    Ok(found)
+}
+
+/// The largest rotation from the begin so far, as a vector in the configured axes.
+fn largest_rotation(readings: &Readings) -> [f64; 3] {
+    let mut rotation = [0.0; 3];
+    let mut largest = [0.0; 3];
+    let samples: Vec<Inertial> = readings
+        .boards
+        .iter()
+        .filter_map(|board| board.inertial)
+        .collect();
+    for pair in samples.windows(2) {
+        // A gap is no rotation.
+        let step = seconds(pair[0].time, pair[1].time).clamp(0.0, 0.05);
+        for (axis, part) in rotation.iter_mut().enumerate() {
+            let rate = f64::midpoint(
+                pair[0].angular_velocity[axis],
+                pair[1].angular_velocity[axis],
+            );
+            *part += rate * step;
+        }
+        if norm(rotation) > norm(largest) {
+            largest = rotation;
+        }
+    }
+    largest
+}
+
+/// A vector of readings, turned back to the chip's own axes.
+fn on_chip(axes: ImuSection, [forward, left, up]: [f64; 3]) -> [f64; 3] {
+    let mut chip = [0.0; 3];
+    for (part, axis) in [(forward, axes.forward), (left, axes.left), (up, axes.up)] {
+        let (index, sign) = direction(axis);
+        chip[index] += sign * part;
+    }
+    chip
+}
+
+/// The mounting whose axes are nearest to these directions of the chip; none if one of them is
+/// far from all axes.
+fn nearest(measured: [[f64; 3]; 3]) -> Option<ImuSection> {
+    /// Cosine of 35 degrees.
+    const CLOSE: f64 = 0.82;
+    let mut axes = [ImuAxisName::PlusX; 3];
+    for (axis, vector) in axes.iter_mut().zip(measured) {
+        let length = norm(vector);
+        *axis = ALL.into_iter().find(|axis| {
+            let (index, sign) = direction(*axis);
+            sign * vector[index] > CLOSE * length
+        })?;
+    }
+    let [forward, left, up] = axes;
+    let section = ImuSection { forward, left, up };
+    is_right_handed(section).then_some(section)
+}
+
+const ALL: [ImuAxisName; 6] = [
+    ImuAxisName::PlusX,
+    ImuAxisName::MinusX,
+    ImuAxisName::PlusY,
+    ImuAxisName::MinusY,
+    ImuAxisName::PlusZ,
+    ImuAxisName::MinusZ,
+];
+
+/// The index and the sign of an axis.
+const fn direction(axis: ImuAxisName) -> (usize, f64) {
+    match axis {
+        ImuAxisName::PlusX => (0, 1.0),
+        ImuAxisName::MinusX => (0, -1.0),
+        ImuAxisName::PlusY => (1, 1.0),
+        ImuAxisName::MinusY => (1, -1.0),
+        ImuAxisName::PlusZ => (2, 1.0),
+        ImuAxisName::MinusZ => (2, -1.0),
+    }
+}
+
+/// The word in the configuration.
+const fn name(axis: ImuAxisName) -> &'static str {
+    match axis {
+        ImuAxisName::PlusX => "+x",
+        ImuAxisName::MinusX => "-x",
+        ImuAxisName::PlusY => "+y",
+        ImuAxisName::MinusY => "-y",
+        ImuAxisName::PlusZ => "+z",
+        ImuAxisName::MinusZ => "-z",
+    }
+}
+
+fn is_right_handed(axes: ImuSection) -> bool {
+    let unit = |axis| {
+        let (index, sign) = direction(axis);
+        let mut vector = [0.0; 3];
+        vector[index] = sign;
+        vector
+    };
+    let [a, b, c] = [axes.forward, axes.left, axes.up].map(unit);
+    let determinant = a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
+        + a[2] * (b[0] * c[1] - b[1] * c[0]);
+    determinant > 0.5
+}
+
+fn same(left: ImuSection, right: ImuSection) -> bool {
+    words(left) == words(right)
+}
+
+fn words(axes: ImuSection) -> String {
+    [axes.forward, axes.left, axes.up].map(name).join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all_mountings() -> Vec<ImuSection> {
+        let mut mountings = Vec::new();
+        for forward in ALL {
+            for left in ALL {
+                for up in ALL {
+                    let section = ImuSection { forward, left, up };
+                    if is_right_handed(section) {
+                        mountings.push(section);
+                    }
+                }
+            }
+        }
+        mountings
+    }
+
+    /// What a chip that is mounted as `truth` reads in the axes that are configured.
+    fn reads(truth: ImuSection, configured: ImuSection, car: [f64; 3]) -> [f64; 3] {
+        let chip = on_chip(truth, car);
+        [configured.forward, configured.left, configured.up].map(|axis| {
+            let (index, sign) = direction(axis);
+            sign * chip[index]
+        })
+    }
+
+    #[test]
+    fn every_mounting_is_found_from_every_configured_one() {
+        assert_eq!(all_mountings().len(), 24);
+        for truth in all_mountings() {
+            for configured in all_mountings() {
+                // Motions by hand are 10 degrees off their axis.
+                let motions = [[0.8, 0.1, 0.1], [-0.1, -0.8, 0.1], [0.1, -0.1, 1.5]];
+                let [roll, nose_up, turn] = motions.map(|car| reads(truth, configured, car));
+                let found = nearest(
+                    [roll, nose_up.map(|part| -part), turn]
+                        .map(|vector| on_chip(configured, vector)),
+                );
+                assert_eq!(found.map(words), Some(words(truth)));
+            }
+        }
+    }
+
+    #[test]
+    fn motions_that_are_not_about_the_axes_give_no_mounting() {
+        let straight = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        assert!(nearest(straight).is_some());
+        let mut skew = straight;
+        skew[1] = [0.7, 0.7, 0.0];
+        assert!(nearest(skew).is_none());
+        // The nose went down: the axes are left-handed then.
+        let mut down = straight;
+        down[1] = [0.0, -1.0, 0.0];
+        assert!(nearest(down).is_none());
+        let mut twice = straight;
+        twice[1] = [1.0, 0.0, 0.0];
+        assert!(nearest(twice).is_none());
+    }
+}

@@ -1,0 +1,87 @@
+//! The doctor: what can be found about a car without moving it.
+//!
+//! The car stays disarmed. Where something must move, a hand moves it: the operator presses,
+//! plugs, tilts, turns and rolls, and board and cameras are compared. What is measured is put
+//! into the configuration at once, because the next steps need it.
+
+mod board;
+mod cameras;
+mod finding;
+mod gather;
+mod geometry;
+mod imu;
+mod questions;
+
+use crate::Step;
+
+/// The steps, in their order.
+pub const STEPS: [Step; 8] = [
+    Step {
+        name: "board",
+        title: "Board: image, line, reset",
+        essential: true,
+        run: board::image,
+    },
+    Step {
+        name: "power",
+        title: "Power: battery, stop switch, 5 V",
+        essential: false,
+        run: board::power,
+    },
+    Step {
+        name: "imu-axes",
+        title: "IMU: its axes, by hand",
+        essential: true,
+        run: imu::axes,
+    },
+    Step {
+        name: "rest",
+        title: "A minute at rest: IMU, bias, noise, pulses",
+        essential: false,
+        run: imu::rest,
+    },
+    Step {
+        name: "cameras",
+        title: "Cameras: stream, body, height, and a push",
+        essential: true,
+        run: cameras::body,
+    },
+    Step {
+        name: "latency",
+        title: "Latency: gyro against cameras, by a twist",
+        essential: false,
+        run: cameras::latency,
+    },
+    Step {
+        name: "geometry",
+        title: "Geometry: the body on the car, and the distance of a pulse",
+        essential: false,
+        run: geometry::geometry,
+    },
+    Step {
+        name: "drive",
+        title: "Reference, geofence and real time",
+        essential: false,
+        run: cameras::drive,
+    },
+];
+
+/// The ids of all questions, in the order in which they come. Some come several times.
+pub const QUESTIONS: [&str; 16] = [
+    "press-reset",
+    "voltmeter",
+    "unplug-battery",
+    "plug-battery",
+    "open-stop-switch",
+    "close-stop-switch",
+    "push-wheels",
+    "left-side-up",
+    "nose-up",
+    "turn-left",
+    "stand-still",
+    "push-forward",
+    "twist",
+    "turn-left-about-rear-axle",
+    "turn-right-about-rear-axle",
+    "roll-forward",
+];

@@ -1,0 +1,445 @@
+//! Changes of the configuration's file: values are replaced, everything else stays.
+//!
+//! A file is replaced as a whole: after a crash it is the old one or the new one, and the old
+//! one is kept beside it.
+
+use std::{
+    fs::{self, File},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use singletrack_core::{Config, ConfigError};
+use toml_edit::{DocumentMut, Item, Table, TableLike, TomlError, Value};
+
+use crate::diff::unified;
+
+/// Why a file was not changed.
+#[derive(Debug, thiserror::Error)]
+pub enum EditError {
+    /// It can't be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// It is no TOML.
+    #[error("not valid TOML: {0}")]
+    Toml(#[from] TomlError),
+    /// The key names a table, or one of its tables is a value.
+    #[error("{0} can't be set in this file")]
+    Key(String),
+    /// With the new values it is no configuration.
+    #[error("the new values do not fit: {0}")]
+    Config(#[from] Box<ConfigError>),
+}
+
+/// The text of a configuration, with its comments.
+#[derive(Clone, Debug)]
+pub struct Edit {
+    old: String,
+    new: String,
+}
+
+impl Edit {
+    /// For a text.
+    ///
+    /// # Errors
+    ///
+    /// It is not valid TOML.
+    pub fn new(text: &str) -> Result<Self, EditError> {
+        let _: DocumentMut = text.parse()?;
+        Ok(Self {
+            old: text.to_owned(),
+            new: text.to_owned(),
+        })
+    }
+
+    /// For a file.
+    ///
+    /// # Errors
+    ///
+    /// It can't be read, or is not valid TOML.
+    pub fn read(path: &Path) -> Result<Self, EditError> {
+        let text = fs::read_to_string(path).map_err(|source| EditError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::new(&text)
+    }
+
+    /// Gives a key such as `board.servo.centre_us` a value. A key that is commented out, as in
+    /// the example file (`#key = value`), is given its value in that place.
+    ///
+    /// # Errors
+    ///
+    /// The key names a table, or one of its tables is a value.
+    pub fn set(&mut self, key: &str, value: &Value) -> Result<(), EditError> {
+        let refused = || EditError::Key(key.to_owned());
+        let mut document: DocumentMut = self.new.parse()?;
+        let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
+        if find(&document, key).is_none()
+            && let Some(text) = uncommented(&self.new, tables, name, value)
+            && is_set(&text, key, value)
+        {
+            self.new = text;
+            return Ok(());
+        }
+        let mut table: &mut dyn TableLike = document.as_table_mut();
+        for part in tables.split('.').filter(|part| !part.is_empty()) {
+            let item = table.entry(part).or_insert_with(|| {
+                let mut table = Table::new();
+                table.set_implicit(true);
+                Item::Table(table)
+            });
+            table = item.as_table_like_mut().ok_or_else(refused)?;
+        }
+        match table.get_mut(name) {
+            None => {
+                table.insert(name, Item::Value(value.clone()));
+            }
+            Some(Item::Value(old)) => {
+                let decor = old.decor().clone();
+                *old = value.clone();
+                *old.decor_mut() = decor;
+            }
+            Some(_) => return Err(refused()),
+        }
+        self.new = document.to_string();
+        Ok(())
+    }
+
+    /// Whether a value is other than before.
+    #[must_use]
+    pub fn is_changed(&self) -> bool {
+        self.old != self.new
+    }
+
+    /// The text with the new values.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.new
+    }
+
+    /// Whether a key is written with this value.
+    #[must_use]
+    pub fn has(&self, key: &str, value: &Value) -> bool {
+        is_set(&self.new, key, value)
+    }
+
+    /// The change from the old text of this one to the new text of a later one.
+    #[must_use]
+    pub fn until(&self, later: &Self) -> Self {
+        Self {
+            old: self.old.clone(),
+            new: later.new.clone(),
+        }
+    }
+
+    /// Gives a file that was just written its old text again.
+    ///
+    /// # Errors
+    ///
+    /// It can't be written.
+    pub fn take_back(&self, path: &Path) -> Result<(), EditError> {
+        let path = fs::canonicalize(path).map_err(|source| EditError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let staged = with_suffix(&path, ".new");
+        stage(&path, &staged, &self.old)?;
+        replace(&staged, &path)
+    }
+
+    /// What has changed, as a unified diff; empty if nothing has.
+    #[must_use]
+    pub fn diff(&self, name: &str) -> String {
+        unified(name, &self.old, &self.new)
+    }
+
+    /// Replaces the file, after a check that it is a configuration, and gives the path of the
+    /// old file, which is kept as `FILE.old-DATE`. A file that did not change is not written.
+    ///
+    /// # Errors
+    ///
+    /// It can't be written, or the new text is no configuration; the file is then as before.
+    pub fn write(&self, path: &Path, date: &str) -> Result<Option<PathBuf>, EditError> {
+        if !self.is_changed() {
+            return Ok(None);
+        }
+        // A link stays a link.
+        let path = fs::canonicalize(path).map_err(|source| EditError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let kept = kept_name(&path, date);
+        let staged = with_suffix(&path, ".new");
+        let result = stage(&path, &staged, &self.new)
+            .and_then(|()| {
+                // In the file's folder, from which its paths start.
+                Config::read(&staged).map_err(Box::new)?;
+                Ok(())
+            })
+            .and_then(|()| keep(&path, &kept))
+            .and_then(|()| replace(&staged, &path));
+        if result.is_err() {
+            let _ = fs::remove_file(&staged);
+        }
+        result.map(|()| Some(kept))
+    }
+}
+
+/// Writes the new text beside the file, with its permissions, down to the disk.
+fn stage(path: &Path, staged: &Path, text: &str) -> Result<(), EditError> {
+    let failed = |source| EditError::File {
+        path: staged.to_owned(),
+        source,
+    };
+    let mut file = File::create(staged).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(failed)?;
+    let permissions = fs::metadata(path).map_err(failed)?.permissions();
+    file.set_permissions(permissions).map_err(failed)?;
+    file.sync_all().map_err(failed)
+}
+
+/// Copies the file, down to the disk.
+fn keep(path: &Path, kept: &Path) -> Result<(), EditError> {
+    let failed = |source| EditError::File {
+        path: kept.to_owned(),
+        source,
+    };
+    fs::copy(path, kept).map_err(failed)?;
+    File::open(kept)
+        .and_then(|file| file.sync_all())
+        .map_err(failed)
+}
+
+/// Puts the new file in the place of the old one.
+fn replace(staged: &Path, path: &Path) -> Result<(), EditError> {
+    let failed = |source| EditError::File {
+        path: path.to_owned(),
+        source,
+    };
+    fs::rename(staged, path).map_err(failed)?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
+    File::open(folder)
+        .and_then(|folder| folder.sync_all())
+        .map_err(failed)
+}
+
+/// A name for the old file that is not taken.
+fn kept_name(path: &Path, date: &str) -> PathBuf {
+    let first = with_suffix(path, &format!(".old-{date}"));
+    if !first.exists() {
+        return first;
+    }
+    (2..u32::MAX)
+        .map(|number| with_suffix(path, &format!(".old-{date}-{number}")))
+        .find(|name| !name.exists())
+        .unwrap_or(first)
+}
+
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+/// The value of a key; none if it is not written.
+fn find<'a>(document: &'a DocumentMut, key: &str) -> Option<&'a Item> {
+    key.split('.')
+        .try_fold(document.as_item(), |item, part| item.get(part))
+}
+
+/// Whether the text is valid and gives the key this value.
+fn is_set(text: &str, key: &str, value: &Value) -> bool {
+    text.parse::<DocumentMut>().is_ok_and(|document| {
+        find(&document, key)
+            .and_then(Item::as_value)
+            .is_some_and(|found| same(found, value))
+    })
+}
+
+/// Whether two values are equal, whatever stands around them.
+pub(crate) fn same(left: &Value, right: &Value) -> bool {
+    match (left, right) {
+        (Value::Array(left), Value::Array(right)) => {
+            left.len() == right.len()
+                && left
+                    .iter()
+                    .zip(right.iter())
+                    .all(|(left, right)| same(left, right))
+        }
+        (Value::String(left), Value::String(right)) => left.value() == right.value(),
+        (Value::Boolean(left), Value::Boolean(right)) => left.value() == right.value(),
+        _ => match (number(left), number(right)) {
+            (Some(left), Some(right)) => left.total_cmp(&right).is_eq(),
+            _ => false,
+        },
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value
+        .as_float()
+        .or_else(|| value.as_integer().map(|integer| integer as f64))
+}
+
+/// The text with a commented-out key of a table given a value; none if there is no such line.
+fn uncommented(text: &str, table: &str, name: &str, value: &Value) -> Option<String> {
+    let header = format!("[{table}]");
+    let mut lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let begin = match table {
+        "" => 0,
+        _ => {
+            1 + lines
+                .iter()
+                .position(|line| line.split('#').next().unwrap_or("").trim() == header)?
+        }
+    };
+    let end = lines
+        .iter()
+        .skip(begin)
+        .position(|line| line.starts_with('['))
+        .map_or(lines.len(), |after| begin + after);
+    let index = (begin..end).find(|index| {
+        lines[*index]
+            .strip_prefix('#')
+            .and_then(|line| line.trim_start().strip_prefix(name))
+            .is_some_and(|rest| rest.trim_start().starts_with('='))
+    })?;
+    let mut value = value.clone();
+    value.decor_mut().clear();
+    let line = format!("{name} = {value}\n");
+    lines[index] = &line;
+    Some(lines.concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
+
+    fn changed(text: &str, key: &str, value: impl Into<Value>) -> String {
+        let mut edit = Edit::new(text).unwrap();
+        edit.set(key, &value.into()).unwrap();
+        edit.text().to_owned()
+    }
+
+    #[test]
+    fn a_value_is_replaced_and_its_comments_stay() {
+        let text =
+            "# The car.\n[board.servo] # steering\ncentre_us = 1500 # by eye\nmin_us = 1080\n";
+        assert_eq!(
+            changed(text, "board.servo.centre_us", 1512),
+            text.replace("1500", "1512")
+        );
+    }
+
+    #[test]
+    fn every_key_that_is_commented_out_in_the_example_is_set_in_its_place() {
+        for (key, value, before, after) in [
+            (
+                "board.imu.left",
+                Value::from("-x"),
+                "#left = \"+y\"\n",
+                "left = \"-x\"\n",
+            ),
+            (
+                "motion_capture.marker_yaw_rad",
+                Value::from(-0.02),
+                "#marker_yaw_rad = 0.0\n",
+                "marker_yaw_rad = -0.02\n",
+            ),
+            (
+                "motion_capture.pose.height_m",
+                Value::from_iter([0.06, 0.14]),
+                "# height_m = [0.05, 0.25]\n",
+                "height_m = [0.06, 0.14]\n",
+            ),
+        ] {
+            assert_eq!(
+                changed(EXAMPLE, key, value),
+                EXAMPLE.replacen(before, after, 1),
+                "{key}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_key_without_a_line_of_its_own_is_added_to_its_table() {
+        assert_eq!(
+            changed(
+                "[board.esc]\nneutral_us = 1500\n\n[board]\ncar_id = 3\n",
+                "board.esc.kind",
+                "car"
+            ),
+            "[board.esc]\nneutral_us = 1500\nkind = \"car\"\n\n[board]\ncar_id = 3\n"
+        );
+        assert_eq!(
+            changed("[fence]\nbraking_m_s2 = 0.9\n", "board.imu.up", "-z"),
+            "[fence]\nbraking_m_s2 = 0.9\n\n[board.imu]\nup = \"-z\"\n"
+        );
+        // The commented-out key of another table is not meant.
+        assert_eq!(
+            changed("[a]\n#x = 1\n[b]\ny = 2\n", "b.x", 3),
+            "[a]\n#x = 1\n[b]\ny = 2\nx = 3\n"
+        );
+    }
+
+    #[test]
+    fn a_table_is_no_value() {
+        let mut edit = Edit::new("[board.servo]\ncentre_us = 1500\n").unwrap();
+        assert!(edit.set("board.servo", &1.into()).is_err());
+        assert!(edit.set("board.servo.centre_us.x", &1.into()).is_err());
+        assert!(!edit.is_changed());
+        assert!(Edit::new("[board").is_err());
+    }
+
+    #[test]
+    fn the_file_is_replaced_and_the_old_one_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, EXAMPLE).unwrap();
+        for (value, kept) in [
+            (1512, "car.toml.old-2026-01-02"),
+            (1513, "car.toml.old-2026-01-02-2"),
+        ] {
+            let before = fs::read_to_string(&path).unwrap();
+            let mut edit = Edit::read(&path).unwrap();
+            edit.set("board.servo.centre_us", &value.into()).unwrap();
+            let old = edit.write(&path, "2026-01-02").unwrap().unwrap();
+            assert_eq!(old.file_name().unwrap(), kept);
+            assert_eq!(fs::read_to_string(&old).unwrap(), before);
+            assert_eq!(fs::read_to_string(&path).unwrap(), edit.text());
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
+
+    #[test]
+    fn a_value_that_makes_no_configuration_leaves_the_file_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, EXAMPLE).unwrap();
+        let mut edit = Edit::read(&path).unwrap();
+        edit.set("board.servo.centre_us", &9_999.into()).unwrap();
+        let error = edit.write(&path, "2026-01-02").unwrap_err().to_string();
+        assert!(error.contains("centre_us"), "{error}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), EXAMPLE);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_that_does_not_change_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, EXAMPLE).unwrap();
+        let mut edit = Edit::read(&path).unwrap();
+        edit.set("board.servo.centre_us", &1500.into()).unwrap();
+        assert_eq!(edit.write(&path, "2026-01-02").unwrap(), None);
+        assert_eq!(edit.diff("car.toml"), "");
+    }
+}

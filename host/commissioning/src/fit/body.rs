@@ -1,0 +1,183 @@
+//! Where the rigid body of the cameras sits on the car, from turning and rolling it by hand.
+
+use crate::fit::least_squares;
+
+/// A pose of the rigid body on the floor: position in m, and yaw in rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FloorPose {
+    /// Position, in m.
+    pub x: f64,
+    /// Position, in m.
+    pub y: f64,
+    /// Yaw, in rad.
+    pub yaw: f64,
+}
+
+/// The body's origin, from the point about which the body was turned, along the axes of the
+/// body, in m. The second value is the root mean square of the wander of that point. None if the
+/// body did not turn.
+#[must_use]
+pub fn turned_about(poses: &[FloorPose]) -> Option<([f64; 2], f64)> {
+    let equations = poses.iter().flat_map(|pose| {
+        let (sin, cos) = pose.yaw.sin_cos();
+        [
+            ([1.0, 0.0, cos, -sin], pose.x),
+            ([0.0, 1.0, sin, cos], pose.y),
+        ]
+    });
+    let fit = least_squares(equations)?;
+    let [_, _, forward, left] = fit.parameters;
+    Some(([forward, left], fit.residual))
+}
+
+/// A roll of the car, straight or nearly so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rolled {
+    /// The way of the point, in m.
+    pub way: f64,
+    /// The direction in which it moved, from the body's x axis, in rad: to the left is positive.
+    pub direction: f64,
+    /// By how much the body turned, in rad.
+    pub turn: f64,
+}
+
+/// How a point of the car moved that is at `-origin` from the body's origin, along the axes of
+/// the body. None if it did not move.
+///
+/// The middle of the rear axle moves along the car, also when the front wheels are not straight:
+/// the direction of its movement gives the yaw of the body on the car.
+#[must_use]
+pub fn rolled(poses: &[FloorPose], origin: [f64; 2]) -> Option<Rolled> {
+    /// Shorter movements are noise, in m.
+    const SPACING: f64 = 0.05;
+    let place = |pose: &FloorPose| {
+        let (sin, cos) = pose.yaw.sin_cos();
+        [
+            pose.x - cos * origin[0] + sin * origin[1],
+            pose.y - sin * origin[0] - cos * origin[1],
+        ]
+    };
+    let first = poses.first()?;
+    let mut last = first;
+    let mut moved = [0.0; 2];
+    let mut way = 0.0;
+    for pose in poses {
+        let (from, to) = (place(last), place(pose));
+        let step = [to[0] - from[0], to[1] - from[1]];
+        let length = step[0].hypot(step[1]);
+        if length < SPACING {
+            continue;
+        }
+        // A chord points along the mean of the yaws at its ends.
+        let turn = (pose.yaw - last.yaw)
+            .sin()
+            .atan2((pose.yaw - last.yaw).cos());
+        let (sin, cos) = (last.yaw + turn / 2.0).sin_cos();
+        moved[0] += cos * step[0] + sin * step[1];
+        moved[1] += cos * step[1] - sin * step[0];
+        way += length;
+        last = pose;
+    }
+    let turn = last.yaw - first.yaw;
+    (way > 0.0).then(|| Rolled {
+        way,
+        direction: moved[1].atan2(moved[0]),
+        turn: turn.sin().atan2(turn.cos()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::PI;
+
+    use super::*;
+    use crate::fit::{mean_interval, tests::Noise};
+
+    const ORIGIN: [f64; 2] = [0.21, -0.03];
+
+    /// The body of a car whose rear axle is here; the body sits at `ORIGIN` along its own axes,
+    /// and is turned by `body_yaw` on the car.
+    fn body(noise: &mut Noise, rear: [f64; 2], yaw: f64, body_yaw: f64) -> FloorPose {
+        let turned = yaw + body_yaw;
+        let (sin, cos) = turned.sin_cos();
+        FloorPose {
+            x: rear[0] + cos * ORIGIN[0] - sin * ORIGIN[1] + 0.000_2 * noise.normal(),
+            y: rear[1] + sin * ORIGIN[0] + cos * ORIGIN[1] + 0.000_2 * noise.normal(),
+            yaw: turned + 0.001_7 * noise.normal(),
+        }
+    }
+
+    #[test]
+    fn turns_about_a_point_that_wanders_give_honest_intervals() {
+        let mut held = [0; 2];
+        let cars = 300;
+        for car in 0..cars {
+            let mut noise = Noise::new(car);
+            let mut found = [const { Vec::new() }; 2];
+            for pass in 0..4 {
+                let sign = if pass % 2 == 0 { 1.0 } else { -1.0 };
+                let wander = 0.003 * noise.normal();
+                let phase = 2.0 * PI * noise.uniform();
+                let poses: Vec<_> = (0..800)
+                    .map(|index| {
+                        let share = f64::from(index) / 800.0;
+                        let rear = [1.0, 1.0 + 0.3 * f64::from(pass)]
+                            .map(|at| at + wander * (2.0 * PI * share + phase + at).sin());
+                        body(&mut noise, rear, sign * 2.0 * PI * share, 0.4)
+                    })
+                    .collect();
+                let (origin, residual) = turned_about(&poses).unwrap();
+                assert!(residual < 0.01);
+                found[0].push(origin[0]);
+                found[1].push(origin[1]);
+            }
+            for axis in 0..2 {
+                let interval = mean_interval(&found[axis], 0.0).unwrap();
+                held[axis] += u64::from(interval.contains(ORIGIN[axis]));
+            }
+        }
+        for held in held {
+            assert!(held * 100 >= cars * 90, "{held} of {cars}");
+        }
+    }
+
+    #[test]
+    fn a_curve_gives_the_yaw_of_the_body_and_the_way_of_the_rear_axle() {
+        for (body_yaw, curvature) in [(0.0, 0.0), (0.1, 0.2), (-2.5, -0.3), (PI - 0.05, 0.1)] {
+            let mut noise = Noise::new(5);
+            let poses: Vec<_> = (0..600)
+                .map(|index| {
+                    let way = 2.0 * f64::from(index) / 599.0;
+                    let yaw = 0.7 + curvature * way;
+                    let rear = if curvature == 0.0 {
+                        [way * yaw.cos(), way * yaw.sin()]
+                    } else {
+                        let radius = 1.0 / curvature;
+                        [
+                            radius * (yaw.sin() - 0.7_f64.sin()),
+                            radius * (0.7_f64.cos() - yaw.cos()),
+                        ]
+                    };
+                    body(&mut noise, rear, yaw, body_yaw)
+                })
+                .collect();
+            let rolled = rolled(&poses, ORIGIN).unwrap();
+            let error = (rolled.direction + body_yaw).sin();
+            assert!(error.abs() < 0.002, "{body_yaw} {curvature}: {rolled:?}");
+            assert!((rolled.way - 2.0).abs() < 0.055, "{rolled:?}");
+            assert!((rolled.turn - 2.0 * curvature).abs() < 0.03, "{rolled:?}");
+        }
+    }
+
+    #[test]
+    fn a_body_that_stands_has_neither_point_nor_direction() {
+        let pose = FloorPose {
+            x: 1.0,
+            y: 2.0,
+            yaw: 0.3,
+        };
+        assert_eq!(turned_about(&[pose; 50]), None);
+        assert_eq!(rolled(&[pose; 50], [0.0; 2]), None);
+        assert_eq!(rolled(&[], [0.0; 2]), None);
+    }
+}

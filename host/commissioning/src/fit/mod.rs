@@ -1,0 +1,60 @@
+//! Fits: pure functions from readings to parameters with their 95 % intervals.
+//!
+//! The errors of successive readings are correlated: a person turns a car, a floor slopes, a
+//! filter remembers. No fit therefore takes its interval from the scatter of single readings.
+//! It comes from the scatter of *passes* (or of long blocks of one pass), each of which would
+//! give the parameter by itself, with the quantile of Student's distribution, and what all
+//! passes have in common is added as a stated systematic part.
+
+mod body;
+mod body_in_bends;
+mod delay;
+mod drive_train;
+mod gauss_newton;
+mod least_squares;
+pub(crate) mod speed_curve;
+mod statistics;
+pub(crate) mod steering;
+mod track;
+mod wheels;
+
+pub use body::{FloorPose, Rolled, rolled, turned_about};
+pub use body_in_bends::{Body, body};
+pub use delay::{Delay, stamp_delay};
+pub use drive_train::{DriveTrain, deceleration, drive_train};
+pub use gauss_newton::gauss_newton;
+pub use least_squares::{LeastSquares, least_squares};
+pub use statistics::{
+    block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
+    student_quantile,
+};
+pub use track::{Motion, Signal, Track};
+pub use wheels::{Turning, Wheels, wheels};
+
+#[cfg(test)]
+pub(crate) mod tests {
+    /// Reproducible noise.
+    pub(crate) struct Noise(u64);
+
+    impl Noise {
+        pub(crate) fn new(seed: u64) -> Self {
+            Self(seed)
+        }
+
+        /// Uniform from 0 to 1 (SplitMix64).
+        pub(crate) fn uniform(&mut self) -> f64 {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut bits = self.0;
+            bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            bits ^= bits >> 31;
+            (bits >> 11) as f64 / (1_u64 << 53) as f64
+        }
+
+        /// Normal, with mean 0 and standard deviation 1.
+        pub(crate) fn normal(&mut self) -> f64 {
+            let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+            radius * (core::f64::consts::TAU * self.uniform()).cos()
+        }
+    }
+}

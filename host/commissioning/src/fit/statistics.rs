@@ -1,0 +1,220 @@
+//! Means and their intervals.
+
+use crate::Interval;
+
+/// 97.5 % quantiles of Student's distribution, by degrees of freedom, from one.
+const STUDENT: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
+    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
+    2.052, 2.048, 2.045, 2.042,
+];
+
+/// The half width of a 95 % interval in standard errors, for a standard error that was estimated
+/// with so many degrees of freedom; infinite for none.
+#[must_use]
+pub fn student_quantile(degrees_of_freedom: usize) -> f64 {
+    let Some(index) = degrees_of_freedom.checked_sub(1) else {
+        return f64::INFINITY;
+    };
+    STUDENT.get(index).copied().unwrap_or_else(|| {
+        // To 0.001 from 30 degrees of freedom on.
+        let inverse = 1.0 / degrees_of_freedom as f64;
+        1.96 + inverse * (2.37 + 2.82 * inverse)
+    })
+}
+
+/// The mean; none of no values.
+#[must_use]
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The standard deviation of the values around their mean; none of fewer than two.
+#[must_use]
+pub fn standard_deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values)?;
+    let freedom = values.len().checked_sub(1).filter(|freedom| *freedom > 0)?;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    Some((squares / freedom as f64).sqrt())
+}
+
+/// The median; none of no values.
+#[must_use]
+pub fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    let upper = *sorted.get(middle)?;
+    match sorted.len() % 2 {
+        0 => Some(f64::midpoint(*sorted.get(middle - 1)?, upper)),
+        _ => Some(upper),
+    }
+}
+
+/// The mean of values with independent errors, such as those of separate passes, with its 95 %
+/// interval. `systematic` bounds the error that all of them share. None of fewer than two
+/// values: one pass says nothing of its error.
+#[must_use]
+pub fn mean_interval(values: &[f64], systematic: f64) -> Option<Interval> {
+    let deviation = standard_deviation(values)?;
+    let statistical = student_quantile(values.len() - 1) * deviation / (values.len() as f64).sqrt();
+    Some(Interval::around(mean(values)?, statistical).widened(systematic))
+}
+
+/// The means of `count` blocks of equal length; values that are left over are dropped. Long
+/// blocks have independent errors where successive values have not.
+#[must_use]
+pub fn block_means(values: &[f64], count: usize) -> Vec<f64> {
+    let Some(length) = values.len().checked_div(count).filter(|length| *length > 0) else {
+        return Vec::new();
+    };
+    values
+        .chunks_exact(length)
+        .take(count)
+        .filter_map(mean)
+        .collect()
+}
+
+/// The interval of an estimate from several passes or blocks, by leaving out one after the
+/// other (the jackknife). It needs no model of the errors within a pass. `systematic` bounds the
+/// error that all passes share. None if there are fewer than two passes, or if the estimate
+/// fails without one of them.
+pub fn jackknife<T>(
+    passes: &[T],
+    systematic: f64,
+    estimate: impl Fn(&[&T]) -> Option<f64>,
+) -> Option<Interval> {
+    let [interval] = jackknife_each(passes, [systematic], |chosen| Some([estimate(chosen)?]))?;
+    Some(interval)
+}
+
+/// As [`jackknife`], for estimates that come from one fit.
+pub fn jackknife_each<T, const N: usize>(
+    passes: &[T],
+    systematic: [f64; N],
+    estimate: impl Fn(&[&T]) -> Option<[f64; N]>,
+) -> Option<[Interval; N]> {
+    let freedom = passes.len().checked_sub(1).filter(|freedom| *freedom > 0)?;
+    let all: Vec<&T> = passes.iter().collect();
+    let whole = estimate(&all)?;
+    let without: Vec<[f64; N]> = (0..all.len())
+        .map(|left_out| {
+            let mut chosen = all.clone();
+            chosen.remove(left_out);
+            estimate(&chosen)
+        })
+        .collect::<Option<_>>()?;
+    let quantile = student_quantile(freedom);
+    let count = passes.len() as f64;
+    Some(std::array::from_fn(|index| {
+        let values: Vec<f64> = without.iter().map(|one| one[index]).collect();
+        let centre = mean(&values).unwrap_or(whole[index]);
+        let squares: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+        let error = (squares * (count - 1.0) / count).sqrt();
+        Interval::around(whole[index], quantile * error).widened(systematic[index])
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::tests::Noise;
+
+    /// How many of `trials` intervals hold the truth, in percent.
+    fn coverage(trials: u64, mut interval: impl FnMut(u64) -> (Interval, f64)) -> f64 {
+        let held = (0..trials)
+            .filter(|trial| {
+                let (interval, truth) = interval(*trial);
+                interval.contains(truth)
+            })
+            .count();
+        100.0 * held as f64 / trials as f64
+    }
+
+    #[test]
+    fn the_quantile_falls_to_that_of_the_normal_distribution() {
+        assert_eq!(student_quantile(0), f64::INFINITY);
+        for (freedom, quantile) in [(1, 12.706), (4, 2.776), (31, 2.040), (60, 2.000)] {
+            let found = student_quantile(freedom);
+            assert!((found - quantile).abs() < 0.001, "{freedom}: {found}");
+        }
+        assert!((student_quantile(100_000) - 1.96).abs() < 0.001);
+    }
+
+    #[test]
+    fn mean_deviation_and_median_are_those_of_the_book() {
+        let values = [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0];
+        assert_eq!(mean(&values), Some(5.0));
+        let deviation = standard_deviation(&values).unwrap();
+        assert!((deviation - (32.0_f64 / 7.0).sqrt()).abs() < 1e-12);
+        assert_eq!(median(&values), Some(4.5));
+        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!((mean(&[]), median(&[])), (None, None));
+        assert_eq!(standard_deviation(&[1.0]), None);
+    }
+
+    #[test]
+    fn nine_of_ten_intervals_of_few_passes_hold_the_mean_and_not_all_do() {
+        for count in [2, 3, 5, 20] {
+            let held = coverage(2_000, |trial| {
+                let mut noise = Noise::new(trial);
+                let values: Vec<f64> = (0..count).map(|_| 7.0 + 0.3 * noise.normal()).collect();
+                (mean_interval(&values, 0.0).unwrap(), 7.0)
+            });
+            assert!((93.0..97.0).contains(&held), "{count} passes: {held} %");
+        }
+    }
+
+    #[test]
+    fn one_pass_gives_no_interval() {
+        assert_eq!(mean_interval(&[1.0], 0.1), None);
+        assert!(
+            jackknife(&[1.0], 0.1, |all| mean(
+                &all.iter().map(|v| **v).collect::<Vec<_>>()
+            ))
+            .is_none()
+        );
+    }
+
+    #[test]
+    fn means_of_long_blocks_are_honest_about_correlated_noise() {
+        let readings = |trial| {
+            let mut noise = Noise::new(trial);
+            let mut wander = 0.0;
+            (0..6_000)
+                .map(|_| {
+                    // Correlated over 50 readings.
+                    wander = 0.98 * wander + 0.02 * noise.normal();
+                    wander
+                })
+                .collect::<Vec<f64>>()
+        };
+        let single = coverage(500, |trial| {
+            (mean_interval(&readings(trial), 0.0).unwrap(), 0.0)
+        });
+        let blocks = coverage(500, |trial| {
+            let means = block_means(&readings(trial), 10);
+            (mean_interval(&means, 0.0).unwrap(), 0.0)
+        });
+        assert!(single < 40.0, "single readings: {single} %");
+        assert!((91.0..98.0).contains(&blocks), "blocks: {blocks} %");
+    }
+
+    #[test]
+    fn blocks_drop_what_is_left_over() {
+        assert_eq!(block_means(&[1.0, 3.0, 5.0, 7.0, 100.0], 2), [2.0, 6.0]);
+        assert_eq!(block_means(&[1.0], 2), [0.0; 0]);
+    }
+
+    #[test]
+    fn the_jackknife_of_a_mean_is_the_interval_of_the_mean() {
+        let values = [1.0, 2.0, 4.0, 8.0];
+        let found = jackknife(&values, 0.0, |chosen| {
+            mean(&chosen.iter().map(|value| **value).collect::<Vec<_>>())
+        })
+        .unwrap();
+        let expected = mean_interval(&values, 0.0).unwrap();
+        assert!((found.low - expected.low).abs() < 1e-12);
+        assert!((found.high - expected.high).abs() < 1e-12);
+    }
+}

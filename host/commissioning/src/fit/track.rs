@@ -1,0 +1,301 @@
+//! The readings of a drive on one time axis.
+
+use crate::Observation;
+
+/// A sample over time: seconds since the start of the track, and its value.
+type Sample<T> = (f64, T);
+
+/// The readings of a drive.
+#[derive(Clone, Debug, Default)]
+pub struct Track {
+    origin_ns: Option<u64>,
+    /// Angular velocity about the vertical, rad/s.
+    gyro: Vec<Sample<f64>>,
+    /// Pulses of servo and ESC, µs.
+    pulses: Vec<Sample<[f64; 2]>>,
+    /// Speed by the motor pulses, m/s.
+    motor: Vec<Sample<f64>>,
+    /// Position, m, and yaw, rad, not wrapped, of the rigid body by the stamp.
+    poses: Vec<Sample<([f64; 2], f64)>>,
+}
+
+/// The values of a track at the times of its poses.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Time by the clock of the gyro, s.
+    pub time: Vec<f64>,
+    /// Position of the rigid body, m.
+    pub position: Vec<[f64; 2]>,
+    /// Yaw of the rigid body, smoothed with the gyro, rad.
+    pub yaw: Vec<f64>,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: Vec<f64>,
+}
+
+/// What is averaged to smooth the yaw: poses on both sides. The gyro bridges them.
+const SMOOTHED: usize = 15;
+
+/// The duration of the windows that find the latency, s: the gyro wanders in longer ones.
+const WINDOW: f64 = 2.0;
+
+impl Track {
+    /// Adds a reading, in the order of arrival.
+    pub fn push(&mut self, observation: &Observation) {
+        match observation {
+            Observation::Board(board) => {
+                let time = self.seconds(board.time.0);
+                self.motor.push((time, board.motor_speed));
+                let pulses = [board.servo_us, board.esc_us].map(f64::from);
+                self.pulses.push((time, pulses));
+                if let Some(inertial) = board.inertial {
+                    let time = self.seconds(inertial.time.0);
+                    self.gyro.push((time, inertial.angular_velocity[2]));
+                }
+            }
+            Observation::Pose(pose) => {
+                let time = self.seconds(pose.capture.0);
+                let last = self.poses.last().map_or(0.0, |(_, (_, yaw))| *yaw);
+                let turn = core::f64::consts::TAU;
+                let yaw = pose.yaw + ((last - pose.yaw) / turn).round() * turn;
+                let [x, y, _] = pose.position;
+                self.poses.push((time, ([x, y], yaw)));
+            }
+            _ => {}
+        }
+    }
+
+    /// Seconds since the start of the track.
+    pub fn seconds(&mut self, time_ns: u64) -> f64 {
+        let origin = *self.origin_ns.get_or_insert(time_ns);
+        time_ns.wrapping_sub(origin).cast_signed() as f64 * 1e-9
+    }
+
+    /// The number of poses.
+    #[must_use]
+    pub const fn poses(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// The pulses of servo (0) or ESC (1).
+    #[must_use]
+    pub fn pulses(&self, of: usize) -> Signal {
+        Signal(
+            self.pulses
+                .iter()
+                .map(|(time, pulses)| (*time, pulses[of]))
+                .collect(),
+        )
+    }
+
+    /// The integral of the motor's speed, m.
+    #[must_use]
+    pub fn way(&self) -> Signal {
+        Signal(self.motor.clone()).integral()
+    }
+
+    /// By how much the stamps of the poses are late against the gyro, s: the sums of which the
+    /// quotient is that, so that tracks can be added. None without motion.
+    #[must_use]
+    pub fn latency(&self) -> [f64; 2] {
+        let rate = Signal(self.gyro.clone());
+        let smooth = rate.smoothed(2);
+        let turned = rate.integral();
+        let mut sums = [0.0; 2];
+        let mut index = 0;
+        while let Some((start, _)) = self.poses.get(index) {
+            let end = start + WINDOW;
+            let length = self.poses[index..]
+                .iter()
+                .take_while(|(time, _)| *time < end)
+                .count();
+            let window = &self.poses[index..index + length];
+            index += length.max(1);
+            if (length as f64) < 50.0 * WINDOW {
+                continue;
+            }
+            let times: Vec<f64> = window.iter().map(|(time, _)| time - start).collect();
+            let lead: Vec<f64> = window
+                .iter()
+                .map(|(time, (_, yaw))| turned.at(*time) - yaw)
+                .collect();
+            let rates: Vec<f64> = window.iter().map(|(time, _)| smooth.at(*time)).collect();
+            let (lead, rates) = (detrended(&times, &lead), detrended(&times, &rates));
+            for (lead, rate) in lead.iter().zip(&rates) {
+                sums[0] += lead * rate;
+                sums[1] += rate * rate;
+            }
+        }
+        sums
+    }
+
+    /// The motion at the poses, whose stamps are late by `latency` s.
+    #[must_use]
+    pub fn motion(&self, latency: f64) -> Motion {
+        let turned = Signal(self.gyro.clone()).integral();
+        let time: Vec<f64> = self.poses.iter().map(|(time, _)| time - latency).collect();
+        let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
+        let lead: Vec<f64> = self
+            .poses
+            .iter()
+            .zip(&gyro)
+            .map(|((_, (_, yaw)), gyro)| yaw - gyro)
+            .collect();
+        let yaw: Vec<f64> = (0..lead.len())
+            .map(|index| {
+                let around = SMOOTHED.min(index).min(lead.len() - 1 - index);
+                let near = &lead[index - around..=index + around];
+                gyro[index] + near.iter().sum::<f64>() / near.len() as f64
+            })
+            .collect();
+        let yaw_rate = (0..yaw.len())
+            .map(|index| {
+                let before = index.saturating_sub(1);
+                let after = (index + 1).min(yaw.len() - 1);
+                let span = time[after] - time[before];
+                if span > 0.0 {
+                    (yaw[after] - yaw[before]) / span
+                } else {
+                    0.0
+                }
+            })
+            .collect();
+        Motion {
+            position: self
+                .poses
+                .iter()
+                .map(|(_, (position, _))| *position)
+                .collect(),
+            time,
+            yaw,
+            yaw_rate,
+        }
+    }
+}
+
+/// Values without their mean and trend over time.
+fn detrended(times: &[f64], values: &[f64]) -> Vec<f64> {
+    let count = times.len() as f64;
+    let mean = |of: &[f64]| of.iter().sum::<f64>() / count;
+    let (time, value) = (mean(times), mean(values));
+    let spread: f64 = times.iter().map(|t| (t - time).powi(2)).sum();
+    let common: f64 = times
+        .iter()
+        .zip(values)
+        .map(|(t, v)| (t - time) * (v - value))
+        .sum();
+    let slope = if spread > 0.0 { common / spread } else { 0.0 };
+    times
+        .iter()
+        .zip(values)
+        .map(|(t, v)| v - value - slope * (t - time))
+        .collect()
+}
+
+/// A value over time, linear between its samples.
+#[derive(Clone, Debug, Default)]
+pub struct Signal(pub Vec<Sample<f64>>);
+
+impl Signal {
+    /// The value at a time; the first or the last one outside.
+    #[must_use]
+    pub fn at(&self, time: f64) -> f64 {
+        let after = self.0.partition_point(|(sample, _)| *sample <= time);
+        match (after.checked_sub(1).map(|i| self.0[i]), self.0.get(after)) {
+            (Some((t0, v0)), Some((t1, v1))) => {
+                let share = if *t1 > t0 {
+                    (time - t0) / (t1 - t0)
+                } else {
+                    0.0
+                };
+                v0 + share * (v1 - v0)
+            }
+            (Some((_, value)), None) => value,
+            (None, Some((_, value))) => *value,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// The integral since the first sample.
+    #[must_use]
+    pub fn integral(&self) -> Self {
+        let mut sum = 0.0;
+        let mut last: Option<Sample<f64>> = None;
+        Self(
+            self.0
+                .iter()
+                .map(|&(time, value)| {
+                    if let Some((before, earlier)) = last {
+                        sum += (time - before) * f64::midpoint(value, earlier);
+                    }
+                    last = Some((time, value));
+                    (time, sum)
+                })
+                .collect(),
+        )
+    }
+
+    /// The mean of every sample and `around` on both sides.
+    #[must_use]
+    fn smoothed(&self, around: usize) -> Self {
+        let all = &self.0;
+        Self(
+            (0..all.len())
+                .map(|index| {
+                    let around = around.min(index).min(all.len() - 1 - index);
+                    let near = &all[index - around..=index + around];
+                    let sum: f64 = near.iter().map(|(_, value)| value).sum();
+                    (all[index].0, sum / near.len() as f64)
+                })
+                .collect(),
+        )
+    }
+}
+
+impl Motion {
+    /// The displacement of the rigid body from pose to pose, along and across a car whose yaw is
+    /// that of the body less `body_yaw`, m.
+    #[must_use]
+    pub fn displacement(&self, body_yaw: f64) -> Vec<[f64; 2]> {
+        (1..self.time.len())
+            .map(|index| {
+                let [x0, y0] = self.position[index - 1];
+                let [x1, y1] = self.position[index];
+                let (dx, dy) = (x1 - x0, y1 - y0);
+                let yaw = f64::midpoint(self.yaw[index - 1], self.yaw[index]) - body_yaw;
+                let (sin, cos) = yaw.sin_cos();
+                [dx * cos + dy * sin, dy * cos - dx * sin]
+            })
+            .collect()
+    }
+
+    /// The way of the rear axle since the first pose, m, when the pivot is `left` m to the left
+    /// of the car's middle.
+    #[must_use]
+    pub fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<f64> {
+        let mut way = 0.0;
+        let mut ways = vec![0.0];
+        for (index, [along, _]) in self.displacement(body_yaw).into_iter().enumerate() {
+            way += along + left * (self.yaw[index + 1] - self.yaw[index]);
+            ways.push(way);
+        }
+        ways
+    }
+
+    /// The speed of the rear axle at every pose, over `span` poses on both sides, m/s.
+    #[must_use]
+    pub fn rear_speed(&self, body_yaw: f64, left: f64, span: usize) -> Vec<f64> {
+        let way = self.rear_way(body_yaw, left);
+        (0..self.time.len())
+            .map(|index| {
+                let before = index.saturating_sub(span);
+                let after = (index + span).min(self.time.len() - 1);
+                let time = self.time[after] - self.time[before];
+                if time > 0.0 {
+                    (way[after] - way[before]) / time
+                } else {
+                    0.0
+                }
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,40 @@
+//! What a measurement looked like.
+
+/// A picture of a measurement, for the page of the procedure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plot {
+    /// Its name, such as `latency`; in one procedure each has one.
+    pub name: &'static str,
+    /// What it shows, in a few words.
+    pub title: &'static str,
+    /// Quantity and unit of the horizontal axis.
+    pub x: (&'static str, &'static str),
+    /// Quantity and unit of the vertical axis.
+    pub y: (&'static str, &'static str),
+    /// Whether a unit is as long on both axes: for places.
+    pub equal: bool,
+    /// The lines.
+    pub lines: Vec<PlotLine>,
+}
+
+/// A line of a [`Plot`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlotLine {
+    /// What it is, for the legend.
+    pub name: &'static str,
+    /// Whether it is measured, or computed from what was measured.
+    pub kind: PlotKind,
+    /// Its points; it is interrupted where one is not a number.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// What a line of a [`Plot`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlotKind {
+    /// Readings.
+    Measured,
+    /// Other readings, to compare with.
+    Other,
+    /// A fit.
+    Fitted,
+}

@@ -1,0 +1,301 @@
+//! Findings as JSON, for programs and for a procedure that is resumed, and as a page for people.
+
+use std::fmt::Write as _;
+
+use serde_json::{Map, Value, json};
+
+use crate::{Finding, Interval, Parameter, Verdict};
+
+/// A finding as JSON.
+#[must_use]
+pub fn to_json(finding: &Finding) -> Value {
+    let parameters: Vec<Value> = finding
+        .parameters
+        .iter()
+        .map(|parameter| {
+            let Interval { value, low, high } = parameter.estimate;
+            let mut object = Map::new();
+            object.insert("name".into(), parameter.name.into());
+            object.insert("unit".into(), parameter.unit.into());
+            object.insert("value".into(), value.into());
+            object.insert("low".into(), low.into());
+            object.insert("high".into(), high.into());
+            if let Some((key, value)) = &parameter.key {
+                object.insert("key".into(), (*key).into());
+                object.insert("toml".into(), value.to_string().trim().into());
+            }
+            object.into()
+        })
+        .collect();
+    json!({
+        "step": finding.step,
+        "verdict": finding.verdict.name(),
+        "found": finding.found,
+        "expected": finding.expected,
+        "fix": finding.fix,
+        "parameters": parameters,
+    })
+}
+
+/// A finding from JSON; none if it is not one of [`to_json`]. `step` is its step's name.
+#[must_use]
+pub fn from_json(step: &'static str, json: &Value) -> Option<Finding> {
+    if json.get("step")?.as_str()? != step {
+        return None;
+    }
+    let text = |key| Some(json.get(key)?.as_str()?.to_owned());
+    let word = text("verdict")?;
+    let verdict = [
+        Verdict::Good,
+        Verdict::Skipped,
+        Verdict::Warning,
+        Verdict::Failed,
+    ]
+    .into_iter()
+    .find(|verdict| verdict.name() == word)?;
+    let parameters = json
+        .get("parameters")?
+        .as_array()?
+        .iter()
+        .map(parameter)
+        .collect::<Option<_>>()?;
+    Some(Finding {
+        step,
+        verdict,
+        found: text("found")?,
+        expected: text("expected")?,
+        fix: text("fix")?,
+        parameters,
+    })
+}
+
+fn parameter(json: &Value) -> Option<Parameter> {
+    // Read once for each run of a program: what leaks is small.
+    let word = |key| Some(&*json.get(key)?.as_str()?.to_owned().leak());
+    let number = |key| json.get(key)?.as_f64();
+    let key = match json.get("key") {
+        None => None,
+        Some(_) => Some((word("key")?, json.get("toml")?.as_str()?.parse().ok()?)),
+    };
+    Some(Parameter {
+        name: word("name")?,
+        unit: word("unit")?,
+        estimate: Interval {
+            value: number("value")?,
+            low: number("low")?,
+            high: number("high")?,
+        },
+        key,
+    })
+}
+
+/// What a page is about.
+#[derive(Clone, Copy, Debug)]
+pub struct About<'a> {
+    /// The procedure, such as `doctor`.
+    pub procedure: &'a str,
+    /// When it ended.
+    pub date: &'a str,
+    /// The number of the car.
+    pub car_id: u16,
+    /// The hash of the configuration at the end.
+    pub configuration: u64,
+    /// Files with figures, beside the page, each with a title.
+    pub figures: &'a [(String, String)],
+    /// What changed in the configuration, as a unified diff.
+    pub diff: &'a str,
+}
+
+/// A page in Markdown: what was found, what was measured, and what to do.
+#[must_use]
+pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
+    let mut page = String::new();
+    let About {
+        procedure,
+        date,
+        car_id,
+        configuration,
+        ..
+    } = about;
+    let _ = writeln!(
+        page,
+        "# {procedure} of car {car_id}\n\n{date}, configuration {configuration:016x}\n"
+    );
+    let _ = writeln!(page, "{}\n", summary(findings));
+    page.push_str("| step | verdict | found | should be |\n|---|---|---|---|\n");
+    for finding in findings {
+        let _ = writeln!(
+            page,
+            "| {} | {} | {} | {} |",
+            finding.step,
+            finding.verdict.name(),
+            cell(&finding.found),
+            cell(&finding.expected)
+        );
+    }
+    let to_do: Vec<_> = findings.iter().filter(|one| !one.fix.is_empty()).collect();
+    if !to_do.is_empty() {
+        page.push_str("\n## To do\n\n");
+        for finding in to_do {
+            let _ = writeln!(page, "- {}: {}", finding.step, finding.fix);
+        }
+    }
+    if findings.iter().any(|one| !one.parameters.is_empty()) {
+        page.push_str("\n## Measured\n\n");
+        page.push_str(
+            "| parameter | value | 95 % interval | unit | key |\n|---|---|---|---|---|\n",
+        );
+        for parameter in findings.iter().flat_map(|one| &one.parameters) {
+            let Interval { value, low, high } = parameter.estimate;
+            let digits = digits(parameter.estimate.half_width());
+            let _ = writeln!(
+                page,
+                "| {} | {value:.digits$} | {low:.digits$} to {high:.digits$} | {} | {} |",
+                parameter.name,
+                parameter.unit,
+                parameter
+                    .key
+                    .as_ref()
+                    .map_or(String::new(), |(key, value)| format!(
+                        "`{key} = {}`",
+                        value.to_string().trim()
+                    )),
+            );
+        }
+    }
+    if !about.figures.is_empty() {
+        page.push_str("\n## Figures\n\n");
+        for (file, title) in about.figures {
+            let _ = writeln!(page, "![{title}]({file})\n");
+        }
+    }
+    if !about.diff.is_empty() {
+        let _ = write!(page, "\n## Changes\n\n```diff\n{}```\n", about.diff);
+    }
+    page
+}
+
+/// How many steps came to what, in one line.
+#[must_use]
+pub fn summary(findings: &[Finding]) -> String {
+    let counts: Vec<String> = [
+        Verdict::Good,
+        Verdict::Warning,
+        Verdict::Failed,
+        Verdict::Skipped,
+    ]
+    .into_iter()
+    .filter_map(|verdict| {
+        let count = findings
+            .iter()
+            .filter(|finding| finding.verdict == verdict)
+            .count();
+        (count > 0).then(|| format!("{count} {}", verdict.name()))
+    })
+    .collect();
+    format!("{} steps: {}", findings.len(), counts.join(", "))
+}
+
+/// A parameter on one line, with its interval.
+#[must_use]
+pub fn line(parameter: &Parameter) -> String {
+    let Interval { value, low, high } = parameter.estimate;
+    let digits = digits(parameter.estimate.half_width());
+    format!(
+        "{} {value:.digits$} {} (95 %: {low:.digits$} to {high:.digits$})",
+        parameter.name, parameter.unit
+    )
+}
+
+/// The digits after the point with which an interval has two digits.
+fn digits(half_width: f64) -> usize {
+    if half_width.is_finite() && half_width > 0.0 {
+        (1.0 - half_width.log10().floor()).clamp(0.0, 9.0) as usize
+    } else {
+        3
+    }
+}
+
+/// A text as a cell of a table.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|").replace('\n', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn finding() -> Finding {
+        Finding {
+            step: "geometry",
+            verdict: Verdict::Warning,
+            found: "4 passes | 2.0 m".to_owned(),
+            expected: "straight".to_owned(),
+            fix: "roll it again".to_owned(),
+            parameters: vec![
+                Parameter {
+                    name: "pulse-distance",
+                    unit: "um",
+                    estimate: Interval::around(3_012.4, 21.0),
+                    key: Some(("board.speed.pulse_distance_um", 3012.into())),
+                },
+                Parameter {
+                    name: "body-left",
+                    unit: "m",
+                    estimate: Interval::around(-0.0021, 0.0004),
+                    key: None,
+                },
+            ],
+        }
+    }
+
+    #[test]
+    fn a_finding_survives_json() {
+        let json: Value = serde_json::from_str(&to_json(&finding()).to_string()).unwrap();
+        let back = from_json("geometry", &json).unwrap();
+        assert_eq!(to_json(&back), to_json(&finding()));
+        assert_eq!(back.verdict, Verdict::Warning);
+        assert!(from_json("cameras", &json).is_none());
+    }
+
+    #[test]
+    fn json_that_is_no_finding_is_refused() {
+        let whole = to_json(&finding());
+        for key in ["step", "verdict", "found", "expected", "fix", "parameters"] {
+            let mut broken = whole.clone();
+            broken.as_object_mut().unwrap().remove(key);
+            assert!(from_json("geometry", &broken).is_none(), "{key}");
+        }
+        let mut broken = whole;
+        broken["verdict"] = "perfect".into();
+        assert!(from_json("geometry", &broken).is_none());
+    }
+
+    #[test]
+    fn the_page_says_what_was_found_measured_and_changed() {
+        let page = page(
+            &About {
+                procedure: "doctor",
+                date: "2026-01-02 10:00 UTC",
+                car_id: 7,
+                configuration: 0xabc,
+                figures: &[("latency.svg".to_owned(), "Latency".to_owned())],
+                diff: "-a\n+b\n",
+            },
+            &[finding()],
+        );
+        for part in [
+            "# doctor of car 7\n",
+            "configuration 0000000000000abc",
+            "1 steps: 1 warning",
+            "| geometry | warning | 4 passes \\| 2.0 m | straight |",
+            "- geometry: roll it again",
+            "| pulse-distance | 3012 | 2991 to 3033 | um | `board.speed.pulse_distance_um = 3012` |",
+            "| body-left | -0.00210 | -0.00250 to -0.00170 | m |  |",
+            "![Latency](latency.svg)",
+            "```diff\n-a\n+b\n```",
+        ] {
+            assert!(page.contains(part), "{part} is missing in:\n{page}");
+        }
+    }
+}

@@ -1,0 +1,410 @@
+//! Which procedures a car has passed with which configuration.
+//!
+//! `doctor`, `bring-up` and `calibrate` follow each other, and each changes the configuration. A
+//! procedure that passes therefore takes the results of the earlier ones along to the
+//! configuration that it leaves, if they held for the one that it began with. A change by any
+//! other way leaves them behind.
+
+use core::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// A procedure that a car passes before it drives, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Procedure {
+    /// What can be found without moving anything.
+    Doctor,
+    /// Steering and motor, with the wheels off the floor.
+    BringUp,
+    /// What the floor shows.
+    Calibrate,
+}
+
+impl Procedure {
+    /// All of them, in their order.
+    pub const ALL: [Self; 3] = [Self::Doctor, Self::BringUp, Self::Calibrate];
+
+    /// Its name, which is that of its command.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Doctor => "doctor",
+            Self::BringUp => "bring-up",
+            Self::Calibrate => "calibrate",
+        }
+    }
+
+    /// The procedure with this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|procedure| procedure.name() == name)
+    }
+}
+
+/// What became of a procedure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProcedureResult {
+    /// It begins.
+    Begun,
+    /// It goes on after an interruption.
+    Resumed,
+    /// It has ended, and the car may go on.
+    Passed,
+    /// It has ended, and the car must not go on.
+    Failed,
+}
+
+impl ProcedureResult {
+    /// The result with this word.
+    #[must_use]
+    pub fn named(word: &str) -> Option<Self> {
+        match word {
+            "begun" => Some(Self::Begun),
+            "resumed" => Some(Self::Resumed),
+            "passed" => Some(Self::Passed),
+            "failed" => Some(Self::Failed),
+            _ => None,
+        }
+    }
+}
+
+/// A car with a configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Subject {
+    /// The hash of the configuration: [`configuration_hash`](crate::configuration_hash).
+    pub configuration: u64,
+    /// The number of the car; 0 for a board without one.
+    pub car_id: u16,
+}
+
+/// A result, or the beginning of a procedure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProcedureEntry {
+    /// The procedure.
+    pub procedure: Procedure,
+    /// The hash of the configuration.
+    #[serde(with = "hexadecimal")]
+    pub configuration: u64,
+    /// The number of the car.
+    pub car_id: u16,
+    /// When, in seconds since 1970.
+    pub time_s: u64,
+}
+
+/// The most results that are kept. Of more, the oldest are forgotten.
+const MOST: usize = 64;
+
+/// How long a result counts, in days: a car wears, and marker bodies are moved.
+pub const VALID_DAYS: u64 = 90;
+
+const DAY_S: u64 = 86_400;
+
+/// What the cars have passed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Commissioned {
+    passed: Vec<ProcedureEntry>,
+    begun: Vec<ProcedureEntry>,
+}
+
+/// Why a car may not be armed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotCommissioned {
+    /// The first procedure that has to be done.
+    pub procedure: Procedure,
+    /// What is the matter with its result.
+    pub why: Lapsed,
+    /// The number of the car.
+    pub car_id: u16,
+}
+
+/// What is the matter with the result of a procedure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lapsed {
+    /// There is none.
+    Missing,
+    /// It is of another configuration of this car.
+    OtherConfiguration,
+    /// It is of another car.
+    OtherCar(u16),
+    /// It is too old: days.
+    Old(u64),
+    /// It is dated in the future.
+    Future,
+}
+
+impl fmt::Display for NotCommissioned {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (name, car) = (self.procedure.name(), self.car_id);
+        match self.why {
+            Lapsed::Missing => write!(f, "`singletrack {name}` has not passed on car {car}")?,
+            Lapsed::OtherConfiguration => write!(
+                f,
+                "`singletrack {name}` has passed on car {car} with another configuration"
+            )?,
+            Lapsed::OtherCar(other) => write!(
+                f,
+                "`singletrack {name}` has passed on car {other} only, and this is car {car}"
+            )?,
+            Lapsed::Old(days) => write!(
+                f,
+                "the result of `singletrack {name}` is {days} days old, and counts for {VALID_DAYS}"
+            )?,
+            Lapsed::Future => write!(
+                f,
+                "the result of `singletrack {name}` is dated in the future: set the clock"
+            )?,
+        }
+        write!(
+            f,
+            ". Run `singletrack {name}`, or arm with --uncalibrated: the car then drives with \
+             values that have not been measured on it, and can steer to the wrong side, be faster \
+             than commanded and stop later than the geofence allows for"
+        )
+    }
+}
+
+impl Commissioned {
+    /// Takes note of what became of a procedure on a car, at a time in seconds since 1970.
+    pub fn note(
+        &mut self,
+        procedure: Procedure,
+        result: ProcedureResult,
+        subject: Subject,
+        time_s: u64,
+    ) {
+        let entry = ProcedureEntry {
+            procedure,
+            configuration: subject.configuration,
+            car_id: subject.car_id,
+            time_s,
+        };
+        let is_same =
+            |other: &ProcedureEntry| other.procedure == procedure && other.car_id == subject.car_id;
+        match result {
+            ProcedureResult::Resumed if self.begun.iter().any(is_same) => {}
+            ProcedureResult::Begun | ProcedureResult::Resumed => {
+                self.begun.retain(|other| !is_same(other));
+                push(&mut self.begun, entry);
+            }
+            ProcedureResult::Passed => {
+                if let Some(begun) = self.begun.iter().find(|other| is_same(other)) {
+                    let since = begun.configuration;
+                    for other in &mut self.passed {
+                        if other.car_id == subject.car_id
+                            && other.configuration == since
+                            && other.procedure < procedure
+                        {
+                            other.configuration = subject.configuration;
+                        }
+                    }
+                }
+                self.begun.retain(|other| !is_same(other));
+                self.passed.retain(|other| !is_same(other));
+                push(&mut self.passed, entry);
+            }
+            ProcedureResult::Failed => {
+                self.begun.retain(|other| !is_same(other));
+                self.passed.retain(|other| !is_same(other));
+            }
+        }
+    }
+
+    /// The first procedure that has to be done before this car may be armed, at a time in
+    /// seconds since 1970; `None` if all have passed.
+    #[must_use]
+    pub fn missing(&self, subject: Subject, now_s: u64) -> Option<NotCommissioned> {
+        Procedure::ALL.into_iter().find_map(|procedure| {
+            Some(NotCommissioned {
+                procedure,
+                why: self.lapsed(procedure, subject, now_s)?,
+                car_id: subject.car_id,
+            })
+        })
+    }
+
+    /// The results on this car, whatever their configuration.
+    pub fn of_car(&self, car_id: u16) -> impl Iterator<Item = &ProcedureEntry> {
+        self.passed
+            .iter()
+            .filter(move |entry| entry.car_id == car_id)
+    }
+
+    fn lapsed(&self, procedure: Procedure, subject: Subject, now_s: u64) -> Option<Lapsed> {
+        let mut results = self
+            .passed
+            .iter()
+            .filter(|entry| entry.procedure == procedure)
+            .rev();
+        let Some(entry) = results.clone().find(|entry| entry.car_id == subject.car_id) else {
+            let other = results.next();
+            return Some(other.map_or(Lapsed::Missing, |other| Lapsed::OtherCar(other.car_id)));
+        };
+        if entry.configuration != subject.configuration {
+            return Some(Lapsed::OtherConfiguration);
+        }
+        // Clocks of two computers may differ by a few minutes.
+        if entry.time_s > now_s + DAY_S {
+            return Some(Lapsed::Future);
+        }
+        let days = now_s.saturating_sub(entry.time_s) / DAY_S;
+        (days >= VALID_DAYS).then_some(Lapsed::Old(days))
+    }
+}
+
+fn push(entries: &mut Vec<ProcedureEntry>, entry: ProcedureEntry) {
+    let too_many = (entries.len() + 1).saturating_sub(MOST);
+    entries.drain(..too_many);
+    entries.push(entry);
+}
+
+/// 16 hexadecimal digits: JSON numbers lose digits beyond 2^53.
+mod hexadecimal {
+    use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _};
+
+    #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
+    pub(super) fn serialize<S: Serializer>(value: &u64, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&format_args!("{value:016x}"))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        u64::from_str_radix(&text, 16)
+            .ok()
+            .filter(|_| text.len() == 16)
+            .ok_or_else(|| D::Error::custom(format!("{text:?} is not 16 hexadecimal digits")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ProcedureResult::{Begun, Failed, Passed, Resumed};
+
+    use super::*;
+
+    const NOW: u64 = 1_800_000_000;
+
+    fn subject(configuration: u64) -> Subject {
+        Subject {
+            configuration,
+            car_id: 7,
+        }
+    }
+
+    /// Each procedure changes the configuration once: 1 to 2, 2 to 3, 3 to 4.
+    fn all_passed() -> Commissioned {
+        let mut known = Commissioned::default();
+        for (before, procedure) in (1..).zip(Procedure::ALL) {
+            known.note(procedure, Begun, subject(before), NOW);
+            known.note(procedure, Passed, subject(before + 1), NOW);
+        }
+        known
+    }
+
+    fn why(known: &Commissioned, subject: Subject, now_s: u64) -> Option<(Procedure, Lapsed)> {
+        known
+            .missing(subject, now_s)
+            .map(|missing| (missing.procedure, missing.why))
+    }
+
+    #[test]
+    fn a_car_that_has_passed_all_three_in_order_may_be_armed() {
+        let known = all_passed();
+        assert_eq!(why(&known, subject(4), NOW), None);
+        assert_eq!(known.of_car(7).count(), 3);
+    }
+
+    #[test]
+    fn the_first_procedure_that_is_missing_is_named() {
+        let mut known = Commissioned::default();
+        let missing =
+            |known: &Commissioned, configuration| why(known, subject(configuration), NOW).unwrap();
+        assert_eq!(missing(&known, 1), (Procedure::Doctor, Lapsed::Missing));
+        known.note(Procedure::Doctor, Begun, subject(1), NOW);
+        assert_eq!(missing(&known, 1), (Procedure::Doctor, Lapsed::Missing));
+        known.note(Procedure::Doctor, Passed, subject(2), NOW);
+        assert_eq!(missing(&known, 2), (Procedure::BringUp, Lapsed::Missing));
+        known.note(Procedure::BringUp, Passed, subject(2), NOW);
+        assert_eq!(missing(&known, 2), (Procedure::Calibrate, Lapsed::Missing));
+    }
+
+    #[test]
+    fn a_change_by_hand_leaves_all_results_behind_and_the_next_procedure_takes_none_along() {
+        let mut known = all_passed();
+        let lapsed = Some((Procedure::Doctor, Lapsed::OtherConfiguration));
+        assert_eq!(why(&known, subject(5), NOW), lapsed);
+        known.note(Procedure::Calibrate, Begun, subject(5), NOW);
+        known.note(Procedure::Calibrate, Passed, subject(6), NOW);
+        assert_eq!(why(&known, subject(6), NOW), lapsed);
+    }
+
+    #[test]
+    fn an_earlier_procedure_that_changes_something_wants_the_later_ones_again() {
+        let mut known = all_passed();
+        known.note(Procedure::Doctor, Begun, subject(4), NOW);
+        known.note(Procedure::Doctor, Passed, subject(4), NOW);
+        assert_eq!(why(&known, subject(4), NOW), None);
+        known.note(Procedure::Doctor, Begun, subject(4), NOW);
+        known.note(Procedure::Doctor, Passed, subject(5), NOW);
+        let lapsed = Some((Procedure::BringUp, Lapsed::OtherConfiguration));
+        assert_eq!(why(&known, subject(5), NOW), lapsed);
+    }
+
+    #[test]
+    fn an_interrupted_procedure_takes_the_results_along_from_where_it_first_began() {
+        let mut known = Commissioned::default();
+        known.note(Procedure::Doctor, Passed, subject(2), NOW);
+        known.note(Procedure::BringUp, Begun, subject(2), NOW);
+        // It was killed after a change to 3.
+        known.note(Procedure::BringUp, Resumed, subject(3), NOW);
+        known.note(Procedure::BringUp, Passed, subject(4), NOW);
+        let missing = Some((Procedure::Calibrate, Lapsed::Missing));
+        assert_eq!(why(&known, subject(4), NOW), missing);
+    }
+
+    #[test]
+    fn a_procedure_that_fails_takes_its_earlier_result_back() {
+        let mut known = all_passed();
+        known.note(Procedure::Doctor, Failed, subject(4), NOW);
+        let missing = Some((Procedure::Doctor, Lapsed::Missing));
+        assert_eq!(why(&known, subject(4), NOW), missing);
+    }
+
+    #[test]
+    fn results_of_another_car_old_ones_and_those_of_the_future_do_not_count() {
+        let known = all_passed();
+        let other = Subject {
+            configuration: 4,
+            car_id: 8,
+        };
+        let doctor = |why| Some((Procedure::Doctor, why));
+        assert_eq!(why(&known, other, NOW), doctor(Lapsed::OtherCar(7)));
+        let days = |days: u64| NOW + days * DAY_S;
+        assert_eq!(why(&known, subject(4), days(90) - 1), None);
+        assert_eq!(why(&known, subject(4), days(90)), doctor(Lapsed::Old(90)));
+        assert_eq!(why(&known, subject(4), NOW - DAY_S), None);
+        assert_eq!(
+            why(&known, subject(4), NOW - DAY_S - 1),
+            doctor(Lapsed::Future)
+        );
+    }
+
+    #[test]
+    fn a_refusal_names_the_command_and_what_uncalibrated_means() {
+        let text = Commissioned::default()
+            .missing(subject(1), NOW)
+            .unwrap()
+            .to_string();
+        for part in [
+            "has not passed on car 7",
+            "Run `singletrack doctor`",
+            "--uncalibrated: the car then drives with values that have not been measured",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+}

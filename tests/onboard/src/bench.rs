@@ -1,0 +1,414 @@
+//! A simulated car, the daemon's host in virtual time, and a person beside them.
+
+use std::collections::BTreeMap;
+
+use singletrack_commissioning::edit::{Edit, EditError};
+use singletrack_commissioning::{
+    Answer, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live, Observation,
+    PoseReading, Question, Refused, TickReading,
+};
+use singletrack_control::{Position, Setpoint, Time, Velocity};
+use singletrack_core::{Config, ConfigError, config::ReferenceSection};
+use singletrack_mocap::PoseState;
+use singletrack_pilot::{PilotRequest, Reason};
+use singletrack_protocol::ImuState;
+use singletrack_record::{Entry, LinkPhase, TelemetryRecord, TickRecord};
+use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualDriveError};
+use toml_edit::Value;
+
+use crate::{car::OnboardCar, guard::Guard, person::Person};
+
+/// Why there is no such bench.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The owner's file is refused.
+    #[error("the configuration: {0}")]
+    Config(#[from] ConfigError),
+    /// The owner's file is no TOML.
+    #[error(transparent)]
+    File(#[from] EditError),
+    /// The simulation can't be set up.
+    #[error(transparent)]
+    Drive(#[from] VirtualDriveError),
+}
+
+/// How often a held drive is renewed, in ticks.
+const RENEW_TICKS: u64 = 10;
+/// The daemon answers a request within, in ticks.
+const ANSWER_TICKS: u32 = 300;
+/// How long the operator waits for a car that is not ready to drive, in ticks.
+const PATIENCE_TICKS: u32 = 500;
+/// How long set-points of a drive last, in ms.
+const SETPOINT_TIMEOUT_MS: u32 = 200;
+
+/// A simulated car with its host, and scripted hands.
+#[derive(Debug)]
+pub struct VirtualBench {
+    drive: VirtualDrive,
+    file: Edit,
+    config: Config,
+    person: Person,
+    guard: Guard,
+    /// The drive that the connection of the operator holds.
+    held: bool,
+    /// The reference in force is another than that of the file.
+    has_reference: bool,
+    ticks: u64,
+    /// Why an arm request would be refused now.
+    preflight: Option<Reason>,
+    link_is_ready: bool,
+    /// Questions that nobody could answer, and how often.
+    unknown: BTreeMap<String, u32>,
+}
+
+impl VirtualBench {
+    /// Switches everything on and waits until the daemon has the board.
+    ///
+    /// # Errors
+    ///
+    /// The owner's configuration or the simulation is refused.
+    pub fn new(car: &OnboardCar) -> Result<Self, BenchError> {
+        let config = car.configuration()?;
+        let mut drive = VirtualDrive::new(config.clone(), car.seed, car.simulation.clone())?;
+        drive.keep_entries();
+        let mut bench = Self {
+            drive,
+            file: Edit::new(&car.file.to_string())?,
+            guard: Guard::new(&config),
+            config,
+            person: Person::new(car.seed),
+            held: false,
+            has_reference: false,
+            ticks: 0,
+            preflight: None,
+            link_is_ready: false,
+            unknown: BTreeMap::new(),
+        };
+        let mut observed = Vec::new();
+        for _ in 0..ANSWER_TICKS * 4 {
+            bench.step(&mut observed);
+            if bench.link_is_ready {
+                break;
+            }
+        }
+        Ok(bench)
+    }
+
+    /// The simulated car with its host.
+    #[must_use]
+    pub const fn drive_of_host(&self) -> &VirtualDrive {
+        &self.drive
+    }
+
+    /// Mutable access, for faults.
+    pub const fn drive_of_host_mut(&mut self) -> &mut VirtualDrive {
+        &mut self.drive
+    }
+
+    /// The file of the configuration, as the procedures have left it.
+    #[must_use]
+    pub fn file(&self) -> &str {
+        self.file.text()
+    }
+
+    /// What the campaign has watched.
+    #[must_use]
+    pub const fn guard(&self) -> &Guard {
+        &self.guard
+    }
+
+    pub(crate) const fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
+    /// Lets the car roll out, and looks whether it has come to its end: it stands, disarmed.
+    pub fn end_procedure(&mut self) {
+        self.pass(4.0);
+        self.guard.end(&self.drive);
+    }
+
+    /// The questions that were skipped because no script knows them.
+    #[must_use]
+    pub const fn unknown_questions(&self) -> &BTreeMap<String, u32> {
+        &self.unknown
+    }
+
+    /// Time since the car was switched on, in s.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.drive.world().now_us() as f64 * 1e-6
+    }
+
+    /// One tick of the daemon. What was observed is appended.
+    fn step(&mut self, observed: &mut Vec<Observation>) {
+        if self.held && self.ticks.is_multiple_of(RENEW_TICKS) {
+            let _ = self.drive.request(PilotRequest::Hold);
+        }
+        self.ticks += 1;
+        let tick = self.drive.step();
+        self.preflight = tick.tick.output.preflight;
+        self.person.act(self.drive.world_mut());
+        self.guard.watch(&self.drive, &tick.truth, &tick.tick);
+        for entry in self.drive.entries() {
+            self.observe(entry, observed);
+        }
+    }
+
+    /// The set-point of a car that stands: without one it can't be armed.
+    fn stand_still(&self) {
+        self.drive.send_setpoint(&Setpoint {
+            time: Time(self.drive.next_tick_us() * 1_000),
+            position: None,
+            velocity: Velocity::zeros(),
+        });
+    }
+
+    fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
+        match entry {
+            Entry::Telemetry(record) => observed.push(Observation::Board(board(&record))),
+            Entry::Status(record) => observed.push(Observation::Health(Health {
+                receive: Time(record.receive_time_ns),
+                status: record.status,
+            })),
+            Entry::Pose(pose) => observed.push(match pose.state {
+                PoseState::Valid(p) => Observation::Pose(PoseReading {
+                    capture: Time(p.capture_time_ns),
+                    receive: Time(p.receive_time_ns),
+                    uncertainty: p.capture_uncertainty_ns as f64 * 1e-9,
+                    frame: p.frame_number,
+                    position: [p.x_m, p.y_m, p.z_m],
+                    yaw: p.yaw_rad,
+                    roll: p.roll_rad,
+                    pitch: p.pitch_rad,
+                    mean_error: p.mean_error_m,
+                }),
+                state => Observation::NoPose {
+                    receive: Time(pose.receive_time_ns),
+                    state: missing(&state),
+                },
+            }),
+            Entry::Tick(tick) => {
+                let ready = tick.link == LinkPhase::Ready;
+                if ready != self.link_is_ready {
+                    self.link_is_ready = ready;
+                    observed.push(Observation::Link(ready));
+                }
+                observed.push(Observation::Tick(reading(&tick)));
+            }
+            Entry::Log(_) | Entry::Configuration(_) | Entry::Drops(_) => {}
+        }
+    }
+
+    /// Lets time pass unobserved.
+    fn pass(&mut self, seconds: f64) {
+        let until = self.seconds() + seconds;
+        let mut unseen = Vec::new();
+        while self.seconds() < until {
+            self.step(&mut unseen);
+            unseen.clear();
+        }
+    }
+
+    /// Why nothing is held any more.
+    fn ended(&self) -> Refused {
+        let reason = self.drive.controller().pilot().reason();
+        Refused(
+            reason
+                .map_or("the car is not armed", Reason::name)
+                .to_owned(),
+        )
+    }
+
+    fn request(&self, request: PilotRequest) -> Result<(), Refused> {
+        self.drive
+            .request(request)
+            .map_err(|error| Refused(error.to_string()))
+    }
+
+    /// Puts a configuration in force and waits until the board has it.
+    fn put_in_force(&mut self, config: Config) -> Result<(), Refused> {
+        self.drive
+            .reconfigure(config)
+            .map_err(|error| Refused(error.to_string()))?;
+        let mut unseen = Vec::new();
+        for _ in 0..ANSWER_TICKS {
+            self.step(&mut unseen);
+            if self.link_is_ready {
+                return Ok(());
+            }
+        }
+        Err(Refused("the board does not take the configuration".into()))
+    }
+}
+
+impl Bench for VirtualBench {
+    fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted> {
+        self.step(observed);
+        Ok(())
+    }
+
+    fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
+        let Some(think_s) = self.person.consider(question, self.drive.world_mut()) else {
+            *self.unknown.entry(question.id.to_string()).or_default() += 1;
+            self.pass(1.0);
+            return Ok(Answer::Skip);
+        };
+        // No action of the hands takes longer.
+        for _ in 0..1_200 {
+            if !self.person.is_busy(self.drive.world()) {
+                break;
+            }
+            self.pass(0.1);
+        }
+        self.pass(think_s);
+        Ok(self.person.answer(question, self.drive.world()))
+    }
+
+    fn show(&mut self, _: &Live<'_>) {}
+
+    fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
+        if attendance == Attendance::Drive && !self.has_reference {
+            self.put_in_force(Config {
+                reference: ReferenceSection::External {
+                    setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
+                },
+                ..self.config.clone()
+            })?;
+            self.has_reference = true;
+        }
+        let mut unseen = Vec::new();
+        for _ in 0..PATIENCE_TICKS {
+            // As the daemon does, which says why it does not.
+            let waits = attendance == Attendance::Drive && self.preflight.is_some();
+            if !waits {
+                break;
+            }
+            self.stand_still();
+            self.step(&mut unseen);
+            unseen.clear();
+        }
+        self.stand_still();
+        self.request(match attendance {
+            Attendance::Jog => PilotRequest::ArmJog,
+            Attendance::Drive => PilotRequest::ArmHeld,
+        })?;
+        self.step(&mut unseen);
+        let mode = self.drive.mode();
+        self.held = mode.is_underway();
+        match self.held {
+            true => Ok(()),
+            false => Err(self.ended()),
+        }
+    }
+
+    fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
+        if !self.held || !self.drive.mode().is_underway() {
+            self.held = false;
+            return Err(self.ended());
+        }
+        self.drive.send_jog(singletrack_pilot::Jog {
+            servo_us: jog.servo_us,
+            esc_us: jog.esc_us,
+        });
+        Ok(())
+    }
+
+    fn drive(&mut self, velocity: Velocity, position: Option<Position>) -> Result<(), Refused> {
+        if !self.held || !self.drive.mode().is_underway() {
+            self.held = false;
+            return Err(self.ended());
+        }
+        self.drive.send_setpoint(&Setpoint {
+            time: Time(self.drive.next_tick_us() * 1_000),
+            position,
+            velocity,
+        });
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Result<(), Refused> {
+        self.request(PilotRequest::Disarm)
+    }
+
+    fn emergency_stop(&mut self) -> Result<(), Refused> {
+        self.request(PilotRequest::EmergencyStop)
+    }
+
+    fn configuration(&self) -> &Config {
+        &self.config
+    }
+
+    fn change(&mut self, values: &[(&str, Value)]) -> Result<(), Refused> {
+        let mut file = self.file.clone();
+        for (key, value) in values {
+            file.set(key, value)
+                .map_err(|error| Refused(error.to_string()))?;
+        }
+        if !file.is_changed() {
+            return Ok(());
+        }
+        let config = Config::from_toml(file.text()).map_err(|error| Refused(error.to_string()))?;
+        self.put_in_force(config.clone())?;
+        self.has_reference = false;
+        self.guard.configure(&config);
+        self.config = config;
+        self.file = file;
+        Ok(())
+    }
+}
+
+fn board(record: &TelemetryRecord) -> BoardReading {
+    let t = &record.telemetry;
+    let [w, x, y, z] = t.attitude_q14.map(|part| f64::from(part) / 16_384.0);
+    let time = match t.imu {
+        ImuState::Fresh => record.new_imu_time_ns(),
+        _ => None,
+    };
+    BoardReading {
+        time: Time(record.board_time_host_ns),
+        receive: Time(record.receive_time_ns),
+        inertial: time.map(|time| Inertial {
+            time: Time(time),
+            acceleration: record.linear_acceleration_m_s2(),
+            angular_velocity: record.angular_velocity_rad_s(),
+            roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            pitch: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
+        }),
+        motor_speed: f64::from(t.motor_speed_mm_s) * 1e-3,
+        servo_us: t.servo_us,
+        esc_us: t.esc_us,
+        mode: t.mode,
+        stop_cause: t.stop_cause,
+    }
+}
+
+const fn missing(state: &PoseState) -> &'static str {
+    match state {
+        PoseState::NoFrames => "no-frames",
+        PoseState::Unbound(_) => "unbound",
+        PoseState::Valid(_) => "valid",
+        PoseState::Untracked => "untracked",
+        PoseState::Absent => "absent",
+        PoseState::Rejected(_) => "rejected",
+        PoseState::LockedOut(_) => "locked-out",
+        PoseState::Stale { .. } => "stale",
+    }
+}
+
+fn reading(tick: &TickRecord) -> TickReading {
+    let output = &tick.output;
+    TickReading {
+        time: tick.pilot_time,
+        mode: output.mode,
+        reason: output.reason,
+        preflight: output.preflight,
+        pose: output
+            .estimate
+            .map(|estimate| ([estimate.position.x, estimate.position.y], estimate.yaw)),
+        command: output
+            .command
+            .map(|command| (command.rear_speed, command.steering)),
+        point: output.point,
+        braking_measured: output.braking_measured,
+    }
+}

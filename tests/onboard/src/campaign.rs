@@ -1,0 +1,435 @@
+//! Cars through the three procedures, one after the other.
+
+use core::fmt::{self, Write as _};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+    thread,
+};
+
+use singletrack_commissioning::{Finding, Interrupted, Interval, Journal, Step, Verdict, run};
+use singletrack_sim::BoardKind;
+
+use crate::{
+    bench::VirtualBench,
+    car::{OnboardCar, PlantedFault},
+    circle::{self, Circle},
+    truths::truth_of,
+};
+
+/// A procedure with its steps.
+struct Procedure {
+    name: &'static str,
+    steps: Vec<Step>,
+}
+
+/// The procedures, in their order. The ESC is watched at neutral for a shorter time than on a
+/// real car: a simulated one has no noise that would turn it now and then.
+fn procedures() -> Vec<Procedure> {
+    let procedure = |name, steps: &[Step]| Procedure {
+        name,
+        steps: steps.to_vec(),
+    };
+    vec![
+        procedure("doctor", &doctor::STEPS),
+        procedure("bring-up", &bring_up::steps::<8>()),
+        procedure("calibrate", &calibrate::STEPS),
+    ]
+}
+
+/// A parameter of a car, as it was measured last.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// What is true; none if the campaign does not know.
+    pub truth: Option<f64>,
+    /// What was measured.
+    pub estimate: Interval,
+}
+
+/// What became of a car.
+#[derive(Clone, Debug)]
+pub struct CarOutcome {
+    /// Its seed.
+    pub seed: u64,
+    /// What was planted.
+    pub fault: Option<PlantedFault>,
+    /// Whether that was found in time.
+    pub found: bool,
+    /// Whether all procedures passed.
+    pub passed: bool,
+    /// The findings, with the procedure's name.
+    pub findings: Vec<(&'static str, Finding)>,
+    /// What was measured.
+    pub measured: Vec<Measured>,
+    /// What must never happen.
+    pub violations: Vec<String>,
+    /// Questions without a script.
+    pub unknown: BTreeMap<String, u32>,
+    /// The circle with the configuration that the owner began with, and with that of the
+    /// procedures.
+    pub circles: [Option<Circle>; 2],
+    /// Time that the procedures took, in s.
+    pub seconds: f64,
+    /// Why the car could not be simulated.
+    pub error: Option<String>,
+}
+
+/// Keeps the findings of a procedure in memory.
+#[derive(Debug, Default)]
+struct Kept;
+
+impl Journal for Kept {
+    fn found(&self, _: &str) -> Option<Finding> {
+        None
+    }
+
+    fn keep(&mut self, _: &Finding) -> Result<(), Interrupted> {
+        Ok(())
+    }
+
+    fn begin(&mut self, _: &Step, _: usize, _: usize) {}
+}
+
+/// The way on the floor within which a fault must be found, in m.
+const FOUND_WITHIN_M: f64 = 0.5;
+
+/// Takes a car through the procedures.
+#[must_use]
+pub fn onboard(car: &OnboardCar) -> CarOutcome {
+    let mut outcome = CarOutcome {
+        seed: car.seed,
+        fault: car.fault,
+        found: false,
+        passed: false,
+        findings: Vec::new(),
+        measured: Vec::new(),
+        violations: Vec::new(),
+        unknown: BTreeMap::new(),
+        circles: [None, None],
+        seconds: 0.0,
+        error: None,
+    };
+    if let Err(error) = try_onboard(car, &mut outcome) {
+        outcome.error = Some(error);
+    }
+    outcome
+}
+
+fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String> {
+    let text = |error: &dyn fmt::Display| error.to_string();
+    let mut bench = VirtualBench::new(car).map_err(|error| text(&error))?;
+    let mut measured: BTreeMap<&'static str, Measured> = BTreeMap::new();
+    let mut failed = false;
+    'car: for procedure in procedures() {
+        for step in &procedure.steps {
+            let before_m = bench.drive_of_host().world().truth().way;
+            bench.guard_mut().begin_step();
+            let findings = run(core::slice::from_ref(step), &mut bench, &mut Kept)
+                .map_err(|error| text(&error))?;
+            let world = bench.drive_of_host().world();
+            for finding in findings {
+                for parameter in &finding.parameters {
+                    let m = Measured {
+                        name: parameter.name,
+                        unit: parameter.unit,
+                        truth: match parameter.name {
+                            "braking" => bench.guard().weakest_braking(),
+                            name => truth_of(name, procedure.name, world, bench.configuration()),
+                        },
+                        estimate: parameter.estimate,
+                    };
+                    measured.insert(parameter.name, m);
+                }
+                let is_failed = finding.verdict == Verdict::Failed;
+                failed |= is_failed;
+                if is_failed && outcome.fault.is_some() && !outcome.found {
+                    outcome.found = before_m < FOUND_WITHIN_M && world.truth().way < FOUND_WITHIN_M;
+                }
+                outcome.findings.push((procedure.name, finding));
+            }
+            if failed && step.essential {
+                bench.end_procedure();
+                break 'car;
+            }
+        }
+        bench.end_procedure();
+        if failed {
+            break;
+        }
+    }
+    outcome.passed = !failed;
+    outcome.seconds = bench.seconds();
+    outcome.measured = measured.into_values().collect();
+    outcome.unknown.clone_from(bench.unknown_questions());
+    outcome.violations = bench
+        .guard()
+        .violations()
+        .iter()
+        .map(|violation| format!("{:.1} s: {}", violation.at_s, violation.what))
+        .collect();
+    if outcome.passed {
+        outcome.circles = [
+            circle::drive(car, &car.file.to_string()),
+            circle::drive(car, bench.file()),
+        ];
+    }
+    Ok(())
+}
+
+impl CarOutcome {
+    /// What became of the car, for people.
+    #[must_use]
+    pub fn text(&self, verbose: bool) -> String {
+        let mut text = String::new();
+        let fault = self.fault.map_or(String::new(), |fault| {
+            format!(
+                ", {fault} {}",
+                if self.found { "found" } else { "NOT FOUND" }
+            )
+        });
+        let _ = writeln!(
+            text,
+            "car {}: {}{fault}, {} of {} intervals hold the truth, {:.0} s",
+            self.seed,
+            if self.passed { "passed" } else { "not passed" },
+            self.holding(),
+            self.known(),
+            self.seconds,
+        );
+        if let Some(error) = &self.error {
+            let _ = writeln!(text, "  {error}");
+        }
+        for (procedure, finding) in &self.findings {
+            if verbose || finding.verdict == Verdict::Failed {
+                let _ = writeln!(
+                    text,
+                    "  {procedure} {}: {}: {}",
+                    finding.step,
+                    finding.verdict.name(),
+                    finding.found.replace('\n', "; "),
+                );
+            }
+        }
+        for m in &self.measured {
+            if verbose || !m.holds() {
+                let _ = writeln!(
+                    text,
+                    "  {} {}: {:.4} [{:.4}, {:.4}], truly {}",
+                    m.name,
+                    m.unit,
+                    m.estimate.value,
+                    m.estimate.low,
+                    m.estimate.high,
+                    m.truth
+                        .map_or("unknown".into(), |truth| format!("{truth:.4}")),
+                );
+            }
+        }
+        for violation in &self.violations {
+            let _ = writeln!(text, "  VIOLATION at {violation}");
+        }
+        for (question, count) in &self.unknown {
+            let _ = writeln!(text, "  no script for question {question} ({count} times)");
+        }
+        if let [before, Some(after)] = &self.circles {
+            let before = before.as_ref().map_or("not driven".into(), Circle::text);
+            let _ = writeln!(text, "  circle before: {before}; after: {}", after.text());
+        }
+        text
+    }
+
+    fn known(&self) -> usize {
+        self.measured.iter().filter(|m| m.truth.is_some()).count()
+    }
+
+    fn holding(&self) -> usize {
+        let known = self.measured.iter().filter(|m| m.truth.is_some());
+        known.filter(|m| m.holds()).count()
+    }
+}
+
+impl Measured {
+    /// Whether the interval holds the truth.
+    #[must_use]
+    pub fn holds(&self) -> bool {
+        self.truth
+            .is_some_and(|truth| self.estimate.contains(truth))
+    }
+}
+
+/// Cars with consecutive seeds.
+#[derive(Clone, Copy, Debug)]
+pub struct Campaign {
+    /// The first seed.
+    pub first_seed: u64,
+    /// The number of cars.
+    pub count: u64,
+    /// The board.
+    pub board: BoardKind,
+    /// The number of threads.
+    pub threads: usize,
+}
+
+/// Why the results could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub struct CampaignError {
+    path: PathBuf,
+    source: std::io::Error,
+}
+
+impl Campaign {
+    /// Takes all cars through the procedures; `each` gets them in the order of their end.
+    /// Returns them in the order of their seeds.
+    pub fn run(&self, each: impl Fn(&CarOutcome) + Sync) -> Vec<CarOutcome> {
+        let next = AtomicU64::new(0);
+        let cars = Mutex::new(Vec::new());
+        thread::scope(|scope| {
+            for _ in 0..self.threads.clamp(1, 64) {
+                scope.spawn(|| {
+                    loop {
+                        let number = next.fetch_add(1, Ordering::Relaxed);
+                        if number >= self.count {
+                            return;
+                        }
+                        let mut car = OnboardCar::random(self.first_seed + number);
+                        car.simulation.board.kind = self.board;
+                        let outcome = onboard(&car);
+                        let mut cars = cars.lock().unwrap_or_else(PoisonError::into_inner);
+                        each(&outcome);
+                        cars.push(outcome);
+                    }
+                });
+            }
+        });
+        let mut cars = cars.into_inner().unwrap_or_else(PoisonError::into_inner);
+        cars.sort_by_key(|car| car.seed);
+        cars
+    }
+}
+
+/// Writes a row per car and parameter.
+///
+/// # Errors
+///
+/// The file can't be written.
+pub fn write_csv(path: &Path, cars: &[CarOutcome]) -> Result<(), CampaignError> {
+    let mut text = String::from("seed,parameter,unit,truth,estimate,low,high\n");
+    for car in cars {
+        for m in &car.measured {
+            let Interval { value, low, high } = m.estimate;
+            if let Some(truth) = m.truth {
+                let _ = writeln!(
+                    text,
+                    "{},{},{},{truth},{value},{low},{high}",
+                    car.seed, m.name, m.unit
+                );
+            }
+        }
+    }
+    fs::write(path, text).map_err(|source| CampaignError {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// What the cars come to.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    cars: usize,
+    passed: usize,
+    /// For each parameter: intervals, and those that hold the truth.
+    parameters: BTreeMap<&'static str, [usize; 2]>,
+    faults: [usize; 2],
+    violations: usize,
+    /// Errors of P on the circle, before and after, in m, of the cars that drove both times.
+    circles: Vec<[f64; 2]>,
+    /// Cars that did not end the circle with the configuration of their owner.
+    not_driven_before: usize,
+    not_driven_after: usize,
+    errors: usize,
+}
+
+impl Summary {
+    /// Of these cars.
+    #[must_use]
+    pub fn of(cars: &[CarOutcome]) -> Self {
+        let mut summary = Self {
+            cars: cars.len(),
+            ..Self::default()
+        };
+        for car in cars {
+            summary.passed += usize::from(car.passed);
+            summary.violations += car.violations.len();
+            summary.errors += usize::from(car.error.is_some());
+            if car.fault.is_some() {
+                summary.faults[0] += 1;
+                summary.faults[1] += usize::from(car.found);
+            }
+            for m in car.measured.iter().filter(|m| m.truth.is_some()) {
+                let counts = summary.parameters.entry(m.name).or_default();
+                counts[0] += 1;
+                counts[1] += usize::from(m.holds());
+            }
+            let error = |circle: &Option<Circle>| circle.as_ref().and_then(|c| c.error_m);
+            if let [before, after @ Some(_)] = &car.circles {
+                match (error(before), error(after)) {
+                    (Some(before), Some(after)) => summary.circles.push([before, after]),
+                    (None, Some(_)) => summary.not_driven_before += 1,
+                    (_, None) => summary.not_driven_after += 1,
+                }
+            }
+        }
+        summary
+    }
+
+    /// Whether nothing happened that must not, and every planted fault was found.
+    #[must_use]
+    pub const fn is_good(&self) -> bool {
+        self.violations == 0 && self.errors == 0 && self.faults[0] == self.faults[1]
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (name, [all, holding]) in &self.parameters {
+            let share = 100.0 * *holding as f64 / *all as f64;
+            writeln!(f, "{name}: {holding} of {all} ({share:.0} %)")?;
+        }
+        writeln!(f, "{} of {} cars passed", self.passed, self.cars)?;
+        let median = |side: usize| {
+            let mut errors: Vec<f64> = self.circles.iter().map(|pair| pair[side]).collect();
+            errors.sort_by(f64::total_cmp);
+            errors.get(errors.len() / 2).map_or(f64::NAN, |m| m * 1e3)
+        };
+        writeln!(
+            f,
+            "circle: median error of P {:.1} mm before, {:.1} mm after ({} cars); \
+             not driven to its end: {} before, {} after",
+            median(0),
+            median(1),
+            self.circles.len(),
+            self.not_driven_before,
+            self.not_driven_after,
+        )?;
+        let (all, holding) = self
+            .parameters
+            .values()
+            .fold((0, 0), |(all, holding), [a, h]| (all + a, holding + h));
+        writeln!(
+            f,
+            "{} cars: {holding} of {all} intervals hold the truth, {} of {} planted faults \
+             found, {} violations",
+            self.cars, self.faults[1], self.faults[0], self.violations
+        )
+    }
+}

@@ -1,0 +1,203 @@
+//! What is watched in every tick of a campaign, and must never happen.
+
+use singletrack_core::Config;
+use singletrack_pilot::Mode;
+use singletrack_protocol::BoardMode;
+use singletrack_record::TickRecord;
+use singletrack_scenario::virtual_drive::VirtualDrive;
+use singletrack_sim::Truth;
+
+/// What must never happen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Violation {
+    /// When, in s since the car was switched on.
+    pub at_s: f64,
+    /// What.
+    pub what: String,
+}
+
+/// The watch over the true car.
+#[derive(Debug)]
+pub struct Guard {
+    corners: Vec<[f64; 2]>,
+    cap_m_s: f64,
+    violations: Vec<Violation>,
+    /// Since when the motor is driven while the board is not armed, in s.
+    driven_since: Option<f64>,
+    /// The way of the car when the present jog began, in m.
+    jog_from: Option<f64>,
+    /// The stop that is under way: its begin in s, and the speed and the way of the car when
+    /// the motor had reacted.
+    stop: Option<(f64, Option<[f64; 2]>)>,
+    was_driving: bool,
+    /// True decelerations of the stops in this step: speed in m/s, deceleration in m/s².
+    stops: Vec<[f64; 2]>,
+    /// Kinds of violations that last.
+    lasting: [bool; 4],
+}
+
+/// The longest time for which a motor may be driven after the board has disarmed, in s: the
+/// motor controller that waits longest for pulses waits for one second.
+const RUN_ON_S: f64 = 1.2;
+/// By how much a speed may exceed the cap, in m/s: that of the pilot's watch.
+const OVERSPEED_M_S: f64 = 0.4;
+/// Time in which the motor reacts to a stop, in s.
+const REACTION_S: f64 = 0.1;
+/// The longest way of a car on the floor in one jog, in m.
+const JOG_WAY_M: f64 = 0.5;
+
+impl Guard {
+    pub(crate) fn new(config: &Config) -> Self {
+        let mut guard = Self {
+            corners: Vec::new(),
+            cap_m_s: 0.0,
+            violations: Vec::new(),
+            driven_since: None,
+            jog_from: None,
+            stop: None,
+            was_driving: false,
+            stops: Vec::new(),
+            lasting: [false; 4],
+        };
+        guard.configure(config);
+        guard
+    }
+
+    pub(crate) fn configure(&mut self, config: &Config) {
+        self.corners = config.fence.corners_m.clone();
+        self.cap_m_s = config.limits.max_speed_m_s;
+    }
+
+    /// What happened and must not.
+    #[must_use]
+    pub fn violations(&self) -> &[Violation] {
+        &self.violations
+    }
+
+    fn note(&mut self, kind: usize, happens: bool, now_s: f64, what: impl FnOnce() -> String) {
+        if happens && !self.lasting[kind] {
+            self.violations.push(Violation {
+                at_s: now_s,
+                what: what(),
+            });
+        }
+        self.lasting[kind] = happens;
+    }
+
+    pub(crate) fn watch(&mut self, drive: &VirtualDrive, truth: &Truth, tick: &TickRecord) {
+        let world = drive.world();
+        let now_s = truth.time_us as f64 * 1e-6;
+        let mode = world.board().telemetry().map(|telemetry| telemetry.mode);
+        let armed = matches!(
+            mode,
+            Some(
+                BoardMode::PoweringUp | BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging
+            )
+        );
+        let free = !truth.held;
+        let driven = free && !armed && world.car().motor_is_driven();
+        self.driven_since = driven.then(|| self.driven_since.unwrap_or(now_s));
+        let runs_on = self
+            .driven_since
+            .is_some_and(|since| now_s - since > RUN_ON_S);
+        self.note(0, runs_on, now_s, || {
+            "the motor drives an unarmed car".into()
+        });
+
+        let outside =
+            free && truth.speed.abs() > 0.02 && !contains(&self.corners, [truth.x, truth.y]);
+        self.note(1, outside, now_s, || "outside the fence".into());
+
+        let most = self.cap_m_s + OVERSPEED_M_S;
+        let fast = free && truth.speed.abs() > most;
+        self.note(2, fast, now_s, || format!("{:.2} m/s", truth.speed));
+
+        self.time_stop(now_s, truth, tick.output.mode);
+
+        let jogs = free && mode == Some(BoardMode::Jogging);
+        self.jog_from = jogs.then(|| self.jog_from.unwrap_or(truth.way));
+        let far = self
+            .jog_from
+            .is_some_and(|from| truth.way - from > JOG_WAY_M);
+        self.note(3, far, now_s, || {
+            "a jog drives the car over the floor".into()
+        });
+    }
+
+    /// Forgets the stops of the step before.
+    pub(crate) fn begin_step(&mut self) {
+        self.stops.clear();
+    }
+
+    /// Measures what a stop truly decelerates with, from when the motor has reacted.
+    fn time_stop(&mut self, now_s: f64, truth: &Truth, mode: Mode) {
+        let drives = matches!(mode, Mode::Driving | Mode::Slowing);
+        if self.was_driving && !drives {
+            self.stop = Some((now_s, None));
+        }
+        self.was_driving = drives;
+        match &mut self.stop {
+            None => {}
+            Some(_) if drives || truth.held => self.stop = None,
+            Some((begin, from @ None)) if now_s - *begin >= REACTION_S => {
+                *from = Some([truth.speed, truth.way]);
+            }
+            Some((_, Some([speed, way]))) if truth.speed.abs() < 0.005 => {
+                let rolled = truth.way - *way;
+                if *speed > 0.1 && rolled > 0.0 {
+                    self.stops.push([*speed, *speed * *speed / (2.0 * rolled)]);
+                }
+                self.stop = None;
+            }
+            Some(_) => {}
+        }
+    }
+
+    /// The lowest of the mean decelerations from each speed in this step, in m/s².
+    pub(crate) fn weakest_braking(&self) -> Option<f64> {
+        let mut by_speed: Vec<(f64, Vec<f64>)> = Vec::new();
+        for &[speed, deceleration] in &self.stops {
+            match by_speed.iter_mut().find(|(of, _)| (of - speed).abs() < 0.1) {
+                Some((_, values)) => values.push(deceleration),
+                None => by_speed.push((speed, vec![deceleration])),
+            }
+        }
+        let means = by_speed
+            .iter()
+            .map(|(_, values)| values.iter().sum::<f64>() / values.len() as f64);
+        means.min_by(f64::total_cmp)
+    }
+
+    /// At the end of a procedure, when the car has had its time to roll out.
+    pub(crate) fn end(&mut self, drive: &VirtualDrive) {
+        let truth = drive.world().truth();
+        let at_s = truth.time_us as f64 * 1e-6;
+        let turns = truth.wheel_speed.abs() > 0.02;
+        if drive.mode().is_underway() || turns {
+            self.violations.push(Violation {
+                at_s,
+                what: format!(
+                    "not stopped at the end: {}, wheels at {:.2} m/s",
+                    drive.mode(),
+                    truth.wheel_speed
+                ),
+            });
+        }
+    }
+}
+
+/// Whether a point lies inside a polygon.
+fn contains(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
+    let mut inside = false;
+    let mut before = corners.last();
+    for corner in corners {
+        if let Some(&[bx, by]) = before {
+            let [ax, ay] = *corner;
+            if (ay > y) != (by > y) && x < (bx - ax) * (y - ay) / (by - ay) + ax {
+                inside = !inside;
+            }
+        }
+        before = Some(corner);
+    }
+    inside
+}

@@ -1,0 +1,23 @@
+//! The cars of newcomers, from the parts to the first circle.
+//!
+//! `cargo onboard` takes random cars, of which each is truly something else than its owner has
+//! written down, through doctor, bring-up and calibration. The procedures see the simulated car
+//! through [`VirtualBench`], which is a [`Bench`](singletrack_commissioning::Bench); scripted
+//! hands answer their questions.
+
+mod bench;
+mod campaign;
+mod car;
+mod circle;
+mod guard;
+mod person;
+mod random;
+mod truths;
+
+pub use bench::{BenchError, VirtualBench};
+pub use campaign::{Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, write_csv};
+pub use car::{HALL_M, OnboardCar, PlantedFault};
+pub use circle::Circle;
+pub use guard::{Guard, Violation};
+pub use random::Random;
+pub use truths::truth_of;

@@ -1,0 +1,560 @@
+//! A car behind the daemon, and a person at the terminal: what the procedures `doctor`,
+//! `bring-up` and `calibrate` run on.
+
+mod connection;
+mod journal;
+mod observations;
+mod picture;
+mod session;
+mod terminal;
+
+use std::{
+    io,
+    path::PathBuf,
+    thread,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use jiff::Timestamp;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use serde_json::{Value, json};
+use singletrack_commissioning::{
+    Answer, Answers, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question,
+    Refused,
+    edit::{Edit, EditError},
+};
+use singletrack_control::{Position, Velocity};
+use singletrack_core::{Config, ConfigError};
+use singletrackd::SOCKET_VERSION;
+
+use crate::{
+    control::{self, ControlArgs, ControlError},
+    interrupt::Interrupt,
+};
+use connection::Connection;
+use terminal::Terminal;
+
+pub use session::{Procedure, run};
+
+/// Options of the procedures.
+#[derive(Clone, Debug, Args)]
+pub struct BenchArgs {
+    #[command(flatten)]
+    control: ControlArgs,
+    /// The daemon's configuration file; measured values are written to it
+    #[arg(
+        long,
+        value_name = "FILE",
+        default_value = "/etc/singletrackd/singletrackd.toml"
+    )]
+    config: PathBuf,
+    /// Folder of the page with the findings, and of what is needed to resume
+    /// [default: FILE.commissioning beside the configuration]
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Begin with the first step, also if a procedure was interrupted less than a day ago
+    #[arg(long)]
+    again: bool,
+    /// Print questions, findings and changes on standard output, one JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Why a procedure did not run to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The configuration can't be read.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// It can't be changed.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    /// The daemon refuses or does not answer.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// Terminal, signals or the findings.
+    #[error("{0}")]
+    System(#[from] io::Error),
+    /// It was interrupted.
+    #[error("{0}; run the same command again to resume")]
+    Interrupted(#[from] Interrupted),
+}
+
+/// Time without a line from the daemon after which it counts as gone. It reports every tick.
+const SILENCE: Duration = Duration::from_secs(2);
+
+/// Interval of the renewals of a held drive. The daemon stops the car 0.5 s after the last one.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// The longest wait for a line, so that renewals and Ctrl-C are not late.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// The longest wait for an answer of the daemon.
+const ANSWER: Duration = Duration::from_secs(5);
+
+/// A car behind the daemon, with an operator at the terminal.
+pub(crate) struct LiveBench {
+    socket: PathBuf,
+    path: PathBuf,
+    config: Config,
+    watch: Connection,
+    heard: Instant,
+    is_linked: Option<bool>,
+    drive: Option<HeldDrive>,
+    /// The reference in force is another than that of the file.
+    has_reference: bool,
+    terminal: Terminal,
+    interrupt: Interrupt,
+    /// The text of the configuration at the start, for the page.
+    before: Edit,
+    /// Begin of the paths of pictures.
+    pictures: PathBuf,
+}
+
+/// A drive that a connection holds.
+struct HeldDrive {
+    connection: Connection,
+    renewed: Instant,
+    /// Why it has ended.
+    ended: Option<String>,
+}
+
+impl LiveBench {
+    /// # Errors
+    ///
+    /// The configuration can't be read, or the daemon can't be reached.
+    pub(crate) fn open(args: &BenchArgs) -> Result<Self, BenchError> {
+        let config = Config::read(&args.config)?;
+        let before = Edit::read(&args.config)?;
+        let interrupt = Interrupt::listen()?;
+        Ok(Self {
+            socket: args.control.socket.clone(),
+            path: args.config.clone(),
+            config,
+            watch: watch(&args.control.socket)?,
+            heard: Instant::now(),
+            is_linked: None,
+            drive: None,
+            has_reference: false,
+            terminal: Terminal::new(args.json),
+            interrupt,
+            before,
+            pictures: PathBuf::new(),
+        })
+    }
+
+    /// What has changed in the configuration's file since the start, as a unified diff.
+    fn diff(&self) -> Result<String, EditError> {
+        let now = Edit::read(&self.path)?;
+        Ok(self
+            .before
+            .until(&now)
+            .diff(&self.path.display().to_string()))
+    }
+
+    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
+    fn report(&self, procedure: &str, result: &str) -> Result<(), ControlError> {
+        let line = json!({
+            "version": SOCKET_VERSION,
+            "command": "commissioned",
+            "procedure": procedure,
+            "result": result,
+        });
+        control::ask(&line, &self.socket).map(drop)
+    }
+
+    /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
+    fn pump(&mut self) -> Result<Option<Value>, Interrupted> {
+        if self.interrupt.is_raised() {
+            return Err(Interrupted::ByOperator);
+        }
+        self.renew();
+        let gone = |error: ControlError| Interrupted::DaemonGone(error.to_string());
+        let mut line = self.watch.line().map_err(gone)?;
+        if line.is_none() {
+            let mut polled = [PollFd::new(&self.watch, PollFlags::IN)];
+            let _ = poll(&mut polled, Some(&timespec(WAIT)));
+            line = self.watch.line().map_err(gone)?;
+        }
+        if line.is_some() {
+            self.heard = Instant::now();
+        } else if self.heard.elapsed() > SILENCE {
+            return Err(Interrupted::DaemonGone(format!(
+                "nothing for {} s",
+                SILENCE.as_secs()
+            )));
+        }
+        Ok(line)
+    }
+
+    /// Renews a held drive while its key is held, and takes what the daemon says of it.
+    fn renew(&mut self) {
+        let Some(drive) = &mut self.drive else { return };
+        if drive.ended.is_some() {
+            return;
+        }
+        match self.terminal.is_released() {
+            Ok(false) => {}
+            Ok(true) => drive.ended = Some("the space bar was released".to_owned()),
+            Err(error) => drive.ended = Some(format!("the space bar can't be read: {error}")),
+        }
+        if drive.ended.is_some() {
+            // Without a renewal it would end half a second later.
+            let _ = drive.connection.send(&command("disarm"));
+            return;
+        }
+        if drive.renewed.elapsed() >= RENEWAL {
+            drive.renewed = Instant::now();
+            if let Err(error) = drive.connection.send(&command("hold")) {
+                drive.ended = Some(error.to_string());
+            }
+        }
+        loop {
+            match drive.connection.line() {
+                Ok(None) => return,
+                Ok(Some(line)) => {
+                    if let Some(ended) = line.get("ended") {
+                        let word = ended.get("reason").and_then(Value::as_str);
+                        drive.ended = Some(word.unwrap_or("the drive has ended").to_owned());
+                    } else if let Some(error) = line.get("error").and_then(Value::as_str) {
+                        drive.ended = Some(error.to_owned());
+                    }
+                }
+                Err(error) => {
+                    drive.ended = Some(error.to_string());
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Sends a command to the drive that is held.
+    fn command_drive(&mut self, line: &Value) -> Result<(), Refused> {
+        self.renew();
+        let Some(drive) = &mut self.drive else {
+            return Err(Refused("the car is not armed".to_owned()));
+        };
+        if let Some(ended) = &drive.ended {
+            return Err(Refused(ended.clone()));
+        }
+        drive
+            .connection
+            .send(line)
+            .map_err(|error| Refused(error.to_string()))
+    }
+
+    /// Waits until the operator holds the space bar.
+    fn wait_for_key(&mut self) -> Result<(), Refused> {
+        self.terminal
+            .say("Hold the space bar: the car is armed while it is held.");
+        loop {
+            if self
+                .terminal
+                .is_pressed()
+                .map_err(|error| Refused(error.to_string()))?
+            {
+                return Ok(());
+            }
+            self.pump().map_err(|error| Refused(error.to_string()))?;
+        }
+    }
+
+    /// Arms with a connection that holds the drive.
+    fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, Refused> {
+        let refused = |error: ControlError| Refused(error.to_string());
+        let mut line = command("arm");
+        if let Some(line) = line.as_object_mut() {
+            line.insert("attendance".to_owned(), "hold".into());
+            let key = match attendance {
+                Attendance::Jog => "jog",
+                Attendance::Drive => "uncalibrated",
+            };
+            line.insert(key.to_owned(), true.into());
+        }
+        let mut connection = Connection::open(&self.socket).map_err(refused)?;
+        connection
+            .send(&line)
+            .map_err(|error| Refused(error.to_string()))?;
+        let asked = Instant::now();
+        loop {
+            if let Some(answer) = connection.line().map_err(refused)? {
+                control::agreed(answer).map_err(refused)?;
+                return Ok(HeldDrive {
+                    connection,
+                    renewed: Instant::now(),
+                    ended: None,
+                });
+            }
+            let is_released = self.terminal.is_released().unwrap_or(true);
+            if is_released || asked.elapsed() > ANSWER {
+                // The connection ends here, and with it the request.
+                return Err(Refused(if is_released {
+                    "the space bar was released".to_owned()
+                } else {
+                    "the daemon does not answer".to_owned()
+                }));
+            }
+            self.pump().map_err(|error| Refused(error.to_string()))?;
+        }
+    }
+
+    /// Writes new values to the file and prints what changes. Gives the change for taking it
+    /// back, or none if there is none.
+    fn write(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<Option<Edit>, EditError> {
+        let mut edit = Edit::read(&self.path)?;
+        for (key, value) in values {
+            edit.set(key, value)?;
+        }
+        let date = Timestamp::now().strftime("%Y-%m-%dT%H%M%SZ").to_string();
+        let Some(kept) = edit.write(&self.path, &date)? else {
+            return Ok(None);
+        };
+        let diff = edit.diff(&self.path.display().to_string());
+        self.terminal
+            .say(&format!("{diff}The old file is {}.", kept.display()));
+        let _ = self
+            .terminal
+            .tell(&json!({ "changed": diff, "kept": kept }));
+        Ok(Some(edit))
+    }
+
+    /// Has the daemon read its file again. What takes a restart is done by the operator.
+    fn reload(&mut self) -> Result<(), Refused> {
+        match control::ask(&command("reload"), &self.socket) {
+            Ok(_) => Ok(()),
+            Err(ControlError::Refused(reason)) if reason.contains("restart it") => self.restart(),
+            Err(error) => Err(Refused(error.to_string())),
+        }
+    }
+
+    /// Asks the operator to restart the daemon, until it is there again.
+    fn restart(&mut self) -> Result<(), Refused> {
+        let question = Question {
+            id: "restart-daemon",
+            text: "These values take a restart of the daemon: sudo systemctl restart \
+                   singletrackd. Press Enter when that is done."
+                .to_owned(),
+            answers: Answers::Begin,
+        };
+        let gone = |error: &dyn std::fmt::Display| Refused(error.to_string());
+        match self
+            .ask_of(&question, false)
+            .map_err(|error| gone(&error))?
+        {
+            Answer::Skip => return Err(Refused("the daemon was not restarted".to_owned())),
+            _ => self.terminal.say("Waiting for the daemon..."),
+        }
+        let asked = Instant::now();
+        loop {
+            match watch(&self.socket) {
+                Ok(watch) => {
+                    self.watch = watch;
+                    self.heard = Instant::now();
+                    self.is_linked = None;
+                    return Ok(());
+                }
+                Err(_) if asked.elapsed() < ANSWER => thread::sleep(WAIT),
+                Err(error) => return Err(gone(&error)),
+            }
+        }
+    }
+
+    /// Puts a question and waits for its answer; `watched` is whether the daemon must be there
+    /// meanwhile.
+    fn ask_of(&mut self, question: &Question, watched: bool) -> Result<Answer, Interrupted> {
+        let ended = |error: io::Error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => Interrupted::ByOperator,
+            _ => Interrupted::NotKept(error.to_string()),
+        };
+        self.terminal.put(question).map_err(ended)?;
+        loop {
+            if let Some(answer) = self.terminal.answer(question).map_err(ended)? {
+                return Ok(answer);
+            }
+            if watched {
+                // What is observed meanwhile is lost.
+                self.pump()?;
+            } else if self.interrupt.is_raised() {
+                return Err(Interrupted::ByOperator);
+            } else {
+                thread::sleep(WAIT);
+            }
+        }
+    }
+}
+
+impl Bench for LiveBench {
+    fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted> {
+        loop {
+            let Some(line) = self.pump()? else { continue };
+            let linked = observations::link_is_ready(&line);
+            if linked.is_some() && linked != self.is_linked {
+                // The first one is no change.
+                if self.is_linked.is_some() {
+                    observed.extend(linked.map(Observation::Link));
+                }
+                self.is_linked = linked;
+            }
+            let Some(observation) = observations::observation(&line) else {
+                continue;
+            };
+            let is_tick = matches!(observation, Observation::Tick(_));
+            observed.push(observation);
+            if is_tick {
+                return Ok(());
+            }
+        }
+    }
+
+    fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
+        self.ask_of(question, true)
+    }
+
+    fn show(&mut self, live: &Live<'_>) {
+        self.terminal.show(live);
+    }
+
+    fn plot(&mut self, plot: &Plot) {
+        let mut path = self.pictures.clone().into_os_string();
+        path.push(format!("-{}.svg", plot.name));
+        let path = PathBuf::from(path);
+        if let Err(error) = journal::write(&path, &picture::svg(plot)) {
+            self.terminal
+                .say(&format!("no figure {}: {error}", path.display()));
+        }
+    }
+
+    fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
+        self.drive = None;
+        if attendance == Attendance::Drive && !self.has_reference {
+            let line = json!({
+                "version": SOCKET_VERSION,
+                "command": "set-reference",
+                "reference": { "kind": "external", "setpoint_timeout_ms": 200 },
+            });
+            control::ask(&line, &self.socket).map_err(|error| Refused(error.to_string()))?;
+            self.has_reference = true;
+        }
+        self.terminal
+            .hold_key()
+            .map_err(|error| Refused(error.to_string()))?;
+        let armed = self.wait_for_key().and_then(|()| self.arm_held(attendance));
+        match armed {
+            Ok(drive) => {
+                self.drive = Some(drive);
+                Ok(())
+            }
+            Err(refused) => {
+                self.terminal.release_key();
+                Err(refused)
+            }
+        }
+    }
+
+    fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
+        self.command_drive(&json!({
+            "version": SOCKET_VERSION,
+            "command": "jog",
+            "servo_us": jog.servo_us,
+            "esc_us": jog.esc_us,
+        }))
+    }
+
+    fn drive(&mut self, velocity: Velocity, position: Option<Position>) -> Result<(), Refused> {
+        let mut line = json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "velocity_m_s": [velocity.x, velocity.y],
+        });
+        if let (Some(line), Some(position)) = (line.as_object_mut(), position) {
+            line.insert("position_m".to_owned(), json!([position.x, position.y]));
+        }
+        self.command_drive(&line)
+    }
+
+    fn disarm(&mut self) -> Result<(), Refused> {
+        self.terminal.release_key();
+        // The connection stays until its drive has ended: its end would be another stop.
+        match &mut self.drive {
+            Some(drive) => drive
+                .connection
+                .send(&command("disarm"))
+                .map_err(|error| Refused(error.to_string())),
+            None => control::ask(&command("disarm"), &self.socket)
+                .map(drop)
+                .map_err(|error| Refused(error.to_string())),
+        }
+    }
+
+    fn emergency_stop(&mut self) -> Result<(), Refused> {
+        self.terminal.release_key();
+        control::ask(&command("stop"), &self.socket)
+            .map(drop)
+            .map_err(|error| Refused(error.to_string()))
+    }
+
+    fn configuration(&self) -> &Config {
+        &self.config
+    }
+
+    fn change(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<(), Refused> {
+        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
+        let Some(edit) = self.write(values).map_err(|error| refused(&error))? else {
+            return Ok(());
+        };
+        if let Err(error) = self.reload() {
+            // The file says what is in force.
+            edit.take_back(&self.path)
+                .map_err(|error| refused(&error))?;
+            return Err(error);
+        }
+        self.config = Config::read(&self.path).map_err(|error| refused(&error))?;
+        self.has_reference = false;
+        Ok(())
+    }
+}
+
+impl Drop for LiveBench {
+    fn drop(&mut self) {
+        self.terminal.release_key();
+        self.drive = None;
+        if self.has_reference {
+            // The reference of the file is in force again.
+            let _ = control::ask(&command("reload"), &self.socket);
+        }
+    }
+}
+
+/// A connection that receives what the daemon records.
+fn watch(socket: &std::path::Path) -> Result<Connection, ControlError> {
+    let mut watch = Connection::open(socket)?;
+    watch.send(&json!({
+        "version": SOCKET_VERSION,
+        "command": "watch",
+        "topics": observations::TOPICS,
+    }))?;
+    let asked = Instant::now();
+    loop {
+        if let Some(answer) = watch.line()? {
+            control::agreed(answer)?;
+            return Ok(watch);
+        }
+        if asked.elapsed() > ANSWER {
+            return Err(io::Error::from(io::ErrorKind::TimedOut).into());
+        }
+        let mut polled = [PollFd::new(&watch, PollFlags::IN)];
+        let _ = poll(&mut polled, Some(&timespec(WAIT)));
+    }
+}
+
+fn command(name: &str) -> Value {
+    json!({ "version": SOCKET_VERSION, "command": name })
+}
+
+fn timespec(duration: Duration) -> Timespec {
+    Timespec {
+        tv_sec: duration.as_secs() as _,
+        tv_nsec: duration.subsec_nanos() as _,
+    }
+}

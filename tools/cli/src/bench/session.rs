@@ -1,0 +1,224 @@
+//! A procedure at the terminal: steps, findings, page.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use jiff::Timestamp;
+use serde_json::json;
+use singletrack_commissioning::{
+    self as commissioning, Finding, Interrupted, Journal, Step, Verdict, report,
+};
+use singletrack_core::configuration_hash;
+
+use super::{
+    BenchArgs, BenchError, LiveBench,
+    journal::{self, FileJournal},
+};
+
+/// A procedure.
+#[derive(Clone, Copy)]
+pub struct Procedure {
+    /// Its name, such as `doctor`.
+    pub name: &'static str,
+    /// What it does, in one sentence.
+    pub about: &'static str,
+    /// Its steps.
+    pub steps: &'static [Step],
+    /// What to do after it.
+    pub next: &'static str,
+}
+
+/// The exit status of a procedure with a step that failed.
+const FAILED: u8 = 3;
+
+/// Runs a procedure to its end and writes its page. The status is 0 if no step failed, otherwise
+/// 3.
+///
+/// # Errors
+///
+/// It was interrupted, or files can't be read or written.
+pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchError> {
+    let mut bench = LiveBench::open(args)?;
+    let folder = args.state.clone().unwrap_or_else(|| beside(&args.config));
+    fs::create_dir_all(&folder)?;
+    bench.pictures = folder.join(procedure.name);
+    let mut journal = SessionJournal {
+        file: FileJournal::open(
+            &folder.join(format!("{}.json", procedure.name)),
+            bench.config.board.car_id,
+            procedure.steps,
+            &bench.before,
+            Timestamp::now(),
+        ),
+        terminal: Report { json: args.json },
+    };
+    if args.again {
+        journal.file.close()?;
+        journal.file = FileJournal::open(
+            &folder.join(format!("{}.json", procedure.name)),
+            bench.config.board.car_id,
+            procedure.steps,
+            &bench.before,
+            Timestamp::now(),
+        );
+    }
+    let is_resumed = procedure
+        .steps
+        .iter()
+        .any(|step| journal.file.found(step.name).is_some());
+    bench.report(procedure.name, if is_resumed { "resumed" } else { "begun" })?;
+    bench.terminal.say(procedure.about);
+    for step in procedure.steps {
+        if let Some(finding) = journal.file.found(step.name) {
+            bench
+                .terminal
+                .say(&format!("{}: found before: {}", step.name, finding.found));
+        }
+    }
+    let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)?;
+    let page = write_page(procedure, &bench, &folder, &findings)?;
+    journal.file.close()?;
+    bench.terminal.say(&format!(
+        "\n{}\nThe page is {}.",
+        report::summary(&findings),
+        page.display()
+    ));
+    let failed = findings
+        .iter()
+        .any(|finding| finding.verdict == Verdict::Failed);
+    bench.report(procedure.name, if failed { "failed" } else { "passed" })?;
+    if !failed {
+        bench.terminal.say(procedure.next);
+    }
+    bench.terminal.tell(&json!({
+        "procedure": procedure.name,
+        "failed": failed,
+        "page": page,
+    }))?;
+    Ok(if failed {
+        ExitCode::from(FAILED)
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+/// The folder for a configuration.
+fn beside(config: &Path) -> PathBuf {
+    let mut name = config.as_os_str().to_owned();
+    name.push(".commissioning");
+    PathBuf::from(name)
+}
+
+fn write_page(
+    procedure: &Procedure,
+    bench: &LiveBench,
+    folder: &Path,
+    findings: &[Finding],
+) -> Result<PathBuf, BenchError> {
+    let now = Timestamp::now();
+    let name = format!("{}-{}", procedure.name, now.strftime("%Y-%m-%dT%H%M%SZ"));
+    let date = now.strftime("%Y-%m-%d %H:%M UTC").to_string();
+    let configuration = configuration_hash(&bench.config).map_err(io::Error::other)?;
+    let figures = dated_pictures(procedure.name, folder, &name)?;
+    let about = report::About {
+        procedure: procedure.name,
+        date: &date,
+        car_id: bench.config.board.car_id,
+        configuration,
+        figures: &figures,
+        diff: &bench.diff()?,
+    };
+    let path = folder.join(format!("{name}.md"));
+    journal::write(&path, &report::page(&about, findings))?;
+    let json = json!({
+        "procedure": procedure.name,
+        "time": now.to_string(),
+        "car_id": about.car_id,
+        "configuration": format!("{configuration:016x}"),
+        "findings": findings.iter().map(report::to_json).collect::<Vec<_>>(),
+    });
+    journal::write(&folder.join(format!("{name}.json")), &json.to_string())?;
+    Ok(path)
+}
+
+/// Gives the pictures of this procedure, which an earlier start may have drawn, the date of the
+/// page. Returns their files and titles.
+fn dated_pictures(
+    procedure: &str,
+    folder: &Path,
+    dated: &str,
+) -> Result<Vec<(String, String)>, BenchError> {
+    let mut pictures = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let file = entry?.file_name();
+        let Some(name) = file
+            .to_str()
+            .and_then(|file| file.strip_prefix(procedure)?.strip_prefix('-'))
+            .and_then(|rest| rest.strip_suffix(".svg"))
+            // Those of earlier pages begin with a date.
+            .filter(|name| !name.starts_with(|first: char| first.is_ascii_digit()))
+        else {
+            continue;
+        };
+        let new = format!("{dated}-{name}.svg");
+        fs::rename(folder.join(&file), folder.join(&new))?;
+        pictures.push((new, name.to_owned()));
+    }
+    pictures.sort();
+    Ok(pictures)
+}
+
+/// Prints what is begun and found, and keeps it.
+struct SessionJournal {
+    file: FileJournal,
+    terminal: Report,
+}
+
+/// What the journal prints, while the bench has the terminal.
+struct Report {
+    json: bool,
+}
+
+impl Journal for SessionJournal {
+    fn found(&self, step: &str) -> Option<Finding> {
+        self.file.found(step)
+    }
+
+    fn keep(&mut self, finding: &Finding) -> Result<(), Interrupted> {
+        self.terminal.finding(finding);
+        self.file
+            .keep(finding, Timestamp::now())
+            .map_err(|error| Interrupted::NotKept(error.to_string()))
+    }
+
+    fn begin(&mut self, step: &Step, number: usize, of: usize) {
+        eprintln!("\n[{number}/{of}] {}", step.title);
+        if self.terminal.json {
+            println!(
+                "{}",
+                json!({ "step": step.name, "number": number, "of": of })
+            );
+        }
+    }
+}
+
+impl Report {
+    fn finding(&self, finding: &Finding) {
+        eprintln!("{}: {}", finding.verdict.name(), finding.found);
+        if matches!(finding.verdict, Verdict::Failed | Verdict::Warning) {
+            eprintln!("  should be: {}", finding.expected);
+            if !finding.fix.is_empty() {
+                eprintln!("  to do: {}", finding.fix);
+            }
+        }
+        for parameter in &finding.parameters {
+            eprintln!("  {}", report::line(parameter));
+        }
+        if self.json {
+            println!("{}", report::to_json(finding));
+        }
+    }
+}
