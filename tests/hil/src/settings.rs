@@ -7,10 +7,10 @@ use std::{
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind, FenceSection, LawKind,
-    LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection, RecordSection,
-    ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
-    WatchSection,
+    ActuatorsSection, BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind,
+    FenceSection, LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection,
+    OuterLoopSection, RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection,
+    SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -52,6 +52,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         },
         watch: WatchSection::default(),
         fence: FenceSection::square(FENCE_WIDTH_M, BRAKING_M_S2),
+        actuators: ActuatorsSection::default(),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())

@@ -30,6 +30,42 @@ impl Journal for Nothing {
 fn brought_up(seed: u64) -> OnboardCar {
     let mut car = OnboardCar::planted(seed, None);
     let mut random = Random::new(seed ^ 0xca11);
+    let flags = std::env::var("FLAGS").unwrap_or_default();
+    if flags.contains("play") {
+        car.simulation.car.servo.backlash_us = 0.0;
+    }
+    if flags.contains("vib") {
+        car.simulation.car.imu.vibration_rad_s = 0.0;
+        car.simulation.car.imu.gyro_noise_rad_s = 0.0001;
+    }
+    if flags.contains("cam") {
+        car.simulation.cameras.position_noise_m = 0.00001;
+        car.simulation.cameras.orientation_noise_rad = 0.00001;
+    }
+    if flags.contains("rate") {
+        car.simulation.car.servo.max_rate_rad_s = 100.0;
+    }
+    if flags.contains("tyre") {
+        let v = &mut car.simulation.car.vehicle;
+        v.front_cornering_stiffness_n_rad *= 4.0;
+        v.rear_cornering_stiffness_n_rad *= 4.0;
+    }
+    if flags.contains("acc") {
+        car.simulation.car.motor.max_acceleration_m_s2 = 100.0;
+    }
+    if flags.contains("sat") {
+        car.simulation.car.motor.saturation_us = 1e7;
+    }
+    if flags.contains("coast") {
+        car.simulation.car.motor.coasting_m_s2 = 20.0;
+    }
+    if flags.contains("pulse") {
+        car.simulation.car.motor_sensor.pulse_distance_um = 1000.0;
+    }
+    if flags.contains("dead") {
+        car.simulation.car.motor.dead_time_us = 0;
+        car.simulation.car.servo.dead_time_us = 0;
+    }
     let truth = car.simulation.clone();
     let t = &truth.car;
     let mut set = |section: &str, key: &str, value: Value| {
@@ -128,7 +164,20 @@ fn main() {
         let findings = run(&calibrate::STEPS, &mut bench, &mut Nothing).unwrap();
         let [forward, left] = truth.cameras.car.pivot();
         let m = &truth.car.motor;
-        let pulse = |speed: f64| speed / (m.gain_m_s_per_us - speed / m.saturation_us);
+        let measured = car.configuration().unwrap().vehicle.wheelbase_m();
+        if count == 1 {
+            println!(
+                "wheelbase {:+.2} %, {:?}",
+                100.0 * (measured / truth.car.vehicle.wheelbase_m() - 1.0),
+                truth.car.servo
+            );
+        }
+        let battery = &truth.car.battery;
+        let voltage = bench.drive_of_host().world().truth().battery_v / battery.nominal_v;
+        let pulse = |speed: f64| {
+            let speed = speed / voltage;
+            speed / (m.gain_m_s_per_us - speed / m.saturation_us)
+        };
         for finding in &findings {
             if finding.verdict != Verdict::Good || count == 1 {
                 println!(
@@ -171,9 +220,6 @@ fn main() {
                 entry.3 += error * error;
                 entry.4 += e.half_width();
             }
-        }
-        if !bench.violations().is_empty() {
-            println!("{seed}: {:?}", bench.violations());
         }
     }
     for (name, (good, all, sum, squares, half)) in held {

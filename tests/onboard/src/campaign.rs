@@ -1,6 +1,9 @@
 //! Cars through the three procedures, one after the other.
 
-use core::fmt::{self, Write as _};
+use core::{
+    f64::consts::TAU,
+    fmt::{self, Write as _},
+};
 use std::{
     collections::BTreeMap,
     fs,
@@ -12,7 +15,11 @@ use std::{
     thread,
 };
 
-use singletrack_commissioning::{Finding, Interrupted, Interval, Journal, Step, Verdict, run};
+use singletrack_commissioning::{
+    Bench as _, Finding, Interrupted, Interval, Journal, Step, Verdict, bring_up, calibrate,
+    doctor, run,
+};
+use singletrack_core::Config;
 use singletrack_sim::BoardKind;
 
 use crate::{
@@ -37,7 +44,7 @@ fn procedures() -> Vec<Procedure> {
     };
     vec![
         procedure("doctor", &doctor::STEPS),
-        procedure("bring-up", &bring_up::steps::<8>()),
+        procedure("bring-up", bring_up::steps()),
         procedure("calibrate", &calibrate::STEPS),
     ]
 }
@@ -138,15 +145,22 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
             let world = bench.drive_of_host().world();
             for finding in findings {
                 for parameter in &finding.parameters {
-                    let m = Measured {
+                    let mut m = Measured {
                         name: parameter.name,
                         unit: parameter.unit,
                         truth: match parameter.name {
                             "braking" => bench.guard().weakest_braking(),
-                            name => truth_of(name, procedure.name, world, bench.configuration()),
+                            "gyro-bias" => Some(bench.guard().gyro_bias(bench.configuration())),
+                            name => truth_of(name, procedure.name, world),
                         },
                         estimate: parameter.estimate,
                     };
+                    if parameter.name == "body-yaw"
+                        && let Some(truth) = &mut m.truth
+                    {
+                        // The same angle, on the side of the estimate.
+                        *truth = m.estimate.value + libm::remainder(*truth - m.estimate.value, TAU);
+                    }
                     measured.insert(parameter.name, m);
                 }
                 let is_failed = finding.verdict == Verdict::Failed;
@@ -155,6 +169,10 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
                     outcome.found = before_m < FOUND_WITHIN_M && world.truth().way < FOUND_WITHIN_M;
                 }
                 outcome.findings.push((procedure.name, finding));
+            }
+            let way_m = bench.drive_of_host().world().truth().way;
+            if is_corrected(car, bench.configuration()) && way_m < FOUND_WITHIN_M {
+                outcome.found = true;
             }
             if failed && step.essential {
                 bench.end_procedure();
@@ -183,6 +201,22 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
         ];
     }
     Ok(())
+}
+
+/// Whether a procedure has put right what was planted in the configuration of this car.
+fn is_corrected(car: &OnboardCar, config: &Config) -> bool {
+    match car.fault {
+        Some(PlantedFault::ImuUpsideDown) => {
+            let up = config.board_configuration().imu_axes.up;
+            up.index() == 2 && up.is_negative()
+        }
+        Some(PlantedFault::WrongSign) => {
+            let truly = car.simulation.car.servo.gain_us_per_rad;
+            f64::from(config.board.servo.gain_us_per_rad) * truly > 0.0
+        }
+        Some(PlantedFault::SwappedWires | PlantedFault::WrongBody | PlantedFault::DeadKill)
+        | None => false,
+    }
 }
 
 impl CarOutcome {

@@ -32,6 +32,8 @@ pub struct Guard {
     was_driving: bool,
     /// True decelerations of the stops in this step: speed in m/s, deceleration in m/s².
     stops: Vec<[f64; 2]>,
+    /// Sum and number of the biases of the gyro in this step, along its own axes, in rad/s.
+    bias: ([f64; 3], u32),
     /// Kinds of violations that last.
     lasting: [bool; 4],
 }
@@ -57,6 +59,7 @@ impl Guard {
             stop: None,
             was_driving: false,
             stops: Vec::new(),
+            bias: ([0.0; 3], 0),
             lasting: [false; 4],
         };
         guard.configure(config);
@@ -112,6 +115,10 @@ impl Guard {
         let fast = free && truth.speed.abs() > most;
         self.note(2, fast, now_s, || format!("{:.2} m/s", truth.speed));
 
+        for (sum, bias) in self.bias.0.iter_mut().zip(world.gyro_bias_rad_s()) {
+            *sum += bias;
+        }
+        self.bias.1 += 1;
         self.time_stop(now_s, truth, tick.output.mode);
 
         let jogs = free && mode == Some(BoardMode::Jogging);
@@ -127,6 +134,16 @@ impl Guard {
     /// Forgets the stops of the step before.
     pub(crate) fn begin_step(&mut self) {
         self.stops.clear();
+        self.bias = ([0.0; 3], 0);
+    }
+
+    /// The mean bias of the gyro in this step about the axis that is configured to point up, in
+    /// rad/s: it wanders.
+    pub(crate) fn gyro_bias(&self, config: &Config) -> f64 {
+        let up = config.board_configuration().imu_axes.up;
+        let (sum, count) = self.bias;
+        let bias = sum[usize::from(up.index())] / f64::from(count.max(1));
+        if up.is_negative() { -bias } else { bias }
     }
 
     /// Measures what a stop truly decelerates with, from when the motor has reacted.

@@ -1,12 +1,11 @@
 //! What is true of the parameters that the procedures measure.
 
-use singletrack_core::config::Config;
 use singletrack_sim::World;
 
 /// The true value of a parameter, in the unit of the procedures; none if there is no such
 /// parameter.
 #[must_use]
-pub fn truth_of(name: &str, procedure: &str, world: &World, config: &Config) -> Option<f64> {
+pub fn truth_of(name: &str, procedure: &str, world: &World) -> Option<f64> {
     let simulation = world.config();
     let car = &simulation.car;
     let cameras = &simulation.cameras;
@@ -22,7 +21,6 @@ pub fn truth_of(name: &str, procedure: &str, world: &World, config: &Config) -> 
         "body-forward" => cameras.car.pivot()[0],
         "body-left" => cameras.car.pivot()[1],
         "camera-latency" => cameras.stamp_bias_ms,
-        "gyro-bias" => gyro_bias_up(world, config),
         "gyro-noise" => {
             // With the step of the protocol, 1 mrad/s.
             libm::hypot(car.imu.gyro_noise_rad_s, 1e-3 / libm::sqrt(12.0))
@@ -48,11 +46,4 @@ pub fn truth_of(name: &str, procedure: &str, world: &World, config: &Config) -> 
         }
         _ => return None,
     })
-}
-
-/// The bias of the angular velocity about the axis that is configured to point up, in rad/s.
-fn gyro_bias_up(world: &World, config: &Config) -> f64 {
-    let up = config.board_configuration().imu_axes.up;
-    let bias = world.gyro_bias_rad_s()[usize::from(up.index())];
-    if up.is_negative() { -bias } else { bias }
 }

@@ -10,18 +10,19 @@ use crate::{
 const PASSES: usize = 5;
 /// The way before the first pass that is not used, m: the car finds its way.
 const LEAD: f64 = 0.9;
-/// The weave: its period, s, and the speed across the course, m/s.
-const PERIOD: f64 = 1.4;
-const ACROSS: f64 = 0.12;
+/// The weave: its period, s, and the speed across the course, m/s. It is strong and weak in
+/// turn: play delays a slow movement for longer, and so differs from dead time.
+const PERIOD: f64 = 0.8;
+const ACROSS: [f64; 2] = [0.2, 0.05];
+/// The periods of each.
+const IN_TURN: f64 = 3.0;
 
-/// A servo frame takes over what the telemetry tells by half of its period later, on average.
-pub(super) const FRAME_WAIT: f64 = 0.010;
-
-/// What all passes have in common, within which 95 of 100 cars are. The time stamps of gyro,
-/// telemetry and pulses against each other, s:
-const STAMPS: f64 = 0.003;
+/// What all passes have in common, within which 95 of 100 cars are. Pulses change in steps of
+/// 20 ms, at an unknown time between two records of telemetry; the tyres delay the car by about
+/// 5 ms more, which is known to a half; s, of the time constant and of the dead time:
+const IN_STEPS: [f64; 2] = [0.009, 0.008];
 /// the axles, which are measured with a ruler, m;
-const RULER: f64 = 0.0013;
+const RULER: f64 = 0.002;
 /// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
@@ -34,6 +35,7 @@ pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 }
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+    floor::place(bench)?;
     floor::limit_speed(bench, SLOW)?;
     let stands = floor::ready(bench)?;
     let figure = Figure::find(bench, &stands)?;
@@ -44,10 +46,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         figure.at(SLOW * time, SLOW).aside(offset, rate)
     })?
     .completed()?;
-    let begin = drive.on_track(lead / SLOW);
-    let pass = 2.0 * figure.lap() / SLOW;
     let bounds: Vec<f64> = (0..=PASSES)
-        .map(|index| begin + pass * index as f64)
+        .map(|pass| drive.on_track((lead + 2.0 * pass as f64 * figure.lap()) / SLOW))
         .collect();
     identified(bench, &drive.track, &bounds)
 }
@@ -55,18 +55,23 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
 /// A triangle: the offset to the left, m, and its rate, m/s.
 fn weave(time: f64) -> [f64; 2] {
     let phase = (time / PERIOD).rem_euclid(1.0);
-    let amplitude = ACROSS * PERIOD / 4.0;
-    if phase < 0.5 {
-        [amplitude * (4.0 * phase - 1.0), ACROSS]
+    let is_strong = (time / (IN_TURN * PERIOD)).rem_euclid(2.0) < 1.0;
+    let across = ACROSS[usize::from(!is_strong)];
+    // It begins and ends in the middle.
+    let amplitude = across * PERIOD / 4.0;
+    if phase < 0.25 {
+        [amplitude * 4.0 * phase, across]
+    } else if phase < 0.75 {
+        [amplitude * (2.0 - 4.0 * phase), -across]
     } else {
-        [amplitude * (3.0 - 4.0 * phase), -ACROSS]
+        [amplitude * (4.0 * phase - 4.0), across]
     }
 }
 
 /// The motion between two times.
 fn between(motion: &Motion, begin: f64, end: f64) -> Motion {
     let first = motion.time.partition_point(|time| *time < begin);
-    let last = motion.time.partition_point(|time| *time < end);
+    let last = motion.time.partition_point(|time| *time < end).max(first);
     Motion {
         time: motion.time[first..last].to_vec(),
         position: motion.position[first..last].to_vec(),
@@ -81,6 +86,7 @@ struct Believed {
     offset: [f64; 2],
     rear_axle: f64,
     rear_slip: f64,
+    wheelbase: f64,
     turning: Turning,
     servo: [f64; 2],
 }
@@ -91,20 +97,18 @@ impl Believed {
         let v = &config.vehicle;
         let length = v.wheelbase_m();
         let (front, rear) = (v.front_axle_distance_m, v.rear_axle_distance_m);
-        let (c_f, c_r) = (
-            v.front_cornering_stiffness_n_rad,
-            v.rear_cornering_stiffness_n_rad,
-        );
+        let c_f = v.front_cornering_stiffness_n_rad;
+        let c_r = v.rear_cornering_stiffness_n_rad;
         Self {
             body_yaw: config.motion_capture.marker_yaw_rad,
             offset: config.motion_capture.marker_offset_m,
             rear_axle: rear,
             rear_slip: v.mass_kg * front / (length * c_r),
+            wheelbase: length,
             turning: Turning {
-                wheelbase: length,
-                understeer: v.mass_kg / length * (rear / c_f - front / c_r),
-                // The yaw rate of a car at this speed follows its wheels like this.
-                yaw_lag: v.yaw_inertia_kg_m2 * SLOW / (c_f * front * front + c_r * rear * rear),
+                inertia: [v.mass_kg, v.yaw_inertia_kg_m2],
+                axles: [front, rear],
+                stiffness: [c_f, c_r],
             },
             servo: [
                 config.board.servo.centre_us.into(),
@@ -145,7 +149,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     };
     let speed = SLOW;
     let slip = STIFFNESS * believed.rear_slip * speed * speed;
-    let of_length = RULER / believed.turning.wheelbase;
+    let of_length = RULER / believed.wheelbase;
     let gain = interval(&|(_, steering)| steering.gain_us_per_rad, 0.0)?;
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
     let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
@@ -153,11 +157,8 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let ahead = interval(&|(body, _)| body.ahead, slip.hypot(0.001))?;
     let ahead = ahead.shifted(-believed.rear_axle);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
-    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * STAMPS)?;
-    let dead = interval(
-        &|(_, steering)| 1e3 * (steering.delay - FRAME_WAIT),
-        1e3 * STAMPS,
-    )?;
+    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * IN_STEPS[0])?;
+    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * IN_STEPS[1])?;
     let excess = [0, 1].map(|side| {
         let sum: f64 = passes
             .iter()
@@ -270,7 +271,9 @@ fn pass(
     believed: &Believed,
 ) -> Option<(Body, Wheels)> {
     let body = fit::body(motion, way, believed.body_yaw, believed.rear_slip)?;
-    let speed = motion.rear_speed(body.yaw, body.left, 5);
+    // Once more about the yaw that was found: the fit is linear in its error.
+    let body = fit::body(motion, way, body.yaw, believed.rear_slip)?;
+    let speed = motion.rear_speed(body.yaw, body.left, 2);
     let steering = fit::wheels(motion, pulses, &speed, &believed.turning, believed.servo)?;
     Some((body, steering))
 }

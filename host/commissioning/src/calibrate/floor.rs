@@ -1,7 +1,9 @@
 //! Drives on the floor: where there is room, and what a drive shows.
 
 use singletrack_control::{Position, Velocity};
+use singletrack_core::Config;
 use singletrack_pilot::{Fence, Mode};
+use singletrack_protocol::BoardMode;
 
 use crate::{
     Answer, Answers, Attendance, Bench, Finding, Interrupted, Live, Observation, Question,
@@ -18,7 +20,19 @@ const SPARE: f64 = 0.05;
 const ROOM: f64 = 0.15;
 
 /// How far P may be from where it should be before a drive is given up, m.
-const ASTRAY: f64 = 0.6;
+const ASTRAY: f64 = 2.5;
+
+/// The way waits for a car that is behind it: not at all up to the first distance of P, and
+/// fully from the second one on, m.
+const WAITS: [f64; 2] = [0.15, 0.4];
+
+/// The gain of the position loop around P, per second. The one of the configuration may be
+/// anything.
+const GAIN: f64 = 1.0;
+
+/// How long a car must have been ready before it is armed, in ticks: the board wants neutral for
+/// a while.
+const RESTS: usize = 100;
 
 /// How long a car may take to be ready, in ticks.
 const READY_TICKS: usize = 1_500;
@@ -49,10 +63,13 @@ impl From<Interrupted> for Ends {
 pub(super) struct Drive {
     pub(super) track: Track,
     pub(super) ticks: Vec<TickReading>,
-    /// When the drive began, in ns.
-    pub(super) begun_ns: u64,
+    /// When the drive was how far, in ns and s.
+    progress: Vec<(u64, f64)>,
+    board_is_armed: bool,
     /// When its last frame with a pose arrived, in ns.
     pub(super) last_pose_ns: u64,
+    /// When the stop was asked for, in ns.
+    pub(super) stopped_ns: u64,
     /// The deceleration of the stop, m/s².
     pub(super) braking: Option<f64>,
     /// Why it ended, if by itself.
@@ -119,17 +136,19 @@ pub(super) fn round(value: f64, digits: i32) -> f64 {
 pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Ends> {
     let mut observed = Vec::new();
     let mut reason = None;
+    let mut rested = 0;
     for _ in 0..READY_TICKS {
         observed.clear();
         bench.wait(&mut observed)?;
         for observation in &observed {
             if let Observation::Tick(tick) = observation {
                 reason = tick.preflight.or(tick.reason);
-                let stands = tick.preflight.is_none_or(|reason| {
-                    // The set-points begin with the request to arm.
-                    reason == singletrack_pilot::Reason::SetpointStale
-                });
-                if tick.mode == Mode::Ready && tick.pose.is_some() && stands {
+                // The set-points begin with the request to arm.
+                let lacks_setpoints = tick.mode == Mode::Idle
+                    && tick.preflight == Some(singletrack_pilot::Reason::SetpointStale);
+                let is_ready = tick.mode == Mode::Ready || lacks_setpoints;
+                rested = if is_ready { rested + 1 } else { 0 };
+                if tick.pose.is_some() && rested > RESTS {
                     return Ok(*tick);
                 }
             }
@@ -167,6 +186,8 @@ pub(super) struct Figure {
     start: [f64; 2],
     tangent: [f64; 2],
     heading: f64,
+    /// 1 if the circle to the left comes first, -1 if the one to the right does.
+    first: f64,
     pub(super) radius: f64,
 }
 
@@ -184,11 +205,7 @@ impl Figure {
         let (Some(point), Some((_, yaw))) = (stands.point, stands.pose) else {
             return Err(no_room());
         };
-        let steering = 0.6 * config.limits.max_steering_rad.min(0.5);
-        let length = config.vehicle.wheelbase_m();
-        let p = config.law.point_distance_m;
-        let radius =
-            (length + p * steering.cos()).hypot(length / steering.tan() - p * steering.sin());
+        let radius = radius(config);
         let start = [point.x, point.y];
         let corners = fence.corners();
         let count = corners.len() as f64;
@@ -206,13 +223,14 @@ impl Figure {
                     start,
                     tangent,
                     heading: course + turned,
+                    first: 1.0,
                     radius,
                 };
                 // A way to drive there, and a turn at both of its ends, are to be avoided.
                 let off = angle(course - yaw).abs();
                 let cost = way + turned.abs() + off;
                 let is_better = best.as_ref().is_none_or(|(least, _)| cost < *least);
-                if is_better && figure.fits(&fence) {
+                if is_better && figure.fits(&fence, 2.0, ROOM) {
                     best = Some((cost, figure));
                 }
             }
@@ -220,11 +238,34 @@ impl Figure {
         best.map(|(_, figure)| figure).ok_or_else(no_room)
     }
 
-    fn fits(&self, fence: &Fence) -> bool {
+    /// A circle from where the car stands, along its heading, with room beyond it for a stop
+    /// from `speed` m/s; none if there is no room for one.
+    pub(super) fn circle(bench: &dyn Bench, stands: &TickReading, speed: f64) -> Option<Self> {
+        let config = bench.configuration();
+        let fence = config.fence.fence(&config.vehicle).ok()?;
+        let (point, (_, yaw)) = (stands.point?, stands.pose?);
+        let start = [point.x, point.y];
+        // A stop holds the steering: it needs less.
+        let room = ROOM + 0.5 * speed * speed / (2.0 * config.fence.braking_m_s2);
+        let circle = |first| Self {
+            start,
+            tangent: start,
+            heading: yaw,
+            first,
+            radius: radius(config),
+        };
+        [1.0, -1.0]
+            .map(circle)
+            .into_iter()
+            .find(|circle| circle.fits(&fence, 1.0, room))
+    }
+
+    /// Whether there is room for so many laps, with this distance to the geofence, m.
+    fn fits(&self, fence: &Fence, laps: f64, room: f64) -> bool {
         (0..48).all(|index| {
-            let way = f64::from(index) / 48.0 * 2.0 * self.lap();
+            let way = f64::from(index) / 48.0 * laps * self.lap();
             let [x, y] = self.at(self.approach() + way, 0.0).position;
-            fence.clearance(&Position::new(x, y)) > ROOM
+            fence.clearance(&Position::new(x, y)) > room
         })
     }
 
@@ -251,11 +292,8 @@ impl Figure {
             };
         }
         let laps = (way - approach) / self.lap();
-        let side = if laps.rem_euclid(2.0) < 1.0 {
-            1.0
-        } else {
-            -1.0
-        };
+        let is_first = laps.rem_euclid(2.0) < 1.0;
+        let side = if is_first { self.first } else { -self.first };
         let phase = laps.rem_euclid(1.0) * core::f64::consts::TAU;
         let course = self.heading + side * phase;
         // From where the circles touch to the centre, and from there outward.
@@ -269,6 +307,14 @@ impl Figure {
             velocity: [speed * course.cos(), speed * course.sin()],
         }
     }
+}
+
+/// The radius of circles of P that the car can steer, with something to spare, m.
+fn radius(config: &Config) -> f64 {
+    let steering = 0.7 * config.limits.max_steering_rad.min(0.5);
+    let length = config.vehicle.wheelbase_m();
+    let p = config.law.point_distance_m;
+    (length + p * steering.cos()).hypot(length / steering.tan() - p * steering.sin())
 }
 
 impl Wanted {
@@ -297,11 +343,7 @@ pub(super) fn drive(
     text: &str,
     wanted: &dyn Fn(f64) -> Wanted,
 ) -> Result<Drive, Ends> {
-    let send = |bench: &mut dyn Bench, wanted: Wanted| {
-        let [vx, vy] = wanted.velocity;
-        let [x, y] = wanted.position;
-        bench.drive(Velocity::new(vx, vy), Some(Position::new(x, y)))
-    };
+    let mut point: Option<Position> = None;
     let refused = |reason: String| {
         Ends::Failed(
             format!("the car can't be armed: {reason}"),
@@ -314,15 +356,24 @@ pub(super) fn drive(
     let mut drive = Drive::default();
     let mut observed = Vec::new();
     let mut is_over = false;
-    let mut now = 0.0;
+    let mut last_ns = None;
+    let (mut now, mut pace) = (0.0, 1.0);
     while !is_over && now < seconds {
-        let mut next = wanted(now);
-        if drive.begun_ns == 0 {
+        let next = wanted(now);
+        let velocity = match (point, last_ns) {
+            (Some(point), Some(_)) => {
+                let [x, y] = next.position;
+                let [vx, vy] = next.velocity;
+                // What waits does not move.
+                Velocity::new(
+                    pace * vx + GAIN * (x - point.x),
+                    pace * vy + GAIN * (y - point.y),
+                )
+            }
             // The board arms.
-            next.velocity = [0.0; 2];
-        }
-        if let Err(error) = send(bench, next) {
-            drive.reason = Some("refused");
+            _ => Velocity::zeros(),
+        };
+        if let Err(error) = bench.drive(velocity, None) {
             let _ = bench.disarm();
             return Err(refused(error.to_string()));
         }
@@ -330,27 +381,28 @@ pub(super) fn drive(
         bench.wait(&mut observed)?;
         for observation in &observed {
             drive.take(observation);
-            if let Observation::Tick(tick) = observation {
-                if drive.begun_ns == 0 {
-                    if tick.mode == Mode::Arming {
-                        continue;
-                    }
-                    drive.begun_ns = tick.time.0;
-                }
-                now = tick.time.0.saturating_sub(drive.begun_ns) as f64 * 1e-9;
-                if tick.mode != Mode::Driving {
-                    drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
-                    is_over |= tick.mode != Mode::Slowing;
-                }
-                let [x, y] = next.position;
-                if tick
-                    .point
-                    .is_some_and(|p| (p.x - x).hypot(p.y - y) > ASTRAY)
-                {
-                    drive.reason = Some("astray");
-                    is_over = true;
-                }
+            let Observation::Tick(tick) = observation else {
+                continue;
+            };
+            point = tick.point;
+            if tick.mode == Mode::Arming {
+                continue;
             }
+            if tick.mode != Mode::Driving {
+                drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
+                is_over |= tick.mode != Mode::Slowing;
+            }
+            let [x, y] = next.position;
+            let behind = tick.point.map_or(0.0, |p| (p.x - x).hypot(p.y - y));
+            if behind > ASTRAY {
+                drive.reason = Some("astray");
+                is_over = true;
+            }
+            let elapsed = tick.time.0.saturating_sub(last_ns.unwrap_or(tick.time.0));
+            pace = 1.0 - ((behind - WAITS[0]) / (WAITS[1] - WAITS[0])).clamp(0.0, 1.0);
+            now += pace * elapsed as f64 * 1e-9;
+            last_ns = Some(tick.time.0);
+            drive.progress.push((tick.time.0, now));
         }
         let live = Live {
             text,
@@ -358,6 +410,7 @@ pub(super) fn drive(
         };
         bench.show(&live);
     }
+    drive.stopped_ns = drive.ticks.last().map_or(0, |tick| tick.time.0);
     let _ = bench.disarm();
     // Until it stands and can be armed again.
     for _ in 0..600 {
@@ -367,10 +420,11 @@ pub(super) fn drive(
             drive.take(observation);
         }
         let last = drive.ticks.last().map(|tick| tick.mode);
-        if matches!(
+        let stands = matches!(
             last,
             Some(Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault)
-        ) {
+        );
+        if stands && !drive.board_is_armed {
             break;
         }
     }
@@ -381,6 +435,12 @@ impl Drive {
     fn take(&mut self, observation: &Observation) {
         self.track.push(observation);
         match observation {
+            Observation::Board(board) => {
+                self.board_is_armed = matches!(
+                    board.mode,
+                    BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
+                );
+            }
             Observation::Tick(tick) => {
                 self.braking = tick.braking_measured.or(self.braking);
                 self.ticks.push(*tick);
@@ -390,9 +450,11 @@ impl Drive {
         }
     }
 
-    /// When a time in s of the drive is on the axis of its track.
-    pub(super) fn on_track(&mut self, time: f64) -> f64 {
-        self.track.seconds(self.begun_ns) + time
+    /// When the drive was so far, in s of its track.
+    pub(super) fn on_track(&mut self, far: f64) -> f64 {
+        let index = self.progress.partition_point(|(_, now)| *now < far);
+        let at = self.progress.get(index).or(self.progress.last());
+        self.track.seconds(at.map_or(0, |(time_ns, _)| *time_ns))
     }
 
     /// Refuses a drive that ended by itself.
@@ -422,6 +484,7 @@ mod tests {
             start: [-1.0, 0.5],
             tangent: [0.2, 0.1],
             heading: 0.7,
+            first: 1.0,
             radius: 0.9,
         };
         let length = figure.approach() + 4.0 * figure.lap();

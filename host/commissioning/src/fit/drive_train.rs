@@ -19,15 +19,18 @@ pub struct DriveTrain {
 const STEP: f64 = 0.002;
 
 /// Fits the way of the rear axle (times in s, ways in m) through a change to a higher speed.
-/// `about` is the pulse per speed and that at zero speed where the search begins. None if it is
-/// not determined.
+/// `about` is the pulse per speed and that at zero speed where the search begins. A motor that
+/// turns faster than its pulse wants does not brake: the car rolls, with `rolling` m/s². None if
+/// it is not determined.
 #[must_use]
 pub fn drive_train(
     time: &[f64],
     way: &[f64],
     pulses: &Signal,
     about: [f64; 2],
+    rolling: f64,
 ) -> Option<DriveTrain> {
+    let pulses = &pulses.in_frames();
     let (start, first) = (*time.first()?, *way.first()?);
     let near = time.iter().take_while(|t| **t < start + 0.2).count();
     let (late, after) = (time.get(near)?, way.get(near)?);
@@ -55,8 +58,8 @@ pub fn drive_train(
                 .map(|(&time, &way)| {
                     while now + STEP <= time {
                         now += STEP;
-                        let wanted = (pulses.at(now - delay) - edge) * gain * 1e-3;
-                        let change = share * (wanted.max(0.0) - speed);
+                        let wanted = (pulses.at(now - 0.5 * STEP - delay) - edge) * gain * 1e-3;
+                        let change = (share * (wanted.max(0.0) - speed)).max(-rolling * STEP);
                         position += (speed + 0.5 * change) * STEP;
                         speed += change;
                     }
@@ -73,6 +76,32 @@ pub fn drive_train(
     })
 }
 
+/// The deceleration of a stop, from the first fall of the speed on, m/s²: its square over twice
+/// the way. None without a stop.
+#[must_use]
+pub fn stop(time: &[f64], way: &[f64]) -> Option<f64> {
+    /// Poses on both sides for the speed.
+    const AROUND: usize = 4;
+    /// The speed has fallen by this, m/s.
+    const FALLEN: f64 = 0.03;
+    let speed = |index: usize| {
+        let (before, after) = (index - AROUND, index + AROUND);
+        (way[after] - way[before]) / (time[after] - time[before])
+    };
+    let last = time.len().min(way.len()).checked_sub(AROUND + 1)?;
+    let (mut highest, mut from) = (0.0_f64, None);
+    for index in AROUND..=last {
+        let now = speed(index);
+        highest = highest.max(now);
+        if now > highest - FALLEN {
+            from = Some((index, now));
+        }
+    }
+    let (index, now) = from?;
+    let stopped = way.last()? - way[index];
+    (now > 0.1 && stopped > 0.0 && speed(last) < 0.2 * now).then(|| now * now / (2.0 * stopped))
+}
+
 /// The deceleration of the rear axle over these times, m/s², by a parabola. None of fewer than
 /// four.
 #[must_use]
@@ -85,4 +114,75 @@ pub fn deceleration(time: &[f64], way: &[f64]) -> Option<f64> {
     (time.len() >= 4)
         .then(|| super::least_squares(rows))?
         .map(|fit| -2.0 * fit.parameters[2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::tests::Noise;
+
+    /// A rise of the speed: pulses by the telemetry, and way by the cameras.
+    fn rise(seed: u64, truth: &DriveTrain) -> (Signal, Vec<f64>, Vec<f64>) {
+        let mut noise = Noise::new(seed);
+        let (phase, telemetry) = (0.02 * noise.uniform(), 0.01 * noise.uniform());
+        let from = truth.edge_us + 0.15 * truth.us_per_m_s;
+        let to = truth.edge_us + 0.3 * truth.us_per_m_s;
+        // The speed loop: a kick, and a ramp.
+        let wanted = |time: f64| {
+            let since = (time - 0.5).max(0.0);
+            let kick = 4.0 * (-since / 0.2).exp() * since.min(0.05) / 0.05;
+            (from + (to - from) * (since / 0.1).min(1.0) + kick).round()
+        };
+        let pulses = Signal(
+            (0..220)
+                .map(|index| telemetry + 0.01 * f64::from(index))
+                .map(|time| (time, wanted(time)))
+                .collect(),
+        );
+        let (mut time, mut way) = (Vec::new(), Vec::new());
+        let step = 1e-4;
+        let (mut speed, mut position) = (0.15, 0.0);
+        for index in 0..20_000 {
+            let now = f64::from(index) * step;
+            let acted = now - truth.delay;
+            let frame = ((acted - phase) / 0.02).floor() * 0.02 + phase;
+            let target = (wanted(frame) - truth.edge_us) / truth.us_per_m_s;
+            speed += step * (target - speed) / truth.lag;
+            position += step * speed;
+            if index % 100 == 0 && now > 0.1 && now < 1.8 {
+                time.push(now + step);
+                way.push(position + 0.000_2 * noise.normal());
+            }
+        }
+        (pulses, time, way)
+    }
+
+    #[test]
+    fn the_means_of_some_rises_are_those_of_the_motor() {
+        for (seed, lag, delay) in [(1, 0.06, 0.035), (2, 0.1, 0.02), (3, 0.14, 0.012)] {
+            let truth = DriveTrain {
+                us_per_m_s: 90.0,
+                edge_us: 1_528.0,
+                lag,
+                delay,
+            };
+            let found: Vec<DriveTrain> = (0..40)
+                .map(|rise_seed| {
+                    let (pulses, time, way) = rise(seed * 1_000 + rise_seed, &truth);
+                    drive_train(&time, &way, &pulses, [110.0, 1_525.0], 1.0).unwrap()
+                })
+                .collect();
+            let mean = |of: fn(&DriveTrain) -> f64| found.iter().map(of).sum::<f64>() / 40.0;
+            let (found_lag, found_delay) = (mean(|f| f.lag), mean(|f| f.delay));
+            assert!(
+                (found_lag - lag).abs() < 0.004,
+                "{lag}: {found_lag}, {delay}: {found_delay}"
+            );
+            assert!(
+                (found_delay - delay).abs() < 0.004,
+                "{delay}: {found_delay}"
+            );
+            assert!((mean(|f| f.us_per_m_s) - 90.0).abs() < 1.0);
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use super::least_squares;
 
 /// The steps of the iteration.
-const STEPS: usize = 12;
+const STEPS: usize = 60;
 
 /// The parameters near `start` that make the residuals least. `scale` is a step by which each
 /// parameter may be changed for its derivative, and `bounds` is where it must stay. None if the

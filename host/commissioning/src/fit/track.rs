@@ -215,6 +215,30 @@ impl Signal {
         }
     }
 
+    /// What a servo gets on average: the pulses that the telemetry tells are taken over at the
+    /// next frame, 20 ms apart, and last until the one after.
+    #[must_use]
+    pub fn in_frames(&self) -> Self {
+        const FRAME: f64 = 0.02;
+        let integral = self.integral();
+        let first = self.0.first().map_or(0.0, |(time, _)| *time);
+        Self(
+            self.0
+                .iter()
+                .flat_map(|(time, _)| [*time, *time + 0.005])
+                .map(|time| {
+                    let past = (time - FRAME).max(first);
+                    let value = if time > past {
+                        (integral.at(time) - integral.at(past)) / (time - past)
+                    } else {
+                        self.at(time)
+                    };
+                    (time, value)
+                })
+                .collect(),
+        )
+    }
+
     /// The integral since the first sample.
     #[must_use]
     pub fn integral(&self) -> Self {

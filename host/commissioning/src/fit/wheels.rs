@@ -20,15 +20,15 @@ pub struct Wheels {
     pub excess: [f64; 2],
 }
 
-/// What is known of the car.
+/// What is known of the car: the single-track model in small angles, with linear tyres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turning {
-    /// Distance of the axles, m.
-    pub wheelbase: f64,
-    /// Steering per lateral acceleration beyond that of the bend, rad per m/s².
-    pub understeer: f64,
-    /// Time in which the yaw rate follows the wheels, s.
-    pub yaw_lag: f64,
+    /// Mass, kg, and yaw inertia, kg m².
+    pub inertia: [f64; 2],
+    /// Distance of the front and the rear axle from the centre of mass, m.
+    pub axles: [f64; 2],
+    /// Cornering stiffness of the front and the rear axle, N/rad.
+    pub stiffness: [f64; 2],
 }
 
 /// The step of the simulated servo, s.
@@ -48,6 +48,7 @@ pub fn wheels(
     about: [f64; 2],
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
+    let pulses = &pulses.in_frames();
     let residuals = |parameters: &[f64; 5]| residuals(motion, pulses, speed, turning, parameters);
     let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.02, 3.0];
     let reach = 1_000.0 / gain_us_per_rad.abs();
@@ -64,7 +65,7 @@ pub fn wheels(
     let found = gauss_newton(start, scale, bounds, residuals)?;
     let [centre_us, inverse, lag, delay, play_us] = found;
     let mut sums = [[0.0; 2]; 2];
-    for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate) {
+    for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate[1..]) {
         let side = usize::from(*rate < 0.0);
         sums[side][0] += residual * rate.signum();
         sums[side][1] += rate.abs();
@@ -79,6 +80,7 @@ pub fn wheels(
     })
 }
 
+/// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
 fn residuals(
     motion: &Motion,
     pulses: &Signal,
@@ -89,31 +91,171 @@ fn residuals(
     let Some(&start) = motion.time.first() else {
         return Vec::new();
     };
-    let delay = delay + turning.yaw_lag;
+    let mut motion_state = [0.0; 2];
     let mut held = pulses.at(start - delay);
     let angle = |pulse: f64| (pulse - centre_us) * inverse * 1e-3;
     let mut turned = angle(held);
     let mut now = start;
     let share = 1.0 - (-STEP / lag).exp();
-    motion
-        .time
-        .iter()
-        .zip(&motion.yaw_rate)
-        .zip(speed)
-        .map(|((&time, &rate), &speed)| {
-            while now + STEP <= time {
+    (1..motion.time.len())
+        .map(|index| {
+            let [t0, t1] = [motion.time[index - 1], motion.time[index]];
+            let middle = f64::midpoint(t0, t1);
+            let speed = f64::midpoint(speed[index - 1], speed[index]);
+            while now + STEP <= middle {
                 now += STEP;
-                let pulse = pulses.at(now - delay);
+                let pulse = pulses.at(now - 0.5 * STEP - delay);
                 held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
+                let before = turned;
                 turned += share * (angle(held) - turned);
+                let steered = f64::midpoint(before, turned);
+                motion_state = turning.step(motion_state, speed.max(SLOWEST), steered, STEP);
             }
-            if speed < SLOWEST {
+            if speed < SLOWEST || t1 <= t0 {
                 return 0.0;
             }
-            // The remaining part of a step, as if the wheels moved evenly.
-            let at = turned + share * (angle(held) - turned) * (time - now) / STEP;
-            let length = turning.wheelbase + turning.understeer * speed * speed;
-            rate - speed * at.tan() / length
+            let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
+            // The remaining part of a step, as if the motion changed evenly.
+            let next = turning.step(motion_state, speed, turned, STEP)[0];
+            let rest = (middle - now) / STEP;
+            rate - motion_state[0] - rest * (next - motion_state[0])
         })
         .collect()
+}
+
+impl Turning {
+    /// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle.
+    fn step(&self, [rate, sideslip]: [f64; 2], speed: f64, steered: f64, step: f64) -> [f64; 2] {
+        let [mass, inertia] = self.inertia;
+        let [front, rear] = self.axles;
+        let [c_f, c_r] = self.stiffness;
+        // Of the centre of mass.
+        let v = speed / sideslip.cos();
+        let matrix = [
+            [
+                -(front * front * c_f + rear * rear * c_r) / (inertia * v),
+                (rear * c_r - front * c_f) / inertia,
+            ],
+            [
+                (rear * c_r - front * c_f) / (mass * v * v) - 1.0,
+                -(c_f + c_r) / (mass * v),
+            ],
+        ];
+        let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
+        // The trapezoidal rule: it is stable, however fast the tyres are.
+        let half = 0.5 * step;
+        let old = [rate, sideslip];
+        let right: [f64; 2] = std::array::from_fn(|i| {
+            old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + step * input[i]
+        });
+        let left = [
+            [1.0 - half * matrix[0][0], -half * matrix[0][1]],
+            [-half * matrix[1][0], 1.0 - half * matrix[1][1]],
+        ];
+        let determinant = left[0][0] * left[1][1] - left[0][1] * left[1][0];
+        [
+            (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
+            (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::tests::Noise;
+
+    const CAR: Turning = Turning {
+        inertia: [1.9, 0.0251],
+        axles: [0.1368, 0.1232],
+        stiffness: [58.0, 131.0],
+    };
+
+    /// A pass over both circles with a weave, by a servo with these parameters.
+    fn pass(seed: u64, truth: &Wheels) -> (Motion, Signal, Vec<f64>) {
+        let mut noise = Noise::new(seed);
+        let (phase, telemetry) = (0.02 * noise.uniform(), 0.01 * noise.uniform());
+        let command = 0.01 * noise.uniform();
+        let wanted = |time: f64| {
+            // Commands come every 10 ms.
+            let time = ((time - command) / 0.01).floor() * 0.01 + command;
+            let side = if (time / 18.0).floor() as i64 % 2 == 0 {
+                0.3
+            } else {
+                -0.3
+            };
+            // In no fixed relation to the frames.
+            let weave = (time / 0.8137).rem_euclid(1.0);
+            let triangle = if weave < 0.5 {
+                4.0 * weave - 1.0
+            } else {
+                3.0 - 4.0 * weave
+            };
+            // Play shows as a delay that depends on the rate.
+            let strong = (time / (3.0 * 0.8137)).floor() as i64 % 2 == 0;
+            let angle = side + if strong { 0.12 } else { 0.03 } * triangle;
+            (truth.centre_us + truth.gain_us_per_rad * angle).round()
+        };
+        let pulses = Signal(
+            (0..3_800)
+                .map(|index| telemetry + 0.01 * f64::from(index) - 0.5)
+                .map(|time| (time, wanted(time)))
+                .collect(),
+        );
+        let mut motion = Motion {
+            time: Vec::new(),
+            position: Vec::new(),
+            yaw: Vec::new(),
+            yaw_rate: Vec::new(),
+        };
+        let step = 2e-4;
+        let (mut held, mut turned, mut yaw) = (wanted(0.0), 0.3, 0.0);
+        let mut state = [0.3, 0.14];
+        for index in 0..180_000 {
+            let now = f64::from(index) * step;
+            let acted = now - truth.delay;
+            let pulse = wanted(((acted - phase) / 0.02).floor() * 0.02 + phase);
+            held = held.clamp(pulse - 0.5 * truth.play_us, pulse + 0.5 * truth.play_us);
+            let angle = (held - truth.centre_us) / truth.gain_us_per_rad;
+            turned += step * (angle - turned) / truth.lag;
+            state = CAR.step(state, 0.28, turned, step);
+            yaw += step * state[0];
+            if index % 50 == 0 && now > 0.3 {
+                motion.time.push(now + step);
+                motion.position.push([0.0; 2]);
+                // White noise of the gyro's rate.
+                yaw += 1e-4 * noise.normal();
+                motion.yaw.push(yaw);
+                motion.yaw_rate.push(state[0]);
+            }
+        }
+        let speed = vec![0.28; motion.time.len()];
+        (motion, pulses, speed)
+    }
+
+    #[test]
+    fn the_means_of_some_passes_are_those_of_the_servo() {
+        for (seed, lag, delay, play_us) in [(1, 0.03, 0.01, 5.0), (2, 0.065, 0.004, 2.0)] {
+            let truth = Wheels {
+                centre_us: 1_475.0,
+                gain_us_per_rad: -720.0,
+                lag,
+                delay,
+                play_us,
+                excess: [0.0; 2],
+            };
+            let found: Vec<Wheels> = (0..6)
+                .map(|index| {
+                    let (motion, pulses, speed) = pass(100 * seed + index, &truth);
+                    wheels(&motion, &pulses, &speed, &CAR, [1_490.0, -750.0]).unwrap()
+                })
+                .collect();
+            println!("{found:?}");
+            let mean = |of: fn(&Wheels) -> f64| found.iter().map(of).sum::<f64>() / 6.0;
+            assert!((mean(|f| f.centre_us) - 1_475.0).abs() < 0.3);
+            assert!((mean(|f| f.gain_us_per_rad) + 720.0).abs() < 2.0);
+            assert!((mean(|f| f.lag) - lag).abs() < 0.004);
+            assert!((mean(|f| f.delay) - delay).abs() < 0.004);
+        }
+    }
 }
