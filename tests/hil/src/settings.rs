@@ -47,6 +47,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         // The bench's car is known to be as configured.
         supervisor: SupervisorSection {
             prove_first_metre: false,
+            require_calibration: false,
             ..SupervisorSection::default()
         },
         watch: WatchSection::default(),

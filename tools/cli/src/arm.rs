@@ -173,22 +173,38 @@ impl Drive {
         renewal: &Value,
         time: Option<Duration>,
     ) -> Result<ExitCode, ControlError> {
+        self.attend_with(interrupt, RENEWAL, time, || Ok(Some(renewal.clone())))
+    }
+
+    /// As [`attend`](Self::attend), with a renewal of its own every `interval`; none disarms the
+    /// car, as Ctrl-C does.
+    pub(crate) fn attend_with(
+        &mut self,
+        interrupt: &Interrupt,
+        interval: Duration,
+        time: Option<Duration>,
+        mut renewal: impl FnMut() -> Result<Option<Value>, ControlError>,
+    ) -> Result<ExitCode, ControlError> {
         let begun = Instant::now();
         let mut renewed = begun;
         let mut is_armed = false;
         let mut armed = begun;
         let mut is_disarmed = false;
+        let mut is_let_go = false;
         loop {
             let is_over_time = is_armed && time.is_some_and(|time| armed.elapsed() >= time);
-            if (interrupt.is_raised() || is_over_time) && !is_disarmed {
+            if (interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.
                 let disarm = json!({ "version": SOCKET_VERSION, "command": "disarm" });
                 ask(&disarm, &self.socket)?;
             }
-            if renewed.elapsed() >= RENEWAL {
+            if renewed.elapsed() >= interval {
                 renewed = Instant::now();
-                self.send(renewal)?;
+                match renewal()? {
+                    Some(renewal) => self.send(&renewal)?,
+                    None => is_let_go = true,
+                }
             }
             let Some(line) = self.receive()? else {
                 continue;

@@ -1,10 +1,23 @@
 //! `singletrack jog`: bare pulses for servo and ESC, for as long as this command runs.
 
-use std::{process::ExitCode, time::Duration};
+pub mod keys;
+
+use std::{
+    io::{self, IsTerminal as _, Write as _},
+    process::ExitCode,
+    time::Duration,
+};
 
 use clap::Args;
-use serde_json::json;
-use singletrackd::SOCKET_VERSION;
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr},
+};
+use serde_json::{Value, json};
+use singletrack_control::Time;
+use singletrackd::{SOCKET_VERSION, monotonic_ns};
+
+use keys::{Keyboard, Pulses, next_key};
 
 use crate::{
     arm::{Drive, parse_time},
@@ -26,7 +39,15 @@ pub struct JogArgs {
     /// End after this time, such as 2s; otherwise with Ctrl-C
     #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
     time: Option<Duration>,
+    /// Jog with the keyboard: the servo begins with --servo, and --esc is the neutral. The arrow
+    /// keys to the sides move the servo; the motor turns while the arrow up or down is held. + and
+    /// - change its pulse, c centres the servo, q ends
+    #[arg(long)]
+    keys: bool,
 }
+
+/// Interval of the pulses from the keyboard.
+const KEYS: Duration = Duration::from_millis(40);
 
 /// Arms to jog and renews the pulses ten times a second. The motor goes to neutral 0.25 s after
 /// the last renewal, however this command ends.
@@ -36,6 +57,8 @@ pub struct JogArgs {
 /// When the board can't be armed, or the connection is lost; the reason is the daemon's.
 pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     let interrupt = Interrupt::listen()?;
+    // Before the board is armed: without a terminal it is not.
+    let keyboard = args.keys.then(RawTerminal::open).transpose()?;
     let mut drive = Drive::connect(&args.control, "jogging")?;
     drive.send(&json!({
         "version": SOCKET_VERSION,
@@ -43,11 +66,88 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
         "attendance": "hold",
         "jog": true,
     }))?;
-    let pulses = json!({
+    let begun = Pulses {
+        servo_us: args.servo_us,
+        esc_us: args.esc_us,
+    };
+    let Some(terminal) = keyboard else {
+        return drive.attend(&interrupt, &line(begun), args.time);
+    };
+    let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
+    let mut bytes = Vec::new();
+    let mut shown = None;
+    drive.attend_with(&interrupt, KEYS, args.time, || {
+        terminal.read(&mut bytes)?;
+        let now = Time(monotonic_ns());
+        while let Some(key) = next_key(&mut bytes) {
+            keyboard.handle(now, key);
+        }
+        let pulses = keyboard.pulses(now);
+        let state = pulses.map(|pulses| (pulses, keyboard.throttle_us()));
+        if let Some((pulses, throttle_us)) = state.filter(|_| state != shown) {
+            // A terminal that has gone takes no output; its end is found when it is read.
+            let _ = write!(
+                io::stderr(),
+                "\r\x1b[Kservo {} us, ESC {} us ({throttle_us} us off neutral while held)  ",
+                pulses.servo_us,
+                pulses.esc_us,
+            );
+        }
+        shown = state;
+        Ok(pulses.map(line))
+    })
+}
+
+/// The pulses for the daemon.
+fn line(pulses: Pulses) -> Value {
+    json!({
         "version": SOCKET_VERSION,
         "command": "jog",
-        "servo_us": args.servo_us,
-        "esc_us": args.esc_us,
-    });
-    drive.attend(&interrupt, &pulses, args.time)
+        "servo_us": pulses.servo_us,
+        "esc_us": pulses.esc_us,
+    })
+}
+
+/// A terminal that gives every key at once. Dropping it restores its settings.
+struct RawTerminal {
+    input: io::Stdin,
+    before: Termios,
+}
+
+impl RawTerminal {
+    fn open() -> io::Result<Self> {
+        let input = io::stdin();
+        if !input.is_terminal() {
+            return Err(io::Error::other(
+                "--keys needs a terminal: the repetition of a held key is the dead-man switch",
+            ));
+        }
+        let before = tcgetattr(&input)?;
+        let mut raw = before.clone();
+        // Ctrl-C still interrupts.
+        raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
+        tcsetattr(&input, OptionalActions::Flush, &raw)?;
+        Ok(Self { input, before })
+    }
+
+    /// Adds what has been typed, without waiting.
+    fn read(&self, bytes: &mut Vec<u8>) -> io::Result<()> {
+        let mut input = [PollFd::new(&self.input, PollFlags::IN)];
+        while poll(&mut input, Some(&Timespec::default()))? > 0 {
+            let mut buffer = [0; 256];
+            let count = rustix::io::read(&self.input, &mut buffer)?;
+            if count == 0 {
+                return Err(io::Error::other("the terminal is gone"));
+            }
+            bytes.extend(buffer.iter().take(count));
+        }
+        Ok(())
+    }
+}
+
+impl Drop for RawTerminal {
+    fn drop(&mut self) {
+        let _ = tcsetattr(&self.input, OptionalActions::Flush, &self.before);
+        let _ = writeln!(io::stderr());
+    }
 }

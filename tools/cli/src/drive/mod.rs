@@ -56,6 +56,10 @@ pub struct DriveArgs {
     /// events. Move a stick now and then
     #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = parse_silence)]
     silence: Duration,
+    /// Arm also if doctor, bring-up and calibrate have not passed with this configuration on
+    /// this car, as `singletrack arm --uncalibrated`
+    #[arg(long)]
+    uncalibrated: bool,
     #[command(flatten)]
     control: ControlArgs,
 }
@@ -149,6 +153,7 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         // Whether the reference of the configuration is still in force.
         in_force: reference.is_none().then_some(Driver::Pilot),
         reference,
+        uncalibrated: args.uncalibrated,
         car: None,
     };
     for event in state {
@@ -199,6 +204,7 @@ struct Shell<'a> {
     in_force: Option<Driver>,
     /// The reference of the pilot, if one was given.
     reference: Option<Value>,
+    uncalibrated: bool,
     car: Option<Car>,
 }
 
@@ -332,7 +338,10 @@ impl Shell<'_> {
         if car.is_some_and(|car| car.is_ready) {
             self.stage = Stage::Arming(driver);
             let arm = json!({
-                "version": SOCKET_VERSION, "command": "arm", "attendance": "hold",
+                "version": SOCKET_VERSION,
+                "command": "arm",
+                "attendance": "hold",
+                "uncalibrated": self.uncalibrated,
             });
             return Ok(self.session.send(&arm)?);
         }

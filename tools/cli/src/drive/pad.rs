@@ -535,6 +535,66 @@ mod tests {
         assert_eq!(velocity(f64::NAN, 1.0, 200), (0.0, 0.0));
     }
 
+    /// The events of a recording, with their times.
+    fn recorded() -> Vec<(Time, PadEvent)> {
+        include_str!("../../tests/recorded/pad.txt")
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .map(|line| {
+                let fields: Vec<&str> = line.split(' ').collect();
+                let seconds: f64 = fields[0].parse().unwrap();
+                let hex = |text| u16::from_str_radix(text, 16).unwrap();
+                let (kind, code) = (hex(fields[1]), hex(fields[2]));
+                let value: i32 = fields[3].parse().unwrap();
+                let event = match kind {
+                    1 => button(code, value != 0),
+                    3 => axis(code, f64::from(value) / 32_768.0),
+                    _ => PadEvent::Other,
+                };
+                (Time((seconds * 1e9) as u64), event)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_recorded_session_begins_two_drives_and_ends_with_the_loss_of_the_pad() {
+        let mut pad = Pad::new(PadOptions::default(), at(0));
+        let mut asked = Vec::new();
+        let events = recorded();
+        let mut fastest: f64 = 0.0;
+        let (mut now, mut holds) = (at(0), 0);
+        for (time, event) in events {
+            while now < time {
+                for request in polled(&mut pad, now) {
+                    match request {
+                        PadRequest::Hold => holds += 1,
+                        PadRequest::Velocity { speed, turn } => {
+                            assert!((0.0..=0.5).contains(&speed) && turn.abs() <= 0.4);
+                            fastest = fastest.max(speed);
+                        }
+                        other => asked.push(other),
+                    }
+                }
+                now = Time(now.0 + 5_000_000);
+            }
+            asked.extend(pad.handle(time, event));
+        }
+        asked.extend(pad.handle(now, PadEvent::Lost));
+        assert_eq!(
+            asked,
+            [
+                // It was pressed from the beginning.
+                PadRequest::Note(PadNote::ReleaseFirst),
+                PadRequest::Begin(Driver::Pilot),
+                PadRequest::End,
+                PadRequest::Begin(Driver::Sticks),
+                PadRequest::Halt,
+            ]
+        );
+        assert!((30..60).contains(&holds), "{holds}");
+        assert!(fastest > 0.49, "{fastest}");
+    }
+
     #[test]
     fn both_buttons_start_nothing_and_end_a_drive() {
         let mut pad = ready();

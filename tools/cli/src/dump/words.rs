@@ -76,7 +76,8 @@ mod tests {
                 "driving",
                 "failsafe",
                 "emergency-stopped",
-                "powering-up"
+                "powering-up",
+                "jogging"
             ]
         );
         for (topic, field, word) in [
