@@ -1,5 +1,7 @@
 //! The doctor on random cars, with scripted hands.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use core::f64::consts::TAU;
 
 use singletrack_commissioning::{
