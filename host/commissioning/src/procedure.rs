@@ -66,3 +66,155 @@ pub fn run(
     }
     Ok(findings)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use singletrack_control::{Position, Velocity};
+    use singletrack_core::Config;
+
+    use super::*;
+    use crate::{Answer, Attendance, Jog, Live, Observation, Question, Refused};
+
+    thread_local! {
+        static RUNS: Cell<[u32; 3]> = const { Cell::new([0; 3]) };
+        static FAILS: Cell<Option<usize>> = const { Cell::new(None) };
+        static INTERRUPTS: Cell<Option<usize>> = const { Cell::new(None) };
+    }
+
+    fn number<const N: usize>(_: &mut dyn Bench) -> Result<Finding, Interrupted> {
+        let mut runs = RUNS.get();
+        runs[N] += 1;
+        RUNS.set(runs);
+        if INTERRUPTS.get() == Some(N) {
+            return Err(Interrupted::ByOperator);
+        }
+        Ok(Finding {
+            step: STEPS[N].name,
+            verdict: if FAILS.get() == Some(N) {
+                Verdict::Failed
+            } else {
+                Verdict::Good
+            },
+            found: String::new(),
+            expected: String::new(),
+            fix: String::new(),
+            parameters: Vec::new(),
+        })
+    }
+
+    const STEPS: [Step; 3] = [
+        step("first", true, number::<0>),
+        step("second", false, number::<1>),
+        step("third", true, number::<2>),
+    ];
+
+    const fn step(
+        name: &'static str,
+        essential: bool,
+        run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
+    ) -> Step {
+        Step {
+            name,
+            title: name,
+            essential,
+            run,
+        }
+    }
+
+    #[derive(Default)]
+    struct Memory(Vec<Finding>);
+
+    impl Journal for Memory {
+        fn found(&self, step: &str) -> Option<Finding> {
+            self.0.iter().find(|finding| finding.step == step).cloned()
+        }
+
+        fn keep(&mut self, finding: &Finding) -> Result<(), Interrupted> {
+            self.0.push(finding.clone());
+            Ok(())
+        }
+
+        fn begin(&mut self, _: &Step, _: usize, _: usize) {}
+    }
+
+    /// Counts what stops the car.
+    struct NoCar {
+        config: Config,
+        disarmed: u32,
+    }
+
+    impl NoCar {
+        fn new() -> Self {
+            let text = include_str!("../../daemon/singletrackd.example.toml");
+            Self {
+                config: Config::from_toml(text).unwrap(),
+                disarmed: 0,
+            }
+        }
+    }
+
+    impl Bench for NoCar {
+        fn wait(&mut self, _: &mut Vec<Observation>) -> Result<(), Interrupted> {
+            Ok(())
+        }
+
+        fn ask(&mut self, _: &Question) -> Result<Answer, Interrupted> {
+            Ok(Answer::Skip)
+        }
+
+        fn show(&mut self, _: &Live<'_>) {}
+
+        fn arm(&mut self, _: Attendance) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        fn jog(&mut self, _: Jog) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        fn drive(&mut self, _: Velocity, _: Option<Position>) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        fn disarm(&mut self) -> Result<(), Refused> {
+            self.disarmed += 1;
+            Ok(())
+        }
+
+        fn emergency_stop(&mut self) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        fn configuration(&self) -> &Config {
+            &self.config
+        }
+
+        fn change(&mut self, _: &[(&str, toml_edit::Value)]) -> Result<(), Refused> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_interrupted_procedure_disarms_and_resumes_where_it_was() {
+        let (mut car, mut journal) = (NoCar::new(), Memory::default());
+        INTERRUPTS.set(Some(1));
+        assert!(run(&STEPS, &mut car, &mut journal).is_err());
+        assert_eq!((RUNS.get(), car.disarmed), ([1, 1, 0], 1));
+        INTERRUPTS.set(None);
+        let findings = run(&STEPS, &mut car, &mut journal).unwrap();
+        assert_eq!((RUNS.get(), car.disarmed), ([1, 2, 1], 1));
+        let steps: Vec<_> = findings.iter().map(|finding| finding.step).collect();
+        assert_eq!(steps, ["first", "second", "third"]);
+    }
+
+    #[test]
+    fn only_an_essential_step_that_fails_ends_a_procedure() {
+        for (fails, count) in [(0, 1), (1, 3), (2, 3)] {
+            FAILS.set(Some(fails));
+            let findings = run(&STEPS, &mut NoCar::new(), &mut Memory::default()).unwrap();
+            assert_eq!(findings.len(), count, "{fails}");
+        }
+    }
+}

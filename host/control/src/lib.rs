@@ -53,8 +53,9 @@ pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
 pub use reference::{
-    Circle, External, FigureOfEight, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Reference, ReferenceError,
-    ReferencePoint, VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    Circle, External, FigureOfEight, MAX_PATH_POINTS, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Path,
+    PathSpeed, Reference, ReferenceError, ReferencePoint, VelocityStep, VelocitySteps, Waypoint,
+    Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use single_track::{

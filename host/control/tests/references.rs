@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    Circle, FigureOfEight, Position, Reference, ReferenceError, Velocity, VelocityStep,
-    VelocitySteps, Waypoint, Waypoints,
+    Circle, FigureOfEight, Path, PathSpeed, Position, Reference, ReferenceError, Velocity,
+    VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 
 fn assert_velocity_is_the_derivative(reference: &Reference, times: impl Iterator<Item = f64>) {
@@ -109,4 +109,176 @@ fn invalid_references_are_refused_with_the_key() {
         Err(ReferenceError::TimeNotIncreasing { index: 2, .. })
     ));
     assert!(Waypoints::new(&[point(0.0)]).is_err());
+}
+
+const SPEED: PathSpeed = PathSpeed {
+    speed: 0.8,
+    lateral_acceleration: 0.6,
+    acceleration: 0.5,
+};
+
+/// Points on a circle of radius 0.5 m, which is within a lateral acceleration of 0.6 m/s² up
+/// to 0.548 m/s.
+fn round(count: u32) -> Vec<Position> {
+    (0..count)
+        .map(|index| {
+            let angle = std::f64::consts::TAU * f64::from(index) / f64::from(count);
+            Position::new(0.5 * angle.cos(), 0.5 * angle.sin())
+        })
+        .collect()
+}
+
+/// A winding path with points at unequal distances.
+fn winding() -> Vec<Position> {
+    [0.0, 0.3, 0.45, 0.9, 1.3, 1.4, 1.9, 2.5, 2.8, 3.4]
+        .into_iter()
+        .map(|x: f64| Position::new(x, 0.25 * (2.2 * x).sin()))
+        .collect()
+}
+
+#[test]
+fn a_path_passes_every_point_and_its_velocity_is_the_derivative() {
+    for (points, is_closed) in [(winding(), false), (round(12), true)] {
+        let path = Path::new(&points, is_closed, SPEED).unwrap();
+        let lap = path.lap_time();
+        let reference = Reference::Path(path);
+        for point in &points {
+            let nearest = (0..20_000)
+                .map(|part| reference.at(2.0 * lap * f64::from(part) / 20_000.0))
+                .map(|at| (at.position.unwrap() - point).norm())
+                .fold(f64::MAX, f64::min);
+            assert!(nearest < 1e-3, "{point}: {nearest}");
+        }
+        assert_velocity_is_the_derivative(&reference, tenths((10.0 * lap) as u32 - 1));
+    }
+}
+
+#[test]
+fn the_speed_along_a_path_keeps_every_limit() {
+    for (points, is_closed) in [(winding(), false), (round(40), true)] {
+        let path = Path::new(&points, is_closed, SPEED).unwrap();
+        let lap = path.lap_time();
+        let reference = Reference::Path(path);
+        let h = 1e-3;
+        // The run-in of the closed path is over after its first seconds.
+        let from = if is_closed { 5.0 } else { 0.0 };
+        let mut fastest: f64 = 0.0;
+        let mut most_lateral: f64 = 0.0;
+        for part in 1..4_000 {
+            let time = from + lap * f64::from(part) / 4_000.0;
+            let velocity = reference.at(time).velocity;
+            let change =
+                (reference.at(time + h).velocity - reference.at(time - h).velocity) / (2.0 * h);
+            let speed = velocity.norm();
+            fastest = fastest.max(speed);
+            assert!(speed <= SPEED.speed * 1.001, "{speed} m/s at {time} s");
+            if speed > 0.05 && time < from + lap - 2.0 * h {
+                let along = change.dot(&velocity) / speed;
+                let lateral = velocity.perp(&change).abs() / speed;
+                most_lateral = most_lateral.max(lateral);
+                assert!(
+                    along.abs() <= SPEED.acceleration * 1.05,
+                    "{along} m/s2 at {time} s"
+                );
+                assert!(
+                    lateral <= SPEED.lateral_acceleration * 1.03,
+                    "{lateral} m/s2 at {time} s"
+                );
+            }
+        }
+        // It is not slower than the limits ask for.
+        if is_closed {
+            assert!((fastest - 0.3_f64.sqrt()).abs() < 0.005, "{fastest}");
+        } else {
+            assert!(fastest > 0.6, "{fastest}");
+        }
+        assert!(
+            most_lateral > 0.9 * SPEED.lateral_acceleration,
+            "{most_lateral}"
+        );
+    }
+}
+
+#[test]
+fn an_open_path_begins_and_ends_at_rest_and_a_closed_one_has_no_end() {
+    let open = Path::new(&winding(), false, SPEED).unwrap();
+    let lap = open.lap_time();
+    let open = Reference::Path(open);
+    assert_eq!(open.at(0.0).velocity, Velocity::zeros());
+    assert_eq!(open.duration(), Some(lap));
+    let end = open.at(lap + 1.0);
+    assert_eq!(end.velocity, Velocity::zeros());
+    assert!((end.position.unwrap() - winding()[9]).norm() < 1e-9);
+
+    let closed = Path::new(&round(40), true, SPEED).unwrap();
+    let lap = closed.lap_time();
+    let closed = Reference::Path(closed);
+    assert_eq!(closed.duration(), None);
+    assert_eq!(closed.at(0.0).velocity, Velocity::zeros());
+    let (one, next) = (closed.at(50.0), closed.at(50.0 + lap));
+    assert!((one.position.unwrap() - next.position.unwrap()).norm() < 1e-9);
+    // No jump where the lap begins again.
+    for part in 0..40_000 {
+        let time = 3.0 * lap * f64::from(part) / 40_000.0;
+        let step = closed.at(time + 1e-4).velocity - closed.at(time).velocity;
+        assert!(step.norm() < 5e-4, "{step} at {time} s");
+    }
+}
+
+#[test]
+fn a_closed_path_does_not_depend_on_where_it_begins_or_on_a_repeated_point() {
+    let points = round(12);
+    let mut repeated = points.clone();
+    repeated.push(points[0]);
+    let path = Path::new(&points, true, SPEED).unwrap();
+    assert_eq!(Path::new(&repeated, true, SPEED).unwrap(), path);
+    let mut turned = points.clone();
+    turned.rotate_left(5);
+    let turned = Path::new(&turned, true, SPEED).unwrap();
+    assert!((turned.lap_time() - path.lap_time()).abs() < 1e-3);
+    // The spline through 12 points is within 0.1 mm of the circle.
+    let reference = Reference::Path(turned);
+    for time in tenths(100) {
+        let radius = reference.at(time).position.unwrap().coords.norm();
+        assert!((radius - 0.5).abs() < 5e-4, "{radius}");
+    }
+}
+
+#[test]
+fn a_path_that_cannot_be_driven_is_refused_with_the_point() {
+    let at = |x, y| Position::new(x, y);
+    let new = |points: &[Position], is_closed| Path::new(points, is_closed, SPEED);
+    assert!(matches!(
+        new(&[at(0.0, 0.0)], false),
+        Err(ReferenceError::TooFew { least: 2, .. })
+    ));
+    assert!(matches!(
+        new(&[at(0.0, 0.0), at(1.0, 0.0), at(0.0, 0.0)], true),
+        Err(ReferenceError::TooFew { least: 3, .. })
+    ));
+    assert!(matches!(
+        new(&[at(0.0, 0.0), at(0.001, 0.0), at(1.0, 0.0)], false),
+        Err(ReferenceError::TooClose { index: 1, .. })
+    ));
+    // There and back again.
+    assert!(matches!(
+        new(&[at(0.0, 0.0), at(1.0, 0.0), at(0.0, 0.001)], false),
+        Err(ReferenceError::TooSharp { .. })
+    ));
+    assert!(matches!(
+        new(&[at(0.0, 0.0), at(1.0, 0.0), at(0.0, 0.0)], false),
+        Err(ReferenceError::TooSharp { .. })
+    ));
+    let many: Vec<_> = (0..513).map(|index| at(f64::from(index), 0.0)).collect();
+    assert!(matches!(
+        new(&many, false),
+        Err(ReferenceError::TooMany { most: 512, .. })
+    ));
+    assert!(new(&many[..512], false).is_ok());
+    assert!(new(&[at(0.0, 0.0), at(f64::NAN, 0.0)], false).is_err());
+    let still = PathSpeed {
+        speed: 0.0,
+        ..SPEED
+    };
+    assert!(Path::new(&winding(), false, still).is_err());
 }

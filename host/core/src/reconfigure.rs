@@ -98,10 +98,8 @@ impl Configurations {
     ///
     /// The reference is invalid or contradicts the rest of the configuration.
     pub fn with_reference(&self, reference: ReferenceSection) -> Result<Config, ChangeError> {
-        if let ReferenceSection::Waypoints { file } = &reference
-            && !file.is_absolute()
-        {
-            return Err(ChangeError::RelativePath(file.clone()));
+        if let Some(file) = reference.file().filter(|file| !file.is_absolute()) {
+            return Err(ChangeError::RelativePath(file.to_owned()));
         }
         let config = Config {
             reference,

@@ -91,7 +91,10 @@ impl Requests {
             )
             | ControlRequest::Reconfigure(_) => false,
             ControlRequest::Pilot(
-                PilotRequest::EmergencyStop | PilotRequest::OperatorGone | PilotRequest::TimeUp,
+                PilotRequest::EmergencyStop
+                | PilotRequest::OperatorGone
+                | PilotRequest::TimeUp
+                | PilotRequest::Halt,
             )
             | ControlRequest::Finish
             | ControlRequest::Abort => true,

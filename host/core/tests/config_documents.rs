@@ -48,6 +48,12 @@ angular_velocity_rad_s = 0.5
 # this one:
 #   kind = \"waypoints\"
 #   file = \"waypoints.csv\"
+# Or smoothly through points, from a CSV file with the columns x_m,y_m, which
+# singletrack teach writes:
+#   kind = \"path\"
+#   file = \"path.csv\"
+#   closed = false
+#   speed_m_s = 0.5
 # Or set-points that are sent to the control socket, for as long as they are
 # renewed:
 #   kind = \"external\"

@@ -220,6 +220,8 @@ reference | half_length_m = 1.0 | reference.half_length_m | circle | remove it
 reference | setpoint_timeout_ms = 100 | reference.setpoint_timeout_ms | circle | remove it
 reference | kind = "waypoints" | reference.file | waypoints | needs it
 reference | kind = "external" | reference.radius_m | external | remove it
+reference | kind = "path" | reference.speed_m_s | path | needs it
+reference | closed = true | reference.closed | circle | remove it
 "#;
 
 #[test]
@@ -366,13 +368,14 @@ fn multicast_takes_a_group_and_no_bitstream() {
 
 /// The message about a configuration whose waypoints are in `path.csv`.
 fn waypoint_refusal(folder: &Path) -> String {
+    reference_refusal(folder, "kind = \"waypoints\"\nfile = \"path.csv\"")
+}
+
+/// The message about a configuration with these lines in `[reference]`.
+fn reference_refusal(folder: &Path, reference: &str) -> String {
     let start = EXAMPLE.find("kind = \"circle\"").unwrap();
     let end = start + EXAMPLE[start..].find("\n#").unwrap();
-    let text = format!(
-        "{}kind = \"waypoints\"\nfile = \"path.csv\"{}",
-        &EXAMPLE[..start],
-        &EXAMPLE[end..]
-    );
+    let text = format!("{}{reference}{}", &EXAMPLE[..start], &EXAMPLE[end..]);
     let file = folder.join("daemon.toml");
     fs::write(&file, text).unwrap();
     Config::read(&file).map_or_else(|error| error.to_string(), |_| String::new())
@@ -442,7 +445,7 @@ fn every_mistake_in_a_waypoint_file_is_reported_with_line_value_and_fix() {
         ),
         (
             "t_s,x_m,y_m\n0,0,0\n1,1\n",
-            ["line: 3", "2 fields", "three numbers a line"],
+            ["line: 3", "2 fields", "one number for each column"],
         ),
         (
             "t_s,x_m,y_m\n0,0,0\n2,1,0\n1,2,0\n",
@@ -467,6 +470,80 @@ fn every_mistake_in_a_waypoint_file_is_reported_with_line_value_and_fix() {
     // The columns may come in any order.
     fs::write(&path, "y_m,t_s,x_m\n0,0,0\n1,2,0\n").unwrap();
     assert_eq!(waypoint_refusal(folder.path()), "");
+}
+
+#[test]
+fn a_path_is_refused_with_the_key_the_line_or_the_point() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("path.csv");
+    let path = "kind = \"path\"\nfile = \"path.csv\"\n";
+    let good = "x_m,y_m\n0,0\n1,0.2\n2,0\n";
+    for (csv, keys, parts) in [
+        (good, "speed_m_s = 0.5", vec![]),
+        (
+            "y_m,x_m\n0,0\n1,0.2\n0,1\n",
+            "speed_m_s = 0.5\nclosed = true",
+            vec![],
+        ),
+        (
+            "t_s,x_m,y_m\n0,0,0\n",
+            "speed_m_s = 0.5",
+            vec!["path.csv", "columns x_m,y_m"],
+        ),
+        (
+            "x_m,y_m\n0,0\n1,here\n",
+            "speed_m_s = 0.5",
+            vec!["line 3", "y_m is \"here\""],
+        ),
+        (
+            "x_m,y_m\n0,0\n",
+            "speed_m_s = 0.5",
+            vec!["reference.points", "at least 2"],
+        ),
+        (
+            "x_m,y_m\n0,0\n1,0\n1,0\n",
+            "speed_m_s = 0.5",
+            vec!["reference.point 2", "0.005 m"],
+        ),
+        (
+            "x_m,y_m\n0,0\n1,0\n0,0.01\n",
+            "speed_m_s = 0.5",
+            vec!["turns with a radius of"],
+        ),
+        (
+            good,
+            "speed_m_s = 1.6",
+            vec!["reference.speed_m_s is 1.6", "limits.max_speed_m_s"],
+        ),
+        (
+            good,
+            "speed_m_s = 0.5\nlateral_acceleration_m_s2 = 2.5",
+            vec![
+                "reference.lateral_acceleration_m_s2 is 2.5",
+                "limits.max_lateral",
+            ],
+        ),
+        (
+            good,
+            "speed_m_s = 0.5\nacceleration_m_s2 = 2.5",
+            vec![
+                "reference.acceleration_m_s2 is 2.5",
+                "limits.max_acceleration",
+            ],
+        ),
+        (good, "speed_m_s = 0.0", vec!["reference.speed_m_s"]),
+    ] {
+        fs::write(&file, csv).unwrap();
+        let message = reference_refusal(folder.path(), &format!("{path}{keys}"));
+        assert_eq!(
+            message.is_empty(),
+            parts.is_empty(),
+            "{csv:?}, {keys}: {message}"
+        );
+        for part in parts {
+            assert!(message.contains(part), "no {part:?} in {message:?}");
+        }
+    }
 }
 
 #[test]

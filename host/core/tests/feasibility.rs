@@ -242,6 +242,51 @@ fn a_figure_that_bends_too_much_is_told_by_the_share_of_the_drive() {
     assert_eq!(found(&config).findings, []);
 }
 
+/// An oval through points, of this length and width, in m.
+fn oval(length: f64, width: f64, speed_m_s: f64) -> ReferenceSection {
+    let points = (0..16).map(|index| {
+        let angle = core::f64::consts::TAU * f64::from(index) / 16.0;
+        [0.5 * length * angle.cos(), 0.5 * width * angle.sin()]
+    });
+    ReferenceSection::PathList {
+        points: points.collect(),
+        closed: true,
+        speed_m_s,
+        lateral_acceleration_m_s2: 1.0,
+        acceleration_m_s2: 0.5,
+    }
+}
+
+#[test]
+fn a_path_is_judged_by_its_bends_and_by_the_fence() {
+    let mut config = own();
+    config.outer_loop =
+        toml::from_str("kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true")
+            .unwrap();
+    config.fence.corners_m = square(1.5);
+    config.reference = oval(2.2, 1.8, 0.5);
+    let judgement = found(&config);
+    assert_eq!(judgement.findings, []);
+    let (modes, limited) = driven(&config, judgement.start.unwrap(), 20);
+    assert_eq!(modes, [Mode::Driving]);
+    assert!(limited < 0.05, "{limited}");
+
+    config.reference = oval(0.8, 0.6, 0.3);
+    let judgement = found(&config);
+    assert!(!judgement.is_possible());
+    let finding = only(&judgement).to_string();
+    assert!(
+        finding.starts_with("limits.max_steering_rad is 0.45"),
+        "{finding}"
+    );
+
+    config.reference = oval(2.2, 1.8, 0.5);
+    config.fence.corners_m = square(1.0);
+    let judgement = found(&config);
+    assert_eq!(only(&judgement).key, "fence.corners_m");
+    assert!(!judgement.is_possible());
+}
+
 #[test]
 fn a_reference_from_outside_is_not_judged() {
     let mut config = own();

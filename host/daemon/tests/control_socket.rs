@@ -349,3 +349,55 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
     assert!(error.contains("velocity_m_s is [0.3, 1000.0]"), "{error}");
     assert!(status(&mut client)["mode"].is_string());
 }
+
+#[test]
+fn a_request_to_jog_without_a_board_is_refused_and_pulses_need_a_request() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    let arm = r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#;
+    let answer = client.ask(arm);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("mode disconnected: link-down"), "{error}");
+    let answer = client.ask(r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":1500}"#);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("on a connection that jogs"), "{error}");
+}
+
+#[test]
+fn a_client_reloads_the_file_that_the_daemon_was_started_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control.sock");
+    let file = folder.path().join("car.toml");
+    let mut config = config(folder.path(), &path);
+    let write = |config: &Config| std::fs::write(&file, config.to_toml().unwrap()).unwrap();
+    write(&config);
+    let options = StartOptions {
+        config_path: Some(file.clone()),
+        ..StartOptions::default()
+    };
+    let _daemon = Daemon::start(config.clone(), options).unwrap();
+    let mut client = Client::connect(&path);
+    let reload = r#"{"version":2,"command":"reload"}"#;
+    config.board.servo.centre_us += 7;
+    write(&config);
+    assert_eq!(
+        client.ask(reload),
+        json!({"version": 2, "ok": true, "configuration": 2})
+    );
+    assert_eq!(
+        status(&mut client)["configuration"],
+        json!({"number": 2, "last_change": {"by": "reload", "error": null}})
+    );
+    std::fs::write(&file, "[board]").unwrap();
+    let answer = client.ask(reload);
+    assert_eq!(answer["ok"], false, "{answer}");
+    assert_eq!(status(&mut client)["configuration"]["number"], 2);
+}
+
+#[test]
+fn a_daemon_without_a_file_reloads_nothing() {
+    let (_daemon, path, _folder) = start();
+    let answer = Client::connect(&path).ask(r#"{"version":2,"command":"reload"}"#);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("not started with a file"), "{error}");
+}

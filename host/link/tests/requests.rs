@@ -4,7 +4,7 @@
 
 mod common;
 
-use singletrack_link::{DriveCommand, DriveError, Event, NotReady};
+use singletrack_link::{DriveCommand, DriveError, Event, JogCommand, NotReady};
 use singletrack_protocol::{BoardMode, Drive, RefusalReason, Request, Sequence, ToBoard};
 
 use common::{Bench, MS, START_NS, configuration, to_board};
@@ -429,7 +429,7 @@ fn pulses_go_to_a_board_that_is_armed_or_jogs_and_to_no_other() {
     for mode in BoardMode::ALL {
         let mut bench = Bench::armed();
         bench.board_mode = mode;
-        bench.telemetry();
+        bench.pass(10 * MS);
         let outcome = bench.session.jog(bench.now_ns, PULSES);
         if !matches!(mode, BoardMode::Armed | BoardMode::Jogging) {
             assert_eq!(outcome.unwrap_err(), NotReady::NotArmed { mode });
@@ -459,7 +459,7 @@ fn pulses_go_to_a_board_that_is_armed_or_jogs_and_to_no_other() {
 fn a_jogging_board_is_armed_and_takes_no_drive() {
     let mut bench = Bench::armed();
     bench.board_mode = BoardMode::Jogging;
-    bench.telemetry();
+    bench.pass(10 * MS);
     assert_eq!(
         bench.session.drive(bench.now_ns, COMMAND),
         Err(NotReady::NotArmed {

@@ -224,5 +224,8 @@ words! {
         /// Arm to jog: bare pulses to servo and ESC, for as long as [`Event::Jog`] renews
         /// them at least every 0.25 s. It needs neither poses nor the IMU.
         ArmJog = "arm-jog",
+        /// The operator's dead-man switch is lost: disarm at once, without the ramp of
+        /// [`OperatorGone`](Self::OperatorGone).
+        Halt = "halt",
     }
 }

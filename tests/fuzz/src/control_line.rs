@@ -127,7 +127,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
     let word = match command {
         Command::Ask(question) => match question {
             singletrackd::Question::Status => "status",
-            singletrackd::Question::Disarm => "disarm",
+            singletrackd::Question::Disarm | singletrackd::Question::Halt => "disarm",
             singletrackd::Question::Stop => "stop",
         },
         Command::Commissioned { .. } => "commissioned",

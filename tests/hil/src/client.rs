@@ -260,6 +260,18 @@ impl Status {
         self.word("/board/stop_cause")
     }
 
+    /// A number of the status, by its JSON pointer.
+    ///
+    /// # Errors
+    ///
+    /// There is none.
+    pub fn number(&self, pointer: &str) -> Outcome<f64> {
+        self.0
+            .pointer(pointer)
+            .and_then(Value::as_f64)
+            .ok_or_else(|| Failure::new(format!("no number {pointer} in {}", self.0)))
+    }
+
     /// A figure by its JSON pointer.
     ///
     /// # Errors

@@ -7,11 +7,13 @@ pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;
 pub mod doctor;
+pub mod drive;
 pub mod dump;
 pub mod jog;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;
 pub mod setpoint;
+pub mod teach;
 
 mod interrupt;

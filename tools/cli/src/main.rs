@@ -12,7 +12,7 @@ use singletrack::demo;
 use singletrack::{
     arm, bring_up,
     control::{self, ControlCommand},
-    doctor, dump, jog, recover, replay, set_reference, setpoint,
+    doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
@@ -89,6 +89,10 @@ enum Command {
     SetReference(set_reference::SetReferenceArgs),
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
+    /// Drive with a game-pad: one button lets the car drive itself, another one gives the sticks.
+    Drive(drive::DriveArgs),
+    /// Record the path that the car is pushed along, as a reference.
+    Teach(teach::TeachArgs),
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -136,6 +140,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::SetReference(args) => Ok(set_reference::run(args)?),
         Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        Command::Drive(args) => return Ok(drive::run(args)?),
+        Command::Teach(args) => Ok(teach::run(args)?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,

@@ -70,7 +70,7 @@ struct File {
 ///
 /// The file is not a reference, or the daemon refuses it.
 pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
-    let reference = read(&args.file)?;
+    let reference = read_reference(&args.file)?;
     let line = json!({
         "version": SOCKET_VERSION,
         "command": "set-reference",
@@ -93,7 +93,7 @@ pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
 }
 
 /// The reference in a file, with absolute paths: the daemon runs in another folder.
-fn read(path: &Path) -> Result<Value, SetReferenceError> {
+pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
     let read = |source| SetReferenceError::Read {
         path: path.to_owned(),
         source,

@@ -32,7 +32,9 @@ impl Checks {
         fix: impl Into<String>,
     ) {
         self.add(Verdict::Warning, found, expected);
-        self.fixes.push(fix.into());
+        // Nothing is to be done about what the doctor has corrected.
+        self.fixes
+            .extend(Some(fix.into()).filter(|fix| !fix.is_empty()));
     }
 
     /// Something is not as it must be.
@@ -112,14 +114,15 @@ impl Checks {
             .iter()
             .filter_map(|parameter| parameter.key.clone())
             .collect();
-        if !values.is_empty() && !self.has_failed() {
-            if let Err(refused) = put_in_force(bench, &values)? {
-                self.failed(
-                    format!("the measured values are not in force: {refused}"),
-                    "in force",
-                    "correct what the daemon refuses, and run this step again",
-                );
-            }
+        if !values.is_empty()
+            && !self.has_failed()
+            && let Err(refused) = put_in_force(bench, &values)?
+        {
+            self.failed(
+                format!("the measured values are not in force: {refused}"),
+                "in force",
+                "correct what the daemon refuses, and run this step again",
+            );
         }
         if self.has_failed() {
             // What is not in force is not in the file either.

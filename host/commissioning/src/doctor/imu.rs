@@ -23,6 +23,8 @@ const HALF_STEP: f64 = 0.000_5;
 const MAX_TILT: f64 = 0.087;
 /// A lift or turn of the car, in rad, that is enough.
 const ENOUGH_RAD: f64 = 0.5;
+/// A car that is back turned less than this share of its lift.
+const BACK: f64 = 0.4;
 
 /// Registers, tilt, bias and noise of a car that stands.
 pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
@@ -254,11 +256,7 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     for_time(bench, 2.0, "the IMU starts with its new axes")?;
     if let Some(again) = mounting(bench, &mut checks)? {
         if same(again, found) {
-            checks.warning(
-                format!("{text}: corrected"),
-                "as configured",
-                "nothing; the configuration is corrected",
-            );
+            checks.warning(format!("{text}: corrected"), "as configured", "");
         } else {
             checks.failed(
                 format!("{text}; after the correction they are {}", words(again)),
@@ -272,35 +270,38 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 
 /// How the chip is mounted, by three motions; none if they do not say.
 fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSection>, Interrupted> {
-    let steps: [(Question, &str); 3] = [
-        (questions::left_side_up(), "left side up"),
-        (questions::nose_up(), "nose up"),
-        (questions::turn_left(), "turn to the left"),
+    // The car is put down again after a lift, but not turned back.
+    let steps: [(Question, &str, bool); 3] = [
+        (questions::left_side_up(), "left side up", true),
+        (questions::nose_up(), "nose up", true),
+        (questions::turn_left(), "turn to the left", false),
     ];
     let mut rotations = [[0.0; 3]; 3];
-    for (rotation, (question, what)) in rotations.iter_mut().zip(steps) {
+    for (rotation, (question, what, returns)) in rotations.iter_mut().zip(steps) {
         if bench.ask(&question)? == Answer::Skip {
             checks.skipped(what);
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
-            let angle = norm(largest_rotation(readings));
+            let (largest, last) = rotations_of(readings).map(norm).into();
+            let is_back = !returns || last < BACK * largest;
+            let done = largest / ENOUGH_RAD;
             (
-                format!("{what}: {:.0} degrees", angle.to_degrees()),
-                angle / ENOUGH_RAD,
+                format!("{what}: {:.0} degrees", largest.to_degrees()),
+                if is_back { done } else { done.min(0.9) },
             )
         })?;
         if !is_done {
             checks.failed(
                 format!("{what}: the IMU turned by {:.0} degrees only", {
-                    norm(largest_rotation(&readings)).to_degrees()
+                    norm(rotations_of(&readings)[0]).to_degrees()
                 }),
                 "30 degrees or more",
                 "repeat the motion; if it was done, the IMU does not measure it",
             );
             return Ok(None);
         }
-        *rotation = largest_rotation(&readings);
+        [*rotation, _] = rotations_of(&readings);
     }
     let [roll, nose_up, turn] = rotations;
     let axes = bench.configuration().board.imu;
@@ -317,8 +318,9 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSect
     Ok(found)
 }
 
-/// The largest rotation from the begin so far, as a vector in the configured axes.
-fn largest_rotation(readings: &Readings) -> [f64; 3] {
+/// The largest rotation from the begin so far, and the last one, as vectors in the configured
+/// axes.
+fn rotations_of(readings: &Readings) -> [[f64; 3]; 2] {
     let mut rotation = [0.0; 3];
     let mut largest = [0.0; 3];
     let samples: Vec<Inertial> = readings
@@ -340,7 +342,7 @@ fn largest_rotation(readings: &Readings) -> [f64; 3] {
             largest = rotation;
         }
     }
-    largest
+    [largest, rotation]
 }
 
 /// A vector of readings, turned back to the chip's own axes.

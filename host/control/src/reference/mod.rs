@@ -3,12 +3,14 @@
 mod circle;
 mod external;
 mod figure_of_eight;
+mod path;
 mod velocity_steps;
 mod waypoints;
 
 pub use circle::Circle;
 pub use external::External;
 pub use figure_of_eight::FigureOfEight;
+pub use path::{MAX_PATH_POINTS, Path, PathSpeed};
 pub use velocity_steps::{MAX_VELOCITY_STEPS, VelocityStep, VelocitySteps};
 pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
 
@@ -56,6 +58,8 @@ pub enum Reference {
     FigureOfEight(FigureOfEight),
     /// A path through points with times.
     Waypoints(Waypoints),
+    /// A smooth path through points.
+    Path(Path),
     /// Set-points that another program sends, [`crate::Setpoint`].
     External(External),
 }
@@ -106,6 +110,24 @@ pub enum ReferenceError {
         /// Its time, in s.
         time_s: f64,
     },
+    /// Two points of a path in a row are too close for a spline.
+    #[error("point {index} is {distance:.4} m from the one before it; at least 0.005 m are needed")]
+    TooClose {
+        /// Index of the later point, from 0.
+        index: usize,
+        /// Their distance, in m.
+        distance: f64,
+    },
+    /// The path bends more than any car can follow.
+    #[error(
+        "the path turns with a radius of {radius:.3} m at point {index}; at least 0.05 m are needed"
+    )]
+    TooSharp {
+        /// Index of the point, from 0.
+        index: usize,
+        /// The radius, in m.
+        radius: f64,
+    },
 }
 
 impl Reference {
@@ -117,6 +139,7 @@ impl Reference {
             Self::VelocitySteps(steps) => steps.at(time),
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
+            Self::Path(path) => path.at(time),
             Self::External(external) => external.newest(),
         }
     }
@@ -127,7 +150,9 @@ impl Reference {
         match self {
             Self::VelocitySteps(steps) => steps.before(time),
             Self::Waypoints(waypoints) => waypoints.before(time),
-            Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => self.at(time),
+            Self::Circle(_) | Self::FigureOfEight(_) | Self::Path(_) | Self::External(_) => {
+                self.at(time)
+            }
         }
     }
 
@@ -138,6 +163,7 @@ impl Reference {
             Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => None,
             Self::VelocitySteps(steps) => Some(steps.duration()),
             Self::Waypoints(waypoints) => Some(waypoints.duration()),
+            Self::Path(path) => (!path.is_closed()).then(|| path.lap_time()),
         }
     }
 
@@ -145,7 +171,7 @@ impl Reference {
     #[must_use]
     pub fn next_switch(&self, time: f64) -> Option<f64> {
         match self {
-            Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => None,
+            Self::Circle(_) | Self::FigureOfEight(_) | Self::Path(_) | Self::External(_) => None,
             Self::VelocitySteps(steps) => steps.next_switch(time),
             Self::Waypoints(waypoints) => waypoints.next_switch(time),
         }

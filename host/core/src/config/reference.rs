@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
-    Circle, External, FigureOfEight, Position, Reference, Velocity, VelocityStep, VelocitySteps,
-    Waypoint, Waypoints,
+    Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Velocity,
+    VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 use toml::Value;
 
@@ -15,7 +15,7 @@ use super::{
     kind::Written,
     section::{Declared as _, section},
     value::{Typed, seconds},
-    waypoint_file::read_waypoints,
+    waypoint_file::{read_points, read_waypoints},
 };
 
 /// The reference of P.
@@ -59,6 +59,33 @@ pub enum ReferenceSection {
         /// In order of time.
         waypoints: Vec<WaypointSection>,
     },
+    /// See [`Path`](singletrack_control::Path).
+    Path {
+        /// CSV file with the columns `x_m,y_m`; relative to the file that names it.
+        file: PathBuf,
+        /// Whether the path leads from its last point back to the first.
+        closed: bool,
+        /// Highest speed, in m/s.
+        speed_m_s: f64,
+        /// Highest lateral acceleration, in m/s².
+        lateral_acceleration_m_s2: f64,
+        /// Highest acceleration and deceleration along the path, in m/s².
+        acceleration_m_s2: f64,
+    },
+    /// The same, written out: what a record holds.
+    #[serde(rename = "path")]
+    PathList {
+        /// The points in m, in order.
+        points: Vec<[f64; 2]>,
+        /// As in [`Path`](Self::Path).
+        closed: bool,
+        /// As in [`Path`](Self::Path).
+        speed_m_s: f64,
+        /// As in [`Path`](Self::Path).
+        lateral_acceleration_m_s2: f64,
+        /// As in [`Path`](Self::Path).
+        acceleration_m_s2: f64,
+    },
     /// See [`External`]: set-points from the control socket.
     External {
         /// The car stops when the last set-point is older.
@@ -101,6 +128,10 @@ impl Typed for Vec<WaypointSection> {
 /// How long a set-point is in force by default.
 const SETPOINT_TIMEOUT_MS: u32 = 200;
 
+/// The limits of a path by default: half of what the paper's car may do at most.
+const PATH_LATERAL_M_S2: f64 = 1.0;
+const PATH_ACCELERATION_M_S2: f64 = 0.5;
+
 section! {
     /// Where P should be, from the moment that the car drives. The section has the keys of its
     /// kind, and no others.
@@ -123,10 +154,21 @@ section! {
     /// Velocity steps, in order, each with `duration_s`, `v_x_m_s` and `v_y_m_s`.
     steps: Option<Vec<StepSection>> = None;
     /// Waypoints: CSV file with the columns `t_s,x_m,y_m`; its path is relative to the
-    /// configuration file. `waypoints` may take its place.
+    /// configuration file. `waypoints` may take its place. Path: the columns are `x_m,y_m`, and
+    /// `points` may take its place.
     file: Option<PathBuf> = None;
     /// Waypoints in the place of a file, each with `t_s`, `x_m` and `y_m`, in order of time.
     waypoints: Option<Vec<WaypointSection>> = None;
+    /// Path: points in the place of a file.
+    points: Option<Vec<[f64; 2]>> = None, in -1_000.0..=1_000.0;
+    /// Path: it leads from its last point back to the first, and goes on.
+    closed: Option<bool> = None, otherwise false;
+    /// Path: highest speed; at most `limits.max_speed_m_s`.
+    speed_m_s: Option<f64> = None, in up_to(20.0);
+    /// Path: highest lateral acceleration; at most `limits.max_lateral_acceleration_m_s2`.
+    lateral_acceleration_m_s2: Option<f64> = None, in up_to(50.0), otherwise PATH_LATERAL_M_S2;
+    /// Path: highest acceleration and deceleration; at most `limits.max_acceleration_m_s2`.
+    acceleration_m_s2: Option<f64> = None, in up_to(50.0), otherwise PATH_ACCELERATION_M_S2;
     // A longer time-out is no deadman's switch.
     /// External set-points: the car stops when the last one is older.
     setpoint_timeout_ms: Option<u32> = None, in 20..=1_000, otherwise SETPOINT_TIMEOUT_MS;
@@ -143,6 +185,8 @@ choice! {
     FigureOfEight = "figure-of-eight";
     /// See [`Waypoints`].
     Waypoints = "waypoints";
+    /// See [`Path`](SmoothPath).
+    Path = "path";
     /// See [`External`].
     External = "external";
 }
@@ -176,6 +220,29 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                     file: written.need("file", keys.file)?,
                 },
             },
+            ReferenceKind::Path => {
+                let closed = keys.closed.unwrap_or_default();
+                let speed_m_s = written.need("speed_m_s", keys.speed_m_s)?;
+                let lateral_acceleration_m_s2 =
+                    keys.lateral_acceleration_m_s2.unwrap_or(PATH_LATERAL_M_S2);
+                let acceleration_m_s2 = keys.acceleration_m_s2.unwrap_or(PATH_ACCELERATION_M_S2);
+                match keys.points {
+                    Some(points) => Self::PathList {
+                        points,
+                        closed,
+                        speed_m_s,
+                        lateral_acceleration_m_s2,
+                        acceleration_m_s2,
+                    },
+                    None => Self::Path {
+                        file: written.need("file", keys.file)?,
+                        closed,
+                        speed_m_s,
+                        lateral_acceleration_m_s2,
+                        acceleration_m_s2,
+                    },
+                }
+            }
             ReferenceKind::External => Self::External {
                 setpoint_timeout_ms: keys.setpoint_timeout_ms.unwrap_or(SETPOINT_TIMEOUT_MS),
             },
@@ -186,10 +253,19 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
 }
 
 impl ReferenceSection {
-    /// Finds the waypoint file from `folder` if its path is relative.
+    /// Finds the file of waypoints or points from `folder` if its path is relative.
     pub fn resolve(&mut self, folder: &Path) {
-        if let Self::Waypoints { file } = self {
+        if let Self::Waypoints { file } | Self::Path { file, .. } = self {
             *file = folder.join(&*file);
+        }
+    }
+
+    /// The file that the reference names.
+    #[must_use]
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Waypoints { file } | Self::Path { file, .. } => Some(file),
+            _ => None,
         }
     }
 
@@ -199,18 +275,33 @@ impl ReferenceSection {
     ///
     /// Waypoints that can't be read.
     pub fn written_out(&self) -> Result<Self, ConfigError> {
-        let Self::Waypoints { file } = self else {
-            return Ok(self.clone());
-        };
-        let waypoints = waypoints_of(file)?;
-        let written_out = |waypoint: &Waypoint| WaypointSection {
-            t_s: waypoint.time,
-            x_m: waypoint.position.x,
-            y_m: waypoint.position.y,
-        };
-        Ok(Self::WaypointList {
-            waypoints: waypoints.points().iter().map(written_out).collect(),
-        })
+        match self {
+            Self::Waypoints { file } => {
+                let waypoints = waypoints_of(file)?;
+                let written_out = |waypoint: &Waypoint| WaypointSection {
+                    t_s: waypoint.time,
+                    x_m: waypoint.position.x,
+                    y_m: waypoint.position.y,
+                };
+                Ok(Self::WaypointList {
+                    waypoints: waypoints.points().iter().map(written_out).collect(),
+                })
+            }
+            Self::Path {
+                file,
+                closed,
+                speed_m_s,
+                lateral_acceleration_m_s2,
+                acceleration_m_s2,
+            } => Ok(Self::PathList {
+                points: points_of(file)?,
+                closed: *closed,
+                speed_m_s: *speed_m_s,
+                lateral_acceleration_m_s2: *lateral_acceleration_m_s2,
+                acceleration_m_s2: *acceleration_m_s2,
+            }),
+            _ => Ok(self.clone()),
+        }
     }
 
     /// Refuses values outside their ranges, so that the reference's points and velocities are
@@ -272,6 +363,22 @@ impl ReferenceSection {
                     .collect();
                 Reference::Waypoints(Waypoints::new(&waypoints)?)
             }
+            Self::Path { .. } => self.written_out()?.reference()?,
+            Self::PathList {
+                points,
+                closed,
+                speed_m_s,
+                lateral_acceleration_m_s2,
+                acceleration_m_s2,
+            } => {
+                let points: Vec<_> = points.iter().map(|[x, y]| Position::new(*x, *y)).collect();
+                let limits = PathSpeed {
+                    speed: *speed_m_s,
+                    lateral_acceleration: *lateral_acceleration_m_s2,
+                    acceleration: *acceleration_m_s2,
+                };
+                Reference::Path(SmoothPath::new(&points, *closed, limits)?)
+            }
             Self::External {
                 setpoint_timeout_ms,
             } => Reference::External(External::new(seconds(*setpoint_timeout_ms))?),
@@ -281,6 +388,13 @@ impl ReferenceSection {
 
 fn waypoints_of(file: &Path) -> Result<Waypoints, ConfigError> {
     read_waypoints(file).map_err(|source| ConfigError::Waypoints {
+        path: file.to_owned(),
+        source,
+    })
+}
+
+fn points_of(file: &Path) -> Result<Vec<[f64; 2]>, ConfigError> {
+    read_points(file).map_err(|source| ConfigError::Waypoints {
         path: file.to_owned(),
         source,
     })

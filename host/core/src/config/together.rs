@@ -6,7 +6,7 @@ use singletrack_control::GRAVITY;
 
 use singletrack_pilot::{REST, SupervisorConfig};
 
-use super::{Config, ConfigError, value::seconds};
+use super::{Config, ConfigError, ReferenceSection, value::seconds};
 
 /// From a disarm request to a disarmed board, ms: the request on the line, sent twice, the
 /// board's next round, and the error of its clock.
@@ -89,6 +89,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
         ),
     )?;
+    path_within_limits(config)?;
     let [low, high] = pose.height_m.unwrap_or_default();
     refuse_if(
         low > high,
@@ -117,6 +118,54 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             control.stop_deceleration_m_s2
         ),
     )
+}
+
+/// Refuses a path whose speed profile goes beyond what the controller lets the car do.
+fn path_within_limits(config: &Config) -> Result<(), ConfigError> {
+    let (ReferenceSection::Path {
+        speed_m_s,
+        lateral_acceleration_m_s2,
+        acceleration_m_s2,
+        ..
+    }
+    | ReferenceSection::PathList {
+        speed_m_s,
+        lateral_acceleration_m_s2,
+        acceleration_m_s2,
+        ..
+    }) = config.reference
+    else {
+        return Ok(());
+    };
+    let limits = &config.limits;
+    for (key, value, limit, most) in [
+        (
+            "reference.speed_m_s",
+            speed_m_s,
+            "limits.max_speed_m_s",
+            limits.max_speed_m_s,
+        ),
+        (
+            "reference.lateral_acceleration_m_s2",
+            lateral_acceleration_m_s2,
+            "limits.max_lateral_acceleration_m_s2",
+            limits.max_lateral_acceleration_m_s2,
+        ),
+        (
+            "reference.acceleration_m_s2",
+            acceleration_m_s2,
+            "limits.max_acceleration_m_s2",
+            limits.max_acceleration_m_s2,
+        ),
+    ] {
+        refuse_if(
+            value > most,
+            key,
+            value,
+            format!("{limit} is {most}; lower it to that at most, better to less"),
+        )?;
+    }
+    Ok(())
 }
 
 /// The age of the last pose, in s, at which the host disarms the board whatever the car does:

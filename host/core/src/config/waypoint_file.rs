@@ -1,13 +1,11 @@
-//! A file of waypoints: CSV with the columns `t_s,x_m,y_m`.
+//! A file of waypoints, CSV with the columns `t_s,x_m,y_m`, or of the points of a path, with
+//! the columns `x_m,y_m`.
 
 use std::{io, path::Path};
 
 use singletrack_control::{Position, ReferenceError, Waypoint, Waypoints};
 
 use super::file::read_text;
-
-/// The columns, in any order.
-const COLUMNS: [&str; 3] = ["t_s", "x_m", "y_m"];
 
 /// Why a file of waypoints is refused.
 #[derive(Debug, thiserror::Error)]
@@ -16,13 +14,15 @@ pub enum WaypointFileError {
     #[error("{0}")]
     File(#[from] io::Error),
     /// The file is not CSV.
-    #[error("{0}; write three numbers a line, as 0.0,1.5,-0.5")]
+    #[error("{0}; write one number for each column, such as 1.5,-0.5")]
     Csv(#[from] csv::Error),
     /// The first line does not name the columns.
-    #[error("line 1 is {found:?}; it must name the columns t_s,x_m,y_m")]
+    #[error("line 1 is {found:?}; it must name the columns {columns}")]
     Columns {
         /// The first line.
         found: String,
+        /// The columns that it must name, in any order.
+        columns: String,
     },
     /// A field is not a finite number.
     #[error("line {line}: {column} is {value:?}; write a finite number, as 0.5")]
@@ -53,29 +53,8 @@ pub enum WaypointFileError {
 
 /// The waypoints of a file.
 pub(super) fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError> {
-    let text = read_text(path)?;
-    let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let header = reader.headers()?;
-    let column = |name| header.iter().position(|column| column.trim() == name);
-    let (3, [Some(t), Some(x), Some(y)]) = (header.len(), COLUMNS.map(column)) else {
-        return Err(WaypointFileError::Columns {
-            found: header.iter().collect::<Vec<_>>().join(","),
-        });
-    };
     let mut waypoints: Vec<Waypoint> = Vec::new();
-    for record in reader.records() {
-        let record = record?;
-        let line = record.position().map_or(0, csv::Position::line);
-        let number = |index: usize, column| {
-            let value = record.get(index).unwrap_or_default().trim();
-            let number = value.parse().ok().filter(|number: &f64| number.is_finite());
-            number.ok_or_else(|| WaypointFileError::Number {
-                line,
-                column,
-                value: value.to_owned(),
-            })
-        };
-        let time = number(t, "t_s")?;
+    read_rows(path, ["t_s", "x_m", "y_m"], |line, [time, x, y]| {
         if let Some(before) = waypoints.last().filter(|before| time <= before.time) {
             return Err(WaypointFileError::Order {
                 line,
@@ -85,8 +64,57 @@ pub(super) fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError
         }
         waypoints.push(Waypoint {
             time,
-            position: Position::new(number(x, "x_m")?, number(y, "y_m")?),
+            position: Position::new(x, y),
+        });
+        Ok(())
+    })?;
+    Ok(Waypoints::new(&waypoints)?)
+}
+
+/// The points of a file, in m.
+pub(super) fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, WaypointFileError> {
+    let mut points = Vec::new();
+    read_rows(path, ["x_m", "y_m"], |_, point| {
+        points.push(point);
+        Ok(())
+    })?;
+    Ok(points)
+}
+
+/// Reads the rows of a file with these columns, and no others, in any order. `take` gets the
+/// line's number and the numbers in the order of `columns`.
+fn read_rows<const COLUMNS: usize>(
+    path: &Path,
+    columns: [&'static str; COLUMNS],
+    mut take: impl FnMut(u64, [f64; COLUMNS]) -> Result<(), WaypointFileError>,
+) -> Result<(), WaypointFileError> {
+    let text = read_text(path)?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let header = reader.headers()?;
+    let places: Vec<usize> = columns
+        .iter()
+        .filter_map(|name| header.iter().position(|column| column.trim() == *name))
+        .collect();
+    if header.len() != COLUMNS || places.len() != COLUMNS {
+        return Err(WaypointFileError::Columns {
+            found: header.iter().collect::<Vec<_>>().join(","),
+            columns: columns.join(","),
         });
     }
-    Ok(Waypoints::new(&waypoints)?)
+    for record in reader.records() {
+        let record = record?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let mut row = [0.0; COLUMNS];
+        for ((number, column), place) in row.iter_mut().zip(columns).zip(&places) {
+            let value = record.get(*place).unwrap_or_default().trim();
+            let finite = value.parse().ok().filter(|number: &f64| number.is_finite());
+            *number = finite.ok_or_else(|| WaypointFileError::Number {
+                line,
+                column,
+                value: value.to_owned(),
+            })?;
+        }
+        take(line, row)?;
+    }
+    Ok(())
 }

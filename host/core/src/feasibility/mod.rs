@@ -562,6 +562,7 @@ fn duration(reference: &Reference) -> f64 {
     const LONGEST_S: f64 = 60.0;
     let period = match reference {
         Reference::Circle(circle) => 2.0 * PI / circle.angular_velocity().abs().max(0.01),
+        Reference::Path(path) => path.lap_time(),
         _ => LONGEST_S / 2.0,
     };
     reference.duration().unwrap_or(2.0 * period).min(LONGEST_S)

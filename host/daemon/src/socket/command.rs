@@ -76,6 +76,8 @@ pub enum Question {
     Status,
     /// Slow down, stop and disarm.
     Disarm,
+    /// Disarm at once: neutral without a ramp.
+    Halt,
     /// Emergency stop: neutral at once, until the board is reset.
     Stop,
 }
@@ -99,6 +101,7 @@ struct Line {
     jog: Option<bool>,
     servo_us: Option<u16>,
     esc_us: Option<u16>,
+    at_once: Option<bool>,
 }
 
 /// The shortest and the longest time of a timed drive, s.
@@ -146,7 +149,10 @@ impl Command {
             "hold" => Self::Hold,
             "jog" => Self::Jog(line.take_jog()?),
             "reload" => Self::Reload,
-            "disarm" => Self::Ask(Question::Disarm),
+            "disarm" => match line.at_once.take() {
+                Some(true) => Self::Ask(Question::Halt),
+                Some(false) | None => Self::Ask(Question::Disarm),
+            },
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {
                 let missing = "set-reference needs a reference, such as {\"kind\":\"circle\",\
@@ -268,6 +274,7 @@ impl Line {
             ("jog", self.jog.is_some(), "arm"),
             ("servo_us", self.servo_us.is_some(), "jog"),
             ("esc_us", self.esc_us.is_some(), "jog"),
+            ("at_once", self.at_once.is_some(), "disarm"),
         ] {
             if is_there {
                 return Err(format!(
@@ -332,6 +339,10 @@ mod tests {
             (
                 r#"{"version":2,"command":"arm","attendance":"hold","topics":["tick"]}"#,
                 "arm takes no topics; only watch does",
+            ),
+            (
+                r#"{"version":2,"command":"stop","at_once":true}"#,
+                "stop takes no at_once; only disarm does",
             ),
             (
                 r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
@@ -444,6 +455,14 @@ mod tests {
             (
                 r#"{"version":2,"command":"status"}"#,
                 Command::Ask(Question::Status),
+            ),
+            (
+                r#"{"version":2,"command":"disarm","at_once":true}"#,
+                Command::Ask(Question::Halt),
+            ),
+            (
+                r#"{"version":2,"command":"disarm","at_once":false}"#,
+                Command::Ask(Question::Disarm),
             ),
             (
                 r#"{"version":2,"command":"arm","attendance":"hold"}"#,

@@ -48,9 +48,10 @@ pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Res
     let mut read = BufReader::new(read).take(LONGEST_LINE);
     let first_line = tokio::time::timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line)).await;
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
-        (Ok(Ok(_)), Ok(Command::Ask(question @ (Question::Stop | Question::Disarm)))) => {
-            answer(question, daemon).await
-        }
+        (
+            Ok(Ok(_)),
+            Ok(Command::Ask(question @ (Question::Stop | Question::Disarm | Question::Halt))),
+        ) => answer(question, daemon).await,
         _ => failure(format!("{CLIENTS} clients are connected; close one")),
     };
     send(&mut write, &answer).await
@@ -176,7 +177,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
-    if matches!(question, Question::Disarm | Question::Stop) {
+    if matches!(question, Question::Disarm | Question::Halt | Question::Stop) {
         daemon.drives.stop();
     }
     // No mode in an answer: the effect of a request shows after the next tick only.
@@ -194,6 +195,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
             }
             (result, _) => result,
         },
+        Question::Halt => push(PilotRequest::Halt),
         Question::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {

@@ -23,6 +23,7 @@
 //! | `Driving`, `Slowing` | `Stopping` | a disarm request, the end of the reference, a failed driving check, or a pose beyond `blind` or `blind_distance` | |
 //! | `Stopping` | `Idle` | the car stands, or `stop_timeout` | `Disarm` |
 //! | `Driving`, `Slowing`, `Stopping` | `Idle` | the last pose is older than `disarm_age` | `Disarm` |
+//! | `Driving`, `Slowing`, `Stopping` | `Idle` | the operator's dead-man switch is lost (`Halt`) | `Disarm` |
 //! | `Driving`, `Slowing`, `Stopping`, `Jogging` | `Idle` | the board has stopped the car by itself | |
 //! | `Arming`, `Driving`, `Slowing`, `Stopping`, `Jogging` | `Fault` | the board has latched an emergency stop | |
 //! | `Fault` | `Idle` | a disarm request while the board is not latched | `Disarm` |
@@ -96,6 +97,8 @@ pub struct Supervisor {
     arm_requested: Option<Arming>,
     stop_requested: Option<Reason>,
     emergency_requested: bool,
+    /// Whether the stop is to be at neutral at once.
+    halt_requested: bool,
     arm_refused: bool,
     /// Whether the operator has renewed the drive since the last tick.
     hold_heard: bool,
@@ -137,6 +140,7 @@ impl Supervisor {
             arm_requested: None,
             stop_requested: None,
             emergency_requested: false,
+            halt_requested: false,
             arm_refused: false,
             hold_heard: false,
             jog_heard: false,
@@ -235,6 +239,10 @@ impl Supervisor {
             PilotRequest::Disarm => self.request_stop(Reason::Requested),
             PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),
             PilotRequest::TimeUp => self.request_stop(Reason::TimeUp),
+            PilotRequest::Halt => {
+                self.request_stop(Reason::OperatorGone);
+                self.halt_requested = true;
+            }
             PilotRequest::EmergencyStop => self.emergency_requested = true,
         }
     }
@@ -259,6 +267,7 @@ impl Supervisor {
         let arm = self.arm_requested.take();
         let mut stop = self.stop_requested.take();
         let emergency = core::mem::take(&mut self.emergency_requested);
+        let halt = core::mem::take(&mut self.halt_requested);
         let refused = core::mem::take(&mut self.arm_refused);
         let now = conditions.now;
         self.latest.begin_tick(now);
@@ -294,6 +303,13 @@ impl Supervisor {
         if unlinked.is_some() {
             self.enter(Mode::Disconnected, unlinked, now);
             return None;
+        }
+        if halt && self.mode.commands() {
+            if self.follow_stopped_board(now) {
+                return None;
+            }
+            self.enter(Mode::Idle, stop.or(Some(Reason::OperatorGone)), now);
+            return Some(BoardRequest::Disarm);
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => {

@@ -58,6 +58,28 @@ fn an_unattended_drive_needs_no_renewal_and_a_renewal_makes_none() {
 }
 
 #[test]
+fn a_dead_man_switch_that_is_lost_disarms_a_rolling_car_in_the_same_tick() {
+    let gone = (
+        Mode::Idle,
+        Some(Reason::OperatorGone),
+        Some(BoardRequest::Disarm),
+    );
+    assert_eq!(Bench::driving().ask(PilotRequest::Halt), gone);
+    assert_eq!(Bench::arming().ask(PilotRequest::Halt), gone);
+    // Also while the car slows down for another reason.
+    let mut bench = Bench::driving();
+    assert_eq!(bench.ask(PilotRequest::TimeUp).0, Mode::Stopping);
+    assert_eq!(bench.ask(PilotRequest::Halt), gone);
+    // It revokes an arm of the same tick, and clears no fault.
+    let mut bench = Bench::new();
+    bench.step();
+    bench.supervisor.handle_request(PilotRequest::ArmHeld);
+    assert_eq!(bench.ask(PilotRequest::Halt), (Mode::Ready, None, None));
+    bench.supervisor.fault(Reason::LawSingular, Time(0));
+    assert_eq!(bench.ask(PilotRequest::Halt).0, Mode::Fault);
+}
+
+#[test]
 fn an_operator_who_is_gone_and_a_time_that_is_over_end_a_drive_with_their_reasons() {
     for (request, reason) in [
         (PilotRequest::OperatorGone, Reason::OperatorGone),

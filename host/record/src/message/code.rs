@@ -345,6 +345,7 @@ codes! {
         OperatorGone = 6,
         TimeUp = 7,
         ArmJog = 8,
+        Halt = 9,
     }
     BoardMode as "MODE" {
         Boot = 1,

@@ -341,6 +341,7 @@ mod tests {
                     servo_us: 1_380,
                     esc_us: 1_545
                 }),
+                Event::Request(PilotRequest::Halt),
                 Event::Proved(true),
                 Event::Proved(false),
                 Event::ArmRefused,

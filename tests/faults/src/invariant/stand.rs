@@ -216,7 +216,7 @@ impl Invariant for StopNotObeyed {
 }
 
 /// `unarmed-motion`: while the board is not armed, the true car moves no longer than a
-/// roll-out, half a second to notice it, the true time of signal loss and another
+/// roll-out (3 s at most), half a second to notice it, the true time of signal loss and another
 /// roll-out.
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
@@ -241,6 +241,9 @@ const TOLD_APART_M: f64 = 0.55;
 const CREEPING: f64 = 0.06;
 
 const NOTICED_US: u64 = 500_000;
+
+/// A car that stood is given no longer roll-out than this, in µs.
+const FROM_STANDSTILL_US: u64 = 3_000_000;
 
 impl Invariant for UnarmedMotion {
     fn name(&self) -> &'static str {
@@ -278,7 +281,8 @@ impl Invariant for UnarmedMotion {
             self.told_us.get_or_insert(observation.now_us);
         }
         let told_after_us = self.told_us.map_or(u64::MAX, |told_us| told_us - since_us);
-        let noticed_us = spec.max_roll_out_us.max(told_after_us);
+        let rolled_us = spec.max_roll_out_us.min(FROM_STANDSTILL_US);
+        let noticed_us = rolled_us.max(told_after_us);
         let ends_us = NOTICED_US + spec.true_signal_loss_us + rolls_us;
         let limit_us = noticed_us.saturating_add(ends_us);
         if after_us <= limit_us {

@@ -167,6 +167,19 @@ pub enum Need {
     AnotherCar,
     /// The real image, on a processor with faults.
     Image,
+    /// A computer on which input devices can be made.
+    Uinput,
+}
+
+/// The device by which input devices are made.
+const UINPUT: &str = "/dev/uinput";
+
+/// Reason why this computer can make no input devices, if it can't.
+pub(crate) fn uinput_lacks() -> Option<&'static str> {
+    let opened = std::fs::OpenOptions::new().write(true).open(UINPUT);
+    opened
+        .is_err()
+        .then_some("this computer has no /dev/uinput that the test may write to")
 }
 
 /// Faults of the line, in both directions.

@@ -21,7 +21,7 @@ use super::{
     canary::Canary,
     priority::raise_priority,
     proxy::{Damage, Frames, replace_motion},
-    simulated,
+    simulated, uinput_lacks,
 };
 use crate::{Failure, Outcome, Pulses, Trace, settings, wait};
 
@@ -278,6 +278,7 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::StopSwitch => Some("the harness can't open the stop switch of a physical car"),
         Need::AnotherCar => Some("the harness can't give a physical UNO another car's number"),
         Need::Image => Some("the harness can't make the processor of a physical UNO fail"),
+        Need::Uinput => uinput_lacks(),
         Need::FreshBoard => None,
     }
 }

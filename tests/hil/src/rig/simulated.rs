@@ -12,7 +12,7 @@ use singletrack_sim::{
     BoardKind, BusFault, Hang, LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth,
 };
 
-use super::{LineFaults, Need, Rig, canary::Canary, priority::raise_priority};
+use super::{LineFaults, Need, Rig, canary::Canary, priority::raise_priority, uinput_lacks};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// Rig with simulated board, car and cameras.
@@ -53,6 +53,7 @@ pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
         (BoardKind::Native, Need::Image) => {
             Some("only the image has a watchdog and a bus: --board uno")
         }
+        (_, Need::Uinput) => uinput_lacks(),
         (BoardKind::Uno, Need::AnotherCar) => Some("the image was built for a car"),
         _ => None,
     }

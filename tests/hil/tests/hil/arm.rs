@@ -35,6 +35,18 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         unattended,
     ),
     Scenario::new(
+        "a_killed_hand_ends_jogging_at_once",
+        killed_hand,
+    ),
+    Scenario::new(
+        "a_hand_that_hangs_ends_jogging_after_a_quarter_of_a_second",
+        hand_hangs,
+    ),
+    Scenario::new(
+        "jogging_for_a_time_steers_and_ends_with_success",
+        jogs_for_a_time,
+    ),
+    Scenario::new(
         "a_client_of_an_ended_drive_does_not_end_the_next_one",
         two_clients,
     ),
@@ -54,6 +66,14 @@ const HANGS_LIMIT_MS: f64 = HOLD_TIMEOUT_MS + 100.0;
 /// Limit for the time from a disarm to readiness.
 const READY_AGAIN: Duration = Duration::from_secs(4);
 
+/// The longest time between two pulses of a hand, and the limit from when its program hangs to
+/// the first tick after jogging.
+const JOG_TIMEOUT_MS: f64 = 250.0;
+const HAND_LIMIT_MS: f64 = JOG_TIMEOUT_MS + 100.0;
+
+/// A servo pulse to the left.
+const JOG_SERVO: &str = "1420";
+
 /// The time of the timed drive, and the most that may be driven: the daemon looks every 0.1 s;
 /// the rest is for a busy machine.
 const DRIVE_MS: f64 = 1_500.0;
@@ -64,10 +84,20 @@ struct Operator(Option<Child>);
 
 impl Operator {
     fn arm(bench: &Bench, options: &[&str]) -> Outcome<Self> {
+        Self::run(bench, "arm", options)
+    }
+
+    /// `singletrack jog`, with the wheels to the left and the motor slowly forward.
+    fn jog(bench: &Bench, options: &[&str]) -> Outcome<Self> {
+        let pulses = ["--servo", JOG_SERVO, "--esc", "1545"];
+        Self::run(bench, "jog", &[&pulses, options].concat())
+    }
+
+    fn run(bench: &Bench, command: &str, options: &[&str]) -> Outcome<Self> {
         // Built next to the daemon.
         let tool = bench.program().with_file_name("singletrack");
         Command::new(&tool)
-            .arg("arm")
+            .arg(command)
             .args(options)
             .arg("--socket")
             .arg(&bench.config().socket.path)
@@ -345,5 +375,93 @@ fn two_clients(bench: &mut Bench) -> Outcome {
         "the second drive's end: {}",
         status.text()
     );
+    Ok(())
+}
+
+/// Starts a daemon and a hand that jogs, and waits until the motor has turned.
+fn start_jogging(bench: &mut Bench, options: &[&str]) -> Outcome<Operator> {
+    bench.start_daemon()?;
+    bench.wait_until_ready()?;
+    let hand = Operator::jog(bench, options)?;
+    bench.wait_for_mode("jogging", READY_AGAIN)?;
+    Ok(hand)
+}
+
+/// The last tick with jogging, and the first one after it.
+fn end_of_jogging(ticks: &[TickRecord]) -> Outcome<(&TickRecord, &TickRecord)> {
+    let jogs = |tick: &TickRecord| tick.output.mode == Mode::Jogging;
+    let end = ticks.windows(2).find_map(|pair| match pair {
+        [last, next] if jogs(last) && !jogs(next) => Some((last, next)),
+        _ => None,
+    });
+    end.ok_or_else(|| Failure::new("the record has no jogging with its end"))
+}
+
+fn killed_hand(bench: &mut Bench) -> Outcome {
+    let hand = start_jogging(bench, &[])?;
+    std::thread::sleep(Duration::from_millis(500));
+    let killed_ns = monotonic_ns();
+    hand.kill();
+    let ticks = ticks(bench)?;
+    let (_, end) = end_of_jogging(&ticks)?;
+    ensure!(
+        end.output.mode == Mode::Idle && end.output.reason == Some(Reason::OperatorGone),
+        "{} because of {:?}",
+        end.output.mode,
+        end.output.reason
+    );
+    bench.at_most(
+        "from the kill to the first tick after jogging",
+        elapsed_ms(killed_ns, end.start_ns),
+        JOG_TIMEOUT_MS,
+        "ms",
+    )
+}
+
+fn hand_hangs(bench: &mut Bench) -> Outcome {
+    let hand = start_jogging(bench, &[])?;
+    std::thread::sleep(Duration::from_millis(500));
+    let hangs_ns = monotonic_ns();
+    hand.signal(Signal::STOP)?;
+    let ticks = ticks(bench)?;
+    let (last, end) = end_of_jogging(&ticks)?;
+    ensure!(
+        end.output.reason == Some(Reason::OperatorGone) && !has(end, PilotRequest::OperatorGone),
+        "it ended because of {:?}",
+        end.output.reason
+    );
+    let given = |tick: &&TickRecord| tick.events.iter().any(|event| matches!(event, Event::Jog(_)));
+    let pulses = ticks
+        .iter()
+        .rfind(given)
+        .ok_or_else(|| Failure::new("no pulses were given"))?;
+    let since = |tick: &TickRecord| elapsed_ms(pulses.start_ns, tick.start_ns);
+    ensure!(
+        since(last) <= JOG_TIMEOUT_MS && since(end) > JOG_TIMEOUT_MS,
+        "it went on for {} ms after the last pulses, and ended after {} ms",
+        since(last),
+        since(end)
+    );
+    bench.at_most(
+        "from the last sign of the hand to the first tick after jogging",
+        elapsed_ms(hangs_ns, end.start_ns),
+        HAND_LIMIT_MS,
+        "ms",
+    )
+}
+
+fn jogs_for_a_time(bench: &mut Bench) -> Outcome {
+    let hand = start_jogging(bench, &["--for", "700ms"])?;
+    let output = hand.output()?;
+    ensure!(output.status.success(), "{output:?}");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    ensure!(
+        text.contains("jogging has ended after") && text.contains("requested"),
+        "{text}"
+    );
+    let ticks = ticks(bench)?;
+    let (last, _) = end_of_jogging(&ticks)?;
+    let servo_us = last.output.jog.map(|jog| jog.servo_us.to_string());
+    ensure!(servo_us.as_deref() == Some(JOG_SERVO), "{servo_us:?}");
     Ok(())
 }

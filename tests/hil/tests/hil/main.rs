@@ -8,6 +8,7 @@ mod hostile;
 mod image;
 mod line;
 mod markers;
+mod pad;
 mod process;
 mod proving;
 mod stop;
@@ -127,6 +128,7 @@ fn main() -> ExitCode {
         board::SCENARIOS,
         image::SCENARIOS,
         arm::SCENARIOS,
+        pad::SCENARIOS,
         proving::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,

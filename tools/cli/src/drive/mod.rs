@@ -1,0 +1,517 @@
+//! `singletrack drive`: a game-pad as dead-man switch and for teleoperation.
+//!
+//! `pad` turns its events into requests, without a clock; this module gives it the time, the
+//! device and the daemon's control socket.
+
+mod device;
+pub mod pad;
+
+use std::{
+    io::{self, BufRead as _, BufReader, Read as _, Write as _},
+    os::{fd::AsFd as _, unix::net::UnixStream},
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    io::Errno,
+};
+use serde_json::{Value, json};
+use singletrack_control::{Time, Velocity, direction};
+use singletrack_core::config::ReferenceSection;
+use singletrackd::{SOCKET_VERSION, monotonic_ns};
+
+use crate::{
+    control::{ControlArgs, ControlError, agreed, connect, print},
+    interrupt::Interrupt,
+    set_reference::{SetReferenceError, read_reference},
+};
+use device::Source;
+use pad::{Driver, Pad, PadEvent, PadNote, PadOptions, PadRequest};
+
+/// The pad and its bounds.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "\
+Hold the right shoulder button: the car drives its reference. Hold the left one, with the sticks \
+at their centre: the left stick gives the speed, the right one the direction. Release it: the car \
+slows down and stops. The right button (B) is the emergency stop. A pad that is pulled out, or \
+silent for --silence, puts the motor to neutral at once. Find the device with `ls -l \
+/dev/input/by-id/*-event-joystick`.")]
+pub struct DriveArgs {
+    /// The pad's event device, such as /dev/input/by-id/...-event-joystick; or a pipe with the
+    /// bytes of one
+    #[arg(long, value_name = "DEVICE")]
+    pad: PathBuf,
+    /// The reference that the car drives by itself, as for set-reference; otherwise that of the
+    /// configuration
+    #[arg(long, value_name = "FILE")]
+    reference: Option<PathBuf>,
+    /// Highest speed by the sticks, in m/s
+    #[arg(long, value_name = "M_S", default_value_t = 0.5)]
+    speed: f64,
+    /// The longest silence of the pad in a drive, such as 5s: a pad without contact gives no
+    /// events. Move a stick now and then
+    #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = parse_silence)]
+    silence: Duration,
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
+/// Why the pad does not drive the car.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    /// The pad can't be opened.
+    #[error("can't open the pad {}: {source}", .path.display())]
+    Pad {
+        /// The device.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The pad is gone.
+    #[error("the pad is gone{}", if *.was_driving { ": the motor is at neutral" } else { "" })]
+    Lost {
+        /// Whether it held a drive.
+        was_driving: bool,
+    },
+    /// The daemon can't be reached.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// The reference is invalid.
+    #[error(transparent)]
+    Reference(#[from] SetReferenceError),
+    /// The speed is out of range.
+    #[error("--speed is {0}: give above 0, to 5")]
+    Speed(f64),
+}
+
+impl From<io::Error> for DriveError {
+    fn from(error: io::Error) -> Self {
+        Self::Control(error.into())
+    }
+}
+
+/// The longest wait for an event, so that renewals and Ctrl-C are not late.
+const WAIT_NS: i64 = 5_000_000;
+
+/// The longest wait for the daemon's answer to a stop.
+const ANSWER: Duration = Duration::from_millis(200);
+
+/// The oldest heading by which a stick steers.
+const HEADING_AGE: Duration = Duration::from_millis(100);
+
+/// The longest time until a car whose reference was changed is ready.
+const SETTLE: Duration = Duration::from_secs(5);
+
+/// The longest wait for the end of a drive that was stopped.
+const END: Duration = Duration::from_secs(10);
+
+/// Time-out of the set-points of the sticks: they come every 20 ms.
+const SETPOINT_TIMEOUT_MS: u32 = 100;
+
+/// The exit status of a drive that something else stopped.
+const STOPPED: u8 = 3;
+
+/// Drives by the pad until Ctrl-C.
+///
+/// # Errors
+///
+/// When pad or daemon can't be reached, or the pad is lost; the car is stopped.
+pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
+    if !(args.speed > 0.0 && args.speed <= 5.0) {
+        return Err(DriveError::Speed(args.speed));
+    }
+    let interrupt = Interrupt::listen()?;
+    let (source, state) = Source::open(&args.pad).map_err(|source| DriveError::Pad {
+        path: args.pad.clone(),
+        source,
+    })?;
+    let reference = args.reference.as_deref().map(read_reference).transpose()?;
+    let mut watch = Lines::connect(&args.control.socket)?;
+    watch.send(&json!({
+        "version": SOCKET_VERSION, "command": "watch", "topics": ["tick"],
+    }))?;
+    let now = Time(monotonic_ns());
+    let options = PadOptions {
+        max_speed: args.speed,
+        silence: args.silence,
+        ..PadOptions::default()
+    };
+    let mut shell = Shell {
+        pad: Pad::new(options, now),
+        session: Lines::connect(&args.control.socket)?,
+        watch,
+        socket: &args.control.socket,
+        stage: Stage::Off,
+        // Whether the reference of the configuration is still in force.
+        in_force: reference.is_none().then_some(Driver::Pilot),
+        reference,
+        car: None,
+    };
+    for event in state {
+        shell.pad.handle(now, event);
+    }
+    print(&match source.name() {
+        Some(name) => format!("{name}: hold a shoulder button to drive"),
+        None => "hold a shoulder button to drive".to_owned(),
+    })?;
+    shell.attend(source, &interrupt)
+}
+
+/// How far a drive is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// No button is held.
+    Off,
+    /// The daemon has been asked for the reference of this driver.
+    Changing(Driver),
+    /// The car gets ready; since then.
+    Settling(Driver, Instant),
+    /// The daemon has been asked to arm.
+    Arming(Driver),
+    /// The car drives.
+    Driving(Driver),
+    /// The car has been asked to stop; since then.
+    Ending(Instant),
+}
+
+/// The car as its last tick shows it.
+#[derive(Clone, Debug)]
+struct Car {
+    at: Instant,
+    is_ready: bool,
+    /// Why it can't be armed.
+    preflight: Option<String>,
+    yaw: Option<f64>,
+}
+
+struct Shell<'a> {
+    pad: Pad,
+    /// Holds the drive.
+    session: Lines,
+    watch: Lines,
+    socket: &'a Path,
+    stage: Stage,
+    /// Whose reference is in force; `None` if it is not known.
+    in_force: Option<Driver>,
+    /// The reference of the pilot, if one was given.
+    reference: Option<Value>,
+    car: Option<Car>,
+}
+
+impl Shell<'_> {
+    fn attend(mut self, mut source: Source, interrupt: &Interrupt) -> Result<ExitCode, DriveError> {
+        let mut events = Vec::new();
+        let mut is_leaving = false;
+        let mut was_driving = false;
+        loop {
+            wait(&source, &self.session, &self.watch)?;
+            // The pad first: nothing else may delay a stop.
+            if !self.pad.is_lost() {
+                source.read(&mut events);
+            }
+            for event in events.drain(..) {
+                let holds = self.pad.driver().is_some();
+                was_driving |= event == PadEvent::Lost && holds;
+                if let Some(request) = self.pad.handle(Time(monotonic_ns()), event) {
+                    self.act(request)?;
+                }
+            }
+            while let Some(request) = self.pad.poll(Time(monotonic_ns())) {
+                self.act(request)?;
+            }
+            while let Some(line) = self.session.receive()? {
+                self.answered(line)?;
+            }
+            while let Some(line) = self.watch.receive()? {
+                self.seen(&line);
+            }
+            self.settle()?;
+            if interrupt.is_raised() && !is_leaving {
+                is_leaving = true;
+                if self.pad.driver().is_some() {
+                    self.pad.ended();
+                    self.act(PadRequest::End)?;
+                }
+            }
+            let is_over = match self.stage {
+                Stage::Ending(since) => since.elapsed() > END,
+                stage => stage == Stage::Off,
+            };
+            if is_over && self.pad.is_lost() {
+                return Err(DriveError::Lost { was_driving });
+            }
+            if is_over && is_leaving {
+                let stopped = matches!(self.stage, Stage::Ending(_));
+                return Ok(if stopped {
+                    ExitCode::from(STOPPED)
+                } else {
+                    ExitCode::SUCCESS
+                });
+            }
+        }
+    }
+
+    fn act(&mut self, request: PadRequest) -> Result<(), DriveError> {
+        match request {
+            PadRequest::Begin(driver) => return self.begin(driver),
+            PadRequest::Hold => {
+                if matches!(self.stage, Stage::Arming(_) | Stage::Driving(_)) {
+                    let hold = json!({ "version": SOCKET_VERSION, "command": "hold" });
+                    self.session.send(&hold)?;
+                }
+            }
+            PadRequest::Velocity { speed, turn } => match self.stage {
+                Stage::Driving(Driver::Sticks) => self.steer(speed, turn)?,
+                // The car is armed with a fresh set-point, and at rest.
+                Stage::Settling(Driver::Sticks, _) | Stage::Arming(Driver::Sticks) => {
+                    self.steer(0.0, 0.0)?;
+                }
+                _ => {}
+            },
+            PadRequest::End => self.stop(&json!({
+                "version": SOCKET_VERSION, "command": "disarm",
+            }))?,
+            PadRequest::Halt => self.stop(&json!({
+                "version": SOCKET_VERSION, "command": "disarm", "at_once": true,
+            }))?,
+            PadRequest::Stop => {
+                self.tell(&json!({ "version": SOCKET_VERSION, "command": "stop" }))?;
+                if self.stage != Stage::Off {
+                    self.stage = Stage::Ending(Instant::now());
+                }
+                print("stopped: neutral until the board is reset")?;
+            }
+            PadRequest::Note(note) => print(match note {
+                PadNote::ReleaseFirst => "release both shoulder buttons first",
+                PadNote::OneButton => "hold one shoulder button, not both",
+                PadNote::CentreSticks => "let the sticks go to their centre first",
+                PadNote::Silent => "the pad was silent for too long",
+            })?,
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, driver: Driver) -> Result<(), DriveError> {
+        if !matches!(self.stage, Stage::Off) {
+            // The last drive has not ended yet.
+            self.pad.ended();
+            return Ok(());
+        }
+        if self.in_force == Some(driver) {
+            self.stage = Stage::Settling(driver, Instant::now());
+            return Ok(());
+        }
+        let change = match (driver, &self.reference) {
+            (Driver::Sticks, _) => json!({
+                "version": SOCKET_VERSION,
+                "command": "set-reference",
+                "reference": ReferenceSection::External {
+                    setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
+                },
+            }),
+            (Driver::Pilot, Some(reference)) => json!({
+                "version": SOCKET_VERSION, "command": "set-reference", "reference": reference,
+            }),
+            (Driver::Pilot, None) => json!({ "version": SOCKET_VERSION, "command": "reload" }),
+        };
+        self.in_force = None;
+        self.stage = Stage::Changing(driver);
+        Ok(self.session.send(&change)?)
+    }
+
+    /// Arms a car that is ready.
+    fn settle(&mut self) -> Result<(), DriveError> {
+        let Stage::Settling(driver, since) = self.stage else {
+            return Ok(());
+        };
+        let car = self.car.as_ref().filter(|car| car.at > since);
+        if car.is_some_and(|car| car.is_ready) {
+            self.stage = Stage::Arming(driver);
+            let arm = json!({
+                "version": SOCKET_VERSION, "command": "arm", "attendance": "hold",
+            });
+            return Ok(self.session.send(&arm)?);
+        }
+        if since.elapsed() > SETTLE {
+            let reason = car.and_then(|car| car.preflight.clone());
+            let reason = reason.unwrap_or_else(|| "the daemon shows no state".to_owned());
+            self.refused(&format!("can't arm: {reason}"))?;
+        }
+        Ok(())
+    }
+
+    /// Stops a drive, or what leads to one.
+    fn stop(&mut self, line: &Value) -> Result<(), DriveError> {
+        match self.stage {
+            Stage::Arming(_) | Stage::Driving(_) | Stage::Ending(_) => {
+                self.stage = Stage::Ending(Instant::now());
+                self.tell(line)
+            }
+            Stage::Off | Stage::Changing(_) | Stage::Settling(..) => {
+                self.stage = Stage::Off;
+                Ok(())
+            }
+        }
+    }
+
+    /// Sends a line on a connection of its own: the session may wait for the board to arm.
+    fn tell(&mut self, line: &Value) -> Result<(), DriveError> {
+        let told = (|| -> Result<(), ControlError> {
+            let mut stream = connect(self.socket)?;
+            stream.set_write_timeout(Some(ANSWER))?;
+            stream.set_read_timeout(Some(ANSWER))?;
+            stream.write_all(format!("{line}\n").as_bytes())?;
+            let mut answer = String::new();
+            BufReader::new(stream).read_line(&mut answer)?;
+            agreed(serde_json::from_str(&answer)?).map(drop)
+        })();
+        // The end of this program ends the session, and with it the drive.
+        Ok(told?)
+    }
+
+    fn refused(&mut self, error: &str) -> Result<(), DriveError> {
+        self.pad.ended();
+        self.stage = Stage::Off;
+        Ok(print(error)?)
+    }
+
+    /// Handles a line of the session.
+    fn answered(&mut self, line: Value) -> Result<(), DriveError> {
+        if let Some(ended) = line.get("ended") {
+            let word = |key| ended.get(key).and_then(Value::as_str);
+            self.pad.ended();
+            self.stage = Stage::Off;
+            return Ok(print(&format!(
+                "the drive has ended: {}",
+                word("reason").or(word("mode")).unwrap_or("unknown")
+            ))?);
+        }
+        if line.get("drive").is_some() {
+            return Ok(());
+        }
+        match (agreed(line), self.stage) {
+            (Ok(_), Stage::Changing(driver)) => {
+                self.in_force = Some(driver);
+                self.stage = Stage::Settling(driver, Instant::now());
+            }
+            (Ok(answer), Stage::Off) if answer.get("configuration").is_some() => {
+                // The button was released while the reference changed: ask again next time.
+                self.in_force = None;
+            }
+            (Ok(_), Stage::Arming(driver)) => {
+                self.stage = Stage::Driving(driver);
+                print(match driver {
+                    Driver::Pilot => "the car drives itself",
+                    Driver::Sticks => "the sticks drive the car",
+                })?;
+            }
+            (Ok(_), _) => {}
+            // A set-point without a reference for it, or a late renewal.
+            (Err(_), Stage::Driving(_)) => {}
+            (Err(error), _) => self.refused(&error.to_string())?,
+        }
+        Ok(())
+    }
+
+    /// Handles a tick.
+    fn seen(&mut self, tick: &Value) {
+        let Some(mode) = tick.get("mode").and_then(Value::as_str) else {
+            return;
+        };
+        let preflight = tick.pointer("/preflight/reason").and_then(Value::as_str);
+        self.car = Some(Car {
+            at: Instant::now(),
+            is_ready: mode == "ready",
+            preflight: preflight.map(str::to_owned),
+            yaw: tick.pointer("/estimate/yaw_rad").and_then(Value::as_f64),
+        });
+    }
+
+    /// Sends the velocity of P. Without a fresh heading none is sent, and the car stops.
+    fn steer(&mut self, speed: f64, turn: f64) -> Result<(), DriveError> {
+        let car = self.car.as_ref();
+        let yaw = car
+            .filter(|car| car.at.elapsed() < HEADING_AGE)
+            .and_then(|car| car.yaw);
+        let Some(yaw) = yaw else {
+            return Ok(());
+        };
+        let velocity: Velocity = speed * direction(yaw + turn);
+        Ok(self.session.send(&json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "velocity_m_s": [velocity.x, velocity.y],
+            "time_ns": monotonic_ns(),
+        }))?)
+    }
+}
+
+/// A connection that is read without waiting.
+struct Lines {
+    stream: UnixStream,
+    buffer: Vec<u8>,
+}
+
+impl Lines {
+    fn connect(socket: &Path) -> Result<Self, ControlError> {
+        let stream = connect(socket)?;
+        stream.set_nonblocking(true)?;
+        Ok(Self {
+            stream,
+            buffer: Vec::new(),
+        })
+    }
+
+    /// Sends a line. The daemon that takes none for so long that the buffer is full hangs.
+    fn send(&mut self, line: &Value) -> Result<(), ControlError> {
+        Ok(self.stream.write_all(format!("{line}\n").as_bytes())?)
+    }
+
+    /// The next line, if there is a whole one.
+    fn receive(&mut self) -> Result<Option<Value>, ControlError> {
+        loop {
+            if let Some(end) = self.buffer.iter().position(|&byte| byte == b'\n') {
+                let line: Vec<u8> = self.buffer.drain(..=end).collect();
+                return Ok(Some(serde_json::from_slice(&line)?));
+            }
+            let mut bytes = [0; 4_096];
+            match self.stream.read(&mut bytes) {
+                Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+                Ok(count) => self.buffer.extend(bytes.iter().take(count)),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
+
+/// Waits for something to read, but not for long.
+fn wait(source: &Source, session: &Lines, watch: &Lines) -> io::Result<()> {
+    let mut all = [
+        PollFd::from_borrowed_fd(source.as_fd(), PollFlags::IN),
+        PollFd::from_borrowed_fd(session.stream.as_fd(), PollFlags::IN),
+        PollFd::from_borrowed_fd(watch.stream.as_fd(), PollFlags::IN),
+    ];
+    let timeout = Timespec {
+        tv_sec: 0,
+        tv_nsec: WAIT_NS,
+    };
+    match poll(&mut all, Some(&timeout)) {
+        Ok(_) | Err(Errno::INTR) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn parse_silence(text: &str) -> Result<Duration, String> {
+    let micros = singletrack_sim::parse_duration_us(text).map_err(|error| error.to_string())?;
+    if (200_000..=60_000_000).contains(&micros) {
+        Ok(Duration::from_micros(micros))
+    } else {
+        Err("give 200ms to 60s".to_owned())
+    }
+}

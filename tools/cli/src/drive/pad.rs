@@ -1,0 +1,578 @@
+//! From the events of a game-pad to what is asked of the daemon. It knows no device and no
+//! clock: `now` is an argument.
+//!
+//! One button, held, lets the car drive itself; another one, held, gives the sticks. A button
+//! counts only after it was seen released, so that one that is stuck, or held by a forgotten
+//! strap, starts nothing; after every drive both must be released again. The sticks count from
+//! their centre on. A pad that is gone, or silent for too long, halts the car.
+
+use std::time::Duration;
+
+use singletrack_control::Time;
+
+/// Codes of the kernel's input events, from `linux/input-event-codes.h`.
+pub(crate) const BTN_EAST: u16 = 0x131;
+pub(crate) const BTN_TL: u16 = 0x136;
+pub(crate) const BTN_TR: u16 = 0x137;
+pub(crate) const ABS_Y: u16 = 0x01;
+pub(crate) const ABS_RX: u16 = 0x03;
+
+/// An event of a pad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PadEvent {
+    /// A button was pressed or released.
+    Button {
+        /// Its code.
+        code: u16,
+        /// Whether it is pressed now.
+        pressed: bool,
+    },
+    /// A stick moved.
+    Axis {
+        /// Its code.
+        code: u16,
+        /// -1 to 1; zero at rest. Up and left are negative.
+        value: f64,
+    },
+    /// Something else: the pad is there.
+    Other,
+    /// Events were lost: what is pressed is not known any more.
+    Dropped,
+    /// The pad is gone.
+    Lost,
+}
+
+/// Which buttons and sticks count, and how far.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PadOptions {
+    /// The button that lets the car drive itself.
+    pub drive_button: u16,
+    /// The button that gives the sticks.
+    pub sticks_button: u16,
+    /// The button for an emergency stop.
+    pub stop_button: u16,
+    /// The stick for the speed; up is forward.
+    pub speed_axis: u16,
+    /// The stick for the direction.
+    pub turn_axis: u16,
+    /// Speed of P at the end of the stick, m/s.
+    pub max_speed: f64,
+    /// Angle between the heading and the velocity of P at the end of the stick, rad.
+    pub max_turn: f64,
+    /// The longest silence of a pad while it holds a drive.
+    pub silence: Duration,
+}
+
+impl Default for PadOptions {
+    fn default() -> Self {
+        Self {
+            drive_button: BTN_TR,
+            sticks_button: BTN_TL,
+            stop_button: BTN_EAST,
+            speed_axis: ABS_Y,
+            turn_axis: ABS_RX,
+            max_speed: 0.5,
+            max_turn: 0.4,
+            silence: Duration::from_secs(5),
+        }
+    }
+}
+
+/// Who steers the car.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Driver {
+    /// The pilot, along its reference.
+    Pilot,
+    /// The sticks.
+    Sticks,
+}
+
+/// What the pad asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PadRequest {
+    /// Arm the car for this driver, and hold the drive.
+    Begin(Driver),
+    /// Renew the drive.
+    Hold,
+    /// The velocity of P while the sticks drive: relative to the heading of the car.
+    Velocity {
+        /// m/s, not negative.
+        speed: f64,
+        /// From the heading to the velocity, rad; positive to the left.
+        turn: f64,
+    },
+    /// The button was released: slow down, stop and disarm.
+    End,
+    /// The pad is lost: neutral at once.
+    Halt,
+    /// The stop button: neutral until the board is reset.
+    Stop,
+    /// Nothing is asked; the operator should know.
+    Note(PadNote),
+}
+
+/// Why a button has no effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PadNote {
+    /// The button was pressed from the beginning, or since the last drive.
+    ReleaseFirst,
+    /// Both buttons are pressed.
+    OneButton,
+    /// The sticks are not at their centre.
+    CentreSticks,
+    /// The pad was silent for too long.
+    Silent,
+}
+
+/// The share of a stick's way around its centre that counts as its centre.
+const CENTRE: f64 = 0.15;
+
+/// Interval of the renewals, and of the velocities.
+const RENEWAL: Duration = Duration::from_millis(50);
+const VELOCITY: Duration = Duration::from_millis(20);
+
+/// A button that is held to drive.
+#[derive(Clone, Copy, Debug, Default)]
+struct DeadMan {
+    pressed: bool,
+    /// Whether it has been seen released since the last drive.
+    released: bool,
+}
+
+impl DeadMan {
+    const fn set(&mut self, pressed: bool) {
+        self.pressed = pressed;
+        if !pressed {
+            self.released = true;
+        }
+    }
+
+    /// Whether it asks for a drive.
+    const fn counts(self) -> bool {
+        self.pressed && self.released
+    }
+}
+
+/// A drive that the pad holds.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    driver: Driver,
+    renewed: Time,
+    steered: Time,
+}
+
+/// A pad.
+#[derive(Clone, Debug)]
+pub struct Pad {
+    options: PadOptions,
+    drive: DeadMan,
+    sticks: DeadMan,
+    /// Positions of the sticks; `None` until they are known.
+    speed: Option<f64>,
+    turn: Option<f64>,
+    heard: Time,
+    held: Option<Held>,
+    is_lost: bool,
+    /// The last note, so that each is given once.
+    note: Option<PadNote>,
+}
+
+impl Pad {
+    /// A pad of which nothing is known yet: no button counts before its first release.
+    #[must_use]
+    pub fn new(options: PadOptions, now: Time) -> Self {
+        Self {
+            options,
+            drive: DeadMan::default(),
+            sticks: DeadMan::default(),
+            speed: None,
+            turn: None,
+            heard: now,
+            held: None,
+            is_lost: false,
+            note: None,
+        }
+    }
+
+    /// Whether the pad is gone.
+    #[must_use]
+    pub const fn is_lost(&self) -> bool {
+        self.is_lost
+    }
+
+    /// The driver whose drive the pad holds.
+    #[must_use]
+    pub fn driver(&self) -> Option<Driver> {
+        self.held.map(|held| held.driver)
+    }
+
+    /// The drive has ended, or did not begin: the next one needs a new press.
+    pub const fn ended(&mut self) {
+        self.held = None;
+        self.drive.released = !self.drive.pressed;
+        self.sticks.released = !self.sticks.pressed;
+    }
+
+    /// Handles an event. Returns a request that can't wait for the next [`poll`](Self::poll).
+    pub fn handle(&mut self, now: Time, event: PadEvent) -> Option<PadRequest> {
+        let options = self.options;
+        match event {
+            PadEvent::Lost => {
+                self.is_lost = true;
+                return self.let_go(PadRequest::Halt);
+            }
+            PadEvent::Dropped => {
+                let request = self.let_go(PadRequest::Halt);
+                // Not known, so not released.
+                self.drive = DeadMan::default();
+                self.sticks = DeadMan::default();
+                (self.speed, self.turn) = (None, None);
+                return request;
+            }
+            PadEvent::Button { code, pressed } => {
+                if code == options.stop_button {
+                    if pressed {
+                        self.ended();
+                        return Some(PadRequest::Stop);
+                    }
+                } else if code == options.drive_button {
+                    self.drive.set(pressed);
+                } else if code == options.sticks_button {
+                    self.sticks.set(pressed);
+                }
+            }
+            PadEvent::Axis { code, value } => {
+                // A value that is none counts as an unknown position.
+                let value = value.is_finite().then(|| value.clamp(-1.0, 1.0));
+                if code == options.speed_axis {
+                    self.speed = value;
+                } else if code == options.turn_axis {
+                    self.turn = value;
+                }
+            }
+            PadEvent::Other => {}
+        }
+        self.heard = now;
+        let held = self.held?;
+        let goes_on = match held.driver {
+            Driver::Pilot => self.drive.pressed && !self.sticks.pressed,
+            Driver::Sticks => self.sticks.pressed && !self.drive.pressed,
+        };
+        if goes_on {
+            None
+        } else {
+            self.let_go(PadRequest::End)
+        }
+    }
+
+    /// What is due at `now`: one request a call, until there is none.
+    pub fn poll(&mut self, now: Time) -> Option<PadRequest> {
+        if self.is_lost {
+            return None;
+        }
+        let Some(mut held) = self.held else {
+            return self.begin(now);
+        };
+        if since(now, self.heard) > self.options.silence {
+            self.ended();
+            self.note = Some(PadNote::Silent);
+            return Some(PadRequest::Halt);
+        }
+        if since(now, held.renewed) >= RENEWAL {
+            held.renewed = now;
+            self.held = Some(held);
+            return Some(PadRequest::Hold);
+        }
+        if held.driver == Driver::Sticks && since(now, held.steered) >= VELOCITY {
+            held.steered = now;
+            self.held = Some(held);
+            return Some(self.velocity());
+        }
+        None
+    }
+
+    fn begin(&mut self, now: Time) -> Option<PadRequest> {
+        let driver = match (self.drive.pressed, self.sticks.pressed) {
+            (false, false) => {
+                self.note = None;
+                return None;
+            }
+            (true, true) => return self.noted(PadNote::OneButton),
+            (true, false) if self.drive.counts() => Driver::Pilot,
+            (false, true) if self.sticks.counts() => {
+                if !(is_centred(self.speed) && is_centred(self.turn)) {
+                    return self.noted(PadNote::CentreSticks);
+                }
+                Driver::Sticks
+            }
+            _ => return self.noted(PadNote::ReleaseFirst),
+        };
+        self.note = None;
+        self.held = Some(Held {
+            driver,
+            renewed: now,
+            steered: now,
+        });
+        Some(PadRequest::Begin(driver))
+    }
+
+    /// Each note once, until the buttons are released.
+    fn noted(&mut self, note: PadNote) -> Option<PadRequest> {
+        if self.note == Some(note) || self.note == Some(PadNote::Silent) {
+            return None;
+        }
+        self.note = Some(note);
+        Some(PadRequest::Note(note))
+    }
+
+    fn let_go(&mut self, request: PadRequest) -> Option<PadRequest> {
+        let held = self.held.is_some();
+        self.ended();
+        held.then_some(request)
+    }
+
+    fn velocity(&self) -> PadRequest {
+        let (Some(speed), Some(turn)) = (self.speed, self.turn) else {
+            return PadRequest::Velocity {
+                speed: 0.0,
+                turn: 0.0,
+            };
+        };
+        PadRequest::Velocity {
+            // The law turns the car round for a velocity backward: there is none.
+            speed: self.options.max_speed * beyond_centre(-speed).max(0.0),
+            turn: self.options.max_turn * beyond_centre(-turn),
+        }
+    }
+}
+
+fn since(now: Time, then: Time) -> Duration {
+    Duration::from_nanos(now.0.saturating_sub(then.0))
+}
+
+fn is_centred(axis: Option<f64>) -> bool {
+    axis.is_some_and(|axis| axis.abs() < CENTRE)
+}
+
+/// The position of a stick, from zero at the edge of its centre.
+fn beyond_centre(axis: f64) -> f64 {
+    let way = (axis.abs() - CENTRE).max(0.0) / (1.0 - CENTRE);
+    way.copysign(axis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn at(ms: u64) -> Time {
+        Time(ms * 1_000_000)
+    }
+
+    const fn button(code: u16, pressed: bool) -> PadEvent {
+        PadEvent::Button { code, pressed }
+    }
+
+    const fn axis(code: u16, value: f64) -> PadEvent {
+        PadEvent::Axis { code, value }
+    }
+
+    /// A pad with its buttons released and its sticks centred.
+    fn ready() -> Pad {
+        let mut pad = Pad::new(PadOptions::default(), at(0));
+        for event in [
+            button(BTN_TR, false),
+            button(BTN_TL, false),
+            axis(ABS_Y, 0.0),
+            axis(ABS_RX, 0.0),
+        ] {
+            assert_eq!(pad.handle(at(0), event), None);
+        }
+        pad
+    }
+
+    fn polled(pad: &mut Pad, now: Time) -> Vec<PadRequest> {
+        std::iter::from_fn(|| pad.poll(now)).collect()
+    }
+
+    #[test]
+    fn a_held_button_lets_the_car_drive_and_its_release_ends_the_drive() {
+        let mut pad = ready();
+        assert_eq!(polled(&mut pad, at(10)), []);
+        pad.handle(at(20), button(BTN_TR, true));
+        assert_eq!(polled(&mut pad, at(20)), [PadRequest::Begin(Driver::Pilot)]);
+        assert_eq!(polled(&mut pad, at(60)), []);
+        assert_eq!(polled(&mut pad, at(70)), [PadRequest::Hold]);
+        assert_eq!(
+            pad.handle(at(80), button(BTN_TR, false)),
+            Some(PadRequest::End)
+        );
+        assert_eq!(polled(&mut pad, at(200)), []);
+        // And again.
+        pad.handle(at(210), button(BTN_TR, true));
+        assert_eq!(
+            polled(&mut pad, at(210)),
+            [PadRequest::Begin(Driver::Pilot)]
+        );
+    }
+
+    #[test]
+    fn a_button_that_is_pressed_from_the_beginning_must_be_released_once() {
+        for code in [BTN_TR, BTN_TL] {
+            let mut pad = Pad::new(PadOptions::default(), at(0));
+            for event in [axis(ABS_Y, 0.0), axis(ABS_RX, 0.0), button(code, true)] {
+                pad.handle(at(0), event);
+            }
+            assert_eq!(
+                polled(&mut pad, at(10)),
+                [PadRequest::Note(PadNote::ReleaseFirst)]
+            );
+            // Said once.
+            assert_eq!(polled(&mut pad, at(10_000)), []);
+            pad.handle(at(20), button(code, false));
+            assert_eq!(polled(&mut pad, at(20)), []);
+            pad.handle(at(30), button(code, true));
+            assert!(matches!(
+                polled(&mut pad, at(30))[..],
+                [PadRequest::Begin(_)]
+            ));
+        }
+    }
+
+    #[test]
+    fn after_a_drive_that_ended_by_itself_the_button_must_be_released() {
+        let mut pad = ready();
+        pad.handle(at(10), button(BTN_TR, true));
+        polled(&mut pad, at(10));
+        pad.ended();
+        assert_eq!(
+            polled(&mut pad, at(20)),
+            [PadRequest::Note(PadNote::ReleaseFirst)]
+        );
+        pad.handle(at(30), button(BTN_TR, false));
+        pad.handle(at(40), button(BTN_TR, true));
+        assert_eq!(polled(&mut pad, at(40)), [PadRequest::Begin(Driver::Pilot)]);
+    }
+
+    #[test]
+    fn a_lost_pad_halts_the_car_and_starts_nothing_any_more() {
+        let mut pad = ready();
+        pad.handle(at(10), button(BTN_TR, true));
+        polled(&mut pad, at(10));
+        assert_eq!(pad.handle(at(20), PadEvent::Lost), Some(PadRequest::Halt));
+        assert!(pad.is_lost());
+        pad.handle(at(30), button(BTN_TR, false));
+        pad.handle(at(40), button(BTN_TR, true));
+        assert_eq!(polled(&mut pad, at(50)), []);
+        // Without a drive there is nothing to halt.
+        assert_eq!(ready().handle(at(20), PadEvent::Lost), None);
+    }
+
+    #[test]
+    fn a_silent_pad_halts_the_car_and_any_event_keeps_it_going() {
+        let mut pad = ready();
+        pad.handle(at(0), button(BTN_TR, true));
+        polled(&mut pad, at(0));
+        assert_eq!(polled(&mut pad, at(4_900)), [PadRequest::Hold]);
+        pad.handle(at(4_900), PadEvent::Other);
+        assert_eq!(polled(&mut pad, at(9_900)), [PadRequest::Hold]);
+        assert_eq!(polled(&mut pad, at(9_901))[0], PadRequest::Halt);
+        assert_eq!(pad.driver(), None);
+        // The button is still pressed, and was not released.
+        assert_eq!(polled(&mut pad, at(9_910)), []);
+        pad.handle(at(9_920), PadEvent::Other);
+        assert_eq!(polled(&mut pad, at(9_920)), []);
+    }
+
+    #[test]
+    fn lost_events_halt_the_car_and_every_button_must_be_seen_released() {
+        let mut pad = ready();
+        pad.handle(at(0), button(BTN_TR, true));
+        polled(&mut pad, at(0));
+        assert_eq!(
+            pad.handle(at(10), PadEvent::Dropped),
+            Some(PadRequest::Halt)
+        );
+        pad.handle(at(20), button(BTN_TR, true));
+        assert_eq!(
+            polled(&mut pad, at(20)),
+            [PadRequest::Note(PadNote::ReleaseFirst)]
+        );
+    }
+
+    #[test]
+    fn sticks_steer_from_their_centre_within_their_bounds() {
+        let mut pad = ready();
+        pad.handle(at(0), axis(ABS_Y, -0.5));
+        pad.handle(at(10), button(BTN_TL, true));
+        assert_eq!(
+            polled(&mut pad, at(10)),
+            [PadRequest::Note(PadNote::CentreSticks)]
+        );
+        pad.handle(at(20), axis(ABS_Y, -0.1));
+        assert_eq!(
+            polled(&mut pad, at(20)),
+            [PadRequest::Begin(Driver::Sticks)]
+        );
+        let mut velocity = |y: f64, x: f64, ms: u64| {
+            pad.handle(at(ms), axis(ABS_Y, y));
+            pad.handle(at(ms), axis(ABS_RX, x));
+            polled(&mut pad, at(ms))
+                .into_iter()
+                .find_map(|request| match request {
+                    PadRequest::Velocity { speed, turn } => Some((speed, turn)),
+                    _ => None,
+                })
+                .unwrap()
+        };
+        assert_eq!(velocity(-0.1, 0.1, 50), (0.0, 0.0));
+        assert_eq!(velocity(-1.0, 0.0, 80), (0.5, 0.0));
+        // Left is negative on the stick and positive for the car.
+        assert_eq!(velocity(-1.0, -1.0, 110), (0.5, 0.4));
+        assert_eq!(velocity(-7.0, 9.0, 140), (0.5, -0.4));
+        // Never backward.
+        assert_eq!(velocity(1.0, 0.0, 170).0, 0.0);
+        // A stick that gives no number stops.
+        assert_eq!(velocity(f64::NAN, 1.0, 200), (0.0, 0.0));
+    }
+
+    #[test]
+    fn both_buttons_start_nothing_and_end_a_drive() {
+        let mut pad = ready();
+        pad.handle(at(0), button(BTN_TL, true));
+        pad.handle(at(0), button(BTN_TR, true));
+        assert_eq!(
+            polled(&mut pad, at(0)),
+            [PadRequest::Note(PadNote::OneButton)]
+        );
+        let mut pad = ready();
+        pad.handle(at(0), button(BTN_TL, true));
+        polled(&mut pad, at(0));
+        assert_eq!(
+            pad.handle(at(10), button(BTN_TR, true)),
+            Some(PadRequest::End)
+        );
+        pad.handle(at(20), button(BTN_TL, false));
+        // The other one was not released since.
+        assert_eq!(
+            polled(&mut pad, at(20)),
+            [PadRequest::Note(PadNote::ReleaseFirst)]
+        );
+    }
+
+    #[test]
+    fn the_stop_button_stops_with_and_without_a_drive() {
+        for begun in [false, true] {
+            let mut pad = ready();
+            if begun {
+                pad.handle(at(0), button(BTN_TR, true));
+                polled(&mut pad, at(0));
+            }
+            assert_eq!(
+                pad.handle(at(10), button(BTN_EAST, true)),
+                Some(PadRequest::Stop)
+            );
+            assert_eq!(pad.handle(at(20), button(BTN_EAST, false)), None);
+            assert!(!polled(&mut pad, at(30)).contains(&PadRequest::Begin(Driver::Pilot)));
+        }
+    }
+}

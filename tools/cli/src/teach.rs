@@ -1,0 +1,312 @@
+//! `singletrack teach`: records the path that the car is pushed along as a reference.
+
+use std::{
+    fs::{self, File},
+    io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _},
+    path::{Path, PathBuf},
+    sync::mpsc::{self, RecvTimeoutError, Sender},
+    thread,
+    time::Duration,
+};
+
+use clap::Args;
+use serde_json::{Value, json};
+use singletrack_commissioning::{Place, TeachError, TeachOptions, taught_path};
+use singletrack_control::{Path as SmoothPath, PathSpeed, Position, ReferenceError};
+use singletrack_core::{Config, config::ConfigError};
+use singletrackd::SOCKET_VERSION;
+
+use crate::{
+    control::{self, ControlArgs, ControlError},
+    interrupt::Interrupt,
+};
+
+/// What to record, and where to.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "\
+Push the car forward along the path, with your hands beside its markers, and press Enter (or \
+Ctrl-C) at its end. FILE.csv and FILE.toml are written: `singletrack set-reference FILE.toml` \
+and `singletrack arm` drive the path. A board that counts the motor's pulses takes a car that is \
+pushed for more than a metre for one that drives by itself, and latches: press its reset button \
+before you arm.")]
+pub struct TeachArgs {
+    /// Where the points go: a new file FILE.csv; the reference goes to FILE.toml beside it
+    #[arg(value_name = "FILE.csv")]
+    file: PathBuf,
+    /// The daemon's configuration: where P is on the car
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The path leads back to its start and goes round and round
+    #[arg(long)]
+    closed: bool,
+    /// Highest speed on the path, in m/s
+    #[arg(long, value_name = "M_S", default_value_t = 0.4)]
+    speed: f64,
+    /// Distance between the points, in m
+    #[arg(long, value_name = "M", default_value_t = 0.1)]
+    spacing: f64,
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
+/// Why no path was recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum CannotTeach {
+    /// The daemon can't be reached, or refuses.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// The configuration is invalid.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The car was not moved along a path.
+    #[error("{0}")]
+    Path(#[from] TeachError),
+    /// The path is none that can be driven.
+    #[error("the path can't be driven: {0}")]
+    Reference(#[from] ReferenceError),
+    /// A file can't be written, or would be replaced.
+    #[error("can't write {}: {source}", .path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The name is not that of a CSV file.
+    #[error("{}: give a name that ends in .csv", .0.display())]
+    Name(PathBuf),
+    /// A number is out of range.
+    #[error("--{name} is {value}: give {range}")]
+    Number {
+        /// The option.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+}
+
+/// What comes while the car is pushed.
+enum Event {
+    Place(Place),
+    /// A tick without a pose of the car.
+    Unseen,
+    Enter,
+    Closed(Result<(), ControlError>),
+}
+
+/// Interval at which Ctrl-C is looked for.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Records the path until Enter or Ctrl-C is pressed, and writes it.
+///
+/// # Errors
+///
+/// When there is no path, or it can't be written.
+pub fn run(args: &TeachArgs) -> Result<(), CannotTeach> {
+    let table = reference_file(&args.file)?;
+    for (name, value, range, is_good) in [
+        (
+            "speed",
+            args.speed,
+            "above 0, to 20",
+            args.speed > 0.0 && args.speed <= 20.0,
+        ),
+        (
+            "spacing",
+            args.spacing,
+            "0.02 to 1",
+            (0.02..=1.0).contains(&args.spacing),
+        ),
+    ] {
+        if !is_good {
+            return Err(CannotTeach::Number { name, value, range });
+        }
+    }
+    for path in [&args.file, &table] {
+        if path.exists() {
+            return Err(CannotTeach::Write {
+                path: path.clone(),
+                source: io::Error::from(io::ErrorKind::AlreadyExists),
+            });
+        }
+    }
+    let config = Config::read(&args.config)?;
+    let options = TeachOptions {
+        front_axle_distance_m: config.vehicle.front_axle_distance_m,
+        point_distance_m: config.law.point_distance_m,
+        is_closed: args.closed,
+        spacing_m: args.spacing,
+    };
+    let taught = taught_path(&watch(args)?, &options)?;
+    let limits = PathSpeed {
+        speed: args.speed,
+        lateral_acceleration: LATERAL_M_S2,
+        acceleration: ACCELERATION_M_S2,
+    };
+    let path = SmoothPath::new(&taught.points, args.closed, limits)?;
+    write_new(&args.file, &points_csv(&taught.points))?;
+    write_new(&table, &reference_toml(&args.file, args))?;
+    let gap = if args.closed {
+        format!(", its ends {:.0} mm apart", 1_000.0 * taught.gap_m)
+    } else {
+        String::new()
+    };
+    Ok(control::print(&format!(
+        "{} points along {:.2} m{gap}, smoothed by {:.1} mm: {:.1} s at up to {} m/s\n\
+         drive it: singletrack set-reference {} && singletrack arm",
+        taught.points.len(),
+        taught.length_m,
+        1_000.0 * taught.roughness_m,
+        path.lap_time(),
+        args.speed,
+        table.display(),
+    ))?)
+}
+
+/// As the configuration has by default.
+const LATERAL_M_S2: f64 = 1.0;
+const ACCELERATION_M_S2: f64 = 0.5;
+
+/// The file for the table `[reference]`, beside that of the points.
+fn reference_file(points: &Path) -> Result<PathBuf, CannotTeach> {
+    let is_csv = points.extension().is_some_and(|end| end == "csv");
+    if is_csv && points.file_stem().is_some() {
+        Ok(points.with_extension("toml"))
+    } else {
+        Err(CannotTeach::Name(points.to_owned()))
+    }
+}
+
+/// The places of the car until the operator ends it.
+fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let mut stream = control::connect(&args.control.socket)?;
+    let watch = json!({ "version": SOCKET_VERSION, "command": "watch", "topics": ["tick"] });
+    stream
+        .write_all(format!("{watch}\n").as_bytes())
+        .map_err(ControlError::from)?;
+    let (events_in, events) = mpsc::channel();
+    let enter = events_in.clone();
+    // Neither is waited for: both end with the process.
+    thread::spawn(move || {
+        let closed = read_ticks(&mut BufReader::new(stream), &events_in);
+        let _ = events_in.send(Event::Closed(closed));
+    });
+    thread::spawn(move || {
+        let mut line = String::new();
+        if matches!(io::stdin().read_line(&mut line), Ok(count) if count > 0) {
+            let _ = enter.send(Event::Enter);
+        }
+    });
+    let is_terminal = io::stderr().is_terminal();
+    if is_terminal {
+        eprintln!("push the car along the path; press Enter at its end");
+    }
+    let mut places: Vec<Place> = Vec::new();
+    let mut shown = 0_usize;
+    while !interrupt.is_raised() {
+        match events.recv_timeout(POLL) {
+            Ok(Event::Place(place)) => places.push(place),
+            Ok(Event::Unseen) | Err(RecvTimeoutError::Timeout) => {}
+            Ok(Event::Enter) | Err(RecvTimeoutError::Disconnected) => break,
+            Ok(Event::Closed(closed)) => {
+                closed?;
+                break;
+            }
+        }
+        if is_terminal && places.len() >= shown + 20 {
+            shown = places.len();
+            if let Some(last) = places.last() {
+                let _ = write!(
+                    io::stderr(),
+                    "\r\x1b[K({:.2}, {:.2}) m",
+                    last.position.x,
+                    last.position.y
+                );
+            }
+        }
+    }
+    if is_terminal {
+        let _ = write!(io::stderr(), "\r\x1b[K");
+    }
+    Ok(places)
+}
+
+fn read_ticks(
+    lines: &mut BufReader<std::os::unix::net::UnixStream>,
+    events: &Sender<Event>,
+) -> Result<(), ControlError> {
+    let mut is_first = true;
+    let mut line = String::new();
+    loop {
+        line.clear();
+        if lines.read_line(&mut line)? == 0 {
+            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+        }
+        let value: Value = serde_json::from_str(&line)?;
+        if std::mem::take(&mut is_first) {
+            control::agreed(value)?;
+            continue;
+        }
+        let event = place(&value).map_or(Event::Unseen, Event::Place);
+        if events.send(event).is_err() {
+            return Ok(());
+        }
+    }
+}
+
+/// The place of a tick whose estimate has a new pose.
+fn place(tick: &Value) -> Option<Place> {
+    let number = |pointer| tick.pointer(pointer).and_then(Value::as_f64);
+    if tick.get("held").and_then(Value::as_bool) != Some(false) {
+        return None;
+    }
+    Some(Place {
+        position: Position::new(
+            number("/estimate/position/x_m")?,
+            number("/estimate/position/y_m")?,
+        ),
+        yaw: number("/estimate/yaw_rad")?,
+    })
+}
+
+/// The points as a file for `reference.kind = "path"`.
+#[must_use]
+pub fn points_csv(points: &[Position]) -> String {
+    let rows = points
+        .iter()
+        .map(|point| format!("{:.4},{:.4}\n", point.x, point.y));
+    "x_m,y_m\n".to_owned() + &rows.collect::<String>()
+}
+
+fn reference_toml(points: &Path, args: &TeachArgs) -> String {
+    let name = points.file_name().unwrap_or_default().to_string_lossy();
+    format!(
+        "# Taught by pushing the car.\n[reference]\nkind = \"path\"\nfile = {}\nclosed = {}\n\
+         speed_m_s = {}\nlateral_acceleration_m_s2 = {LATERAL_M_S2:?}\n\
+         acceleration_m_s2 = {ACCELERATION_M_S2:?}\n",
+        toml::Value::String(name.into_owned()),
+        args.closed,
+        toml::Value::Float(args.speed),
+    )
+}
+
+/// Writes a file that is not there yet, whole or not at all.
+fn write_new(path: &Path, text: &str) -> Result<(), CannotTeach> {
+    let write = || {
+        let mut file = File::create_new(path)?;
+        let written = file
+            .write_all(text.as_bytes())
+            .and_then(|()| file.sync_all());
+        if written.is_err() {
+            let _ = fs::remove_file(path);
+        }
+        written
+    };
+    write().map_err(|source| CannotTeach::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
