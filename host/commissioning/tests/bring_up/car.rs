@@ -9,16 +9,16 @@ use singletrack_core::Config;
 use singletrack_pilot::Mode;
 use singletrack_protocol::{BoardMode, RefusalReason, ResetCause, Status, StopCause};
 
-/// Uniform random numbers (SplitMix64).
+/// Uniform random numbers (`SplitMix64`).
 #[derive(Clone, Debug)]
-pub struct Random(u64);
+pub(crate) struct Random(u64);
 
 impl Random {
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ 0x5EED)
     }
 
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut bits = self.0;
         bits = (bits ^ (bits >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -30,14 +30,14 @@ impl Random {
 
 /// What a pulse below neutral does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum Kind {
     Car,
     ForwardReverse,
     Vesc,
 }
 
 impl Kind {
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Car => "car",
             Self::ForwardReverse => "forward-reverse",
@@ -48,35 +48,35 @@ impl Kind {
 
 /// What is true of the car.
 #[derive(Clone, Debug)]
-pub struct Truth {
-    pub centre_us: f64,
-    pub gain_us_per_rad: f64,
-    pub stop_rad: f64,
-    pub play_us: f64,
-    pub kind: Kind,
-    pub neutral_us: f64,
-    pub ignored_us: f64,
-    pub breakaway_us: f64,
-    pub gain_m_s_per_us: f64,
-    pub saturation_us: f64,
-    pub lag_s: f64,
+pub(crate) struct Truth {
+    pub(crate) centre_us: f64,
+    pub(crate) gain_us_per_rad: f64,
+    pub(crate) stop_rad: f64,
+    pub(crate) play_us: f64,
+    pub(crate) kind: Kind,
+    pub(crate) neutral_us: f64,
+    pub(crate) ignored_us: f64,
+    pub(crate) breakaway_us: f64,
+    pub(crate) gain_m_s_per_us: f64,
+    pub(crate) saturation_us: f64,
+    pub(crate) lag_s: f64,
     pub rolling_m_s2: f64,
-    pub pulse_distance_m: f64,
-    pub on_stand: bool,
-    pub swapped: bool,
-    pub backward: bool,
-    pub sensor_dead: bool,
-    pub kill_output: bool,
-    pub relay_works: bool,
+    pub(crate) pulse_distance_m: f64,
+    pub(crate) on_stand: bool,
+    pub(crate) swapped: bool,
+    pub(crate) backward: bool,
+    pub(crate) sensor_dead: bool,
+    pub(crate) kill_output: bool,
+    pub(crate) relay_works: bool,
     /// The ESC holds its last pulse for so long after a change to neutral.
-    pub holds_s: f64,
+    pub(crate) holds_s: f64,
     /// The ESC drives on without pulses.
-    pub runs_without_pulses: bool,
-    pub switch_works: bool,
+    pub(crate) runs_without_pulses: bool,
+    pub(crate) switch_works: bool,
 }
 
 impl Truth {
-    pub fn random(random: &mut Random) -> Self {
+    pub(crate) fn random(random: &mut Random) -> Self {
         let sign = if random.between(0.0, 1.0) < 0.5 {
             -1.0
         } else {
@@ -119,19 +119,19 @@ enum Hand {
     PressReset,
 }
 
-pub struct MockCar {
-    pub truth: Truth,
-    pub random: Random,
+pub(crate) struct MockCar {
+    pub(crate) truth: Truth,
+    pub(crate) random: Random,
     config: Config,
-    pub text: String,
+    pub(crate) text: String,
     /// Every question, in order.
-    pub asked: Vec<&'static str>,
+    pub(crate) asked: Vec<&'static str>,
     /// Gives up at this question.
-    pub interrupt_at: Option<&'static str>,
-    pub emergency_stops: u32,
+    pub(crate) interrupt_at: Option<&'static str>,
+    pub(crate) emergency_stops: u32,
     /// The way of the car, and the fastest wheels, ever.
-    pub way_m: f64,
-    pub fastest_m_s: f64,
+    pub(crate) way_m: f64,
+    pub(crate) fastest_m_s: f64,
     now_us: u64,
     mode: BoardMode,
     cause: StopCause,
@@ -170,7 +170,7 @@ pub struct MockCar {
 const EXAMPLE: &str = include_str!("../../../daemon/singletrackd.example.toml");
 
 impl MockCar {
-    pub fn new(truth: Truth, seed: u64) -> Self {
+    pub(crate) fn new(truth: Truth, seed: u64) -> Self {
         let mut edit = Edit::new(EXAMPLE).unwrap();
         for (key, value) in [
             ("board.kill_output", truth.kill_output.into()),
@@ -614,10 +614,10 @@ impl Bench for MockCar {
                 let angle = (farthest - self.truth.centre_us) / self.truth.gain_us_per_rad;
                 Answer::YesNo(angle.abs() > self.truth.stop_rad)
             }
-            "driven-wheels" => Answer::Choice(match self.turned {
-                turned if turned == 0.0 => 2,
-                turned if (turned > 0.0) != self.truth.backward => 0,
-                _ => 1,
+            "driven-wheels" => Answer::Choice(if self.turned == 0.0 {
+                2
+            } else {
+                usize::from((self.turned > 0.0) == self.truth.backward)
             }),
             "stopped-how" => Answer::Choice(match self.drove_us {
                 _ if self.speed.abs() > 0.1 => 2,
