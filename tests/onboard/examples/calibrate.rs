@@ -30,26 +30,6 @@ impl Journal for Nothing {
 fn brought_up(seed: u64) -> OnboardCar {
     let mut car = OnboardCar::planted(seed, None);
     let mut random = Random::new(seed ^ 0xca11);
-    let flags = std::env::var("FLAGS").unwrap_or_default();
-    if flags.contains("play") {
-        car.simulation.car.servo.backlash_us = 0.0;
-    }
-    if flags.contains("vib") {
-        car.simulation.car.imu.vibration_rad_s = 0.0;
-        car.simulation.car.imu.gyro_noise_rad_s = 0.0001;
-    }
-    if flags.contains("cam") {
-        car.simulation.cameras.position_noise_m = 0.00001;
-        car.simulation.cameras.orientation_noise_rad = 0.00001;
-    }
-    if flags.contains("rate") {
-        car.simulation.car.servo.max_rate_rad_s = 100.0;
-    }
-    if flags.contains("tyre") {
-        let v = &mut car.simulation.car.vehicle;
-        v.front_cornering_stiffness_n_rad *= 4.0;
-        v.rear_cornering_stiffness_n_rad *= 4.0;
-    }
     let truth = car.simulation.clone();
     let t = &truth.car;
     let mut set = |section: &str, key: &str, value: Value| {

@@ -3,6 +3,7 @@
 pub mod arm;
 pub mod bench;
 pub mod bring_up;
+pub mod calibrate;
 pub mod control;
 #[cfg(feature = "desk")]
 pub mod demo;

@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
-    arm, bring_up,
+    arm, bring_up, calibrate,
     control::{self, ControlCommand},
     doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
@@ -40,6 +40,10 @@ enum Command {
     ///
     /// The exit status is 0 if no step failed, otherwise 3.
     BringUp(bring_up::BringUpArgs),
+    /// Drive slowly on the floor to measure steering, motor and brakes: after bring-up.
+    ///
+    /// The exit status is 0 if no step failed, otherwise 3.
+    Calibrate(calibrate::CalibrateArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
@@ -123,6 +127,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Demo(args) => Ok(demo::run(args)?),
         Command::Doctor(args) => return Ok(doctor::run(args)?),
         Command::BringUp(args) => return Ok(bring_up::run(args)?),
+        Command::Calibrate(args) => return Ok(calibrate::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),

@@ -10,15 +10,21 @@ use crate::{
 const PASSES: usize = 5;
 /// The way before the first pass that is not used, m: the car finds its way.
 const LEAD: f64 = 0.9;
-/// The weave: its period, s, and the speed across the course, m/s.
+/// The weave: its period, s, and the speed across the course, m/s. It is strong and weak in
+/// turn: play delays a slow movement for longer, and so differs from dead time.
 const PERIOD: f64 = 0.8;
-const ACROSS: f64 = 0.18;
+const ACROSS: [f64; 2] = [0.2, 0.05];
+/// The periods of each.
+const IN_TURN: f64 = 3.0;
 
-/// What all passes have in common, within which 95 of 100 cars are. The time stamps of gyro,
-/// telemetry and pulses against each other, s:
-const STAMPS: f64 = 0.003;
+/// What all passes have in common, within which 95 of 100 cars are. Pulses change in steps of
+/// 20 ms, at an unknown time between two records of telemetry; the tyres delay the car by about
+/// 5 ms more, which is known to a half; s, of the time constant and of the dead time:
+const IN_STEPS: [f64; 2] = [0.009, 0.008];
 /// the axles, which are measured with a ruler, m;
 const RULER: f64 = 0.002;
+/// one axle, m;
+const AXLE: f64 = 0.0013;
 /// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
@@ -51,11 +57,16 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
 /// A triangle: the offset to the left, m, and its rate, m/s.
 fn weave(time: f64) -> [f64; 2] {
     let phase = (time / PERIOD).rem_euclid(1.0);
-    let amplitude = ACROSS * PERIOD / 4.0;
-    if phase < 0.5 {
-        [amplitude * (4.0 * phase - 1.0), ACROSS]
+    let is_strong = (time / (IN_TURN * PERIOD)).rem_euclid(2.0) < 1.0;
+    let across = ACROSS[usize::from(!is_strong)];
+    // It begins and ends in the middle.
+    let amplitude = across * PERIOD / 4.0;
+    if phase < 0.25 {
+        [amplitude * 4.0 * phase, across]
+    } else if phase < 0.75 {
+        [amplitude * (2.0 - 4.0 * phase), -across]
     } else {
-        [amplitude * (3.0 - 4.0 * phase), -ACROSS]
+        [amplitude * (4.0 * phase - 4.0), across]
     }
 }
 
@@ -145,11 +156,11 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
     let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
     let yaw = interval(&|(body, _)| body.yaw, 0.000_5)?;
-    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(0.001))?;
+    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(AXLE))?;
     let ahead = ahead.shifted(-believed.rear_axle);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
-    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * STAMPS)?;
-    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * STAMPS)?;
+    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * IN_STEPS[0])?;
+    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * IN_STEPS[1])?;
     let excess = [0, 1].map(|side| {
         let sum: f64 = passes
             .iter()

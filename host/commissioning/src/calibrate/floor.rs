@@ -68,6 +68,8 @@ pub(super) struct Drive {
     board_is_armed: bool,
     /// When its last frame with a pose arrived, in ns.
     pub(super) last_pose_ns: u64,
+    /// When the stop was asked for, in ns.
+    pub(super) stopped_ns: u64,
     /// The deceleration of the stop, m/s².
     pub(super) braking: Option<f64>,
     /// Why it ended, if by itself.
@@ -228,7 +230,7 @@ impl Figure {
                 let off = angle(course - yaw).abs();
                 let cost = way + turned.abs() + off;
                 let is_better = best.as_ref().is_none_or(|(least, _)| cost < *least);
-                if is_better && figure.fits(&fence, 2.0) {
+                if is_better && figure.fits(&fence, 2.0, ROOM) {
                     best = Some((cost, figure));
                 }
             }
@@ -236,12 +238,15 @@ impl Figure {
         best.map(|(_, figure)| figure).ok_or_else(no_room)
     }
 
-    /// A circle from where the car stands, along its heading; none if there is no room for one.
-    pub(super) fn circle(bench: &dyn Bench, stands: &TickReading) -> Option<Self> {
+    /// A circle from where the car stands, along its heading, with room beyond it for a stop
+    /// from `speed` m/s; none if there is no room for one.
+    pub(super) fn circle(bench: &dyn Bench, stands: &TickReading, speed: f64) -> Option<Self> {
         let config = bench.configuration();
         let fence = config.fence.fence(&config.vehicle).ok()?;
         let (point, (_, yaw)) = (stands.point?, stands.pose?);
         let start = [point.x, point.y];
+        // A stop holds the steering: it needs less.
+        let room = ROOM + 0.5 * speed * speed / (2.0 * config.fence.braking_m_s2);
         let circle = |first| Self {
             start,
             tangent: start,
@@ -252,15 +257,15 @@ impl Figure {
         [1.0, -1.0]
             .map(circle)
             .into_iter()
-            .find(|circle| circle.fits(&fence, 1.0))
+            .find(|circle| circle.fits(&fence, 1.0, room))
     }
 
-    /// Whether there is room for so many laps.
-    fn fits(&self, fence: &Fence, laps: f64) -> bool {
+    /// Whether there is room for so many laps, with this distance to the geofence, m.
+    fn fits(&self, fence: &Fence, laps: f64, room: f64) -> bool {
         (0..48).all(|index| {
             let way = f64::from(index) / 48.0 * laps * self.lap();
             let [x, y] = self.at(self.approach() + way, 0.0).position;
-            fence.clearance(&Position::new(x, y)) > ROOM
+            fence.clearance(&Position::new(x, y)) > room
         })
     }
 
@@ -405,6 +410,7 @@ pub(super) fn drive(
         };
         bench.show(&live);
     }
+    drive.stopped_ns = drive.ticks.last().map_or(0, |tick| tick.time.0);
     let _ = bench.disarm();
     // Until it stands and can be armed again.
     for _ in 0..600 {

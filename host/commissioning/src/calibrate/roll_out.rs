@@ -23,13 +23,22 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let mut stops: Vec<(f64, f64)> = Vec::new();
     let mut passed = 0.0;
     let top = f64::from(bench.configuration().board.speed.max_forward_mm_s) * 1e-3;
-    for speed in SPEEDS {
+    'rising: for speed in SPEEDS {
         if speed + 0.05 > top {
             break;
         }
         floor::limit_speed(bench, speed)?;
         for _ in 0..STOPS {
-            let braking = stop(bench, speed)?;
+            let Some(braking) = stop(bench, speed)? else {
+                if passed == 0.0 {
+                    return Err(Ends::Failed(
+                        "there is no room for a circle where the car stands".to_owned(),
+                        "put it in the middle of the geofence, or widen fence.corners_m",
+                    ));
+                }
+                floor::limit_speed(bench, passed)?;
+                break 'rising;
+            };
             stops.push((speed, braking));
         }
         passed = speed;
@@ -94,25 +103,23 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
     ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
 }
 
-/// Drives along a circle with this speed and stops. Gives the deceleration, m/s².
-fn stop(bench: &mut dyn Bench, speed: f64) -> Result<f64, Ends> {
+/// Drives along a circle with this speed and stops. Gives the deceleration, m/s²; none if there
+/// is no room for it.
+fn stop(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     let mut stands = floor::ready(bench)?;
-    let mut circle = Figure::circle(bench, &stands);
+    let mut circle = Figure::circle(bench, &stands, speed);
     if circle.is_none() {
         floor::place(bench)?;
         stands = floor::ready(bench)?;
-        circle = Figure::circle(bench, &stands);
+        circle = Figure::circle(bench, &stands, speed);
     }
-    let figure = circle.ok_or_else(|| {
-        Ends::Failed(
-            "there is no room for a circle where the car stands".to_owned(),
-            "put it in the middle of the geofence, or widen fence.corners_m",
-        )
-    })?;
+    let Some(figure) = circle else {
+        return Ok(None);
+    };
     let acceleration = 0.5;
     let seconds = speed / acceleration + 2.0;
     let text = format!("a stop from {speed:.1} m/s");
-    let drive = floor::drive(bench, seconds, &text, &|time| {
+    let mut drive = floor::drive(bench, seconds, &text, &|time| {
         let now = (acceleration * time).min(speed);
         let rising = now * now / (2.0 * acceleration);
         let way = rising + now * (time - now / acceleration);
@@ -124,12 +131,14 @@ fn stop(bench: &mut dyn Bench, speed: f64) -> Result<f64, Ends> {
     let motion = drive.track.motion(0.0);
     let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
     // The pilot measures it as well, unless the stop was short.
-    let found = fit::stop(&motion.time, &way);
+    let begin = drive.track.seconds(drive.stopped_ns) - 0.1;
+    let first = motion.time.partition_point(|time| *time < begin);
+    let found = fit::stop(&motion.time[first..], &way[first..]);
     let weaker = match (found, drive.braking) {
         (Some(one), Some(other)) => Some(one.min(other)),
         (one, other) => one.or(other),
     };
-    weaker.ok_or_else(|| {
+    weaker.map(Some).ok_or_else(|| {
         Ends::Failed(
             format!("the stop from {speed:.1} m/s could not be measured"),
             "check that the markers are visible everywhere, and run this step again",

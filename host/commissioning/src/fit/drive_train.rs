@@ -42,7 +42,7 @@ pub fn drive_train(
         [0.1 * begin[0], 10.0 * begin[0]],
         [edge_us - 100.0, edge_us + 100.0],
         [0.005, 0.6],
-        [0.0, 0.2],
+        [-0.03, 0.2],
         [first - 0.1, first + 0.1],
         [-0.1, 3.0],
     ];
@@ -58,7 +58,7 @@ pub fn drive_train(
                 .map(|(&time, &way)| {
                     while now + STEP <= time {
                         now += STEP;
-                        let wanted = (pulses.at(now - delay) - edge) * gain * 1e-3;
+                        let wanted = (pulses.at(now - 0.5 * STEP - delay) - edge) * gain * 1e-3;
                         let change = (share * (wanted.max(0.0) - speed)).max(-rolling * STEP);
                         position += (speed + 0.5 * change) * STEP;
                         speed += change;

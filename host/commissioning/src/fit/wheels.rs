@@ -57,7 +57,7 @@ pub fn wheels(
         // Its sign is known.
         [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
         [0.002, 0.3],
-        [0.0, 0.2],
+        [-0.03, 0.2],
         [0.0, 40.0],
     ]
     .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
@@ -104,19 +104,19 @@ fn residuals(
             let speed = f64::midpoint(speed[index - 1], speed[index]);
             while now + STEP <= middle {
                 now += STEP;
-                let pulse = pulses.at(now - delay);
+                let pulse = pulses.at(now - 0.5 * STEP - delay);
                 held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
                 let before = turned;
                 turned += share * (angle(held) - turned);
                 let steered = f64::midpoint(before, turned);
-                motion_state = turning.step(motion_state, speed.max(SLOWEST), steered);
+                motion_state = turning.step(motion_state, speed.max(SLOWEST), steered, STEP);
             }
             if speed < SLOWEST || t1 <= t0 {
                 return 0.0;
             }
             let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
             // The remaining part of a step, as if the motion changed evenly.
-            let next = turning.step(motion_state, speed, turned)[0];
+            let next = turning.step(motion_state, speed, turned, STEP)[0];
             let rest = (middle - now) / STEP;
             rate - motion_state[0] - rest * (next - motion_state[0])
         })
@@ -125,7 +125,7 @@ fn residuals(
 
 impl Turning {
     /// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle.
-    fn step(&self, [rate, sideslip]: [f64; 2], speed: f64, steered: f64) -> [f64; 2] {
+    fn step(&self, [rate, sideslip]: [f64; 2], speed: f64, steered: f64, step: f64) -> [f64; 2] {
         let [mass, inertia] = self.inertia;
         let [front, rear] = self.axles;
         let [c_f, c_r] = self.stiffness;
@@ -143,10 +143,10 @@ impl Turning {
         ];
         let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
         // The trapezoidal rule: it is stable, however fast the tyres are.
-        let half = 0.5 * STEP;
+        let half = 0.5 * step;
         let old = [rate, sideslip];
         let right: [f64; 2] = std::array::from_fn(|i| {
-            old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + STEP * input[i]
+            old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + step * input[i]
         });
         let left = [
             [1.0 - half * matrix[0][0], -half * matrix[0][1]],
@@ -157,5 +157,105 @@ impl Turning {
             (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
             (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::tests::Noise;
+
+    const CAR: Turning = Turning {
+        inertia: [1.9, 0.0251],
+        axles: [0.1368, 0.1232],
+        stiffness: [58.0, 131.0],
+    };
+
+    /// A pass over both circles with a weave, by a servo with these parameters.
+    fn pass(seed: u64, truth: &Wheels) -> (Motion, Signal, Vec<f64>) {
+        let mut noise = Noise::new(seed);
+        let (phase, telemetry) = (0.02 * noise.uniform(), 0.01 * noise.uniform());
+        let command = 0.01 * noise.uniform();
+        let wanted = |time: f64| {
+            // Commands come every 10 ms.
+            let time = ((time - command) / 0.01).floor() * 0.01 + command;
+            let side = if (time / 18.0).floor() as i64 % 2 == 0 {
+                0.3
+            } else {
+                -0.3
+            };
+            // In no fixed relation to the frames.
+            let weave = (time / 0.8137).rem_euclid(1.0);
+            let triangle = if weave < 0.5 {
+                4.0 * weave - 1.0
+            } else {
+                3.0 - 4.0 * weave
+            };
+            // Play shows as a delay that depends on the rate.
+            let strong = (time / (3.0 * 0.8137)).floor() as i64 % 2 == 0;
+            let angle = side + if strong { 0.12 } else { 0.03 } * triangle;
+            (truth.centre_us + truth.gain_us_per_rad * angle).round()
+        };
+        let pulses = Signal(
+            (0..3_800)
+                .map(|index| telemetry + 0.01 * f64::from(index) - 0.5)
+                .map(|time| (time, wanted(time)))
+                .collect(),
+        );
+        let mut motion = Motion {
+            time: Vec::new(),
+            position: Vec::new(),
+            yaw: Vec::new(),
+            yaw_rate: Vec::new(),
+        };
+        let step = 2e-4;
+        let (mut held, mut turned, mut yaw) = (wanted(0.0), 0.3, 0.0);
+        let mut state = [0.3, 0.14];
+        for index in 0..180_000 {
+            let now = f64::from(index) * step;
+            let acted = now - truth.delay;
+            let pulse = wanted(((acted - phase) / 0.02).floor() * 0.02 + phase);
+            held = held.clamp(pulse - 0.5 * truth.play_us, pulse + 0.5 * truth.play_us);
+            let angle = (held - truth.centre_us) / truth.gain_us_per_rad;
+            turned += step * (angle - turned) / truth.lag;
+            state = CAR.step(state, 0.28, turned, step);
+            yaw += step * state[0];
+            if index % 50 == 0 && now > 0.3 {
+                motion.time.push(now + step);
+                motion.position.push([0.0; 2]);
+                // White noise of the gyro's rate.
+                yaw += 1e-4 * noise.normal();
+                motion.yaw.push(yaw);
+                motion.yaw_rate.push(state[0]);
+            }
+        }
+        let speed = vec![0.28; motion.time.len()];
+        (motion, pulses, speed)
+    }
+
+    #[test]
+    fn the_means_of_some_passes_are_those_of_the_servo() {
+        for (seed, lag, delay, play_us) in [(1, 0.03, 0.01, 5.0), (2, 0.065, 0.004, 2.0)] {
+            let truth = Wheels {
+                centre_us: 1_475.0,
+                gain_us_per_rad: -720.0,
+                lag,
+                delay,
+                play_us,
+                excess: [0.0; 2],
+            };
+            let found: Vec<Wheels> = (0..6)
+                .map(|index| {
+                    let (motion, pulses, speed) = pass(100 * seed + index, &truth);
+                    wheels(&motion, &pulses, &speed, &CAR, [1_490.0, -750.0]).unwrap()
+                })
+                .collect();
+            println!("{found:?}");
+            let mean = |of: fn(&Wheels) -> f64| found.iter().map(of).sum::<f64>() / 6.0;
+            assert!((mean(|f| f.centre_us) - 1_475.0).abs() < 0.3);
+            assert!((mean(|f| f.gain_us_per_rad) + 720.0).abs() < 2.0);
+            assert!((mean(|f| f.lag) - lag).abs() < 0.004);
+            assert!((mean(|f| f.delay) - delay).abs() < 0.004);
+        }
     }
 }

@@ -34,10 +34,7 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         "an_unattended_drive_goes_on_without_its_client_which_says_so",
         unattended,
     ),
-    Scenario::new(
-        "a_killed_hand_ends_jogging_at_once",
-        killed_hand,
-    ),
+    Scenario::new("a_killed_hand_ends_jogging_at_once", killed_hand),
     Scenario::new(
         "a_hand_that_hangs_ends_jogging_after_a_quarter_of_a_second",
         hand_hangs,
@@ -430,7 +427,11 @@ fn hand_hangs(bench: &mut Bench) -> Outcome {
         "it ended because of {:?}",
         end.output.reason
     );
-    let given = |tick: &&TickRecord| tick.events.iter().any(|event| matches!(event, Event::Jog(_)));
+    let given = |tick: &&TickRecord| {
+        tick.events
+            .iter()
+            .any(|event| matches!(event, Event::Jog(_)))
+    };
     let pulses = ticks
         .iter()
         .rfind(given)

@@ -90,6 +90,10 @@ const RENEWAL: Duration = Duration::from_millis(100);
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
 
+/// Interval of the set-points of a car that stands, and how long they come before it is armed.
+const SETPOINT: Duration = Duration::from_millis(50);
+const SETTLES: Duration = Duration::from_millis(400);
+
 /// The longest wait for an answer of the daemon.
 const ANSWER: Duration = Duration::from_secs(5);
 
@@ -272,22 +276,61 @@ impl LiveBench {
             };
             line.insert(key.to_owned(), true.into());
         }
+        let stand = json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "velocity_m_s": [0.0, 0.0],
+        });
         let mut connection = Connection::open(&self.socket).map_err(refused)?;
-        connection
-            .send(&line)
-            .map_err(|error| Refused(error.to_string()))?;
-        let asked = Instant::now();
+        let begun = Instant::now();
+        let mut asked: Option<Instant> = None;
+        let mut sent = Instant::now() - SETPOINT;
         loop {
+            if sent.elapsed() >= SETPOINT {
+                sent = Instant::now();
+                let mut lines = Vec::new();
+                if attendance == Attendance::Drive {
+                    // Without set-points the car can't be armed.
+                    lines.push(&stand);
+                }
+                let settled = attendance == Attendance::Jog || begun.elapsed() >= SETTLES;
+                let hold = command("hold");
+                if asked.is_some() {
+                    lines.push(&hold);
+                } else if settled {
+                    asked = Some(sent);
+                    lines.push(&line);
+                }
+                for line in lines {
+                    connection
+                        .send(line)
+                        .map_err(|error| Refused(error.to_string()))?;
+                }
+            }
             if let Some(answer) = connection.line().map_err(refused)? {
-                control::agreed(answer).map_err(refused)?;
-                return Ok(HeldDrive {
-                    connection,
-                    renewed: Instant::now(),
-                    ended: None,
-                });
+                match control::agreed(answer) {
+                    Ok(_) => {
+                        return Ok(HeldDrive {
+                            connection,
+                            renewed: Instant::now(),
+                            ended: None,
+                        });
+                    }
+                    // Renewals that came after a refusal.
+                    Err(ControlError::Refused(reason)) if reason.starts_with("hold renews") => {}
+                    // The estimate begins anew with another configuration.
+                    Err(ControlError::Refused(reason))
+                        if attendance == Attendance::Drive
+                            && reason.contains("mode idle")
+                            && begun.elapsed() < ANSWER =>
+                    {
+                        asked = None;
+                    }
+                    Err(error) => return Err(refused(error)),
+                }
             }
             let is_released = self.terminal.is_released().unwrap_or(true);
-            if is_released || asked.elapsed() > ANSWER {
+            if is_released || asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
                 // The connection ends here, and with it the request.
                 return Err(Refused(if is_released {
                     "the space bar was released".to_owned()
