@@ -12,8 +12,8 @@ use std::{
 
 use singletrack_board::{Board, ImuSample, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{
-    Arm, BoardMode, Configure, Decoder, Disarm, Drive, EmergencyStop, Hello, ResetCause, Sequence,
-    Status, StopCause, Telemetry, ToBoard, ToHost, UNNAMED, VERSION,
+    Arm, BoardMode, Configure, Decoder, Disarm, Drive, EmergencyStop, Hello, Jog, ResetCause,
+    Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNNAMED, VERSION,
 };
 use singletrack_sim::{CYCLES_PER_US, Installation, default_board_configuration};
 use singletrack_simavr::{Motion, Pin, Reply, Report, Request, ResetFlags, Run, receive, send};
@@ -120,21 +120,29 @@ impl Script {
         {
             self.sequence = self.sequence.next();
             let seconds = at as f64 * 1e-3;
-            let drive = Drive {
-                sequence: self.sequence,
-                speed_mm_s: (400.0 + 150.0 * (1.3 * seconds).sin()) as i16,
-                steering_100urad: (3_000.0 * (2.1 * seconds).sin()) as i16,
-                // Occasionally stale.
-                telemetry_time_us: telemetry_time_us.wrapping_sub(if at % 700 < 20 {
-                    200_000
-                } else {
-                    0
-                }),
-                pose_age_ms: 12,
-                brake: false,
+            // Occasionally stale.
+            let age_us = if at % 700 < 20 { 200_000 } else { 0 };
+            let telemetry_time_us = telemetry_time_us.wrapping_sub(age_us);
+            // Every third time it jogs.
+            let command = if ms / 8_000 % 3 == 2 {
+                ToBoard::Jog(Jog {
+                    sequence: self.sequence,
+                    telemetry_time_us,
+                    servo_us: (1_500.0 + 600.0 * (2.1 * seconds).sin()) as u16,
+                    esc_us: (1_500.0 + 200.0 * (1.3 * seconds).sin()) as u16,
+                })
+            } else {
+                ToBoard::Drive(Drive {
+                    sequence: self.sequence,
+                    speed_mm_s: (400.0 + 150.0 * (1.3 * seconds).sin()) as i16,
+                    steering_100urad: (3_000.0 * (2.1 * seconds).sin()) as i16,
+                    telemetry_time_us,
+                    pose_age_ms: 12,
+                    brake: false,
+                })
             };
             // Every ninth is corrupted.
-            self.send(ms, &ToBoard::Drive(drive), (ms / 10).is_multiple_of(9));
+            self.send(ms, &command, (ms / 10).is_multiple_of(9));
         }
     }
 
@@ -383,6 +391,7 @@ fn the_same_inputs_give_the_same_frames_and_pulses() {
         assert!(modes(mode) > 5, "{mode:?}: {}", modes(mode));
     }
     assert!(modes(BoardMode::Driving) > 2_000);
+    assert!(modes(BoardMode::Jogging) > 500);
     let last = native.frames.telemetry.last().unwrap();
     assert_ne!(last.stop_cause, StopCause::None);
     assert!(native.frames.status.last().unwrap().frames_damaged > 100);

@@ -9,7 +9,7 @@ use singletrack_scenario::{
     simulated::{Drive, daemon_config},
     virtual_drive::VirtualDrive,
 };
-use singletrack_sim::{MotorSensorFault, SimulationConfig};
+use singletrack_sim::{EscKind, MotorSensorFault, SimulationConfig};
 
 const NEUTRAL_US: u16 = 1_500;
 const STRAIGHT_US: u16 = 1_500;
@@ -281,4 +281,196 @@ fn the_configuration_is_not_replaced_while_jogging() {
     drive.send_jog(pulses(STRAIGHT_US, NEUTRAL_US));
     drive.step();
     assert!(drive.reconfigure(config()).is_err());
+}
+
+/// Numbers for a random hand.
+struct Random(u64);
+
+impl Random {
+    /// From 0 to `below` - 1.
+    const fn below(&mut self, below: u64) -> u64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % below
+    }
+
+    /// True in one of `count` cases.
+    const fn one_of(&mut self, count: u64) -> bool {
+        self.below(count) == 0
+    }
+}
+
+/// A random hand on a random car, while things go wrong.
+struct Hand {
+    random: Random,
+    drive: VirtualDrive,
+    /// What the hand gives, until when; `None` while it lets go.
+    gives: Option<Jog>,
+    until_us: u64,
+    /// When it last gave pulses.
+    given_us: Option<u64>,
+    /// When the cable was pulled.
+    pulled_us: Option<u64>,
+    sensor_is_dead: bool,
+    /// Pulses of the board that have been checked.
+    checked: u64,
+    /// Since when the ESC has not been at neutral.
+    driven_since_us: Option<u64>,
+    /// Since when nothing jogs and the wheels should come to rest.
+    ended_us: Option<u64>,
+    jogged: u64,
+}
+
+impl Hand {
+    fn new(seed: u64) -> Self {
+        let mut random = Random(seed);
+        for _ in 0..10 {
+            random.below(2);
+        }
+        let mut config = config();
+        let mut simulation = simulation();
+        simulation.seed = seed;
+        let motor = &mut simulation.car.motor;
+        motor.kind =
+            [EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc][random.below(3) as usize];
+        motor.deadband_us = 5 + random.below(60) as u16;
+        motor.gain_m_s_per_us *= 0.5 + 0.25 * random.below(10) as f64;
+        config.board.stop_input = true;
+        config.board.kill_output = random.one_of(2);
+        motor.kill_relay = config.board.kill_output;
+        Self {
+            random,
+            drive: VirtualDrive::new(config, seed, simulation).unwrap(),
+            gives: None,
+            until_us: 0,
+            given_us: None,
+            pulled_us: None,
+            sensor_is_dead: false,
+            checked: 0,
+            driven_since_us: None,
+            ended_us: None,
+            jogged: 0,
+        }
+    }
+
+    /// A tick: the hand, what goes wrong, and what must hold.
+    fn tick(&mut self) {
+        let now_us = self.drive.world().now_us();
+        if matches!(self.drive.mode(), Mode::Idle | Mode::Ready) && self.random.one_of(20) {
+            self.drive.request(PilotRequest::ArmJog).unwrap();
+        }
+        if now_us >= self.until_us {
+            let servo_us = self.random.below(3_000) as u16;
+            let offset_us = self.random.below(500) as u16;
+            let ms = 50 + self.random.below(3_000);
+            self.until_us = now_us + 1_000 * ms;
+            self.gives = Some(pulses(servo_us, 1_250 + offset_us));
+            if self.random.one_of(6) {
+                self.gives = None;
+                self.until_us = now_us + 1_000 * (ms / 5);
+            } else if self.random.one_of(20) {
+                // Until the board ends it.
+                self.until_us = now_us + 15_000_000;
+            }
+        }
+        if let Some(jog) = self.gives {
+            self.drive.send_jog(jog);
+            self.given_us = Some(now_us);
+        }
+        if self.random.one_of(400) {
+            self.go_wrong(now_us);
+        }
+        if let Some(pulled_us) = self.pulled_us
+            && now_us > pulled_us + 1_000_000
+        {
+            self.pulled_us = None;
+            self.drive.world_mut().set_wire_connected(true);
+        }
+        if self.drive.mode() == Mode::Fault && self.random.one_of(100) {
+            let world = self.drive.world_mut();
+            world.board_mut().set_stop_input_open(false);
+            world.press_reset();
+        }
+        let truth = self.drive.step().truth;
+        self.jogged += u64::from(self.drive.mode() == Mode::Jogging);
+        self.check_pulses();
+        let speed = truth.wheel_speed.abs();
+        let fastest = if self.sensor_is_dead { 3.0 } else { 1.5 };
+        assert!(speed < fastest, "{speed} m/s");
+        if self.drive.mode() == Mode::Jogging || speed < 0.01 {
+            self.ended_us = None;
+        } else {
+            let ended_us = *self.ended_us.get_or_insert(now_us);
+            assert!(now_us - ended_us < 3_000_000, "{speed} m/s after 3 s");
+        }
+    }
+
+    fn go_wrong(&mut self, now_us: u64) {
+        match self.random.below(7) {
+            0 if self.pulled_us.is_none() => {
+                self.pulled_us = Some(now_us);
+                self.drive.world_mut().set_wire_connected(false);
+            }
+            1 => self.drive.world_mut().press_reset(),
+            2 => {
+                let board = self.drive.world_mut().board_mut();
+                board.set_stop_input_open(true);
+            }
+            3 => {
+                self.sensor_is_dead = true;
+                let car = self.drive.world_mut().car_mut();
+                car.set_motor_sensor_fault(MotorSensorFault::Gone);
+            }
+            4 => self.drive.request(PilotRequest::Disarm).unwrap(),
+            5 => self.drive.request(PilotRequest::OperatorGone).unwrap(),
+            _ => self.drive.request(PilotRequest::Hold).unwrap(),
+        }
+    }
+
+    fn check_pulses(&mut self) {
+        let log = self.drive.world().board().pulses();
+        let new = (log.total() - self.checked) as usize;
+        self.checked = log.total();
+        let mut latest: Vec<_> = log.iter().rev().take(new).copied().collect();
+        latest.reverse();
+        for pulse in latest {
+            let beyond_us = pulse.esc_us.abs_diff(NEUTRAL_US);
+            if pulse.esc_us == 0 || pulse.cut || beyond_us == 0 {
+                self.driven_since_us = None;
+                continue;
+            }
+            assert!(beyond_us <= JOG_LIMIT_US, "{} us", pulse.esc_us);
+            let age_us = |since_us: Option<u64>| {
+                since_us.map_or(u64::MAX, |since_us| pulse.time_us.saturating_sub(since_us))
+            };
+            let hand_us = age_us(self.given_us);
+            assert!(hand_us < 300_000, "{hand_us} us after the hand let go");
+            if self.pulled_us.is_some() {
+                let pulled_us = age_us(self.pulled_us);
+                assert!(
+                    pulled_us <= NEUTRAL_WITHIN_US,
+                    "{pulled_us} us without a cable"
+                );
+            }
+            let since_us = *self.driven_since_us.get_or_insert(pulse.time_us);
+            let driven_us = pulse.time_us - since_us;
+            assert!(driven_us < 10_100_000, "{driven_us} us without a rest");
+        }
+    }
+}
+
+#[test]
+fn a_random_hand_never_leaves_the_bounds_whatever_goes_wrong() {
+    let mut jogged = 0;
+    for seed in 0..200 {
+        let mut hand = Hand::new(seed);
+        for _ in 0..4_000 {
+            hand.tick();
+        }
+        jogged += hand.jogged;
+    }
+    // Otherwise hardly anything was checked.
+    assert!(jogged > 100_000, "{jogged} ticks of jogging");
 }
