@@ -35,8 +35,7 @@ struct Procedure {
     steps: Vec<Step>,
 }
 
-/// The procedures, in their order. The ESC is watched at neutral for a shorter time than on a
-/// real car: a simulated one has no noise that would turn it now and then.
+/// The procedures, in their order.
 fn procedures() -> Vec<Procedure> {
     let procedure = |name, steps: &[Step]| Procedure {
         name,
