@@ -1,6 +1,10 @@
 //! The doctor on random cars, with scripted hands.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
 
 use core::f64::consts::TAU;
 
