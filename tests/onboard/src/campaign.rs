@@ -35,8 +35,7 @@ struct Procedure {
     steps: Vec<Step>,
 }
 
-/// The procedures, in their order. The ESC is watched at neutral for a shorter time than on a
-/// real car: a simulated one has no noise that would turn it now and then.
+/// The procedures, in their order.
 fn procedures() -> Vec<Procedure> {
     let procedure = |name, steps: &[Step]| Procedure {
         name,
@@ -109,9 +108,15 @@ impl Journal for Kept {
 /// The way on the floor within which a fault must be found, in m.
 const FOUND_WITHIN_M: f64 = 0.5;
 
-/// Takes a car through the procedures.
+/// Takes a car through the procedures, and drives the circle with it.
 #[must_use]
 pub fn onboard(car: &OnboardCar) -> CarOutcome {
+    onboard_until(car, false)
+}
+
+/// As [`onboard`]; with `found` only until what was planted has been found.
+#[must_use]
+pub fn onboard_until(car: &OnboardCar, found: bool) -> CarOutcome {
     let mut outcome = CarOutcome {
         seed: car.seed,
         fault: car.fault,
@@ -125,13 +130,13 @@ pub fn onboard(car: &OnboardCar) -> CarOutcome {
         seconds: 0.0,
         error: None,
     };
-    if let Err(error) = try_onboard(car, &mut outcome) {
+    if let Err(error) = try_onboard(car, found, &mut outcome) {
         outcome.error = Some(error);
     }
     outcome
 }
 
-fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String> {
+fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Result<(), String> {
     let text = |error: &dyn fmt::Display| error.to_string();
     let mut bench = VirtualBench::new(car).map_err(|error| text(&error))?;
     let mut measured: BTreeMap<&'static str, Measured> = BTreeMap::new();
@@ -174,8 +179,9 @@ fn try_onboard(car: &OnboardCar, outcome: &mut CarOutcome) -> Result<(), String>
             if is_corrected(car, bench.configuration()) && way_m < FOUND_WITHIN_M {
                 outcome.found = true;
             }
-            if failed && step.essential {
+            if (failed && step.essential) || (found && outcome.found) {
                 bench.end_procedure();
+                failed = true;
                 break 'car;
             }
         }

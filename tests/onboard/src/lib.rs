@@ -15,7 +15,9 @@ mod random;
 mod truths;
 
 pub use bench::{BenchError, VirtualBench};
-pub use campaign::{Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, write_csv};
+pub use campaign::{
+    Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, onboard_until, write_csv,
+};
 pub use car::{HALL_M, OnboardCar, PlantedFault};
 pub use circle::Circle;
 pub use guard::{Guard, Violation};

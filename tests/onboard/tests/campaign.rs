@@ -1,0 +1,73 @@
+//! The campaign itself: the same bits for the same seed, and no planted fault passes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+use singletrack_commissioning::{Answer, Answers, Bench, Question};
+use singletrack_onboard::{OnboardCar, PlantedFault, VirtualBench, onboard_until};
+
+#[test]
+fn every_random_owner_writes_a_valid_configuration() {
+    for seed in 0..300 {
+        let car = OnboardCar::random(seed);
+        let config = car
+            .configuration()
+            .unwrap_or_else(|error| panic!("{seed}: {error}"));
+        assert_eq!(config.motion_capture.marker_offset_m, [0.0; 2]);
+        assert!(config.board.esc.kind.is_none());
+    }
+}
+
+#[test]
+fn about_a_tenth_of_the_cars_has_a_fault_and_every_fault_occurs() {
+    let faults: Vec<_> = (0..1_000)
+        .filter_map(|seed| OnboardCar::random(seed).fault)
+        .collect();
+    assert!((70..130).contains(&faults.len()), "{}", faults.len());
+    for fault in PlantedFault::ALL {
+        assert!(faults.contains(&fault), "{fault}");
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits() {
+    let observed = || {
+        let mut bench = VirtualBench::new(&OnboardCar::planted(3, None)).unwrap();
+        let mut observed = Vec::new();
+        for id in ["push-forward", "nose-up", "on-stand", "place-on-floor"] {
+            let answer = bench
+                .ask(&Question {
+                    id,
+                    text: String::new(),
+                    answers: Answers::Begin,
+                })
+                .unwrap();
+            assert_ne!(answer, Answer::Skip);
+            for _ in 0..300 {
+                bench.wait(&mut observed).unwrap();
+            }
+        }
+        format!("{observed:?}")
+    };
+    assert_eq!(observed(), observed());
+}
+
+#[test]
+fn every_planted_fault_is_found_before_the_car_drives() {
+    for (seed, fault) in (40..).zip(PlantedFault::ALL) {
+        let outcome = onboard_until(&OnboardCar::planted(seed, Some(fault)), true);
+        assert!(outcome.found, "{fault}: {}", outcome.text(true));
+        assert_eq!(outcome.violations, [""; 0], "{fault}");
+        assert!(outcome.unknown.is_empty(), "{fault}: {:?}", outcome.unknown);
+    }
+}
+
+#[test]
+fn a_bench_begins_with_a_board_that_is_ready() {
+    let bench = VirtualBench::new(&OnboardCar::planted(1, None)).unwrap();
+    assert!(bench.seconds() < 10.0);
+    assert!(bench.guard().violations().is_empty());
+}
