@@ -297,6 +297,18 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .of(Part::Uno),
         Step::new(
+            "onboard",
+            "cars of all kinds come from the parts to the circle, led by the three procedures",
+            move || {
+                check(
+                    release
+                        .program("singletrack-onboard")?
+                        .args(["--count", "3"]),
+                )
+            },
+        )
+        .needing(release.part()),
+        Step::new(
             "odroid",
             "daemon and tools build for the Odroid, and simulate the same bits there",
             move || odroid::verify(release),
