@@ -24,7 +24,7 @@ const IN_STEPS: [f64; 2] = [0.009, 0.008];
 /// the axles, which are measured with a ruler, m;
 const RULER: f64 = 0.002;
 /// one axle, m;
-const AXLE: f64 = 0.0013;
+const AXLE: f64 = 0.0018;
 /// the slip of the tyres, whose stiffness is known to a third, rad per m/s² of lateral
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
