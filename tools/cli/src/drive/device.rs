@@ -32,7 +32,7 @@ const AXES: usize = 0x40;
 pub(super) enum Source {
     Device {
         device: Box<RawDevice>,
-        ranges: [(i32, i32); AXES],
+        ranges: Box<[(i32, i32); AXES]>,
     },
     Pipe {
         file: File,
@@ -60,7 +60,7 @@ impl Source {
         }
         let device = RawDevice::open(path)?;
         rustix::fs::fcntl_setfl(&device, OFlags::NONBLOCK)?;
-        let mut ranges = [RANGE; AXES];
+        let mut ranges = Box::new([RANGE; AXES]);
         for (axis, info) in device.get_absinfo()? {
             if let Some(range) = ranges.get_mut(usize::from(axis.0)) {
                 *range = (info.minimum(), info.maximum());
