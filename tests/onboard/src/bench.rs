@@ -148,7 +148,7 @@ impl VirtualBench {
         let tick = self.drive.step();
         self.preflight = tick.tick.output.preflight;
         self.person.act(self.drive.world_mut());
-        self.guard.watch(&self.drive, &tick.truth, &tick.tick);
+        self.guard.watch(&self.drive, &tick.truth);
         for entry in self.drive.entries() {
             self.observe(entry, observed);
         }

@@ -154,7 +154,6 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
                         name: parameter.name,
                         unit: parameter.unit,
                         truth: match parameter.name {
-                            "braking" => bench.guard().weakest_braking(),
                             "gyro-bias" => Some(bench.guard().gyro_bias(bench.configuration())),
                             name => truth_of(name, procedure.name, world),
                         },

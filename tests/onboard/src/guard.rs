@@ -1,9 +1,7 @@
 //! What is watched in every tick of a campaign, and must never happen.
 
 use singletrack_core::Config;
-use singletrack_pilot::Mode;
 use singletrack_protocol::BoardMode;
-use singletrack_record::TickRecord;
 use singletrack_scenario::virtual_drive::VirtualDrive;
 use singletrack_sim::Truth;
 
@@ -26,12 +24,6 @@ pub struct Guard {
     driven_since: Option<f64>,
     /// The way of the car when the present jog began, in m.
     jog_from: Option<f64>,
-    /// The stop that is under way: its begin in s, and the speed and the way of the car when
-    /// the motor had reacted.
-    stop: Option<(f64, Option<[f64; 2]>)>,
-    was_driving: bool,
-    /// True decelerations of the stops in this step: speed in m/s, deceleration in m/s².
-    stops: Vec<[f64; 2]>,
     /// Sum and number of the biases of the gyro in this step, along its own axes, in rad/s.
     bias: ([f64; 3], u32),
     /// Kinds of violations that last.
@@ -43,8 +35,6 @@ pub struct Guard {
 const RUN_ON_S: f64 = 1.2;
 /// By how much a speed may exceed the cap, in m/s: that of the pilot's watch.
 const OVERSPEED_M_S: f64 = 0.4;
-/// Time in which the motor reacts to a stop, in s.
-const REACTION_S: f64 = 0.1;
 /// The longest way of a car on the floor in one jog, in m.
 const JOG_WAY_M: f64 = 0.5;
 
@@ -56,9 +46,6 @@ impl Guard {
             violations: Vec::new(),
             driven_since: None,
             jog_from: None,
-            stop: None,
-            was_driving: false,
-            stops: Vec::new(),
             bias: ([0.0; 3], 0),
             lasting: [false; 4],
         };
@@ -87,7 +74,7 @@ impl Guard {
         self.lasting[kind] = happens;
     }
 
-    pub(crate) fn watch(&mut self, drive: &VirtualDrive, truth: &Truth, tick: &TickRecord) {
+    pub(crate) fn watch(&mut self, drive: &VirtualDrive, truth: &Truth) {
         let world = drive.world();
         let now_s = truth.time_us as f64 * 1e-6;
         let mode = world.board().telemetry().map(|telemetry| telemetry.mode);
@@ -119,7 +106,6 @@ impl Guard {
             *sum += bias;
         }
         self.bias.1 += 1;
-        self.time_stop(now_s, truth, tick.output.mode);
 
         let jogs = free && mode == Some(BoardMode::Jogging);
         self.jog_from = jogs.then(|| self.jog_from.unwrap_or(truth.way));
@@ -131,9 +117,8 @@ impl Guard {
         });
     }
 
-    /// Forgets the stops of the step before.
+    /// Forgets the step before.
     pub(crate) fn begin_step(&mut self) {
-        self.stops.clear();
         self.bias = ([0.0; 3], 0);
     }
 
@@ -144,45 +129,6 @@ impl Guard {
         let (sum, count) = self.bias;
         let bias = sum[usize::from(up.index())] / f64::from(count.max(1));
         if up.is_negative() { -bias } else { bias }
-    }
-
-    /// Measures what a stop truly decelerates with, from when the motor has reacted.
-    fn time_stop(&mut self, now_s: f64, truth: &Truth, mode: Mode) {
-        let drives = matches!(mode, Mode::Driving | Mode::Slowing);
-        if self.was_driving && !drives {
-            self.stop = Some((now_s, None));
-        }
-        self.was_driving = drives;
-        match &mut self.stop {
-            None => {}
-            Some(_) if drives || truth.held => self.stop = None,
-            Some((begin, from @ None)) if now_s - *begin >= REACTION_S => {
-                *from = Some([truth.speed, truth.way]);
-            }
-            Some((_, Some([speed, way]))) if truth.speed.abs() < 0.005 => {
-                let rolled = truth.way - *way;
-                if *speed > 0.1 && rolled > 0.0 {
-                    self.stops.push([*speed, *speed * *speed / (2.0 * rolled)]);
-                }
-                self.stop = None;
-            }
-            Some(_) => {}
-        }
-    }
-
-    /// The lowest of the mean decelerations from each speed in this step, in m/s².
-    pub(crate) fn weakest_braking(&self) -> Option<f64> {
-        let mut by_speed: Vec<(f64, Vec<f64>)> = Vec::new();
-        for &[speed, deceleration] in &self.stops {
-            match by_speed.iter_mut().find(|(of, _)| (of - speed).abs() < 0.1) {
-                Some((_, values)) => values.push(deceleration),
-                None => by_speed.push((speed, vec![deceleration])),
-            }
-        }
-        let means = by_speed
-            .iter()
-            .map(|(_, values)| values.iter().sum::<f64>() / values.len() as f64);
-        means.min_by(f64::total_cmp)
     }
 
     /// At the end of a procedure, when the car has had its time to roll out.

@@ -28,6 +28,13 @@ pub fn truth_of(name: &str, procedure: &str, world: &World) -> Option<f64> {
         "esc-neutral" => motor.neutral_us.into(),
         // The band in which the wheels stand: with what the drive train holds.
         "esc-deadband" => f64::from(motor.deadband_us) + motor.breakaway_us,
+        // Of the slowest roll-out, from 0.3 m/s: v² over twice the way.
+        "braking" => {
+            let (v, rolling, viscous) = (0.3, motor.coasting_m_s2, motor.viscous_per_s);
+            let share = viscous * v / rolling;
+            let way = v * v / rolling * (share - libm::log1p(share)) / (share * share);
+            v * v / (2.0 * way)
+        }
         "motor-lag" => motor.lag_s * 1e3,
         "motor-dead-time" => ms(motor.dead_time_us),
         "feed-forward" => {

@@ -42,6 +42,8 @@ const READY_TICKS: usize = 1_500;
 pub(super) struct Wanted {
     pub(super) position: [f64; 2],
     pub(super) velocity: [f64; 2],
+    /// The car is to roll out at neutral instead, wherever that is.
+    pub(super) rolls: bool,
 }
 
 /// Why a step ends without a result.
@@ -70,8 +72,6 @@ pub(super) struct Drive {
     pub(super) last_pose_ns: u64,
     /// When the stop was asked for, in ns.
     pub(super) stopped_ns: u64,
-    /// The deceleration of the stop, m/s².
-    pub(super) braking: Option<f64>,
     /// Why it ended, if by itself.
     pub(super) reason: Option<&'static str>,
 }
@@ -289,6 +289,7 @@ impl Figure {
             return Wanted {
                 position: [self.start[0] + share * dx, self.start[1] + share * dy],
                 velocity: [speed * dx / approach, speed * dy / approach],
+                rolls: false,
             };
         }
         let laps = (way - approach) / self.lap();
@@ -305,6 +306,7 @@ impl Figure {
                 self.tangent[1] + self.radius * (inward.sin() + outward.sin()),
             ],
             velocity: [speed * course.cos(), speed * course.sin()],
+            rolls: false,
         }
     }
 }
@@ -326,6 +328,7 @@ impl Wanted {
         Self {
             position: [0, 1].map(|i| self.position[i] + offset * left[i]),
             velocity: [0, 1].map(|i| self.velocity[i] + rate * left[i]),
+            ..self
         }
     }
 }
@@ -361,7 +364,7 @@ pub(super) fn drive(
     while !is_over && now < seconds {
         let next = wanted(now);
         let velocity = match (point, last_ns) {
-            (Some(point), Some(_)) => {
+            (Some(point), Some(_)) if !next.rolls => {
                 let [x, y] = next.position;
                 let [vx, vy] = next.velocity;
                 // What waits does not move.
@@ -370,7 +373,7 @@ pub(super) fn drive(
                     pace * vy + GAIN * (y - point.y),
                 )
             }
-            // The board arms.
+            // The board arms, or the car rolls: a lower speed than the present one is neutral.
             _ => Velocity::zeros(),
         };
         if let Err(error) = bench.drive(velocity, None) {
@@ -393,7 +396,10 @@ pub(super) fn drive(
                 is_over |= tick.mode != Mode::Slowing;
             }
             let [x, y] = next.position;
-            let behind = tick.point.map_or(0.0, |p| (p.x - x).hypot(p.y - y));
+            let behind = match tick.point {
+                Some(p) if !next.rolls => (p.x - x).hypot(p.y - y),
+                _ => 0.0,
+            };
             if behind > ASTRAY {
                 drive.reason = Some("astray");
                 is_over = true;
@@ -442,7 +448,6 @@ impl Drive {
                 );
             }
             Observation::Tick(tick) => {
-                self.braking = tick.braking_measured.or(self.braking);
                 self.ticks.push(*tick);
             }
             Observation::Pose(pose) => self.last_pose_ns = pose.receive.0,

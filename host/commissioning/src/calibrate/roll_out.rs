@@ -1,17 +1,23 @@
-//! Roll-outs from rising speeds. The speed is raised only after the stops from the one below
-//! were as strong as the geofence counts on.
+//! Roll-outs from rising speeds, with the motor at neutral: a brake would hide how the car rolls
+//! when nothing brakes it. The speed is raised only after the roll-outs from the one below have
+//! shown what the geofence can count on.
 
-use super::floor::{self, Ends, Figure, SLOW, round};
+use super::floor::{self, Ends, Figure, SLOW, Wanted, round};
 use crate::{Bench, Finding, Interrupted, Parameter, Verdict, fit};
 
 /// The speeds, m/s.
 const SPEEDS: [f64; 3] = [SLOW, 0.6, 1.0];
-/// The stops from each.
-const STOPS: usize = 3;
-/// How much of the weakest stop the geofence counts on.
+/// The roll-outs from each.
+const TIMES: usize = 3;
+/// How fast a car rises to its speed, m/s², and how long it keeps it, s.
+const RISES_WITH: f64 = 0.5;
+const KEEPS: f64 = 2.0;
+/// A car that rolls longer than this deceleration would let it is not measured, m/s².
+const LEAST: f64 = 0.2;
+/// How much of the weakest roll-out the geofence counts on.
 const COUNTED: f64 = 0.8;
 
-const EXPECTED: &str = "every stop at least as strong as fence.braking_m_s2";
+const EXPECTED: &str = "every roll-out at least as short as fence.braking_m_s2 makes it";
 
 pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let found = measure(bench);
@@ -28,8 +34,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
             break;
         }
         floor::limit_speed(bench, speed)?;
-        for _ in 0..STOPS {
-            let Some(braking) = stop(bench, speed)? else {
+        for _ in 0..TIMES {
+            let Some(braking) = rolled(bench, speed)? else {
                 if passed == 0.0 {
                     return Err(Ends::Failed(
                         "there is no room for a circle where the car stands".to_owned(),
@@ -93,7 +99,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     })
 }
 
-/// What the geofence may count on: the weakest stop, less 20 %.
+/// What the geofence may count on: the weakest roll-out, less 20 %.
 fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
     let weakest = stops
         .iter()
@@ -103,9 +109,9 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
     ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
 }
 
-/// Drives along a circle with this speed and stops. Gives the deceleration, m/s²; none if there
-/// is no room for it.
-fn stop(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
+/// Drives along a circle with this speed and lets the car roll out. Gives the deceleration,
+/// m/s²; none if there is no room for it.
+fn rolled(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     let mut stands = floor::ready(bench)?;
     let mut circle = Figure::circle(bench, &stands, speed);
     if circle.is_none() {
@@ -116,32 +122,32 @@ fn stop(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     let Some(figure) = circle else {
         return Ok(None);
     };
-    let acceleration = 0.5;
-    let seconds = speed / acceleration + 2.0;
-    let text = format!("a stop from {speed:.1} m/s");
+    let rolls_from = speed / RISES_WITH + KEEPS;
+    let seconds = rolls_from + 0.5 + speed / LEAST;
+    let text = format!("a roll-out from {speed:.1} m/s");
     let mut drive = floor::drive(bench, seconds, &text, &|time| {
-        let now = (acceleration * time).min(speed);
-        let rising = now * now / (2.0 * acceleration);
-        let way = rising + now * (time - now / acceleration);
-        figure.at(way, now)
+        let now = (RISES_WITH * time).min(speed);
+        let rising = now * now / (2.0 * RISES_WITH);
+        let way = rising + now * (time - now / RISES_WITH);
+        Wanted {
+            rolls: time >= rolls_from,
+            ..figure.at(way, now)
+        }
     })?
     .completed()?;
     let config = bench.configuration();
     let [_, left] = config.motion_capture.marker_offset_m;
+    let begin = drive.on_track(rolls_from) - 0.1;
     let motion = drive.track.motion(0.0);
     let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
-    // The pilot measures it as well, unless the stop was short.
-    let begin = drive.track.seconds(drive.stopped_ns) - 0.1;
     let first = motion.time.partition_point(|time| *time < begin);
-    let found = fit::stop(&motion.time[first..], &way[first..]);
-    let weaker = match (found, drive.braking) {
-        (Some(one), Some(other)) => Some(one.min(other)),
-        (one, other) => one.or(other),
-    };
-    weaker.map(Some).ok_or_else(|| {
-        Ends::Failed(
-            format!("the stop from {speed:.1} m/s could not be measured"),
-            "check that the markers are visible everywhere, and run this step again",
-        )
-    })
+    fit::stop(&motion.time[first..], &way[first..])
+        .map(Some)
+        .ok_or_else(|| {
+            Ends::Failed(
+                format!("the car did not roll out from {speed:.1} m/s"),
+                "check that the floor is level and that the markers are visible everywhere, and \
+                 run this step again",
+            )
+        })
 }

@@ -30,6 +30,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let wanted = |time: f64| Wanted {
         position: [point.x + SLOW * time * cos, point.y + SLOW * time * sin],
         velocity: [SLOW * cos, SLOW * sin],
+        rolls: false,
     };
     let mut drive = floor::drive(bench, WAY / SLOW, "a straight metre", &wanted)?.completed()?;
     let begin = drive.on_track(1.5);
