@@ -66,7 +66,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         .into_iter()
         .filter_map(mean)
         .min_by(|(one, _), (other, _)| one.total_cmp(other))
-        .and_then(|(mean, of)| fit::mean_interval(&of, 0.05 * mean));
+        .and_then(|(mean, of)| fit::mean_interval(&of, 0.08 * mean));
     let counted = bench.configuration().fence.braking_m_s2;
     let text: Vec<String> = stops
         .iter()
@@ -137,11 +137,12 @@ fn rolled(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     .completed()?;
     let config = bench.configuration();
     let [_, left] = config.motion_capture.marker_offset_m;
-    let begin = drive.on_track(rolls_from) - 0.1;
+    // The steady speed before it counts as well.
+    let begin = drive.on_track(rolls_from) - 0.3;
     let motion = drive.track.motion(0.0);
     let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
     let first = motion.time.partition_point(|time| *time < begin);
-    fit::stop(&motion.time[first..], &way[first..])
+    fit::roll_out(&motion.time[first..], &way[first..])
         .map(Some)
         .ok_or_else(|| {
             Ends::Failed(

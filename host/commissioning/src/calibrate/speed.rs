@@ -17,7 +17,7 @@ const LOOK: [f64; 2] = [0.4, 1.3];
 /// What all rises have in common, within which 95 of 100 cars are: pulses change in steps of
 /// 20 ms, and the motor's map is bent, which looks like a longer time constant; s, of the time
 /// constant and of the dead time.
-const IN_STEPS: [f64; 2] = [0.017, 0.008];
+const IN_STEPS: [f64; 2] = [0.025, 0.01];
 
 const EXPECTED: &str = "the speed follows within 0.3 s, and the same at every rise";
 

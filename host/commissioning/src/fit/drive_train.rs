@@ -76,30 +76,64 @@ pub fn drive_train(
     })
 }
 
-/// The deceleration of a stop, from the first fall of the speed on, m/s²: its square over twice
-/// the way. None without a stop.
+/// The deceleration of a roll-out, m/s²: the square of its speed over twice the way. The times in
+/// s and the ways in m begin while the car drives at its speed and end when it stands. None
+/// without a roll-out from 0.1 m/s or more.
 #[must_use]
-pub fn stop(time: &[f64], way: &[f64]) -> Option<f64> {
-    /// Poses on both sides for the speed.
-    const AROUND: usize = 4;
-    /// The speed has fallen by this, m/s.
-    const FALLEN: f64 = 0.03;
-    let speed = |index: usize| {
-        let (before, after) = (index - AROUND, index + AROUND);
-        (way[after] - way[before]) / (time[after] - time[before])
-    };
-    let last = time.len().min(way.len()).checked_sub(AROUND + 1)?;
-    let (mut highest, mut from) = (0.0_f64, None);
-    for index in AROUND..=last {
-        let now = speed(index);
-        highest = highest.max(now);
-        if now > highest - FALLEN {
-            from = Some((index, now));
-        }
+pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
+    /// Poses from which the search takes its first speed.
+    const FIRST: usize = 10;
+    /// The share of the speed in the deceleration, 1/s: a short roll-out does not show it.
+    const VISCOUS: f64 = 0.7;
+    /// One that lasts longer does, s.
+    const LONG: f64 = 0.6;
+    let (start, end) = (*time.first()?, *time.last()?);
+    let (first, last) = (*way.first()?, *way.last()?);
+    let speed = (way.get(FIRST)? - first) / (time.get(FIRST)? - start);
+    // It has stood for the last part.
+    let stood = way.get(way.len().checked_sub(FIRST)?)?;
+    if !(speed > 0.1 && last > first && last - stood < 0.002) {
+        return None;
     }
-    let (index, now) = from?;
-    let stopped = way.last()? - way[index];
-    (now > 0.1 && stopped > 0.0 && speed(last) < 0.2 * now).then(|| now * now / (2.0 * stopped))
+    // Where it has fallen behind its first speed, and what the rest of its way says.
+    let behind = |(t, x): &(&f64, &f64)| first + speed * (**t - start) - **x > 0.003;
+    let (begin, at) = time.iter().zip(way).find(behind)?;
+    let guess = speed * speed / (2.0 * (last - at).max(1e-3));
+    let residuals = |[at, speed, begin, rolling]: [f64; 4], viscous: f64| {
+        let level = rolling / viscous;
+        let lasts = (speed / level).ln_1p() / viscous;
+        let residual = move |(&time, &way): (&f64, &f64)| {
+            let steady = time.min(begin) - start;
+            let slowing = (time - begin).clamp(0.0, lasts);
+            let faded = -(-viscous * slowing).exp_m1() / viscous;
+            way - at - speed * steady - (speed + level) * faded + level * slowing
+        };
+        time.iter().zip(way).map(residual).collect()
+    };
+    let scale = [1e-4, 1e-3, 1e-3, 1e-2];
+    let bounds = [
+        [first - 0.05, first + 0.05],
+        [0.5 * speed, 1.5 * speed],
+        [start, end],
+        [0.05, 20.0],
+    ];
+    let [at, speed, begin] = if speed < LONG * guess {
+        let start = [first, speed, *begin, guess];
+        let [at, speed, begin, _] =
+            gauss_newton(start, scale, bounds, |four| residuals(*four, VISCOUS))?;
+        [at, speed, begin]
+    } else {
+        let ([low, high, near, most], [one, two, three, four]) = (bounds, scale);
+        let [at, speed, begin, ..] = gauss_newton(
+            [first, speed, *begin, 0.7 * guess, 0.3],
+            [one, two, three, four, 1e-2],
+            [low, high, near, most, [0.01, 3.0]],
+            |&[at, speed, begin, rolling, viscous]| residuals([at, speed, begin, rolling], viscous),
+        )?;
+        [at, speed, begin]
+    };
+    let rolled = last - at - speed * (begin - start);
+    Some(speed * speed / (2.0 * rolled))
 }
 
 /// The deceleration of the rear axle over these times, m/s², by a parabola. None of fewer than
@@ -155,6 +189,38 @@ mod tests {
             }
         }
         (pulses, time, way)
+    }
+
+    #[test]
+    fn a_roll_out_decelerates_by_the_square_of_its_speed_over_twice_its_way() {
+        let mut noise = Noise::new(5);
+        for (speed, rolling, viscous) in [
+            (0.3, 0.4, 0.3),
+            (0.3, 2.0, 0.5),
+            (0.6, 1.4, 1.2),
+            (1.0, 0.3, 0.2),
+        ] {
+            let (mut time, mut way) = (Vec::new(), Vec::new());
+            let (mut now, mut position, mut rolled) = (speed, 0.0, 0.0);
+            for index in 0..60_000 {
+                if index % 100 == 0 {
+                    time.push(1e-4 * f64::from(index));
+                    way.push(position + 0.000_2 * noise.normal());
+                }
+                if index > 2_345 {
+                    now = f64::max(now - 1e-4 * (rolling + viscous * now), 0.0);
+                    rolled += 1e-4 * now;
+                }
+                position += 1e-4 * now;
+            }
+            let truth = speed * speed / (2.0 * rolled);
+            let found = roll_out(&time, &way).unwrap();
+            // The viscous part is not known.
+            assert!((found / truth - 1.0).abs() < 0.08, "{truth}: {found}");
+            // Still rolling, and never.
+            assert_eq!(roll_out(&time[..40], &way[..40]), None);
+            assert_eq!(roll_out(&time[500..], &way[500..]), None);
+        }
     }
 
     #[test]

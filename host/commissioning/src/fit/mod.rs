@@ -21,7 +21,7 @@ mod wheels;
 pub use body::{FloorPose, Rolled, rolled, turned_about};
 pub use body_in_bends::{Body, body};
 pub use delay::{Delay, stamp_delay};
-pub use drive_train::{DriveTrain, deceleration, drive_train, stop};
+pub use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
 pub use statistics::{
