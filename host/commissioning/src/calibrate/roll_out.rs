@@ -9,9 +9,11 @@ use crate::{Bench, Finding, Interrupted, Parameter, Verdict, fit};
 const SPEEDS: [f64; 3] = [SLOW, 0.6, 1.0];
 /// The roll-outs from each.
 const TIMES: usize = 3;
-/// How fast a car rises to its speed, m/s², and how long it keeps it, s.
+/// How fast a car rises to its speed, m/s².
 const RISES_WITH: f64 = 0.5;
-const KEEPS: f64 = 2.0;
+/// How far it keeps it, m, and for how long more, s: the pilot tries its sensors and its brakes
+/// over a metre of a new configuration.
+const KEEPS: (f64, f64) = (1.5, 0.5);
 /// A car that rolls longer than this deceleration would let it is not measured, m/s².
 const LEAST: f64 = 0.2;
 /// How much of the weakest roll-out the geofence counts on.
@@ -122,7 +124,7 @@ fn rolled(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     let Some(figure) = circle else {
         return Ok(None);
     };
-    let rolls_from = speed / RISES_WITH + KEEPS;
+    let rolls_from = speed / RISES_WITH + KEEPS.0 / speed + KEEPS.1;
     let seconds = rolls_from + 0.5 + speed / LEAST;
     let text = format!("a roll-out from {speed:.1} m/s");
     let mut drive = floor::drive(bench, seconds, &text, &|time| {

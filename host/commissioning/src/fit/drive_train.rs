@@ -87,7 +87,7 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     const VISCOUS: f64 = 0.7;
     /// One that lasts longer does, s.
     const LONG: f64 = 0.6;
-    let (start, end) = (*time.first()?, *time.last()?);
+    let start = *time.first()?;
     let (first, last) = (*way.first()?, *way.last()?);
     let speed = (way.get(FIRST)? - first) / (time.get(FIRST)? - start);
     // It has stood for the last part.
@@ -112,9 +112,9 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     };
     let scale = [1e-4, 1e-3, 1e-3, 1e-2];
     let bounds = [
-        [first - 0.05, first + 0.05],
-        [0.5 * speed, 1.5 * speed],
-        [start, end],
+        [first - 0.005, first + 0.005],
+        [0.9 * speed, 1.1 * speed],
+        [begin - 0.25, begin + 0.02],
         [0.05, 20.0],
     ];
     let [at, speed, begin] = if speed < LONG * guess {
@@ -133,7 +133,9 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
         [at, speed, begin]
     };
     let rolled = last - at - speed * (begin - start);
-    Some(speed * speed / (2.0 * rolled))
+    let found = speed * speed / (2.0 * rolled);
+    // Anything else is no roll-out.
+    (0.3 * guess < found && found < 2.0 * guess).then_some(found)
 }
 
 /// The deceleration of the rear axle over these times, m/s², by a parabola. None of fewer than
