@@ -87,6 +87,8 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     const VISCOUS: f64 = 0.7;
     /// One that lasts longer does, s.
     const LONG: f64 = 0.6;
+    /// A way that it has fallen behind by is no noise, m.
+    const FALLEN: f64 = 0.003;
     let start = *time.first()?;
     let (first, last) = (*way.first()?, *way.last()?);
     let speed = (way.get(FIRST)? - first) / (time.get(FIRST)? - start);
@@ -96,9 +98,13 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
         return None;
     }
     // Where it has fallen behind its first speed, and what the rest of its way says.
-    let behind = |(t, x): &(&f64, &f64)| first + speed * (**t - start) - **x > 0.003;
+    let behind = |(t, x): &(&f64, &f64)| first + speed * (**t - start) - **x > FALLEN;
     let (begin, at) = time.iter().zip(way).find(behind)?;
-    let guess = speed * speed / (2.0 * (last - at).max(1e-3));
+    let guess = (0..5).fold(1.0, |guess: f64, _| {
+        let until = (2.0 * FALLEN / guess).sqrt();
+        let rolled = last - at + speed * until - FALLEN;
+        speed * speed / (2.0 * rolled.max(1e-3))
+    });
     let residuals = |[at, speed, begin, rolling]: [f64; 4], viscous: f64| {
         let level = rolling / viscous;
         let lasts = (speed / level).ln_1p() / viscous;
