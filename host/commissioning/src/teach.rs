@@ -436,7 +436,7 @@ mod tests {
         };
         assert!(matches!(
             taught_path(&round(1.0, 3.0, false), &many),
-            Err(TeachError::TooMany { most: 512, .. })
+            Err(TeachError::TooMany { most: 400, .. })
         ));
     }
 

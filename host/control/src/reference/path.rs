@@ -10,8 +10,8 @@ use libm::{floor, hypot, sqrt};
 use super::{ReferenceError, ReferencePoint, positive};
 use crate::{Position, Velocity};
 
-/// The largest number of points of a path.
-pub const MAX_PATH_POINTS: usize = 512;
+/// The largest number of points of a path: it takes no more memory than the waypoints do.
+pub const MAX_PATH_POINTS: usize = 400;
 
 /// The least distance between two points in a row, in m. Below it, an error of a millimetre
 /// in a point bends the spline.
@@ -24,7 +24,7 @@ const LEAST_RADIUS: f64 = 0.05;
 const SAME_POINT: f64 = 1e-3;
 
 /// The largest and the smallest number of stretches of the speed profile.
-const MAX_STRETCHES: usize = 1_023;
+const MAX_STRETCHES: usize = 511;
 const MIN_STRETCHES: usize = 64;
 
 /// The length of a stretch where the path is short enough, in m.
