@@ -215,9 +215,12 @@ impl Invariant for StopNotObeyed {
     }
 }
 
-/// `unarmed-motion`: while the board is not armed, the true car moves no longer than a
-/// roll-out (3 s at most), half a second to notice it, the true time of signal loss and another
-/// roll-out.
+/// `unarmed-motion`: while the board is not armed, the true car is driven no longer than a
+/// roll-out (3 s at most), half a second to notice it and the true time of signal loss. From
+/// then on it slows down.
+///
+/// It may brake less than configured, as after any stop, but by no less than
+/// [`LEAST_SHARE`]: what drives it is not its momentum then.
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
 /// sensor the board can't notice anything, a reset makes it begin again, and half a metre by
@@ -230,6 +233,8 @@ pub(super) struct UnarmedMotion {
     way: f64,
     /// When that was enough for the board.
     told_us: Option<u64>,
+    /// When the motor must be free, and the speed at that time.
+    free: Option<(u64, f64)>,
     board_since_us: Option<u64>,
 }
 
@@ -241,6 +246,9 @@ const TOLD_APART_M: f64 = 0.55;
 const CREEPING: f64 = 0.06;
 
 const NOTICED_US: u64 = 500_000;
+
+/// Tolerance of a speed that must fall, in m/s.
+const SLOWS_LATE: f64 = 0.03;
 
 /// A car that stood is given no longer roll-out than this, in µs.
 const FROM_STANDSTILL_US: u64 = 3_000_000;
@@ -268,29 +276,36 @@ impl Invariant for UnarmedMotion {
             || speed < CREEPING
             || observation.is_moved_by_hand()
         {
-            self.since_us = None;
-            self.told_us = None;
-            self.way = 0.0;
+            *self = Self {
+                last_us: self.last_us,
+                board_since_us: self.board_since_us,
+                ..Self::default()
+            };
             return Ok(());
         }
         self.way += speed * elapsed_us as f64 * 1e-6;
         let since_us = *self.since_us.get_or_insert(observation.now_us);
         let after_us = observation.now_us - since_us;
-        let rolls_us = (2e6 * speed / spec.braking) as u64;
         if self.way > TOLD_APART_M * spec.true_pulse_share.max(1.0) {
             self.told_us.get_or_insert(observation.now_us);
         }
         let told_after_us = self.told_us.map_or(u64::MAX, |told_us| told_us - since_us);
         let rolled_us = spec.max_roll_out_us.min(FROM_STANDSTILL_US);
         let noticed_us = rolled_us.max(told_after_us);
-        let ends_us = NOTICED_US + spec.true_signal_loss_us + rolls_us;
-        let limit_us = noticed_us.saturating_add(ends_us);
+        let limit_us = noticed_us
+            .saturating_add(NOTICED_US)
+            .saturating_add(spec.true_signal_loss_us);
         if after_us <= limit_us {
             return Ok(());
         }
+        let (free_us, from) = *self.free.get_or_insert((observation.now_us, speed));
+        let rolls_s = (observation.now_us - free_us) as f64 * 1e-6;
+        let allowed = from - LEAST_SHARE * spec.braking * rolls_s + SLOWS_LATE;
+        if speed <= allowed {
+            return Ok(());
+        }
         Err(format!(
-            "{:.2} m/s for {} ms while not armed, {} allowed",
-            observation.truth.wheel_speed,
+            "{speed:.2} m/s after {} ms while not armed, driven for {} ms at most, {allowed:.2} m/s allowed",
             after_us / 1_000,
             limit_us / 1_000
         ))
