@@ -17,7 +17,7 @@ pub trait Bench {
     /// The operator interrupts, or the daemon is gone.
     fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted>;
 
-    /// Puts a question to the operator and waits for the answer; what is observed meanwhile is
+    /// Asks the operator a question and waits for the answer; observations of that time are
     /// lost. A question with [`Answers::Begin`](crate::Answers::Begin) is answered as soon as
     /// the operator is ready to act: the action is then observed with [`Bench::wait`].
     ///
@@ -26,11 +26,10 @@ pub trait Bench {
     /// The operator interrupts, or the daemon is gone.
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted>;
 
-    /// Shows how a measurement goes on. It is called in every tick.
+    /// Shows the progress of a measurement. It is called in every tick.
     fn show(&mut self, live: &Live<'_>);
 
-    /// Takes a picture of a measurement, for the page of the procedure. A bench that writes none
-    /// drops it.
+    /// Takes a plot for the page of the procedure. A bench that writes no page drops it.
     fn plot(&mut self, _: &Plot) {}
 
     /// Asks the daemon to arm, and waits for its answer. The drive is held: it ends with the
@@ -41,15 +40,15 @@ pub trait Bench {
     /// The daemon's reason against it.
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused>;
 
-    /// The wanted pulses of an armed jog, which must be renewed at least every 0.2 s.
+    /// Gives the pulses of an armed jog; they must be renewed at least every 0.2 s.
     ///
     /// # Errors
     ///
     /// The daemon's reason against it.
     fn jog(&mut self, jog: Jog) -> Result<(), Refused>;
 
-    /// What the point P is to do in a drive, which must be renewed at least every 0.2 s: its
-    /// velocity in m/s and position in m, in the frame of the cameras.
+    /// Gives the wanted velocity of P in a drive, m/s, and its position, m, in the frame of the
+    /// cameras; they must be renewed at least every 0.2 s.
     ///
     /// # Errors
     ///
@@ -82,7 +81,7 @@ pub trait Bench {
     fn change(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<(), Refused>;
 }
 
-/// What a request for arming is for.
+/// The purpose of a request to arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Attendance {
     /// To give pulses to servo and ESC, without poses: see [`Bench::jog`].
@@ -109,12 +108,12 @@ pub enum Interrupted {
     /// The daemon has ended, or the connection to it.
     #[error("the daemon is gone: {0}")]
     DaemonGone(String),
-    /// What the procedure found could not be kept.
+    /// The findings could not be kept.
     #[error("the findings can't be written: {0}")]
     NotKept(String),
 }
 
-/// The reason for which the daemon does not do what it is asked.
+/// The daemon's reason for refusing a request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Refused(pub String);
@@ -128,11 +127,11 @@ pub enum Observation {
     Health(Health),
     /// A pose of the cameras.
     Pose(PoseReading),
-    /// A frame without a pose, and why, in a word of the record's `state`.
+    /// A frame without a pose.
     NoPose {
         /// When the frame arrived.
         receive: Time,
-        /// Why, such as `untracked`.
+        /// The reason, as in the record's `state`, such as `untracked`.
         state: &'static str,
     },
     /// A tick of the pilot.

@@ -70,7 +70,7 @@ fn write_hunk(text: &mut String, lines: &[Line<'_>], begin: usize, end: usize) {
     }
 }
 
-/// The longest common subsequence of lines, with what is of one text alone between them.
+/// The longest common subsequence of lines, with the lines of only one text between them.
 fn compare<'a>(old: &[&'a str], new: &[&'a str]) -> Vec<Line<'a>> {
     // lengths[i][j]: that of old[i..] and new[j..].
     let width = new.len() + 1;

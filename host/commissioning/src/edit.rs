@@ -25,13 +25,13 @@ pub enum EditError {
         /// What the system says.
         source: io::Error,
     },
-    /// It is no TOML.
+    /// It is not valid TOML.
     #[error("not valid TOML: {0}")]
     Toml(#[from] TomlError),
     /// The key names a table, or one of its tables is a value.
     #[error("{0} can't be set in this file")]
     Key(String),
-    /// With the new values it is no configuration.
+    /// The new values are not valid in the configuration.
     #[error("the new values do not fit: {0}")]
     Config(#[from] Box<ConfigError>),
 }
@@ -111,7 +111,7 @@ impl Edit {
         Ok(())
     }
 
-    /// Whether a value is other than before.
+    /// Whether a value has changed.
     #[must_use]
     pub fn is_changed(&self) -> bool {
         self.old != self.new
@@ -159,12 +159,13 @@ impl Edit {
         unified(name, &self.old, &self.new)
     }
 
-    /// Replaces the file, after a check that it is a configuration, and gives the path of the
+    /// Replaces the file, after a check that it is a valid configuration, and gives the path of the
     /// old file, which is kept as `FILE.old-DATE`. A file that did not change is not written.
     ///
     /// # Errors
     ///
-    /// It can't be written, or the new text is no configuration; the file is then as before.
+    /// It can't be written, or the new text is not a valid configuration; the file then stays as it
+    /// was.
     pub fn write(&self, path: &Path, date: &str) -> Result<Option<PathBuf>, EditError> {
         if !self.is_changed() {
             return Ok(None);
@@ -178,7 +179,7 @@ impl Edit {
         let staged = with_suffix(&path, ".new");
         let result = stage(&path, &staged, &self.new)
             .and_then(|()| {
-                // In the file's folder, from which its paths start.
+                // In the file's folder: its relative paths start there.
                 Config::read(&staged).map_err(Box::new)?;
                 Ok(())
             })
@@ -229,7 +230,7 @@ fn replace(staged: &Path, path: &Path) -> Result<(), EditError> {
         .map_err(failed)
 }
 
-/// A name for the old file that is not taken.
+/// An unused name for the old file.
 fn kept_name(path: &Path, date: &str) -> PathBuf {
     let first = with_suffix(path, &format!(".old-{date}"));
     if !first.exists() {
@@ -262,7 +263,7 @@ fn is_set(text: &str, key: &str, value: &Value) -> bool {
     })
 }
 
-/// Whether two values are equal, whatever stands around them.
+/// Whether two values are equal; spaces and comments do not count.
 pub(crate) fn same(left: &Value, right: &Value) -> bool {
     match (left, right) {
         (Value::Array(left), Value::Array(right)) => {

@@ -1,17 +1,17 @@
-//! What a step found.
+//! The result of a step.
 
 use crate::Parameter;
 
-/// What a step found, what it should be, and what to do about it.
+/// The result of a step: what it found, what was expected, and what to do.
 #[derive(Clone, Debug)]
 pub struct Finding {
     /// The step's name.
     pub step: &'static str,
-    /// What it comes to.
+    /// The verdict.
     pub verdict: Verdict,
     /// What was found, with numbers.
     pub found: String,
-    /// What it should be.
+    /// What was expected.
     pub expected: String,
     /// What to do; empty if there is nothing.
     pub fix: String,
@@ -19,21 +19,21 @@ pub struct Finding {
     pub parameters: Vec<Parameter>,
 }
 
-/// What a finding comes to.
+/// The verdict of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// As it should be.
     Good,
     /// Not checked: the operator skipped it, or the car has no such part.
     Skipped,
-    /// It works, and could be better.
+    /// It works, but could be better.
     Warning,
-    /// The car must not go on to the next procedure.
+    /// The next procedure must not begin.
     Failed,
 }
 
 impl Verdict {
-    /// Its word.
+    /// Its name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -1,5 +1,4 @@
-//! From the parts to the first drive: what is checked, moved and measured on a new car, and in
-//! which order.
+//! From the parts to the first drive: the checks and measurements of a new car, in their order.
 //!
 //! Three procedures follow each other: the *doctor*, which moves nothing; the *bring-up*, with
 //! the wheels off the floor; the *calibration*, on the floor. Each is a list of [`Step`]s that
@@ -7,8 +6,8 @@
 //! socket of the daemon and a terminal, the tests with a simulated car and scripted hands: a
 //! procedure cannot tell which. Time passes only in [`Bench::wait`] and [`Bench::ask`].
 //!
-//! What a step found is a [`Finding`], with the [`Parameter`]s that it measured. Whoever runs the
-//! procedure keeps the findings, so that it can be resumed.
+//! The result of a step is a [`Finding`], with the [`Parameter`]s that it measured. A [`Journal`]
+//! keeps the findings, so that a procedure can be resumed.
 
 mod bench;
 pub mod bring_up;

@@ -1,4 +1,4 @@
-//! A measured value and what it is believed to be worth.
+//! A measured value and its uncertainty.
 
 /// An estimate with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,6 +76,6 @@ pub struct Parameter {
     /// The estimate, in the unit.
     pub estimate: Interval,
     /// The key of the configuration that takes it, such as `board.servo.centre_us`, with the
-    /// value as TOML; none if there is none.
+    /// value as TOML.
     pub key: Option<(&'static str, toml_edit::Value)>,
 }

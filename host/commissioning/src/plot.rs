@@ -1,6 +1,6 @@
-//! What a measurement looked like.
+//! A plot of a measurement.
 
-/// A picture of a measurement, for the page of the procedure.
+/// A plot of a measurement, for the page of the procedure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plot {
     /// Its name, such as `latency`; in one procedure each has one.
@@ -20,9 +20,9 @@ pub struct Plot {
 /// A line of a [`Plot`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlotLine {
-    /// What it is, for the legend.
+    /// Its name in the legend.
     pub name: &'static str,
-    /// Whether it is measured, or computed from what was measured.
+    /// Whether its points are readings or a fit.
     pub kind: PlotKind,
     /// Its points; it is interrupted where one is not a number.
     pub points: Vec<[f64; 2]>,

@@ -1,4 +1,4 @@
-//! Steps, one after the other, and what is kept of them.
+//! Runs the steps of a procedure in their order, and keeps their findings.
 
 use crate::{Bench, Finding, Interrupted, Verdict};
 
@@ -7,7 +7,7 @@ use crate::{Bench, Finding, Interrupted, Verdict};
 pub struct Step {
     /// Its name, such as `imu-axes`.
     pub name: &'static str,
-    /// What it is, for people.
+    /// Its title, for the operator.
     pub title: &'static str,
     /// Whether nothing after it makes sense if it fails.
     pub essential: bool,

@@ -1,4 +1,4 @@
-//! What the operator is asked, and shown.
+//! Questions to the operator, and what the terminal shows meanwhile.
 
 /// A question to the operator.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! Findings as JSON, for programs and for a procedure that is resumed, and as a page for people.
+//! Findings as JSON, for programs and for resuming a procedure, and as a page for people.
 
 use std::fmt::Write as _;
 
@@ -70,7 +70,7 @@ pub fn from_json(step: &'static str, json: &Value) -> Option<Finding> {
 }
 
 fn parameter(json: &Value) -> Option<Parameter> {
-    // Read once for each run of a program: what leaks is small.
+    // Read once in a run of the program: the leak is small.
     let word = |key| Some(&*json.get(key)?.as_str()?.to_owned().leak());
     let number = |key| json.get(key)?.as_f64();
     let key = match json.get("key") {
@@ -89,7 +89,7 @@ fn parameter(json: &Value) -> Option<Parameter> {
     })
 }
 
-/// What a page is about.
+/// The subject of a page.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// The procedure, such as `doctor`.
@@ -106,7 +106,7 @@ pub struct About<'a> {
     pub diff: &'a str,
 }
 
-/// A page in Markdown: what was found, what was measured, and what to do.
+/// A page in Markdown: findings, measured values, and things to do.
 #[must_use]
 pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     let mut page = String::new();
@@ -175,7 +175,7 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     page
 }
 
-/// How many steps came to what, in one line.
+/// The number of steps by verdict, in one line.
 #[must_use]
 pub fn summary(findings: &[Finding]) -> String {
     let counts: Vec<String> = [

@@ -1,4 +1,4 @@
-//! A path that the car was moved along, as points for a reference.
+//! Turns a path along which the car was pushed into points of a reference.
 //!
 //! A reference is the path of P, the point in front of the front axle. Where P is depends on
 //! the steering angle, and the wheels of a car that is pushed point anywhere. But wheels that
@@ -17,7 +17,7 @@ pub struct Place {
     pub yaw: f64,
 }
 
-/// What a path is made from.
+/// Geometry of the car and of the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TeachOptions {
     /// Distance of the front axle from the centre of mass, in m.
@@ -203,8 +203,8 @@ fn front_axle(places: &[Place], distance: f64) -> Result<Vec<Step>, TeachError> 
     Ok(steps)
 }
 
-/// Cuts a closed path where it comes back to its start, and spreads what is left between its
-/// ends over its length. Returns the distance of the ends.
+/// Cuts a closed path where it comes back to its start, and spreads the gap between its ends
+/// over its length. Returns the gap.
 fn close(steps: &mut Vec<Step>) -> Result<f64, TeachError> {
     let length = steps.last().map_or(0.0, |step| step.way);
     let Some(first) = steps.first().copied() else {

@@ -1,9 +1,9 @@
 //! Which procedures a car has passed with which configuration.
 //!
 //! `doctor`, `bring-up` and `calibrate` follow each other, and each changes the configuration. A
-//! procedure that passes therefore takes the results of the earlier ones along to the
-//! configuration that it leaves, if they held for the one that it began with. A change by any
-//! other way leaves them behind.
+//! procedure that passes therefore carries the earlier results over to the configuration that it
+//! leaves, if they held for the one that it began with. After any other change they no longer
+//! count.
 
 use core::fmt;
 
@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Procedure {
-    /// What can be found without moving anything.
+    /// Checks and measurements without driving.
     Doctor,
     /// Steering and motor, with the wheels off the floor.
     BringUp,
-    /// What the floor shows.
+    /// Measurements of drives on the floor.
     Calibrate,
 }
 
@@ -44,21 +44,21 @@ impl Procedure {
     }
 }
 
-/// What became of a procedure.
+/// The state that a procedure reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProcedureResult {
     /// It begins.
     Begun,
-    /// It goes on after an interruption.
+    /// It continues after an interruption.
     Resumed,
-    /// It has ended, and the car may go on.
+    /// It has ended, and the next procedure may begin.
     Passed,
-    /// It has ended, and the car must not go on.
+    /// It has ended, and the next procedure must not begin.
     Failed,
 }
 
 impl ProcedureResult {
-    /// The result with this word.
+    /// The result with this name.
     #[must_use]
     pub fn named(word: &str) -> Option<Self> {
         match word {
@@ -95,7 +95,7 @@ pub struct ProcedureEntry {
     pub time_s: u64,
 }
 
-/// The most results that are kept. Of more, the oldest are forgotten.
+/// Most results that are kept; older ones are dropped.
 const MOST: usize = 64;
 
 /// How long a result counts, in days: a car wears, and marker bodies are moved.
@@ -116,13 +116,13 @@ pub struct Commissioned {
 pub struct NotCommissioned {
     /// The first procedure that has to be done.
     pub procedure: Procedure,
-    /// What is the matter with its result.
+    /// Why its result does not count.
     pub why: Lapsed,
     /// The number of the car.
     pub car_id: u16,
 }
 
-/// What is the matter with the result of a procedure.
+/// Why the result of a procedure does not count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lapsed {
     /// There is none.
@@ -169,7 +169,7 @@ impl fmt::Display for NotCommissioned {
 }
 
 impl Commissioned {
-    /// Takes note of what became of a procedure on a car, at a time in seconds since 1970.
+    /// Records the state of a procedure on a car, at a time in seconds since 1970.
     pub fn note(
         &mut self,
         procedure: Procedure,
@@ -227,7 +227,7 @@ impl Commissioned {
         })
     }
 
-    /// The results on this car, whatever their configuration.
+    /// The results on this car, with any configuration.
     pub fn of_car(&self, car_id: u16) -> impl Iterator<Item = &ProcedureEntry> {
         self.passed
             .iter()

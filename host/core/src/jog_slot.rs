@@ -32,7 +32,7 @@ pub fn jog_slot() -> (JogSender, JogReceiver) {
 impl JogSender {
     /// Replaces the pulses in the slot.
     pub fn send(&self, jog: Jog) {
-        // The number of the pulses in the upper half makes equal ones new.
+        // The number in the upper half distinguishes equal pulses.
         self.0
             .fetch_update(Ordering::Release, Ordering::Relaxed, |word| {
                 let number = ((word >> 32) as u32).wrapping_add(1);

@@ -124,7 +124,7 @@ pub(crate) struct Drive {
 }
 
 impl Drive {
-    /// `what` is what it attends, for its end.
+    /// `what` names the drive in the message about its end.
     pub(crate) fn connect(args: &ControlArgs, what: &'static str) -> Result<Self, ControlError> {
         let stream = connect(&args.socket)?;
         stream.set_read_timeout(Some(WAIT))?;
@@ -176,8 +176,8 @@ impl Drive {
         self.attend_with(interrupt, RENEWAL, time, || Ok(Some(renewal.clone())))
     }
 
-    /// As [`attend`](Self::attend), with a renewal of its own every `interval`; none disarms the
-    /// car, as Ctrl-C does.
+    /// As [`attend`](Self::attend), with the renewal that `renewal` gives every `interval`; `None`
+    /// disarms the car, as Ctrl-C does.
     pub(crate) fn attend_with(
         &mut self,
         interrupt: &Interrupt,

@@ -26,9 +26,8 @@ use crate::{
 #[command(after_help = "\
 Push the car forward along the path, with your hands beside its markers, and press Enter (or \
 Ctrl-C) at its end. FILE.csv and FILE.toml are written: `singletrack set-reference FILE.toml` \
-and `singletrack arm` drive the path. A board that counts the motor's pulses takes a car that is \
-pushed for more than a metre for one that drives by itself, and latches: press its reset button \
-before you arm.")]
+and `singletrack arm` drive the path. When the car is pushed for more than a metre, the board \
+assumes that it drives by itself and latches: press its reset button before you arm.")]
 pub struct TeachArgs {
     /// Where the points go: a new file FILE.csv; the reference goes to FILE.toml beside it
     #[arg(value_name = "FILE.csv")]
@@ -61,7 +60,7 @@ pub enum CannotTeach {
     /// The car was not moved along a path.
     #[error("{0}")]
     Path(#[from] TeachError),
-    /// The path is none that can be driven.
+    /// The path can't be driven.
     #[error("the path can't be driven: {0}")]
     Reference(#[from] ReferenceError),
     /// A file can't be written, or would be replaced.
@@ -87,7 +86,7 @@ pub enum CannotTeach {
     },
 }
 
-/// What comes while the car is pushed.
+/// An event while the car is pushed.
 enum Event {
     Place(Place),
     /// A tick without a pose of the car.

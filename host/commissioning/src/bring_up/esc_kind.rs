@@ -26,13 +26,13 @@ const PULSE_S: f64 = 0.5;
 /// that are far apart do not show how slow they were in between.
 const TURNED: f64 = 0.08;
 
-/// A brake stops the wheels on this part of the way on which they roll out.
+/// A brake stops the wheels within this part of the way of a roll-out.
 const BRAKED: f64 = 0.85;
 
-/// The speed from which it does, m/s.
+/// The speed before a roll-out and before a pulse below neutral, m/s.
 const FROM_M_S: f64 = 0.65;
 
-/// Times that it is looked at.
+/// Measurements at speed of each, rolling and below neutral.
 const TIMES: u32 = 2;
 
 pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
@@ -106,7 +106,7 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     );
     let Some(kind) = seen.kind() else {
         return Ok(Outcome::warning(
-            format!("{found}; no pulse below neutral did anything"),
+            format!("{found}; no pulse below neutral had an effect"),
             "None, if board.esc.kind is left out: no pulse below neutral is ever sent.",
         ));
     };

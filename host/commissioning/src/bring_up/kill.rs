@@ -1,4 +1,4 @@
-//! The kill, before anything turns for another reason.
+//! The kill switch, before a step depends on it.
 
 use super::{
     car::{Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
@@ -9,7 +9,7 @@ use crate::{Bench, BoardReading, Finding, Interrupted};
 /// Time for which an armed board holds neutral, s.
 const ARMED_S: f64 = 1.0;
 
-/// Time in which the operator cuts the supply, s. The board ends a jog after 10 s.
+/// Time that the operator has to cut the supply, s. The board ends a jog after 10 s.
 const CUT_WITHIN_S: f64 = 6.0;
 
 /// Where the search for the first turn begins, beyond neutral, us.
@@ -26,7 +26,7 @@ pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
         NAME,
-        "The supply of the ESC can be cut, whatever pulses it gets.",
+        "The supply of the ESC can be cut, also while its pulse drives the motor.",
         outcome,
     )
 }
@@ -82,7 +82,7 @@ fn by_hand(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ask(bench, &questions::restore_supply())?;
     if !spun.stopped_under_drive() {
         return Err(failed(
-            format!("the motor turned on for {CUT_WITHIN_S} s: the kill does not cut it"),
+            format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it"),
             NONE,
         ));
     }
@@ -104,7 +104,7 @@ fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
     }
 }
 
-/// The motor does not turn.
+/// The trouble of a motor that gave no pulse up to this distance from neutral.
 pub(super) fn never_turned(limit_us: u16) -> Trouble {
     failed(
         format!("no motor pulse up to {limit_us} us beyond neutral"),

@@ -1,14 +1,13 @@
-//! The bring-up of a car whose wheels are clear of the floor: everything that servo and ESC do
-//! is found before the car is put down.
+//! The bring-up of a car whose wheels are clear of the floor: it measures everything that servo
+//! and ESC do before the car is put down.
 //!
-//! The kill comes first, then the ESC at rest, the servo, the motor, and every way to stop.
+//! The kill switch comes first, then the ESC at rest, the servo, the motor, and every way to stop.
 //! All pulses are jogs: the board holds them within its own limits, and ends them when the
-//! command line, the daemon or the line is gone. In every tick the cameras are asked whether
-//! the car is still on its stand; one that moves is stopped by an emergency stop.
+//! command line, the daemon or the line is gone. While pulses are given, the cameras watch the
+//! car in every tick, and an emergency stop ends the step if it leaves its stand.
 //!
-//! A step that measures puts its result in force: a bring-up that was interrupted goes on
-//! after the last step that came to its end. The last steps of one run rest on the values of
-//! the first.
+//! A step that measures puts its result in force, because later steps rely on it. An interrupted
+//! bring-up continues after the last step that was completed.
 
 mod car;
 mod esc_kind;
@@ -22,8 +21,8 @@ mod stops;
 
 use crate::{Bench, Finding, Interrupted, Step};
 
-/// The steps, with the ESC watched at neutral for a minute in each order, which finds what
-/// only sometimes turns.
+/// The steps. The ESC is watched at neutral for a minute in each order, to find a motor that
+/// turns only now and then.
 pub const STEPS: &[Step] = &steps_with::<60>();
 
 /// [`STEPS`].
@@ -32,12 +31,12 @@ pub const fn steps() -> &'static [Step] {
     STEPS
 }
 
-/// The steps, with the ESC watched at neutral for so many seconds.
+/// The steps; the ESC is watched at neutral for `NEUTRAL_S` seconds in each order.
 #[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
         step(stand::NAME, "The car on its stand", stand::run),
-        step(kill::NAME, "The kill of the ESC's supply", kill::run),
+        step(kill::NAME, "The kill switch of the ESC's supply", kill::run),
         step(
             neutral::NAME,
             "The ESC at neutral",
@@ -75,7 +74,7 @@ const fn step(
     Step {
         name,
         title,
-        // Nothing is worth trying on a car on which this failed.
+        // Each step relies on the ones before it.
         essential: true,
         run,
     }

@@ -2,8 +2,8 @@
 //!
 //! The deadband is that of `board.esc.deadband_us`: the band of pulses in which the wheels
 //! stand, with what the ESC ignores and what the drive train holds. Its edges come from the
-//! speeds beyond it: a slow wheel gives too few pulses to tell one that stands from one that
-//! creeps.
+//! speeds beyond it: close to the edge the pulses are too rare to distinguish a wheel that
+//! creeps from one that stands.
 
 use singletrack_control::Time;
 use singletrack_protocol::StopCause;
@@ -31,7 +31,7 @@ pub(super) const MAP: &str = "motor-map";
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
 
-/// Time that a speed is given to settle, and in which it is measured, s.
+/// Time in which a speed settles, and time in which it is measured, s.
 const SETTLE_S: f64 = 0.7;
 const MEASURE_S: f64 = 0.6;
 
@@ -44,7 +44,7 @@ const STEP: f64 = 0.09;
 /// Step of the search for the slowest speed, us.
 const SLOWER_US: u16 = 4;
 
-/// Slope of speed over pulse that is reckoned with before it is known.
+/// Slope of speed over pulse that is assumed before it is known.
 const STEEPEST_M_S_PER_US: f64 = 0.016;
 
 /// The longest time between two pulses of a motor that turns slowly, s.
@@ -56,8 +56,8 @@ const MOST_LEVELS: usize = 24;
 /// Time for which the motor is driven without a rest, s. The board allows 10.
 const DRIVEN_S: f64 = 5.0;
 
-/// What the standing band may differ from its curve by, us: the first turn needs more than
-/// the last one.
+/// Bound on the difference between the standing band and its curve, us: the first turn needs
+/// more than the last one.
 const BREAKAWAY_US: f64 = 1.0;
 
 /// The speed for which the feed-forward is given, m/s.
@@ -66,19 +66,20 @@ const AT_SPEED: f64 = 0.5;
 /// Change of the feed-forward with the charge of the battery.
 const CHARGE: f64 = 0.06;
 
-/// What a drive train holds beyond the band that the ESC ignores, us, where only the ESC's own
-/// edge is seen on the other side: from nothing to twice this.
+/// Mean width that friction in the drive train adds to the band that the ESC ignores, us; the
+/// true one is between zero and twice this. It counts where the other edge is that of the ESC
+/// alone.
 const HELD_US: f64 = 5.0;
 
-/// What the middle of the standing band may differ from a configured neutral at which the wheels
+/// Bound on the distance of the band's middle from a configured neutral at which the wheels
 /// stand, us.
 const NEUTRAL_US: f64 = 20.0;
 
-/// What the edge of a brake is known to, us, besides its scatter: ESCs do not begin to brake at
-/// a microsecond.
+/// Bound on the error of a brake's edge besides its scatter, us: an ESC does not begin to brake
+/// at one exact pulse.
 const BRAKE_US: f64 = 6.0;
 
-/// Residuals of a line that are not worse than the least ones.
+/// Fits with residuals up to this multiple of the least ones count as equally good.
 const NEARLY: f64 = 1.5;
 
 /// Times from a pulse until it acts and shows, s: its frame, the ESC, the telemetry.
@@ -146,13 +147,13 @@ pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     )
 }
 
-/// What lies below neutral.
+/// What pulses below neutral do.
 enum Below {
     /// The wheels turn backward beyond this edge.
     Reverse(SpeedCurve),
     /// Beyond this edge the ESC brakes.
     Brake(Interval),
-    /// Nothing that shows in the speed.
+    /// Nothing that the speed shows.
     Nothing,
 }
 
@@ -184,7 +185,7 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             let half = upper.half_width().hypot(edge.half_width()) / 2.0;
             let middle = f64::midpoint(upper.value - HELD_US, -edge.value);
             let neutral = Interval::around(middle, half).widened(HELD_US / 2.0);
-            // The wheels stood at the configured neutral: it is about right.
+            // The wheels stood at the configured neutral, so it lies within the band.
             let neutral = with_prior(neutral, NEUTRAL_US);
             (
                 neutral,
@@ -208,7 +209,7 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     };
     let neutral = neutral.shifted(configured);
     let neutral_us = neutral.value.round();
-    // The band between both edges, whatever the rounding does.
+    // Rounded so that the band stays between both edges.
     let band = (upper.value - (neutral_us - configured))
         .min(deadband.value + (deadband.value - 0.5).clamp(0.0, 0.5))
         .floor()
@@ -399,8 +400,8 @@ fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>,
         }
         free.extend(slows_down(car, ahead_us, 0)?);
     }
-    // The brake grows in a line with the pulse; seen with another lateness than the true one it
-    // grows in a curve.
+    // The brake grows linearly with the pulse. With a wrong lateness the readings lie on a
+    // curve.
     let fits: Vec<_> = LATE_S
         .into_iter()
         .filter_map(|late_s| edge_if_late(&free, &braked, late_s))
@@ -410,7 +411,7 @@ fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>,
         let freedom = best.count.checked_sub(3).filter(|freedom| *freedom >= 3)?;
         let half = student_quantile(freedom) * best.standard_errors[0];
         let edge = best.parameters[0];
-        // The readings do not tell a line from what is nearly one.
+        // The readings do not distinguish these latenesses.
         let late = fits
             .iter()
             .filter(|fit| fit.residual < NEARLY * best.residual)
@@ -420,8 +421,8 @@ fn brake_edge(car: &mut Car<'_>, ahead: &SpeedCurve) -> Result<Option<Interval>,
     }))
 }
 
-/// Where the brake begins if the wheels show it so late: pulses below neutral over the
-/// deceleration beyond that of rolling, m/s².
+/// Where the brake begins if its effect shows after `late_s`: a line of pulses below neutral
+/// over the deceleration beyond that of rolling, m/s².
 fn edge_if_late(
     free: &[Slowing],
     braked: &[(Slowing, f64)],
@@ -436,11 +437,11 @@ fn edge_if_late(
         .iter()
         .filter_map(|(slowing, at)| {
             let more = slowing.deceleration(late_s)? - rolling;
-            // What differs from rolling by no more than that scatters is not braked.
+            // A difference within the scatter of rolling is no brake.
             (more > 0.15 * rolling + 3.0 * scatter).then_some(([1.0, more], *at))
         })
         .collect();
-    // All readings, or as good as all: a fit of few of them is no better.
+    // A fit of a few readings has small residuals and means nothing.
     let enough = 2 * rows.len() >= braked.len();
     least_squares(rows.iter().copied()).filter(|fit| enough && fit.parameters[1] > 0.0)
 }
@@ -479,7 +480,7 @@ fn slows_down(
         esc_us: beyond(rest.esc_us, offset_us, false),
         ..rest
     };
-    // Shorter than what the board takes for a dead sensor, if the wheels stand at once.
+    // Wheels that stand at once must not look like a dead sensor to the board.
     let mut all = car.hold(slow, 0.5, "slowing down")?;
     if all.last().is_some_and(|last| last.motor_speed != 0.0) {
         all.extend(car.hold_until(rest, 4.0, "slowing down", |reading| {

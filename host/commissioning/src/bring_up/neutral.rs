@@ -1,4 +1,4 @@
-//! The ESC and its neutral: the wheels stand, in whatever order the parts are switched on.
+//! The wheels stand at the neutral of the ESC, whether ESC or board is switched on first.
 
 use super::{
     car::{Car, Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
@@ -8,10 +8,10 @@ use crate::{Bench, BoardReading, Finding, Interrupted};
 
 pub(super) const NAME: &str = "esc-neutral";
 
-/// Edges that the board refuses in this step at most, as milliseconds with too many.
+/// Most milliseconds of this step in which the board may refuse edges of the sensor.
 const REFUSED: u16 = 2;
 
-/// Watches for so many seconds in each order.
+/// Watches for `SECONDS` in each order of switching on.
 pub(super) fn run<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let outcome = find(bench, SECONDS.into());
     conclude(
@@ -50,7 +50,7 @@ fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Outcome, Trouble> {
     )))
 }
 
-/// Watches, and compares what the sensor refused.
+/// Takes readings, and fails if the board refused edges of the sensor meanwhile.
 fn watch(
     car: &mut Car<'_>,
     mut readings: impl FnMut(&mut Car<'_>) -> Result<Vec<BoardReading>, Trouble>,

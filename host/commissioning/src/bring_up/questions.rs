@@ -1,7 +1,7 @@
 //! Every question of the bring-up, in the order in which they come.
 //!
-//! Each says what the operator does or sees. "Now" is the moment of the answer. A jog that
-//! has ended leaves the servo where it was: angles are read while the car is disarmed.
+//! Each comment says what the operator does or sees; "now" is the moment of the answer. The servo
+//! stays where a jog left it: angles are read while the car is disarmed.
 
 use crate::{Answers, Question};
 

@@ -1,4 +1,4 @@
-//! The car is on its stand, and somebody sees whether it stays there.
+//! The car is on its stand, at rest and in view of the cameras.
 
 use super::{
     car::{Car, Outcome, Trouble, ask_yes, conclude, failed},
@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{Bench, Finding, Interrupted};
 
-/// Time for which the car is watched, s.
+/// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
 
 pub(super) const NAME: &str = "stand";

@@ -15,7 +15,7 @@ use crate::{
 /// How far the servo turns to show its direction, us: 9 degrees with 800 us/rad.
 const SHOWN_US: u16 = 120;
 
-/// Speed of the servo's pulse, us/s, while it may be the ESC that gets it.
+/// Speed of the servo's pulse, us/s, while servo and ESC may be swapped.
 const CREEP_US_PER_S: f64 = 100.0;
 
 /// Speed of the servo's pulse after that, us/s.
@@ -27,13 +27,14 @@ const CENTRE_STEPS_US: [i32; 4] = [64, 32, 16, 8];
 /// Most answers in one search for the centre.
 const CENTRE_ANSWERS: u32 = 40;
 
-/// What an eye takes for straight on, besides what is seen as straight: 1.5 degrees, rad.
+/// Error of the eye in judging straight ahead, besides the band that looks straight: 1.5
+/// degrees, rad.
 const EYE_RAD: f64 = 0.026;
 
 /// The default of `limits.max_steering_rad`.
 const USUAL_STEERING_RAD: f64 = 0.45;
 
-/// The nominal gain may be so far below the true one.
+/// Most by which the true gain exceeds the nominal one, as a factor.
 const GAIN_UNKNOWN: f64 = 1.3;
 
 /// Where the search for the end stops begins, from the centre, and its steps, us.
@@ -43,7 +44,7 @@ const STOPS_STEP_US: i32 = 40;
 /// Where angles are read, as a part of the way to the nearer end stop.
 const READ_AT: [f64; 6] = [-0.9, -0.6, -0.3, 0.3, 0.6, 0.9];
 
-/// The least scatter of a protractor that is believed, rad: one degree.
+/// Least scatter assumed of a protractor, rad: one degree.
 const READING_RAD: f64 = 0.0175;
 
 /// Scale error of the readings: parallax, and the linkage's curve.
@@ -92,7 +93,7 @@ fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
         servo_us: centre_us,
         ..jog
     };
-    // What ends this jog as well is told by the trouble below.
+    // The trouble below is reported, not the end of this jog.
     let _ = car.hold(back, 2.0, "back to the centre");
     failed(
         format!(
@@ -176,11 +177,9 @@ pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     )
 }
 
-/// Searches the pulse at which the wheels are seen straight, and the width of what is seen
-/// so.
+/// Searches the two edges of the band of pulses at which the wheels look straight.
 ///
-/// The two edges of it are found separately, by halving: each is where the answer changes
-/// from one side to straight. Every pulse is reached from the same side, so that play
+/// Each edge is found by halving: there the answer changes from one side to straight. Every pulse is reached from the same side, so that play
 /// cancels; `from` is that side.
 fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2], Trouble> {
     let servo = bench.configuration().board.servo;

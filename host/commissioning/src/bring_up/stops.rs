@@ -1,9 +1,9 @@
 //! Every way to stop, at speed.
 //!
 //! Two times are measured for each: from the request to the neutral pulse, and from there
-//! until the wheels begin to slow down, which is for how long the ESC holds. A hand that pulls
-//! a cable or presses a button has no time: there the board's own record counts, or what the
-//! operator sees.
+//! until the wheels begin to slow down, which is the time for which the ESC holds its last pulse.
+//! A hand that pulls a cable or presses a button gives no time stamp: there the board's own record
+//! counts, or what the operator sees.
 
 use singletrack_control::Time;
 use singletrack_protocol::BoardMode;
@@ -38,10 +38,10 @@ const ESC_WITHIN_S: f64 = 0.2;
 /// Part of the speed that shows that the wheels slow down.
 const SLOWER: f64 = 0.92;
 
-/// For how long a hand has time, s. The board ends a jog after 10 s.
+/// Time that the operator has to act, s. The board ends a jog after 10 s.
 const HAND_S: f64 = 5.0;
 
-/// For how long the stop is watched, s.
+/// Time for which a stop is watched, s.
 const WATCHED_S: f64 = 3.0;
 
 /// The time between two records of the board, s.
@@ -50,7 +50,7 @@ const RECORD_S: f64 = 0.01;
 const ESC_HOLDS: &str = "Set the time-out of the ESC for lost pulses to 100 ms or less, and its \
                          drag brake as you like. See docs/safety.md.";
 
-/// What was observed of a stop.
+/// The times of a stop.
 struct Stop {
     /// To the neutral pulse, s; none if it did not come.
     pulse_s: Option<f64>,
@@ -208,7 +208,7 @@ fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         ));
     }
     let mut readings: Vec<BoardReading> = first.into_iter().collect();
-    // The board's mode and its pulse are of the same record: the hand has no time.
+    // The time counts from the record with the mode: the hand gives no time stamp.
     let noticed = match first {
         Some(reading) => reading.receive,
         None => car.now()?,
@@ -279,7 +279,7 @@ pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     )
 }
 
-/// A stop after which the board says nothing: the operator sees it.
+/// A stop after which the board sends nothing: the operator judges it.
 fn unheard(
     bench: &mut dyn Bench,
     question: &Question,
@@ -295,7 +295,7 @@ fn unheard(
             "Run the bring-up again.",
         ));
     }
-    // What the wheels do now is for the operator to see.
+    // The operator watches the wheels.
     car.watch(2.0, "stopping")?;
     let seen = ask_word(bench, &questions::stopped_how(), STOPS);
     if let Some(after) = after {

@@ -1,4 +1,4 @@
-//! Board and supply: what the board says of itself, with a reset, a voltmeter and a switch.
+//! Board and supply: the board's own condition, a reset, the battery, the stop switch.
 
 use singletrack_pilot::Reason;
 use singletrack_protocol::{ResetCause, Status};
@@ -13,11 +13,11 @@ use crate::{Answer, Bench, Finding, Interrupted, Question};
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
 /// one for a second.
 const SLOW_RESET_S: f64 = 3.5;
-/// A reset that takes longer was none, or the board does not start.
+/// After a longer silence the board was not reset, or does not start.
 const RESET_PATIENCE_S: f64 = 30.0;
 /// The longest wait for a plug or a switch, in s.
 const PLUG_PATIENCE_S: f64 = 45.0;
-/// The supply below which the board may be reset by the next load, and below which it is.
+/// The supply below which the next load may reset the board, and below which it does.
 const LOW_SUPPLY_MV: u16 = 4_700;
 const BAD_SUPPLY_MV: u16 = 4_450;
 /// The share by which the board's voltage may differ from a voltmeter's: the reference of the

@@ -1,4 +1,4 @@
-//! The cameras: rate, height, which body it is, and when its poses were taken.
+//! The cameras: rate, height, identity of the body, and latency of its poses.
 
 use singletrack_core::Config;
 use singletrack_pilot::Reason;
@@ -15,18 +15,19 @@ use crate::{
 
 /// Distance from the height of the body at rest to the ends of its band, in m.
 const BAND_M: f64 = 0.04;
-/// A movement of the body that is enough, and the least that is the car's, in m.
+/// The movement of the body that is asked for, and the least one that shows that the body is on
+/// the car, in m.
 const ENOUGH_M: f64 = 0.35;
 const LEAST_M: f64 = 0.1;
-/// A change of the height on a level floor that can't be, in m.
+/// The largest change of the height on a level floor, in m.
 const CLIMB_M: f64 = 0.05;
 /// For how long the car is twisted, in s, and the least angular velocity on the way, in rad/s.
 const TWIST_S: f64 = 10.0;
 const TWIST_RAD_S: f64 = 0.4;
 /// The largest error of the camera's stamps with which a car drives well, in s.
 const LATE_S: f64 = 0.005;
-/// How much older a sample of the IMU may be than the board can know: its own filter, and the
-/// time until the board asks for it, in s.
+/// Bound on the unknown age of a sample of the IMU: its own filter, and the time until the board
+/// asks for it, in s.
 const GYRO_AGE_S: f64 = 0.002;
 /// The key of the offset of the stamps.
 const OFFSET_KEY: &str = "motion_capture.timing.stamp_offset_ms";
@@ -77,7 +78,7 @@ fn heights(readings: &Readings) -> Vec<f64> {
     readings.poses.iter().map(|pose| pose.position[2]).collect()
 }
 
-/// The words of the frames without a pose, each once.
+/// The states of the frames without a pose, each once.
 fn states(readings: &Readings) -> String {
     let mut words = readings.lost.clone();
     words.sort_unstable();
@@ -89,7 +90,7 @@ fn states(readings: &Readings) -> String {
     }
 }
 
-/// What to do without poses.
+/// The fix for missing poses.
 fn no_pose(config: &Config, readings: &Readings) -> String {
     let cameras = &config.motion_capture;
     match readings.lost.last().copied() {
@@ -376,7 +377,7 @@ fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
 fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     let offset = number(bench.configuration(), OFFSET_KEY);
     let whole = late.shifted(offset.unwrap_or(0.0));
-    // To a tenth, and not in the file if it is in force already.
+    // Rounded to a tenth; an offset that is already in force is not written again.
     let value = (whole.value * 10.0).round() / 10.0;
     checks.measured(Parameter {
         name: "camera-latency",
@@ -407,7 +408,7 @@ fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     }
 }
 
-/// The value of a key of the configuration; none if it has no such key.
+/// The value of a key of the configuration.
 fn number(config: &Config, key: &str) -> Option<f64> {
     let document: toml_edit::DocumentMut = config.to_toml().ok()?.parse().ok()?;
     let item = key
@@ -417,7 +418,7 @@ fn number(config: &Config, key: &str) -> Option<f64> {
         .or_else(|| item.as_integer().map(|integer| integer as f64))
 }
 
-/// Whether the system lets the car drive, and the car its reference.
+/// Whether the car can be armed, and its reference be driven.
 pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     use singletrack_core::feasibility::{Severity, Stand, judge_reference};
 
@@ -438,15 +439,15 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     })?;
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {
-        None => checks.good("nothing speaks against arming", "nothing"),
+        None => checks.good("the car can be armed", "no refusal"),
         Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => checks.failed(
             format!("arming would be refused: {reason}"),
-            "nothing",
+            "no refusal",
             "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see docs/odroid.md",
         ),
         Some(reason) => checks.warning(
             format!("arming would be refused: {reason}"),
-            "nothing",
+            "no refusal",
             "see docs/reasons.md",
         ),
     }

@@ -1,4 +1,4 @@
-//! Several checks of one step become one finding.
+//! Combines the checks of a step into one finding.
 
 use super::gather::reset_if_stopped;
 use crate::{Bench, Finding, Interrupted, Parameter, Refused, Verdict};
@@ -14,17 +14,17 @@ pub(super) struct Checks {
 }
 
 impl Checks {
-    /// Something is as it should be.
+    /// A check that passed.
     pub(super) fn good(&mut self, found: impl Into<String>, expected: impl Into<String>) {
         self.add(Verdict::Good, found, expected);
     }
 
-    /// Something was not checked.
+    /// A check that the operator skipped.
     pub(super) fn skipped(&mut self, what: &str) {
         self.add(Verdict::Skipped, format!("{what}: skipped"), "");
     }
 
-    /// Something works, and could be better.
+    /// A check of something that works, but could be better.
     pub(super) fn warning(
         &mut self,
         found: impl Into<String>,
@@ -32,12 +32,12 @@ impl Checks {
         fix: impl Into<String>,
     ) {
         self.add(Verdict::Warning, found, expected);
-        // Nothing is to be done about what the doctor has corrected.
+        // The doctor has corrected some of them: there is nothing left to do.
         self.fixes
             .extend(Some(fix.into()).filter(|fix| !fix.is_empty()));
     }
 
-    /// Something is not as it must be.
+    /// A check that failed.
     pub(super) fn failed(
         &mut self,
         found: impl Into<String>,
@@ -48,7 +48,7 @@ impl Checks {
         self.fixes.push(fix.into());
     }
 
-    /// One of these, by whether it is as it should be.
+    /// A check that passed or failed.
     pub(super) fn check(
         &mut self,
         is_good: bool,
@@ -63,10 +63,10 @@ impl Checks {
         }
     }
 
-    /// The board took a car that was rolled by hand for one that runs by itself.
+    /// The board has latched, because it mistook wheels that a hand rolled for a running motor.
     pub(super) fn latched(&mut self) {
         self.warning(
-            "the board stopped: it took the rolled wheels for a motor that runs",
+            "the board stopped: it mistook the rolled wheels for a running motor",
             "at most 1 m or 3 s of rolling without a pause",
             "press the reset button of the board",
         );
@@ -82,7 +82,7 @@ impl Checks {
 
     fn add(&mut self, verdict: Verdict, found: impl Into<String>, expected: impl Into<String>) {
         self.verdict = Some(match (self.verdict, verdict) {
-            // A step of which a part was checked was not skipped.
+            // A partly checked step does not count as skipped.
             (Some(Verdict::Skipped), Verdict::Good) => Verdict::Good,
             (Some(Verdict::Good), Verdict::Skipped) => Verdict::Good,
             (Some(before), now) => before.max(now),
@@ -121,11 +121,11 @@ impl Checks {
             self.failed(
                 format!("the measured values are not in force: {refused}"),
                 "in force",
-                "correct what the daemon refuses, and run this step again",
+                "correct the value that the daemon refuses, and run this step again",
             );
         }
         if self.has_failed() {
-            // What is not in force is not in the file either.
+            // A value that is not in force must not count as written.
             for parameter in &mut self.parameters {
                 parameter.key = None;
             }
@@ -141,7 +141,7 @@ impl Checks {
     }
 }
 
-/// Puts values into the configuration. A board that is stopped takes none: it is reset before.
+/// Puts values in force. A stopped board accepts no configuration: it is reset first.
 ///
 /// # Errors
 ///
@@ -151,7 +151,7 @@ pub(super) fn put_in_force(
     values: &[(&str, toml_edit::Value)],
 ) -> Result<Result<(), Refused>, Interrupted> {
     if !reset_if_stopped(bench)? {
-        let reason = "the board is stopped: it takes no configuration before its reset";
+        let reason = "the board is stopped: it accepts no configuration before its reset";
         return Ok(Err(Refused(reason.to_owned())));
     }
     Ok(bench.change(values))

@@ -1,4 +1,4 @@
-//! Readings of a while, and when a hand has done what it was asked.
+//! Gathers readings for a time, or until a hand has finished a motion.
 
 use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, StopCause};
@@ -8,7 +8,7 @@ use crate::{
     Answer, Bench, BoardReading, Health, Interrupted, Live, Observation, PoseReading, TickReading,
 };
 
-/// What was observed for a while, each kind in the order of its arrival.
+/// Observations of a time, each kind in the order of its arrival.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Readings {
     pub(super) boards: Vec<BoardReading>,
@@ -52,7 +52,7 @@ impl Readings {
         }
     }
 
-    /// Whether nothing has moved for a while, as far as IMU and cameras see it.
+    /// Whether IMU and cameras have seen no movement for [`STILL_S`].
     fn is_still(&self) -> bool {
         let Some(now) = self.ticks.last().map(|tick| tick.time) else {
             return false;
@@ -82,8 +82,8 @@ impl Readings {
         !turns && !moves
     }
 
-    /// Whether the board took wheels that were rolled by hand for a motor that runs. It then
-    /// stays stopped until its reset.
+    /// Whether the board has mistaken wheels that a hand rolled for a running motor. It then stays
+    /// stopped until its reset.
     pub(super) fn is_latched(&self) -> bool {
         self.boards.last().is_some_and(|board| {
             board.mode == BoardMode::EmergencyStopped
@@ -130,8 +130,8 @@ pub(super) fn for_time(
     .map(|(readings, _)| readings)
 }
 
-/// Gathers readings until `progress` gives 1 or more, and the reading so far in words. The flag
-/// is whether that was within the patience of the doctor.
+/// Gathers readings until `progress`, which also gives a text to show, reaches 1. The flag is
+/// false if that took longer than [`PATIENCE_S`].
 pub(super) fn until(
     bench: &mut dyn Bench,
     mut progress: impl FnMut(&Readings) -> (String, f64),
@@ -153,7 +153,7 @@ pub(super) fn until(
 }
 
 /// Gathers readings while a hand moves the car: until `progress` has reached 1 and the car
-/// stands again. The flag is whether that happened.
+/// stands again. The flag is as in [`until`].
 pub(super) fn motion(
     bench: &mut dyn Bench,
     mut progress: impl FnMut(&Readings) -> (String, f64),
@@ -169,7 +169,7 @@ pub(super) fn motion(
     })
 }
 
-/// Has a board that is stopped for good reset by the operator. Whether it is not stopped now.
+/// Asks the operator to reset a board that is latched. Returns whether it is free now.
 pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
     /// The board holds neutral for two seconds after a reset, and is configured again.
     const SETTLED_S: f64 = 3.0;

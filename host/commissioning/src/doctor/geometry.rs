@@ -1,4 +1,4 @@
-//! Where the body sits on the car, and how far the car rolls in a pulse.
+//! Place of the body on the car, and distance of a motor pulse.
 
 use core::f64::consts::TAU;
 
@@ -18,11 +18,11 @@ use crate::{
 /// Turns to each side, and rolls.
 const TURNS: usize = 2;
 const ROLLS: usize = 4;
-/// An angle that is enough, in rad: three quarters of a turn.
+/// The least angle of a turn, in rad: three quarters of a turn.
 const ENOUGH_RAD: f64 = 0.75 * TAU;
-/// A way that is enough, in m.
+/// The least way of a roll, in m.
 const ENOUGH_M: f64 = 1.4;
-/// How well a person keeps the middle of an axle over a point, in m.
+/// Accuracy with which a person keeps the middle of an axle over a point, in m.
 const AXLE_M: f64 = 0.004;
 /// A point that wandered more than this was not held, in m.
 const HELD_M: f64 = 0.02;
@@ -31,7 +31,7 @@ const TOE_RAD: f64 = 0.003;
 /// The share of the wheels' way that is lost by slip, by a tyre that is loaded otherwise, or by
 /// the board's clock: a ceramic resonator is 0.5 % wrong.
 const SLIP: f64 = 0.006;
-/// What is lost by the steps of the board's speed, in m/s: it rounds towards zero.
+/// Mean loss by the resolution of the board's speed, which rounds towards zero, in m/s.
 const HALF_STEP_M_S: f64 = 0.000_5;
 /// The share of the highest speed of a stretch from which on it counts for the pulses.
 const STEADY: f64 = 0.85;
@@ -116,7 +116,7 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         origins.push(origin);
         for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
             path.extend(poses.iter().map(|pose| place_of(pose, held)));
-            // The next turn is another line.
+            // A NaN separates the lines of two turns.
             path.push([f64::NAN; 2]);
         }
     }
@@ -270,7 +270,7 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
         name: "body-forward",
         unit: "m",
         estimate: forward,
-        // One key takes both.
+        // One key takes both values.
         key: Some((
             "motion_capture.marker_offset_m",
             toml_edit::Value::from_iter(offset),
@@ -310,7 +310,7 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
             "roll the car for the whole two metres, at an even speed",
         );
     }
-    // A sensor that the board can't use.
+    // Outside of what the board can count.
     if !(100.0..=30_000.0).contains(&distance.value) {
         checks.failed(
             format!("a pulse every {:.2} mm", 1e-3 * distance.value),

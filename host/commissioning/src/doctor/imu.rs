@@ -13,17 +13,17 @@ use crate::{
     fit::{block_means, mean, mean_interval, standard_deviation},
 };
 
-/// For how long the car stands, in s.
+/// Time at rest, in s.
 const REST_S: f64 = 60.0;
-/// Blocks of the rest, for the interval of the bias.
+/// Blocks of this time, for the interval of the bias.
 const BLOCKS: usize = 10;
-/// Half a step of the gyro's numbers, in rad/s: what all readings may share.
+/// Half of the gyro's resolution, in rad/s: an error that all readings may share.
 const HALF_STEP: f64 = 0.000_5;
 /// The largest tilt of the IMU on a level floor, in rad: 5 degrees.
 const MAX_TILT: f64 = 0.087;
-/// A lift or turn of the car, in rad, that is enough.
+/// The least rotation of a lift or turn, in rad.
 const ENOUGH_RAD: f64 = 0.5;
-/// A car that is back turned less than this share of its lift.
+/// Most of a lift's rotation that may remain once the car is put down, as a share.
 const BACK: f64 = 0.4;
 
 /// Registers, tilt, bias and noise of a car that stands.
@@ -186,7 +186,7 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
             format!("below {:.1}", limit.to_degrees()),
         );
     } else {
-        // The next steps find out which of them is wrong.
+        // The next steps show which of them is wrong.
         checks.warning(
             format!("{:.1} degrees from the cameras", difference.to_degrees()),
             format!("below {:.1}", limit.to_degrees()),
@@ -195,7 +195,7 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
     }
 }
 
-/// No pulse comes from wheels that stand.
+/// Wheels at rest must give no pulses.
 fn check_wheels(readings: &Readings, checks: &mut Checks) {
     let moving = readings
         .boards
@@ -268,7 +268,7 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     checks.finding("imu-axes", bench)
 }
 
-/// How the chip is mounted, by three motions; none if they do not say.
+/// The mounting of the chip, by three motions; `None` if they do not determine it.
 fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSection>, Interrupted> {
     // The car is put down again after a lift, but not turned back.
     let steps: [(Question, &str, bool); 3] = [
@@ -318,7 +318,7 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSect
     Ok(found)
 }
 
-/// The largest rotation from the begin so far, and the last one, as vectors in the configured
+/// The largest rotation since the beginning, and the present one, as vectors in the configured
 /// axes.
 fn rotations_of(readings: &Readings) -> [[f64; 3]; 2] {
     let mut rotation = [0.0; 3];
@@ -394,7 +394,7 @@ const fn direction(axis: ImuAxisName) -> (usize, f64) {
     }
 }
 
-/// The word in the configuration.
+/// The name in the configuration.
 const fn name(axis: ImuAxisName) -> &'static str {
     match axis {
         ImuAxisName::PlusX => "+x",

@@ -1,8 +1,8 @@
-//! The doctor: what can be found about a car without moving it.
+//! The doctor: checks and measurements of a car that does not drive.
 //!
-//! The car stays disarmed. Where something must move, a hand moves it: the operator presses,
-//! plugs, tilts, turns and rolls, and board and cameras are compared. What is measured is put
-//! into the configuration at once, because the next steps need it.
+//! The car stays disarmed. The operator moves what must be moved by hand, and the doctor compares
+//! board and cameras. A measured value is put into the configuration at once, because the next
+//! steps need it.
 
 mod board;
 mod cameras;

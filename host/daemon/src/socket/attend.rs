@@ -119,7 +119,7 @@ impl Ticket {
     }
 }
 
-/// How an attended drive went on.
+/// The progress of an attended drive.
 enum Progress {
     /// It is still being armed, or drives.
     Underway,
@@ -339,7 +339,7 @@ pub(super) async fn jog(
 /// A drive that a connection holds.
 struct Attended {
     ticket: Ticket,
-    /// The client gives pulses.
+    /// Whether the client gives pulses in place of a drive.
     jogs: bool,
 }
 
@@ -461,7 +461,7 @@ async fn serve_drive(
     }
 }
 
-/// A drive as it goes on.
+/// The report of a drive in progress.
 fn report(tick: &TickView) -> Value {
     json!({
         "version": SOCKET_VERSION,

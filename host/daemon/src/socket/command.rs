@@ -35,11 +35,11 @@ pub enum Command {
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
     Setpoint(Setpoint),
-    /// What became of a procedure, answered by one line when it is kept.
+    /// The state of a procedure, answered by one line when it is kept.
     Commissioned {
         /// The procedure.
         procedure: Procedure,
-        /// What became of it.
+        /// Its state.
         result: ProcedureResult,
     },
     /// A subscription, answered by a stream of entries.
@@ -206,8 +206,8 @@ impl Line {
             (None, _) => Err(
                 "arm needs an attendance: \"hold\" (send {\"command\":\"hold\"} every 100 ms on \
                  this connection; the drive ends when it does), \"timed\" with for_s, or \
-                 \"unattended\" (nobody holds it: the drive goes on until a stop, a disarm or a \
-                 safeguard ends it)"
+                 \"unattended\" (no client holds it: the drive continues until a stop, a disarm or \
+                 a safeguard ends it)"
                     .to_owned(),
             ),
         }

@@ -99,7 +99,7 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 }
             }
             Ok(Command::Jog(_)) => {
-                let error = "jog gives pulses on a connection that jogs: arm first with \
+                let error = "jog needs a connection that is armed to jog: arm first with \
                              {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
                 send(&mut write, &failure(error)).await?;
             }
@@ -256,7 +256,7 @@ async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Va
     }
 }
 
-/// Keeps what became of a procedure with the configuration in force.
+/// Keeps the state of a procedure with the configuration in force.
 async fn commissioned(
     procedure: Procedure,
     result: ProcedureResult,

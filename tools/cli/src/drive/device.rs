@@ -38,7 +38,7 @@ pub(super) enum Source {
         file: File,
         /// The beginning of an event.
         rest: Vec<u8>,
-        /// Whether anything has come: a pipe without a writer has no end yet.
+        /// Whether anything has come: a pipe that had no writer yet also reads as ended.
         is_begun: bool,
     },
 }
@@ -127,7 +127,7 @@ fn read_device(
     Ok(())
 }
 
-/// What is pressed, and where the sticks are.
+/// The present buttons and sticks.
 fn state(device: &RawDevice, ranges: &[(i32, i32); AXES]) -> io::Result<Vec<PadEvent>> {
     let pressed = device.get_key_state()?;
     let keys = device.supported_keys();
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_without_a_writer_is_no_lost_pad() {
+    fn a_pipe_without_a_writer_is_not_a_lost_pad() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pipe");
         rustix::fs::mkfifoat(rustix::fs::CWD, &path, 0o600.into()).unwrap();
@@ -273,7 +273,7 @@ mod tests {
         source.read(&mut events);
         assert_eq!(events, []);
         drop(writer);
-        // Nobody has written yet.
+        // The writer has closed the pipe without having written.
         source.read(&mut events);
         assert_eq!(events, []);
     }

@@ -1,7 +1,7 @@
 //! `singletrack drive`: a game-pad as dead-man switch and for teleoperation.
 //!
-//! `pad` turns its events into requests, without a clock; this module gives it the time, the
-//! device and the daemon's control socket.
+//! `pad` turns its events into requests; this module connects it to the clock, the device and the
+//! daemon's control socket.
 
 mod device;
 pub mod pad;
@@ -104,7 +104,7 @@ const WAIT_NS: i64 = 5_000_000;
 /// The longest wait for the daemon's answer to a stop.
 const ANSWER: Duration = Duration::from_millis(200);
 
-/// The oldest heading by which a stick steers.
+/// Age from which a heading no longer serves to steer.
 const HEADING_AGE: Duration = Duration::from_millis(100);
 
 /// The longest time until a car whose reference was changed is ready.
@@ -183,7 +183,7 @@ enum Stage {
     Ending(Instant),
 }
 
-/// The car as its last tick shows it.
+/// The car in its last tick.
 #[derive(Clone, Debug)]
 struct Car {
     at: Instant,
@@ -200,7 +200,7 @@ struct Shell<'a> {
     watch: Lines,
     socket: &'a Path,
     stage: Stage,
-    /// Whose reference is in force; `None` if it is not known.
+    /// The driver whose reference is in force; `None` if unknown.
     in_force: Option<Driver>,
     /// The reference of the pilot, if one was given.
     reference: Option<Value>,
@@ -285,7 +285,7 @@ impl Shell<'_> {
                 "version": SOCKET_VERSION, "command": "disarm", "at_once": true,
             }))?,
             PadRequest::Stop => {
-                self.tell(&json!({ "version": SOCKET_VERSION, "command": "stop" }))?;
+                self.send_apart(&json!({ "version": SOCKET_VERSION, "command": "stop" }))?;
                 if self.stage != Stage::Off {
                     self.stage = Stage::Ending(Instant::now());
                 }
@@ -358,7 +358,7 @@ impl Shell<'_> {
         match self.stage {
             Stage::Arming(_) | Stage::Driving(_) | Stage::Ending(_) => {
                 self.stage = Stage::Ending(Instant::now());
-                self.tell(line)
+                self.send_apart(line)
             }
             Stage::Off | Stage::Changing(_) | Stage::Settling(..) => {
                 self.stage = Stage::Off;
@@ -368,8 +368,8 @@ impl Shell<'_> {
     }
 
     /// Sends a line on a connection of its own: the session may wait for the board to arm.
-    fn tell(&mut self, line: &Value) -> Result<(), DriveError> {
-        let told = (|| -> Result<(), ControlError> {
+    fn send_apart(&mut self, line: &Value) -> Result<(), DriveError> {
+        let sent = (|| -> Result<(), ControlError> {
             let mut stream = connect(self.socket)?;
             stream.set_write_timeout(Some(ANSWER))?;
             stream.set_read_timeout(Some(ANSWER))?;
@@ -379,7 +379,7 @@ impl Shell<'_> {
             agreed(serde_json::from_str(&answer)?).map(drop)
         })();
         // The end of this program ends the session, and with it the drive.
-        Ok(told?)
+        Ok(sent?)
     }
 
     fn refused(&mut self, error: &str) -> Result<(), DriveError> {
@@ -475,7 +475,7 @@ impl Lines {
         })
     }
 
-    /// Sends a line. The daemon that takes none for so long that the buffer is full hangs.
+    /// Sends a line. A full buffer is an error: the daemon hangs.
     fn send(&mut self, line: &Value) -> Result<(), ControlError> {
         Ok(self.stream.write_all(format!("{line}\n").as_bytes())?)
     }

@@ -1,10 +1,10 @@
-//! From the events of a game-pad to what is asked of the daemon. It knows no device and no
-//! clock: `now` is an argument.
+//! Turns the events of a game-pad into requests to the daemon, without a device or a clock: `now`
+//! is an argument.
 //!
-//! One button, held, lets the car drive itself; another one, held, gives the sticks. A button
-//! counts only after it was seen released, so that one that is stuck, or held by a forgotten
-//! strap, starts nothing; after every drive both must be released again. The sticks count from
-//! their centre on. A pad that is gone, or silent for too long, halts the car.
+//! While one button is held, the car drives itself; while another one is held, the sticks drive
+//! it. A button counts only after it was seen released, so that a stuck one starts nothing; after
+//! every drive both must be released again. The sticks must be at their centre when they take
+//! over. A pad that is lost, or silent for too long, halts the car.
 
 use std::time::Duration;
 
@@ -34,9 +34,9 @@ pub enum PadEvent {
         /// -1 to 1; zero at rest. Up and left are negative.
         value: f64,
     },
-    /// Something else: the pad is there.
+    /// Any other event: the pad is still there.
     Other,
-    /// Events were lost: what is pressed is not known any more.
+    /// Events were lost: the state of buttons and sticks is unknown.
     Dropped,
     /// The pad is gone.
     Lost,
@@ -87,7 +87,7 @@ pub enum Driver {
     Sticks,
 }
 
-/// What the pad asks for.
+/// A request of the pad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PadRequest {
     /// Arm the car for this driver, and hold the drive.
@@ -107,7 +107,7 @@ pub enum PadRequest {
     Halt,
     /// The stop button: neutral until the board is reset.
     Stop,
-    /// Nothing is asked; the operator should know.
+    /// A note for the operator; the car is not affected.
     Note(PadNote),
 }
 
@@ -124,7 +124,7 @@ pub enum PadNote {
     Silent,
 }
 
-/// The share of a stick's way around its centre that counts as its centre.
+/// Dead zone of a stick, as a share of its way.
 const CENTRE: f64 = 0.15;
 
 /// Interval of the renewals, and of the velocities.
@@ -178,7 +178,7 @@ pub struct Pad {
 }
 
 impl Pad {
-    /// A pad of which nothing is known yet: no button counts before its first release.
+    /// A pad in an unknown state: no button counts before its first release.
     #[must_use]
     pub fn new(options: PadOptions, now: Time) -> Self {
         Self {
@@ -223,7 +223,7 @@ impl Pad {
             }
             PadEvent::Dropped => {
                 let request = self.let_go(PadRequest::Halt);
-                // Not known, so not released.
+                // An unknown button does not count as released.
                 self.drive = DeadMan::default();
                 self.sticks = DeadMan::default();
                 (self.speed, self.turn) = (None, None);
@@ -242,7 +242,7 @@ impl Pad {
                 }
             }
             PadEvent::Axis { code, value } => {
-                // A value that is none counts as an unknown position.
+                // A value that is not finite counts as an unknown position.
                 let value = value.is_finite().then(|| value.clamp(-1.0, 1.0));
                 if code == options.speed_axis {
                     self.speed = value;
@@ -265,7 +265,7 @@ impl Pad {
         }
     }
 
-    /// What is due at `now`: one request a call, until there is none.
+    /// The next request that is due at `now`; call it until there is none.
     pub fn poll(&mut self, now: Time) -> Option<PadRequest> {
         if self.is_lost {
             return None;
@@ -339,7 +339,7 @@ impl Pad {
             };
         };
         PadRequest::Velocity {
-            // The law turns the car round for a velocity backward: there is none.
+            // Never backward: the law would turn the car round.
             speed: self.options.max_speed * beyond_centre(-speed).max(0.0),
             turn: self.options.max_turn * beyond_centre(-turn),
         }
@@ -354,7 +354,7 @@ fn is_centred(axis: Option<f64>) -> bool {
     axis.is_some_and(|axis| axis.abs() < CENTRE)
 }
 
-/// The position of a stick, from zero at the edge of its centre.
+/// The position of a stick, zero at the edge of its dead zone.
 fn beyond_centre(axis: f64) -> f64 {
     let way = (axis.abs() - CENTRE).max(0.0) / (1.0 - CENTRE);
     way.copysign(axis)

@@ -1,5 +1,4 @@
-//! The keyboard for jogging: from keys to pulses. It knows no terminal and no clock: `now` is an
-//! argument.
+//! Turns keys into pulses for jogging, without a terminal or a clock: `now` is an argument.
 //!
 //! A terminal does not say when a key is released. It repeats a key that is held: after a first
 //! delay of 0.2 to 0.7 s, then some 30 times a second. The repetition is the dead-man switch of
@@ -46,7 +45,7 @@ pub struct Pulses {
 const FIRST_REPEAT: Duration = Duration::from_millis(800);
 /// The longest time between two repetitions.
 const REPEAT: Duration = Duration::from_millis(150);
-/// Without any key for so long, the jogging ends.
+/// Jogging ends this long after the last key.
 const UNATTENDED: Duration = Duration::from_secs(60);
 
 /// A step of the servo, and one of the ESC pulse's distance from neutral, in us.
@@ -55,7 +54,7 @@ const ESC_STEP_US: u16 = 5;
 /// Distance of the first ESC pulse from neutral, and the largest, in us: the board's limit.
 const FIRST_US: u16 = 40;
 const MOST_US: u16 = 150;
-/// The pulses that a servo takes at all, in us.
+/// The shortest and the longest servo pulse, in us.
 const SERVO_US: [u16; 2] = [800, 2_200];
 
 /// The keys of a person who jogs.
@@ -65,7 +64,7 @@ pub struct Keyboard {
     servo_us: u16,
     /// Distance of the ESC pulse from neutral while a key is held, us.
     throttle_us: u16,
-    /// The motor's key that came last, when, and whether it was repeated.
+    /// The last key of the motor, its time, and whether it was a repetition.
     motor: Option<(Key, Time, bool)>,
     heard: Time,
     is_over: bool,
@@ -116,7 +115,7 @@ impl Keyboard {
         }
     }
 
-    /// The pulses at `now`; `None` once it is over.
+    /// The pulses at `now`; `None` once jogging is over.
     #[must_use]
     pub fn pulses(&self, now: Time) -> Option<Pulses> {
         if self.is_over || since(now, self.heard) > UNATTENDED {
@@ -141,8 +140,7 @@ fn since(now: Time, then: Time) -> Duration {
     Duration::from_nanos(now.0.saturating_sub(then.0))
 }
 
-/// Takes the next whole key from the bytes of a terminal; `None` if there is none. The beginning
-/// of an arrow key stays.
+/// Takes the next complete key from the bytes of a terminal. The beginning of an arrow key stays.
 pub fn next_key(bytes: &mut Vec<u8>) -> Option<Key> {
     let (key, length) = match bytes[..] {
         [] | [0x1b] | [0x1b, b'[' | b'O'] => return None,
@@ -249,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn it_ends_with_its_key_and_without_anybody() {
+    fn it_ends_by_its_key_and_when_unattended() {
         let mut keyboard = Keyboard::new(BEGUN, at(0));
         assert!(keyboard.pulses(at(60_000)).is_some());
         assert_eq!(keyboard.pulses(at(60_001)), None);
