@@ -9,6 +9,8 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::hexadecimal;
+
 /// A procedure that a car passes before it drives, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -260,24 +262,6 @@ fn push(entries: &mut Vec<ProcedureEntry>, entry: ProcedureEntry) {
     let too_many = (entries.len() + 1).saturating_sub(MOST);
     entries.drain(..too_many);
     entries.push(entry);
-}
-
-/// 16 hexadecimal digits: JSON numbers lose digits beyond 2^53.
-mod hexadecimal {
-    use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _};
-
-    #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
-    pub(super) fn serialize<S: Serializer>(value: &u64, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(&format_args!("{value:016x}"))
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        u64::from_str_radix(&text, 16)
-            .ok()
-            .filter(|_| text.len() == 16)
-            .ok_or_else(|| D::Error::custom(format!("{text:?} is not 16 hexadecimal digits")))
-    }
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@ pub mod setpoint_slot;
 pub mod virtual_host;
 
 mod alignment;
+mod hexadecimal;
 mod meta;
 mod proof;
 mod report;

@@ -1,11 +1,18 @@
 //! Which configurations have been proved on which cars.
 
-use crate::config::{Config, ConfigError};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    config::{Config, ConfigError},
+    hexadecimal,
+};
 
 /// A configuration on a car. Once the first metre has shown no contradiction, it is proved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Proof {
     /// The hash of what the first metre proves: [`configuration_hash`].
+    #[serde(with = "hexadecimal")]
     pub configuration: u64,
     /// The number of the car, from its board; 0 for a board without one.
     pub car_id: u16,

@@ -1,12 +1,10 @@
 //! The file of the passed procedures, `commissioned.json` in `state.directory`.
 //!
-//! Without the file, or with one that can't be read, no procedure has passed. It is replaced as
-//! a whole, so that a loss of power leaves the old one or the new one.
+//! Without the file, or with one that can't be read, no procedure has passed.
 
 use std::{
-    fs::{self, File},
-    io::{self, Write as _},
-    path::{Path, PathBuf},
+    io,
+    path::Path,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
@@ -18,16 +16,13 @@ use singletrack_core::{
     configuration_hash,
 };
 
-use crate::clock::wall_ns;
+use crate::{clock::wall_ns, json_file::JsonFile};
 
 /// The name of the file in `state.directory`.
 const NAME: &str = "commissioned.json";
 
-/// The version of the format. A file of another one counts as absent.
+/// The version of the format.
 const VERSION: u32 = 1;
-
-/// Longer than every valid file, in bytes.
-const LONGEST: u64 = 65_536;
 
 /// The content of the file.
 #[derive(Debug, Serialize, Deserialize)]
@@ -43,7 +38,7 @@ pub(crate) struct CommissionedFile(Arc<Mutex<Kept>>);
 
 #[derive(Debug)]
 struct Kept {
-    path: PathBuf,
+    file: JsonFile,
     cars: Commissioned,
 }
 
@@ -70,16 +65,10 @@ impl CommissionedFile {
     /// Reads the file in `folder`. A missing file is empty; one that can't be read is reported,
     /// and counts as empty.
     pub(crate) fn load(folder: &Path) -> Self {
-        let path = folder.join(NAME);
-        let cars = match read(&path) {
-            Ok(cars) => cars,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Commissioned::default(),
-            Err(error) => {
-                tracing::warn!("{}: {error}; no procedure counts as passed", path.display());
-                Commissioned::default()
-            }
-        };
-        Self(Arc::new(Mutex::new(Kept { path, cars })))
+        let file = JsonFile::new(folder.join(NAME), VERSION);
+        let content: Option<Content> = file.load("no procedure counts as passed");
+        let cars = content.map_or_else(Commissioned::default, |content| content.cars);
+        Self(Arc::new(Mutex::new(Kept { file, cars })))
     }
 
     /// As [`not_commissioned`].
@@ -97,12 +86,12 @@ impl CommissionedFile {
         self.lock().cars.missing(subject, now_s())
     }
 
-    /// Takes note of what became of a procedure, and replaces the file.
+    /// Records the state of a procedure, and replaces the file. If a failure can't be written, the
+    /// file is deleted.
     ///
     /// # Errors
     ///
-    /// The system's error: what was noted is forgotten at the end of the process. A result that
-    /// was taken back is not in the file in any case, unless that can't be deleted either.
+    /// The system's error: the state is forgotten at the end of the process.
     pub(crate) fn note(
         &self,
         procedure: Procedure,
@@ -111,13 +100,13 @@ impl CommissionedFile {
     ) -> io::Result<()> {
         let mut kept = self.lock();
         kept.cars.note(procedure, result, subject, now_s());
-        kept.write().or_else(|error| {
-            if result == ProcedureResult::Failed {
-                // The first error says more than that of the deletion.
-                fs::remove_file(&kept.path).map_err(|_| error)
-            } else {
-                Err(error)
-            }
+        let content = Content {
+            version: VERSION,
+            cars: kept.cars.clone(),
+        };
+        kept.file.replace(&content).or_else(|error| match result {
+            ProcedureResult::Failed => kept.file.delete_after(error),
+            _ => Err(error),
         })
     }
 
@@ -150,50 +139,14 @@ impl CommissionedFile {
     }
 }
 
-impl Kept {
-    fn write(&self) -> io::Result<()> {
-        let content = Content {
-            version: VERSION,
-            cars: self.cars.clone(),
-        };
-        let folder = self.path.parent().unwrap_or(Path::new("."));
-        fs::create_dir_all(folder)?;
-        let new = self.path.with_extension("json.new");
-        let mut file = File::create(&new)?;
-        serde_json::to_writer_pretty(&mut file, &content)?;
-        file.write_all(b"\n")?;
-        file.sync_all()?;
-        fs::rename(&new, &self.path)?;
-        // The rename itself must survive a loss of power too.
-        File::open(folder)?.sync_all()
-    }
-}
-
 fn now_s() -> u64 {
     wall_ns() / 1_000_000_000
 }
 
-fn read(path: &Path) -> io::Result<Commissioned> {
-    let length = fs::metadata(path)?.len();
-    if length > LONGEST {
-        return Err(io::Error::other(format!(
-            "it is {length} bytes long, at most {LONGEST} are valid"
-        )));
-    }
-    let text = fs::read_to_string(path)?;
-    let content: Content = serde_json::from_str(&text)
-        .map_err(|error| io::Error::other(format!("it is damaged: {error}")))?;
-    if content.version != VERSION {
-        return Err(io::Error::other(format!(
-            "its version is {}, not {VERSION}",
-            content.version
-        )));
-    }
-    Ok(content.cars)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn car(folder: &Path) -> Config {

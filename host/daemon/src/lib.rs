@@ -23,6 +23,7 @@ mod commissioned_file;
 mod control_thread;
 mod daemon;
 mod handle;
+mod json_file;
 mod judgement;
 mod live;
 mod mocap_receiver;

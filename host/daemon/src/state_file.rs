@@ -2,47 +2,33 @@
 //!
 //! It holds the configurations that a car has proved on its first metre. Without the file, or
 //! with one that can't be read, nothing is proved, and the next drive begins slowly: the file
-//! only saves time. It is replaced as a whole, so that a loss of power leaves the old one or the
-//! new one.
+//! only saves time.
 
-use std::{
-    fs::{self, File},
-    io::{self, Write as _},
-    path::{Path, PathBuf},
-};
+use std::{io, path::Path};
 
 use serde::{Deserialize, Serialize};
 use singletrack_core::{MAX_PROOFS, Proof, Proofs};
 
+use crate::json_file::JsonFile;
+
 /// The name of the file in `state.directory`.
 const NAME: &str = "proved.json";
 
-/// The version of the format. A file of another one counts as absent.
+/// The version of the format.
 const VERSION: u32 = 1;
-
-/// Longer than every valid file, in bytes.
-const LONGEST: u64 = 65_536;
 
 /// The content of the file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Content {
     version: u32,
-    proved: Vec<Entry>,
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Entry {
-    /// 16 hexadecimal digits: JSON numbers lose digits beyond 2^53.
-    configuration: String,
-    car_id: u16,
+    proved: Vec<Proof>,
 }
 
 /// The proved configurations, and where they are kept.
 #[derive(Debug)]
 pub(crate) struct StateFile {
-    path: PathBuf,
+    file: JsonFile,
     proofs: Vec<Proof>,
     /// The last attempt to write failed: the file has other proofs.
     is_behind: bool,
@@ -52,21 +38,12 @@ impl StateFile {
     /// Reads the file in `folder`. A missing file is empty; one that can't be read is reported,
     /// and counts as empty.
     pub(crate) fn load(folder: &Path) -> Self {
-        let path = folder.join(NAME);
-        let proofs = match read(&path) {
-            Ok(proofs) => proofs,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
-            Err(error) => {
-                tracing::warn!(
-                    "{}: {error}; nothing counts as proved: the next drive begins slowly",
-                    path.display()
-                );
-                Vec::new()
-            }
-        };
+        let file = JsonFile::new(folder.join(NAME), VERSION);
+        let consequence = "nothing counts as proved: the next drive begins slowly";
+        let content: Option<Content> = file.load(consequence);
         Self {
-            path,
-            proofs,
+            proofs: content.map_or_else(Vec::new, |content| content.proved),
+            file,
             is_behind: false,
         }
     }
@@ -92,8 +69,7 @@ impl StateFile {
         self.retry()
     }
 
-    /// Removes a proof and replaces the file. If that fails, the file is deleted, which also
-    /// works on a full disk: rather no proof than a wrong one.
+    /// Removes a proof and replaces the file. If that fails, the file is deleted.
     ///
     /// # Errors
     ///
@@ -102,10 +78,7 @@ impl StateFile {
         let count = self.proofs.len();
         self.proofs.retain(|other| *other != proof);
         self.is_behind |= self.proofs.len() < count;
-        self.retry().or_else(|error| {
-            // The first error says more than that of the deletion.
-            fs::remove_file(&self.path).map_err(|_| error)
-        })
+        self.retry().or_else(|error| self.file.delete_after(error))
     }
 
     /// Writes the file if the last attempt failed.
@@ -115,70 +88,26 @@ impl StateFile {
     /// The system's error: the file is still behind.
     pub(crate) fn retry(&mut self) -> io::Result<()> {
         if self.is_behind {
-            self.write()?;
+            self.file.replace(&Content {
+                version: VERSION,
+                proved: self.proofs.clone(),
+            })?;
             self.is_behind = false;
         }
         Ok(())
     }
-
-    fn write(&self) -> io::Result<()> {
-        let content = Content {
-            version: VERSION,
-            proved: self
-                .proofs
-                .iter()
-                .map(|proof| Entry {
-                    configuration: format!("{:016x}", proof.configuration),
-                    car_id: proof.car_id,
-                })
-                .collect(),
-        };
-        let folder = self.path.parent().unwrap_or(Path::new("."));
-        fs::create_dir_all(folder)?;
-        let new = self.path.with_extension("json.new");
-        let mut file = File::create(&new)?;
-        serde_json::to_writer_pretty(&mut file, &content)?;
-        file.write_all(b"\n")?;
-        file.sync_all()?;
-        fs::rename(&new, &self.path)?;
-        // The rename itself must survive a loss of power too.
-        File::open(folder)?.sync_all()
-    }
-}
-
-fn read(path: &Path) -> io::Result<Vec<Proof>> {
-    let length = fs::metadata(path)?.len();
-    if length > LONGEST {
-        return Err(io::Error::other(format!(
-            "it is {length} bytes long, at most {LONGEST} are valid"
-        )));
-    }
-    let text = fs::read_to_string(path)?;
-    let content: Content = serde_json::from_str(&text)
-        .map_err(|error| io::Error::other(format!("it is damaged: {error}")))?;
-    if content.version != VERSION {
-        return Err(io::Error::other(format!(
-            "its version is {}, not {VERSION}",
-            content.version
-        )));
-    }
-    let proof = |entry: &Entry| {
-        let is_hash = entry.configuration.len() == 16;
-        let configuration = u64::from_str_radix(&entry.configuration, 16)
-            .ok()
-            .filter(|_| is_hash)
-            .ok_or_else(|| io::Error::other(format!("it is damaged: {:?}", entry.configuration)))?;
-        Ok(Proof {
-            configuration,
-            car_id: entry.car_id,
-        })
-    };
-    content.proved.iter().map(proof).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, path::PathBuf};
+
     use super::*;
+
+    fn read(path: &Path) -> io::Result<Vec<Proof>> {
+        let content: Content = JsonFile::new(path.to_owned(), VERSION).read()?;
+        Ok(content.proved)
+    }
 
     const PROOFS: [Proof; 2] = [
         Proof {
