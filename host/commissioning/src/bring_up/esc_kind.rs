@@ -1,12 +1,13 @@
 //! What a pulse below neutral does: brake, reverse, or one after the other.
 
 use singletrack_control::Time;
+use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
-    car::{
-        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, beyond, change, conclude, failed, way,
-    },
+    car::{Car, armed},
     kill::never_turned,
+    outcome::{Outcome, Trouble, change, conclude, failed},
+    spin::{CREEPS, beyond, way},
 };
 use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter};
 

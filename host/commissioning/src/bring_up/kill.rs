@@ -1,7 +1,8 @@
 //! The kill switch, before a step depends on it.
 
 use super::{
-    car::{Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
+    car::armed,
+    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed},
     questions,
 };
 use crate::{Bench, BoardReading, Finding, Interrupted};

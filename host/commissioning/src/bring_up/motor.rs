@@ -6,15 +6,14 @@
 //! creeps from one that stands.
 
 use singletrack_control::Time;
-use singletrack_protocol::StopCause;
+use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
 use super::{
-    car::{
-        CREEPS, Car, JOG_LIMIT_US, Outcome, Trouble, armed, ask_word, beyond, change, conclude,
-        failed, mean_speed, way,
-    },
+    car::{Car, armed},
     kill::never_turned,
+    outcome::{Outcome, Trouble, ask_word, change, conclude, failed},
     questions::{self, WAYS},
+    spin::{CREEPS, beyond, mean_speed, way},
 };
 use crate::{
     Bench, Finding, Interrupted, Interval, Jog, Parameter,

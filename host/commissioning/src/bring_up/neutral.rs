@@ -1,7 +1,8 @@
 //! The wheels stand at the neutral of the ESC, whether ESC or board is switched on first.
 
 use super::{
-    car::{Car, Outcome, Trouble, armed, ask, ask_yes, conclude, failed},
+    car::{Car, armed},
+    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed},
     questions,
 };
 use crate::{Bench, BoardReading, Finding, Interrupted};

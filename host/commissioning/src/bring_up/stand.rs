@@ -1,7 +1,8 @@
 //! The car is on its stand, at rest and in view of the cameras.
 
 use super::{
-    car::{Car, Outcome, Trouble, ask_yes, conclude, failed},
+    car::Car,
+    outcome::{Outcome, Trouble, ask_yes, conclude, failed},
     questions,
 };
 use crate::{Bench, Finding, Interrupted};

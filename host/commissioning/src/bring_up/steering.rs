@@ -4,7 +4,8 @@
 //! end stops are only touched: the servo is back before the operator answers.
 
 use super::{
-    car::{Car, Outcome, Trouble, armed, ask_number, ask_word, ask_yes, change, conclude, failed},
+    car::{Car, armed},
+    outcome::{Outcome, Trouble, ask_number, ask_word, ask_yes, change, conclude, failed},
     questions::{self, SIDES},
 };
 use crate::{

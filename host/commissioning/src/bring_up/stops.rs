@@ -6,15 +6,14 @@
 //! counts, or what the operator sees.
 
 use singletrack_control::Time;
-use singletrack_protocol::BoardMode;
+use singletrack_protocol::{BoardMode, JOG_LIMIT_US};
 
 use super::{
-    car::{
-        Car, JOG_LIMIT_US, Outcome, Spun, Trouble, armed, ask, ask_word, conclude, failed,
-        mean_speed,
-    },
+    car::{Car, armed},
     kill::never_turned,
+    outcome::{Outcome, Trouble, ask, ask_word, conclude, failed},
     questions::{self, STOPS},
+    spin::{Spun, mean_speed},
 };
 use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Question};
 

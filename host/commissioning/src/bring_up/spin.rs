@@ -1,0 +1,195 @@
+//! Turning the motor in an armed jog.
+
+use singletrack_protocol::{JOG_LIMIT_US, StopCause};
+
+use super::{car::Car, kill::never_turned, outcome::Trouble};
+use crate::{BoardReading, Jog};
+
+/// Speed below which wheels that slow down count as standing, m/s.
+pub(super) const CREEPS: f64 = 0.12;
+
+impl Car<'_> {
+    /// Turns the motor forward at about 0.5 m/s of its wheels, beginning `from_us` beyond
+    /// neutral; gives the pulse, or nothing if it does not turn.
+    ///
+    /// The ESC is driven in bursts until the first pulses come: after 0.6 s of driving without a
+    /// pulse the board assumes a dead sensor.
+    pub(super) fn spin(&mut self, from_us: u16) -> Result<Option<Jog>, Trouble> {
+        self.spin_at(0.4, from_us)
+    }
+
+    /// As [`Self::spin`], at this speed at least if 150 us reach it.
+    pub(super) fn spin_at(&mut self, wanted: f64, from_us: u16) -> Result<Option<Jog>, Trouble> {
+        let Some(mut jog) = self.first_turn(true, from_us)? else {
+            return Ok(None);
+        };
+        let highest = jog.esc_us.max(self.rest().esc_us + JOG_LIMIT_US);
+        let begin = self.now()?;
+        let mut before = 0.0;
+        loop {
+            let readings = self.hold(jog, 0.4, "spinning up")?;
+            let speed = mean_speed(&readings[readings.len() / 2..]);
+            let late = self.now()?.seconds_since(begin) > 5.0;
+            if speed >= wanted || late || jog.esc_us >= highest {
+                return Ok(Some(jog));
+            }
+            // Smaller steps where the last one raised the speed by more than 0.15 m/s.
+            let step_us = if speed - before > 0.15 { 3 } else { 8 };
+            before = speed;
+            jog.esc_us = (jog.esc_us + step_us).min(highest);
+        }
+    }
+
+    /// Turns the motor until the jog ends, the wheels stand, or the time is over. A hand may stop it
+    /// as soon as the wheels turn.
+    pub(super) fn spin_for_hand(
+        &mut self,
+        from_us: u16,
+        seconds: f64,
+        what: &str,
+    ) -> Result<Spun, Trouble> {
+        let mut jog = self
+            .first_turn(true, from_us)?
+            .ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+        let highest = self.rest().esc_us + JOG_LIMIT_US;
+        let begin = self.now()?;
+        let mut spun = Spun::default();
+        while self.now()?.seconds_since(begin) < seconds {
+            let held = self.hold_until(jog, 0.1, what, |reading| reading.motor_speed == 0.0);
+            match held {
+                Ok(readings) => spun.readings.extend(readings),
+                Err(Trouble::Ended { cause, .. }) => {
+                    spun.ended = Some(cause);
+                    break;
+                }
+                Err(trouble) => return Err(trouble),
+            }
+            let Some(last) = spun.readings.last().map(|last| last.motor_speed.abs()) else {
+                continue;
+            };
+            if last == 0.0 {
+                break;
+            }
+            // Not while the hand slows it down.
+            if last < 0.4 && last >= 0.9 * spun.fastest() {
+                jog.esc_us = (jog.esc_us + 4).min(highest);
+            }
+        }
+        Ok(spun)
+    }
+
+    /// Drives in bursts of 0.5 s, each 8 us farther from neutral, until the wheels turn; gives
+    /// that pulse, which is still held.
+    pub(super) fn first_turn(
+        &mut self,
+        forward: bool,
+        from_us: u16,
+    ) -> Result<Option<Jog>, Trouble> {
+        let rest = self.rest();
+        let mut offset_us = from_us.min(JOG_LIMIT_US);
+        loop {
+            // The board forgets the burst before after 0.6 s, and a car's ESC takes a second
+            // pulse below neutral for reverse.
+            self.hold_until_standing(rest, 0.7)?;
+            let jog = Jog {
+                esc_us: beyond(rest.esc_us, offset_us, forward),
+                ..rest
+            };
+            let readings = self.hold_until(jog, 0.5, "looking for the first turn", |reading| {
+                reading.motor_speed != 0.0
+            })?;
+            if readings.iter().any(|reading| reading.motor_speed != 0.0) {
+                return Ok(Some(jog));
+            }
+            if offset_us >= JOG_LIMIT_US {
+                self.hold(rest, 0.1, "neutral")?;
+                return Ok(None);
+            }
+            offset_us = (offset_us + 8).min(JOG_LIMIT_US);
+        }
+    }
+
+    /// Holds these pulses for a time at least, and until the wheels stand, 8 s at most.
+    pub(super) fn hold_until_standing(&mut self, jog: Jog, seconds: f64) -> Result<(), Trouble> {
+        self.hold(jog, seconds, "neutral")?;
+        if self.board.is_some_and(|board| board.motor_speed != 0.0) {
+            self.hold_until(jog, 8.0, "rolling out", |reading| {
+                reading.motor_speed == 0.0
+            })?;
+            // The reported speed is zero half a second after the last pulse. Where pulses are far
+            // apart, the board needs longer to take the wheels for standing.
+            self.hold(jog, 0.3, "neutral")?;
+        }
+        Ok(())
+    }
+}
+
+/// A motor that was turned until a hand stopped it.
+#[derive(Debug, Default)]
+pub(super) struct Spun {
+    /// The telemetry until then.
+    pub(super) readings: Vec<BoardReading>,
+    /// The board's reason, if the jog ended.
+    pub(super) ended: Option<StopCause>,
+}
+
+impl Spun {
+    /// Highest speed, m/s.
+    pub(super) fn fastest(&self) -> f64 {
+        let speeds = self
+            .readings
+            .iter()
+            .map(|reading| reading.motor_speed.abs());
+        speeds.fold(0.0, f64::max)
+    }
+
+    /// Speed before the end, m/s.
+    pub(super) fn last_speed(&self) -> f64 {
+        let from = self.readings.len().saturating_sub(20);
+        mean_speed(&self.readings[from..])
+    }
+
+    /// Whether the wheels came to rest while their pulse still drove them.
+    pub(super) fn stopped_under_drive(&self) -> bool {
+        let stands = self
+            .readings
+            .last()
+            .is_some_and(|reading| reading.motor_speed == 0.0);
+        // The board can't distinguish a motor that does not turn from a dead sensor.
+        stands
+            || self
+                .ended
+                .is_some_and(|cause| cause == StopCause::MotorSensor)
+    }
+}
+
+/// The pulse at this distance from neutral.
+pub(super) fn beyond(neutral_us: u16, offset_us: u16, forward: bool) -> u16 {
+    if forward {
+        neutral_us + offset_us
+    } else {
+        neutral_us.saturating_sub(offset_us)
+    }
+}
+
+/// Mean magnitude of the speed; zero without telemetry.
+pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
+    let sum: f64 = readings
+        .iter()
+        .map(|reading| reading.motor_speed.abs())
+        .sum();
+    sum / readings.len().max(1) as f64
+}
+
+/// The way of wheels that slow down, m. The board takes half a second to report that they
+/// stand: what is slower than [`CREEPS`] does not count.
+pub(super) fn way(readings: &[BoardReading]) -> f64 {
+    readings
+        .windows(2)
+        .take_while(|pair| pair[1].motor_speed.abs() > CREEPS)
+        .map(|pair| {
+            let elapsed = pair[1].receive.seconds_since(pair[0].receive);
+            pair[1].motor_speed.abs() * elapsed
+        })
+        .sum()
+}
