@@ -6,12 +6,12 @@ use singletrack_protocol::JOG_LIMIT_US;
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, change, conclude, failed},
+    outcome::{Outcome, Trouble, change, conclude, failed, step},
     spin::{CREEPS, beyond, way},
 };
-use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter};
+use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter, Step};
 
-pub(super) const NAME: &str = "esc-kind";
+pub(super) const STEP: Step = step("esc-kind", "What a pulse below neutral does", run);
 
 /// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
 /// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
@@ -36,13 +36,12 @@ const FROM_M_S: f64 = 0.65;
 /// Measurements at speed of each, rolling and below neutral.
 const TIMES: u32 = 2;
 
-pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find(bench);
+fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        NAME,
+        &STEP,
         "board.esc.kind says what a pulse below neutral does.",
-        outcome,
+        find,
     )
 }
 

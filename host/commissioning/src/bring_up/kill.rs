@@ -2,10 +2,10 @@
 
 use super::{
     car::armed,
-    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed},
+    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed, step},
     questions,
 };
-use crate::{Bench, BoardReading, Finding, Interrupted};
+use crate::{Bench, BoardReading, Finding, Interrupted, Step};
 
 /// Time for which an armed board holds neutral, s.
 const ARMED_S: f64 = 1.0;
@@ -16,20 +16,23 @@ const CUT_WITHIN_S: f64 = 6.0;
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
 
-pub(super) const NAME: &str = "kill";
+pub(super) const STEP: Step = step("kill", "The kill switch of the ESC's supply", run);
 
-pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = if bench.configuration().board.kill_output {
+fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    conclude(
+        bench,
+        &STEP,
+        "The supply of the ESC can be cut, also while its pulse drives the motor.",
+        find,
+    )
+}
+
+fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    if bench.configuration().board.kill_output {
         by_board(bench)
     } else {
         by_hand(bench)
-    };
-    conclude(
-        bench,
-        NAME,
-        "The supply of the ESC can be cut, also while its pulse drives the motor.",
-        outcome,
-    )
+    }
 }
 
 fn by_board(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {

@@ -22,7 +22,7 @@ mod stand;
 mod steering;
 mod stops;
 
-use crate::{Bench, Finding, Interrupted, Step};
+use crate::Step;
 
 /// The steps. The ESC is watched at neutral for a minute in each order, to find a motor that
 /// turns only now and then.
@@ -38,47 +38,21 @@ pub const fn steps() -> &'static [Step] {
 #[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
-        step(stand::NAME, "The car on its stand", stand::run),
-        step(kill::NAME, "The kill switch of the ESC's supply", kill::run),
-        step(
-            neutral::NAME,
-            "The ESC at neutral",
-            neutral::run::<NEUTRAL_S>,
-        ),
-        step(
-            steering::DIRECTION,
-            "Direction of the servo",
-            steering::direction,
-        ),
-        step(steering::CENTRE, "Centre of the servo", steering::centre),
-        step(steering::STOPS, "End stops of the servo", steering::stops),
-        step(steering::GAIN, "Gain of the servo", steering::gain),
-        step(motor::DIRECTION, "Direction of the motor", motor::direction),
-        step(motor::MAP, "Deadband and speeds of the motor", motor::map),
-        step(
-            esc_kind::NAME,
-            "What a pulse below neutral does",
-            esc_kind::run,
-        ),
-        step(stops::SILENCE, "Stop: no more jogs", stops::silence),
-        step(stops::DISARM, "Stop: disarm", stops::disarm),
-        step(stops::SWITCH, "Stop: the stop switch", stops::switch),
-        step(stops::RESET, "Stop: reset of the board", stops::reset),
-        step(stops::UNPLUG, "Stop: the cable", stops::unplug),
-        step(stops::EMERGENCY, "Stop: emergency stop", stops::emergency),
+        stand::STEP,
+        kill::STEP,
+        neutral::step_with::<NEUTRAL_S>(),
+        steering::DIRECTION,
+        steering::CENTRE,
+        steering::STOPS,
+        steering::GAIN,
+        motor::DIRECTION,
+        motor::MAP,
+        esc_kind::STEP,
+        stops::SILENCE,
+        stops::DISARM,
+        stops::SWITCH,
+        stops::RESET,
+        stops::UNPLUG,
+        stops::EMERGENCY,
     ]
-}
-
-const fn step(
-    name: &'static str,
-    title: &'static str,
-    run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
-) -> Step {
-    Step {
-        name,
-        title,
-        // Each step relies on the ones before it.
-        essential: true,
-        run,
-    }
 }

@@ -11,12 +11,12 @@ use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, ask_word, change, conclude, failed},
+    outcome::{Outcome, Trouble, ask_word, change, conclude, failed, step},
     questions::{self, WAYS},
     spin::{CREEPS, beyond, mean_speed, way},
 };
 use crate::{
-    Bench, Finding, Interrupted, Interval, Jog, Parameter,
+    Bench, Finding, Interrupted, Interval, Jog, Parameter, Step,
     fit::{
         LeastSquares, least_squares, mean,
         speed_curve::{SpeedCurve, fit_speed_curve},
@@ -24,8 +24,8 @@ use crate::{
     },
 };
 
-pub(super) const DIRECTION: &str = "motor-direction";
-pub(super) const MAP: &str = "motor-map";
+pub(super) const DIRECTION: Step = step("motor-direction", "Direction of the motor", direction);
+pub(super) const MAP: Step = step("motor-map", "Deadband and speeds of the motor", map);
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
@@ -87,13 +87,12 @@ const LATE_S: [f64; 7] = [0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12];
 /// The widest band that an ESC ignores, to one side, us.
 const WIDEST_US: f64 = 60.0;
 
-pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_direction(bench);
+fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        DIRECTION,
+        &DIRECTION,
         "A pulse above neutral drives forward, and the motor's pulses count.",
-        outcome,
+        find_direction,
     )
 }
 
@@ -136,13 +135,12 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     }
 }
 
-pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_map(bench);
+fn map(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        MAP,
+        &MAP,
         "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
-        outcome,
+        find_map,
     )
 }
 

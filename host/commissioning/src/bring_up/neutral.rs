@@ -2,24 +2,25 @@
 
 use super::{
     car::{Car, armed},
-    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed},
+    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed, step},
     questions,
 };
-use crate::{Bench, BoardReading, Finding, Interrupted};
+use crate::{Bench, BoardReading, Finding, Interrupted, Step};
 
-pub(super) const NAME: &str = "esc-neutral";
+/// The step, watching for `SECONDS` in each order of switching on.
+pub(super) const fn step_with<const SECONDS: u32>() -> Step {
+    step("esc-neutral", "The ESC at neutral", run::<SECONDS>)
+}
 
 /// Most milliseconds of this step in which the board may refuse edges of the sensor.
 const REFUSED: u16 = 2;
 
-/// Watches for `SECONDS` in each order of switching on.
-pub(super) fn run<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find(bench, SECONDS.into());
+fn run<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        NAME,
+        &step_with::<SECONDS>(),
         "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
-        outcome,
+        |bench| find(bench, SECONDS.into()),
     )
 }
 

@@ -2,7 +2,7 @@
 
 use singletrack_protocol::StopCause;
 
-use crate::{Answer, Bench, Finding, Interrupted, Parameter, Question, Refused, Verdict};
+use crate::{Answer, Bench, Finding, Interrupted, Parameter, Question, Refused, Step, Verdict};
 
 /// Why a step is not completed.
 #[derive(Debug)]
@@ -73,14 +73,28 @@ impl Outcome {
     }
 }
 
-/// Makes a finding of the outcome, and disarms the car after any trouble.
+/// A step. Each relies on the ones before it, so all are essential.
+pub(super) const fn step(
+    name: &'static str,
+    title: &'static str,
+    run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
+) -> Step {
+    Step {
+        name,
+        title,
+        essential: true,
+        run,
+    }
+}
+
+/// Makes a finding of the outcome of a step, and disarms the car after any trouble.
 pub(super) fn conclude(
     bench: &mut dyn Bench,
-    step: &'static str,
+    step: &Step,
     expected: &str,
-    outcome: Result<Outcome, Trouble>,
+    find: impl FnOnce(&mut dyn Bench) -> Result<Outcome, Trouble>,
 ) -> Result<Finding, Interrupted> {
-    let outcome = match outcome {
+    let outcome = match find(bench) {
         Ok(outcome) => outcome,
         Err(trouble) => {
             // Refused where there is nothing to disarm.
@@ -104,7 +118,7 @@ pub(super) fn conclude(
         }
     };
     Ok(Finding {
-        step,
+        step: step.name,
         verdict: outcome.verdict,
         found: outcome.found,
         expected: expected.into(),

@@ -2,23 +2,22 @@
 
 use super::{
     car::Car,
-    outcome::{Outcome, Trouble, ask_yes, conclude, failed},
+    outcome::{Outcome, Trouble, ask_yes, conclude, failed, step},
     questions,
 };
-use crate::{Bench, Finding, Interrupted};
+use crate::{Bench, Finding, Interrupted, Step};
 
 /// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
 
-pub(super) const NAME: &str = "stand";
+pub(super) const STEP: Step = step("stand", "The car on its stand", run);
 
-pub(super) fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find(bench);
+fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        NAME,
+        &STEP,
         "All wheels are clear of the floor, the cameras see the car, and it stands still.",
-        outcome,
+        find,
     )
 }
 

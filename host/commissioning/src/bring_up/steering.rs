@@ -5,11 +5,11 @@
 
 use super::{
     car::{Car, armed},
-    outcome::{Outcome, Trouble, ask_number, ask_word, ask_yes, change, conclude, failed},
+    outcome::{Outcome, Trouble, ask_number, ask_word, ask_yes, change, conclude, failed, step},
     questions::{self, SIDES},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter,
+    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Step,
     fit::steering::{Steering, fit_steering},
 };
 
@@ -51,10 +51,10 @@ const READING_RAD: f64 = 0.0175;
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
 
-pub(super) const DIRECTION: &str = "servo-direction";
-pub(super) const CENTRE: &str = "servo-centre";
-pub(super) const STOPS: &str = "servo-stops";
-pub(super) const GAIN: &str = "servo-gain";
+pub(super) const DIRECTION: Step = step("servo-direction", "Direction of the servo", direction);
+pub(super) const CENTRE: Step = step("servo-centre", "Centre of the servo", centre);
+pub(super) const STOPS: Step = step("servo-stops", "End stops of the servo", stops);
+pub(super) const GAIN: Step = step("servo-gain", "Gain of the servo", gain);
 
 /// Moves the servo and leaves it there.
 fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
@@ -118,13 +118,12 @@ fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
     ask_word(bench, &questions::front_wheels(), SIDES).map(direction_of)
 }
 
-pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_direction(bench);
+fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        DIRECTION,
+        &DIRECTION,
         "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
-        outcome,
+        find_direction,
     )
 }
 
@@ -168,13 +167,12 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ))
 }
 
-pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_centre(bench);
+fn centre(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        CENTRE,
+        &CENTRE,
         "The front wheels point straight on at board.servo.centre_us.",
-        outcome,
+        find_centre,
     )
 }
 
@@ -268,13 +266,12 @@ fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     Ok(outcome.with(vec![parameter]))
 }
 
-pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_stops(bench);
+fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        STOPS,
+        &STOPS,
         "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
-        outcome,
+        find_stops,
     )
 }
 
@@ -367,13 +364,12 @@ fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ]))
 }
 
-pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_gain(bench);
+fn gain(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        GAIN,
+        &GAIN,
         "The angle of the front wheels follows board.servo.gain_us_per_rad.",
-        outcome,
+        find_gain,
     )
 }
 

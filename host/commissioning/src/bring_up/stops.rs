@@ -11,18 +11,18 @@ use singletrack_protocol::{BoardMode, JOG_LIMIT_US};
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, ask, ask_word, conclude, failed},
+    outcome::{Outcome, Trouble, ask, ask_word, conclude, failed, step},
     questions::{self, STOPS},
     spin::{Spun, mean_speed},
 };
-use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Question};
+use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Question, Step};
 
-pub(super) const SILENCE: &str = "stop-silence";
-pub(super) const DISARM: &str = "stop-disarm";
-pub(super) const SWITCH: &str = "stop-switch";
-pub(super) const RESET: &str = "stop-reset";
-pub(super) const UNPLUG: &str = "stop-unplug";
-pub(super) const EMERGENCY: &str = "stop-emergency";
+pub(super) const SILENCE: Step = step("stop-silence", "Stop: no more jogs", silence);
+pub(super) const DISARM: Step = step("stop-disarm", "Stop: disarm", disarm);
+pub(super) const SWITCH: Step = step("stop-switch", "Stop: the stop switch", switch);
+pub(super) const RESET: Step = step("stop-reset", "Stop: reset of the board", reset);
+pub(super) const UNPLUG: Step = step("stop-unplug", "Stop: the cable", unplug);
+pub(super) const EMERGENCY: Step = step("stop-emergency", "Stop: emergency stop", emergency);
 
 /// From a request to the neutral pulse at most, s.
 const PULSE_WITHIN_S: f64 = 0.2;
@@ -60,14 +60,13 @@ struct Stop {
     speed: f64,
 }
 
-/// Turns the motor at about 0.5 m/s.
-fn turn(car: &mut Car<'_>) -> Result<(Jog, f64), Trouble> {
+/// Turns the motor at about 0.5 m/s; returns the speed.
+fn turn(car: &mut Car<'_>) -> Result<f64, Trouble> {
     let deadband_us = car.bench().configuration().board.esc.deadband_us;
     let Some(jog) = car.spin(deadband_us + 4)? else {
         return Err(never_turned(JOG_LIMIT_US));
     };
-    let speed = mean_speed(&car.hold(jog, 0.4, "turning")?);
-    Ok((jog, speed))
+    Ok(mean_speed(&car.hold(jog, 0.4, "turning")?))
 }
 
 /// Watches a stop that began now.
@@ -149,42 +148,43 @@ impl Stop {
     }
 }
 
-pub(super) fn silence(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = armed(bench, |car| {
-        let (_, speed) = turn(car)?;
-        watch(car, speed)
-    })
-    .and_then(|stop| stop.outcome(SILENCE, HOLD_S + PULSE_WITHIN_S));
+fn silence(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        SILENCE,
+        &SILENCE,
         "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
-        outcome,
+        |bench| {
+            let stop = armed(bench, |car| {
+                let speed = turn(car)?;
+                watch(car, speed)
+            })?;
+            stop.outcome(SILENCE.name, HOLD_S + PULSE_WITHIN_S)
+        },
     )
 }
 
-pub(super) fn disarm(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = armed(bench, |car| {
-        let (_, speed) = turn(car)?;
-        car.request_disarm()?;
-        watch(car, speed)
-    })
-    .and_then(|stop| stop.outcome(DISARM, PULSE_WITHIN_S));
+fn disarm(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        DISARM,
+        &DISARM,
         "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-        outcome,
+        |bench| {
+            let stop = armed(bench, |car| {
+                let speed = turn(car)?;
+                car.request_disarm()?;
+                watch(car, speed)
+            })?;
+            stop.outcome(DISARM.name, PULSE_WITHIN_S)
+        },
     )
 }
 
-pub(super) fn switch(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = find_switch(bench);
+fn switch(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        SWITCH,
+        &SWITCH,
         "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
-        outcome,
+        find_switch,
     )
 }
 
@@ -215,28 +215,28 @@ fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     readings.extend(car.watch(WATCHED_S, "stopping")?);
     let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
     ask(bench, &questions::close_switch())?;
-    stop.outcome(SWITCH, PULSE_WITHIN_S)
+    stop.outcome(SWITCH.name, PULSE_WITHIN_S)
 }
 
-pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let stop = by_request(bench);
-    let outcome = match stop {
-        Ok(stop) => ask(bench, &questions::clear_latch())
-            .and_then(|_| stop.outcome(EMERGENCY, PULSE_WITHIN_S)),
-        Err(trouble) => Err(trouble),
-    };
+fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        EMERGENCY,
+        &EMERGENCY,
         "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-        outcome,
+        find_emergency,
     )
+}
+
+fn find_emergency(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    let stop = by_request(bench)?;
+    ask(bench, &questions::clear_latch())?;
+    stop.outcome(EMERGENCY.name, PULSE_WITHIN_S)
 }
 
 fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
     let mut car = Car::look(bench)?;
     car.arm()?;
-    let (_, speed) = turn(&mut car)?;
+    let speed = turn(&mut car)?;
     car.request_emergency_stop()?;
     let stop = watch(&mut car, speed)?;
     let latched = car
@@ -258,23 +258,21 @@ fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
     car.spin_for_hand(deadband_us + 4, HAND_S, what)
 }
 
-pub(super) fn reset(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = unheard(bench, &questions::reset_at_speed(), None);
+fn reset(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        RESET,
+        &RESET,
         "A reset of the board stops the motor at once.",
-        outcome,
+        |bench| unheard(bench, &questions::reset_at_speed(), None),
     )
 }
 
-pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let outcome = unheard(bench, &questions::unplug(), Some(questions::plug_in()));
+fn unplug(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     conclude(
         bench,
-        UNPLUG,
+        &UNPLUG,
         "A pulled cable stops the motor at once.",
-        outcome,
+        |bench| unheard(bench, &questions::unplug(), Some(questions::plug_in())),
     )
 }
 
