@@ -5,9 +5,13 @@
 //! | `{"version":2,"command":"status"}` | `{"version":2,"ok":true,"status":{...}}` |
 //! | `{"version":2,"command":"arm","attendance":"hold"}` | when the car drives, or why it does not; then how the drive goes on, and how it ended |
 //! | `{"version":2,"command":"hold"}` | nothing: it renews the drive that the connection holds |
+//! | `{"version":2,"command":"arm","attendance":"hold","jog":true}` | when the board takes pulses, or why it does not; then as for a drive |
+//! | `{"version":2,"command":"jog","servo_us":1500,"esc_us":1500}` | nothing: pulses, which renew the jog that the connection holds |
 //! | `{"version":2,"command":"disarm"}` | at once; the car slows down and stops. After an emergency stop the board stays stopped until it is reset: the answer has a `note` that says so |
 //! | `{"version":2,"command":"stop"}` | at once; neutral until the board is reset |
 //! | `{"version":2,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":2,"ok":true,"configuration":2}`, with `warnings` if there are any, or why it is not |
+//! | `{"version":2,"command":"reload"}` | when the file of the configuration is in force again, as for `set-reference`, or why it is not |
+//! | `{"version":2,"command":"commissioned","procedure":"doctor","result":"passed"}` | when the state of the procedure is kept |
 //! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is invalid or not in use |
 //! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
 //!
@@ -36,14 +40,19 @@
 //! that sends invalid set-points without reading the answers is not read any more once the
 //! answers fill its connection.
 
+mod arm;
 mod attend;
 mod bind;
 mod command;
+mod drives;
+mod progress;
 mod serve;
+#[cfg(test)]
+mod tests;
 mod thread;
 
-pub(crate) use attend::Drives;
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
 pub use command::{Arm, Attendance, Command, Question, SOCKET_VERSION};
+pub(crate) use drives::Drives;
 pub(crate) use thread::SocketThread;

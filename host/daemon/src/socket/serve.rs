@@ -24,7 +24,8 @@ use tokio::{
 };
 
 use super::{
-    attend::{arm, hold, jog},
+    arm::arm,
+    attend::{hold, jog},
     command::{Attendance, Command, Question, SOCKET_VERSION},
 };
 use crate::{

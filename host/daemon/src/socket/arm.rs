@@ -1,0 +1,151 @@
+//! Requests to arm and to jog: the checks before they reach the pilot, and timed drives.
+//!
+//! A task of this thread renews a timed drive until its time is over. If the thread dies, the
+//! renewals end too, and the car stops.
+
+use std::time::Duration;
+
+use singletrack_pilot::{Mode, PilotRequest};
+use tokio::{
+    task::spawn_blocking,
+    time::{Instant, MissedTickBehavior, interval, sleep},
+};
+
+use super::{
+    command::{Arm, Attendance},
+    drives::Ticket,
+    progress::{DriveWatch, POLL, Progress},
+    serve::{cannot_arm, not_ready},
+};
+use crate::{handle::DaemonHandle, judgement};
+
+/// Interval of the renewals of a timed drive, and what a client of a held one should use.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// Requests to arm an unattended or timed drive, and waits for the outcome.
+pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), String> {
+    let (ticket, mut watch) = begin(daemon, request).await?;
+    if let Attendance::Timed(time) = request.attendance {
+        // Renews also while the board arms.
+        tokio::spawn(renew(ticket, daemon.clone(), time));
+    }
+    loop {
+        sleep(POLL).await;
+        match watch.progress(&daemon.snapshot()) {
+            Progress::Underway if watch.has_driven => return Ok(()),
+            Progress::Underway => {}
+            Progress::Refused(error) => return Err(error),
+            Progress::Ended(mode, reason) => return Err(cannot_arm(mode, reason)),
+        }
+    }
+}
+
+/// Passes a request to arm on, if the car can drive its reference from where it stands.
+///
+/// The judgement takes up to 0.3 s. Meanwhile other clients are served and the car stands:
+/// nothing has been asked of the pilot. A disarm, a stop, another mode or another configuration
+/// that comes in this time ends the request.
+pub(super) async fn begin(
+    daemon: &DaemonHandle,
+    request: Arm,
+) -> Result<(Ticket, DriveWatch), String> {
+    let Arm {
+        attendance,
+        uncalibrated,
+    } = request;
+    ready(daemon)?;
+    let judging = daemon
+        .drives
+        .judging()
+        .try_lock_owned()
+        .map_err(|_| "can't arm: the request of another client is being judged")?;
+    let stops = daemon.drives.stops();
+    let judged = daemon.clone();
+    let longest = match attendance {
+        Attendance::Timed(time) => Some(time),
+        Attendance::Hold | Attendance::Unattended => None,
+    };
+    let judgement = spawn_blocking(move || {
+        // Also held if the client hangs up.
+        let _judging = judging;
+        let (number, config) = judged.reconfigurer.in_force();
+        let stand = judgement::stand(&judged.snapshot());
+        let refusal = (!uncalibrated)
+            .then(|| judged.commissioned.refusal(&config))
+            .flatten();
+        let refusal = refusal.or_else(|| judgement::refusal(&config, stand, longest));
+        (number, refusal)
+    });
+    let (number, refusal) = judgement.await.map_err(|error| error.to_string())?;
+    if let Some(refusal) = refusal {
+        return Err(format!("can't arm: {refusal}"));
+    }
+    // From here to the request nothing is waited for: no other client comes between.
+    if daemon.drives.stops() != stops {
+        return Err("can't arm: a disarm or a stop has come meanwhile".to_owned());
+    }
+    if daemon.reconfigurer.view().number != number {
+        return Err("can't arm: the configuration has changed meanwhile; arm again".to_owned());
+    }
+    ready(daemon)?;
+    let ticket = daemon.drives.next();
+    let request = match attendance {
+        Attendance::Unattended => PilotRequest::Arm,
+        Attendance::Hold | Attendance::Timed(_) => PilotRequest::ArmHeld,
+    };
+    ticket.push(daemon, request)?;
+    Ok((ticket, DriveWatch::new()))
+}
+
+/// Checks that the pilot can be armed now, and that no other client has just asked for it.
+fn ready(daemon: &DaemonHandle) -> Result<(), String> {
+    let snapshot = daemon.snapshot();
+    if snapshot.mode() != Mode::Ready {
+        return Err(not_ready(&snapshot));
+    }
+    if daemon.drives.is_open(&snapshot) {
+        return Err("can't arm: another client has just armed".to_owned());
+    }
+    Ok(())
+}
+
+/// Passes a request to jog on. There is nothing to judge: poses, geofence and reference do not
+/// matter.
+pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), String> {
+    let snapshot = daemon.snapshot();
+    if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
+        return Err(cannot_arm(snapshot.mode(), snapshot.reason()));
+    }
+    if daemon.drives.is_open(&snapshot) {
+        return Err("can't arm: another client has just armed".to_owned());
+    }
+    let ticket = daemon.drives.next();
+    ticket.push(daemon, PilotRequest::ArmJog)?;
+    Ok((ticket, DriveWatch::new()))
+}
+
+/// Renews a drive until `time` after it began to drive, then ends it.
+async fn renew(ticket: Ticket, daemon: DaemonHandle, time: Duration) {
+    let mut watch = DriveWatch::new();
+    let mut driving_since = None;
+    let mut renewals = interval(RENEWAL);
+    renewals.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        renewals.tick().await;
+        match watch.progress(&daemon.snapshot()) {
+            Progress::Underway => {}
+            Progress::Refused(_) | Progress::Ended(..) => return,
+        }
+        if watch.has_driven {
+            let since = *driving_since.get_or_insert_with(Instant::now);
+            if since.elapsed() >= time {
+                // A stalled control thread stops the car by itself.
+                let _ = ticket.push(&daemon, PilotRequest::TimeUp);
+                return;
+            }
+        }
+        if ticket.push(&daemon, PilotRequest::Hold).is_err() {
+            return;
+        }
+    }
+}

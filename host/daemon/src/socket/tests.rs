@@ -1,0 +1,257 @@
+//! Requests to arm that come at a bad moment.
+
+use core::{
+    pin::pin,
+    task::{Context, Poll, Waker},
+};
+use std::sync::{Arc, mpsc};
+
+use rtrb::{Consumer, RingBuffer};
+use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
+use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_record::LinkPhase;
+use tokio::{
+    io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
+    net::UnixStream,
+    runtime::{Builder, Runtime},
+};
+
+use super::{
+    arm::begin,
+    command::{Arm, Attendance, Question},
+    drives::Drives,
+    serve::{answer, serve},
+};
+use crate::{
+    clock::monotonic_ns, commissioned_file::CommissionedFile, handle::DaemonHandle,
+    realtime::RealTimeStatus, reconfigure::Reconfigurer, shared_status::SharedStatus,
+    snapshot::TickView,
+};
+
+const UNATTENDED: Arm = Arm {
+    attendance: Attendance::Unattended,
+    uncalibrated: true,
+};
+
+const HELD: Arm = Arm {
+    attendance: Attendance::Hold,
+    uncalibrated: true,
+};
+
+/// A daemon without threads: the test sets the mode, and requests stay in their ring.
+struct Bench {
+    daemon: DaemonHandle,
+    requests: Consumer<ControlRequest>,
+    runtime: Runtime,
+}
+
+impl Bench {
+    /// With the example's circle, which can be driven.
+    fn ready() -> Self {
+        let text = include_str!("../../singletrackd.example.toml");
+        let mut config = Config::from_toml(text).unwrap();
+        config.state.directory = "/nonexistent".into();
+        let commissioned = CommissionedFile::load(&config.state.directory);
+        let host =
+            Host::<crate::serial_port::WriteHalf>::new(config, HostOptions::default()).unwrap();
+        let (ring, requests) = RingBuffer::new(16);
+        let ring = Requests::new(ring);
+        let (entries, _) = mpsc::channel();
+        let daemon = DaemonHandle {
+            status: Arc::new(SharedStatus::new()),
+            reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
+            requests: ring,
+            setpoints: host.setpoints,
+            jogs: host.jogs,
+            config_path: None,
+            realtime: RealTimeStatus {
+                fifo_priority: None,
+                memory_locked: false,
+                idle_bounded: false,
+                refusals: Vec::new(),
+            },
+            commissioned,
+            drives: Drives::default(),
+            live: None,
+        };
+        let bench = Self {
+            daemon,
+            requests,
+            runtime: Builder::new_current_thread().enable_all().build().unwrap(),
+        };
+        bench.tick(Mode::Ready);
+        bench
+    }
+
+    /// The pilot has this mode after a tick.
+    fn tick(&self, mode: Mode) {
+        self.daemon.status.latest().tick = Some(TickView {
+            index: 0,
+            start_ns: monotonic_ns(),
+            mode,
+            reason: None,
+            preflight: None,
+            link: LinkPhase::Ready,
+            held: false,
+            drive_time_s: None,
+            estimate: None,
+            point: None,
+            reference: None,
+            steering_rad: 0.0,
+            speed_m_s: 0.0,
+        });
+    }
+
+    /// The outcome of an `arm` during whose judgement something happens.
+    fn arm_while(&self, happens: impl FnOnce(&Self)) -> Result<(), String> {
+        let _context = self.runtime.enter();
+        let judging = self.daemon.reconfigurer.pause();
+        let mut begun = pin!(begin(&self.daemon, UNATTENDED));
+        // It runs up to the judgement, which waits for the configuration.
+        let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(polled.is_pending());
+        happens(self);
+        drop(judging);
+        self.runtime.block_on(begun).map(drop)
+    }
+
+    /// The refusal of an `arm`, without waiting for anything.
+    fn refusal_now(&self) -> String {
+        let begun = pin!(begin(&self.daemon, UNATTENDED));
+        match begun.poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(Err(error)) => error,
+            Poll::Ready(Ok(_)) => "armed".to_owned(),
+            Poll::Pending => "judged".to_owned(),
+        }
+    }
+
+    fn ask(&self, question: Question) {
+        let answered = self.runtime.block_on(answer(question, &self.daemon));
+        assert_eq!(answered["ok"], true);
+    }
+
+    /// The requests that have reached the pilot.
+    fn requests(&mut self) -> Vec<ControlRequest> {
+        core::iter::from_fn(|| self.requests.pop().ok()).collect()
+    }
+}
+
+#[test]
+fn a_second_arm_is_refused_while_the_first_is_judged_and_until_it_has_reached_the_pilot() {
+    let mut bench = Bench::ready();
+    let result = bench.arm_while(|bench| {
+        let error = bench.refusal_now();
+        assert!(error.contains("another client is being judged"), "{error}");
+    });
+    assert_eq!(result, Ok(()));
+    let error = bench.refusal_now();
+    assert!(error.contains("another client has just armed"), "{error}");
+    assert_eq!(bench.requests(), [ControlRequest::Pilot(PilotRequest::Arm)]);
+}
+
+#[test]
+fn what_comes_while_an_arm_is_judged_ends_it() {
+    type Happens = fn(&Bench);
+    let cases: [(Happens, &str, Option<PilotRequest>); 4] = [
+        (
+            |bench| bench.ask(Question::Disarm),
+            "a disarm or a stop has come meanwhile",
+            Some(PilotRequest::Disarm),
+        ),
+        (
+            |bench| bench.ask(Question::Stop),
+            "a disarm or a stop has come meanwhile",
+            Some(PilotRequest::EmergencyStop),
+        ),
+        (
+            |bench| bench.daemon.reconfigurer.renumber(),
+            "the configuration has changed meanwhile",
+            None,
+        ),
+        (|bench| bench.tick(Mode::Idle), "mode idle", None),
+    ];
+    for (happens, refusal, request) in cases {
+        let mut bench = Bench::ready();
+        let error = bench.arm_while(happens).unwrap_err();
+        assert!(error.contains(refusal), "{refusal}: {error}");
+        let passed: Vec<_> = request.into_iter().map(ControlRequest::Pilot).collect();
+        assert_eq!(bench.requests(), passed, "{refusal}");
+        if request.is_some() {
+            // It voids no later one.
+            assert_eq!(bench.arm_while(|_| {}), Ok(()), "{refusal}");
+        }
+    }
+}
+
+#[test]
+fn a_car_that_has_passed_no_procedure_is_not_armed_unless_the_client_says_so() {
+    let mut bench = Bench::ready();
+    let calibrated = Arm {
+        uncalibrated: false,
+        ..UNATTENDED
+    };
+    let error = bench
+        .runtime
+        .block_on(begin(&bench.daemon, calibrated))
+        .map(drop)
+        .unwrap_err();
+    assert!(error.contains("Run `singletrack doctor`"), "{error}");
+    assert_eq!(bench.requests(), []);
+    assert_eq!(bench.arm_while(|_| {}), Ok(()));
+}
+
+#[test]
+fn a_client_that_hangs_up_while_its_arm_is_judged_arms_nothing() {
+    let mut bench = Bench::ready();
+    {
+        let _context = bench.runtime.enter();
+        let judging = bench.daemon.reconfigurer.pause();
+        let mut begun = Box::pin(begin(&bench.daemon, HELD));
+        let polled = begun.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(polled.is_pending());
+        drop(begun);
+        // The judgement goes on for its own sake, one at a time.
+        let error = bench.refusal_now();
+        assert!(error.contains("another client is being judged"), "{error}");
+        drop(judging);
+    }
+    let judging = bench.daemon.drives.judging();
+    drop(bench.runtime.block_on(judging.lock()));
+    assert_eq!(bench.requests(), []);
+    assert_eq!(bench.arm_while(|_| {}), Ok(()));
+}
+
+#[test]
+fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_drive_too() {
+    let mut bench = Bench::ready();
+    let answers = bench.runtime.block_on(async {
+        let (client, server) = UnixStream::pair().unwrap();
+        let client = async move {
+            let (read, mut write) = client.into_split();
+            let lines = concat!(
+                r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+                "\n",
+                r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#,
+                "\n",
+                r#"{"version":2,"command":"watch"}"#,
+                "\n",
+            );
+            write.write_all(lines.as_bytes()).await.unwrap();
+            let mut read = BufReader::new(read).lines();
+            [
+                read.next_line().await.unwrap().unwrap(),
+                read.next_line().await.unwrap().unwrap(),
+            ]
+        };
+        let (served, answers) = tokio::join!(serve(server, &bench.daemon), client);
+        served.unwrap();
+        answers
+    });
+    assert!(
+        answers[0].contains("set-points are not in use"),
+        "{answers:?}"
+    );
+    assert!(answers[1].contains("it takes hold, status"), "{answers:?}");
+    let requests = [PilotRequest::ArmHeld, PilotRequest::OperatorGone];
+    assert_eq!(bench.requests(), requests.map(ControlRequest::Pilot));
+}
