@@ -1,0 +1,99 @@
+//! Handles the events of a tick.
+
+use singletrack_control::{PoseSample, PoseVerdict, Reference};
+
+use super::Pilot;
+use crate::{
+    event::{BoardSample, Event},
+    supervisor::Mode,
+};
+
+impl Pilot {
+    /// Handles an event; true if it is a pose and was accepted.
+    pub(super) fn handle(&mut self, event: &Event) -> bool {
+        match event {
+            Event::Pose(pose) => return self.handle_pose(pose),
+            Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
+            Event::Board(sample) => self.handle_board(sample),
+            Event::Link(link) => self.supervisor.handle_link(*link),
+            Event::Request(request) => self.supervisor.handle_request(*request),
+            Event::ArmRefused => self.supervisor.handle_arm_refused(),
+            Event::Health(health) => self.supervisor.handle_health(*health),
+            Event::Line(line) => self.supervisor.handle_line(*line),
+            Event::RealTime(state) => self.supervisor.handle_real_time(*state),
+            Event::Setpoint(setpoint) => {
+                if let Reference::External(external) = &mut self.config.reference {
+                    external.handle(setpoint);
+                }
+            }
+            Event::Jog(jog) => {
+                self.supervisor.handle_jog();
+                self.jog = Some(*jog);
+            }
+            Event::Attitude(sample) => self.attitude.handle(sample, &self.config.watch),
+            Event::Proved(proved) => self.proved = *proved,
+            // The caller has called `reconfigure` before this tick.
+            Event::Reconfigured(_) => {}
+        }
+        false
+    }
+
+    fn handle_pose(&mut self, pose: &PoseSample) -> bool {
+        self.frozen.pose(pose, &self.config.watch);
+        let accepted = self.estimator.handle_pose(pose) == PoseVerdict::Accepted;
+        if accepted {
+            self.innovations
+                .pose(self.estimator.innovation(), &self.config.watch);
+            self.pose_time = Some(pose.capture);
+            self.supervisor.handle_pose();
+            self.blind.seen(pose.capture);
+            let centre = self.estimator.centre_of_mass(pose);
+            self.speeds.pose(
+                pose.capture,
+                centre.position,
+                centre.yaw,
+                &self.config.watch,
+            );
+            let config = &self.config;
+            let rear_axle = config.estimator.rear_axle_distance;
+            let step = self
+                .steps
+                .pose(pose.capture, centre.position, centre.yaw, rear_axle);
+            if let Some(step) = step {
+                if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
+                    let wheelbase = config.estimator.wheelbase;
+                    self.start.step(&step);
+                    self.sideslip.step(&step, &config.watch);
+                    self.steering.step(&step, wheelbase, &config.watch);
+                    if let Some(proving) = &mut self.proving {
+                        proving.step(&step, wheelbase, config.watch.pulse_distance);
+                    }
+                } else if self.supervisor.mode() != Mode::Jogging {
+                    self.push.step(&step);
+                }
+            }
+        }
+        accepted
+    }
+
+    fn handle_board(&mut self, sample: &BoardSample) {
+        self.supervisor.handle_board(sample.state);
+        self.motor_speed = sample.motor_speed;
+        self.board_time = Some(sample.time);
+        self.steps.motor(sample.time, sample.motor_speed);
+        if let Some(inertial) = &sample.inertial {
+            self.imu_time = Some(inertial.time);
+            let supervisor = &self.config.supervisor;
+            let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
+            self.imu.handle(inertial, &self.config.watch, still);
+            let rests = self.imu.is_still()
+                && sample.motor_speed == 0.0
+                && !self.supervisor.mode().commands();
+            self.steps.inertial(inertial, rests);
+        }
+        self.speeds.motor(sample.motor_speed);
+        if let Some(inertial) = sample.inertial {
+            self.estimator.handle_inertial(inertial, sample.motor_speed);
+        }
+    }
+}

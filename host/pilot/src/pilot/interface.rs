@@ -1,0 +1,101 @@
+//! What the pilot is given and gives: configuration, commands, the result of a tick.
+
+use singletrack_control::{
+    Actuation, Estimate, EstimatorConfig, FrontPointLaw, Limits, Position, Reference,
+    ReferencePoint, Time, TrackingLoop, Velocity,
+};
+
+use crate::{
+    event::Jog,
+    fence::Fence,
+    supervisor::{BoardRequest, Mode, Reason, SupervisorConfig},
+    watch::WatchConfig,
+};
+
+/// The configuration of a [`Pilot`](crate::Pilot), in SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PilotConfig {
+    /// The law, with p and the assumed `l_f`.
+    pub law: FrontPointLaw,
+    /// The position loop.
+    pub tracking: TrackingLoop,
+    /// The path of P; its time counts from the first driving tick.
+    pub reference: Reference,
+    /// Limits of speed, acceleration and steering.
+    pub limits: Limits,
+    /// Parameters of the estimator.
+    pub estimator: EstimatorConfig,
+    /// The limits at which the car slows down or stops.
+    pub supervisor: SupervisorConfig,
+    /// The limits of plausible sensors and of tick timing.
+    pub watch: WatchConfig,
+    /// The geofence.
+    pub fence: Fence,
+    /// The measured deceleration of the car during a stop, m/s². It bounds the braking
+    /// distance: a motor at neutral may brake less than `stop_deceleration` commands.
+    pub braking: f64,
+    /// The commanded deceleration of a stop, m/s².
+    pub stop_deceleration: f64,
+    /// The control period, s.
+    pub period: f64,
+}
+
+/// A command to the board, in force until the next tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveCommand {
+    /// Speed of the rear axle, m/s.
+    pub rear_speed: f64,
+    /// Steering angle, rad; positive to the left.
+    pub steering: f64,
+    /// Mid-exposure of the last accepted pose that the command rests on.
+    pub pose_time: Time,
+    /// Whether the ESC should brake down to the speed, where it can.
+    pub brake: bool,
+}
+
+/// The result of a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Output {
+    /// The mode after the tick.
+    pub mode: Mode,
+    /// Why the car does not drive, or stopped.
+    pub reason: Option<Reason>,
+    /// The estimated state that the tick acted on.
+    pub estimate: Option<Estimate>,
+    /// Whether no pose was accepted since the last tick.
+    pub held: bool,
+    /// Time since the first driving tick, s; `None` outside a drive.
+    pub drive_time: Option<f64>,
+    /// Wanted position and velocity of P, from the reference.
+    pub reference: Option<ReferencePoint>,
+    /// Position of P, from the estimate and the commanded steering.
+    pub point: Option<Position>,
+    /// Wanted velocity of P after the position loop, m/s.
+    pub point_velocity: Option<Velocity>,
+    /// Speed of G and steering, after the limits.
+    pub actuation: Actuation,
+    /// Whether the car turns around to a wanted velocity behind it.
+    pub turning_round: bool,
+    /// The drive command for the board.
+    pub command: Option<DriveCommand>,
+    /// The pulses for the board, in [`Mode::Jogging`].
+    pub jog: Option<Jog>,
+    /// The request to the board.
+    pub request: Option<BoardRequest>,
+    /// Whether the car has proved its configuration in this tick: the first metre showed
+    /// no contradiction.
+    pub proved: bool,
+    /// Whether the configuration counts as proved no longer, since this tick: a contradiction
+    /// ended the drive, or the brakes are too weak.
+    pub disproved: bool,
+    /// The deceleration of the stop that ended in this tick, m/s².
+    pub braking_measured: Option<f64>,
+    /// Why an arm request would be refused now; `None` if it would not, or while a drive is
+    /// underway. Unlike `reason`, it never says why the last drive ended.
+    pub preflight: Option<Reason>,
+}
+
+/// The configuration was not replaced because a drive is underway, in this mode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the car drives (mode {0}): disarm it first")]
+pub struct Underway(pub Mode);
