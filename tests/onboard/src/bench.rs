@@ -248,7 +248,7 @@ impl Bench for VirtualBench {
     }
 
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
-        let Some(think_s) = self.person.consider(question, self.drive.world_mut()) else {
+        let Some(think_s) = self.person.consider(question, self.drive.world()) else {
             *self.unknown.entry(question.id.to_string()).or_default() += 1;
             self.pass(1.0);
             return Ok(Answer::Skip);

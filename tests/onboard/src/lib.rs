@@ -21,5 +21,6 @@ pub use campaign::{
 pub use car::{HALL_M, OnboardCar, PlantedFault};
 pub use circle::Circle;
 pub use guard::{Guard, Violation};
+pub use person::{Hands, Person};
 pub use random::Random;
 pub use truths::truth_of;
