@@ -12,6 +12,7 @@ mod circle;
 mod guard;
 mod person;
 mod random;
+mod rehearsal;
 mod truths;
 
 pub use bench::{BenchError, VirtualBench};
@@ -23,4 +24,5 @@ pub use circle::Circle;
 pub use guard::{Guard, Violation};
 pub use person::{Hands, Person};
 pub use random::Random;
+pub use rehearsal::{Rehearsal, RehearsalError, RehearsedStep};
 pub use truths::truth_of;

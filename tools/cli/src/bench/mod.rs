@@ -275,7 +275,11 @@ impl LiveBench {
         let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
         self.terminal.await_release();
         let mut is_told = false;
-        while !self.terminal.is_released().map_err(|error| refused(&error))? {
+        while !self
+            .terminal
+            .is_released()
+            .map_err(|error| refused(&error))?
+        {
             if !is_told && self.terminal.was_pressed() {
                 is_told = true;
                 self.terminal.say("Let go of the space bar first.");
@@ -285,7 +289,11 @@ impl LiveBench {
         self.terminal.await_press();
         self.terminal
             .say("Hold the space bar: the car is armed while it is held.");
-        while !self.terminal.is_pressed().map_err(|error| refused(&error))? {
+        while !self
+            .terminal
+            .is_pressed()
+            .map_err(|error| refused(&error))?
+        {
             self.pump().map_err(|error| refused(&error))?;
         }
         Ok(())
@@ -329,8 +337,8 @@ impl LiveBench {
                     // Without set-points the car can't be armed.
                     lines.push(&stand);
                 }
-                let settled = (attendance == Attendance::Jog || begun.elapsed() >= SETTLES)
-                    && again <= sent;
+                let settled =
+                    (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
                 let hold = command("hold");
                 if asked.is_some() {
                     lines.push(&hold);
