@@ -1,8 +1,8 @@
 //! What a person does to a simulated car, as lines of text.
 
-use core::{fmt::Write as _, str::FromStr};
+use core::{fmt, str::FromStr};
 
-use crate::{HandMotion, StartPose, World};
+use crate::{HandMotion, LossKind, StartPose, World};
 
 /// A line that says what a person does, such as `roll 0.5 0.4`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +17,8 @@ pub enum HandCommand {
     Cable(bool),
     /// The stop switch: whether it is open.
     StopSwitch(bool),
+    /// Something over the markers: whether they are covered.
+    Markers(bool),
     /// The board's reset button.
     Reset,
     /// Nothing: what is seen is the answer to every command.
@@ -26,9 +28,10 @@ pub enum HandCommand {
 /// The commands, for people. Lengths are in m, angles in degrees, times in s; a point is given
 /// from the centre of mass, forward and left.
 pub const HAND_COMMANDS: &str = "\
-lift HEIGHT | put-down | roll DISTANCE SPEED | turn ANGLE FORWARD LEFT TIME | \
+lift HEIGHT | put-down | roll DISTANCE SPEED | turn ANGLE FORWARD LEFT TIME [WANDER] | \
 twist ANGLE FORWARD LEFT PERIOD TIME | tilt ROLL PITCH TIME | carry X Y YAW TIME | hold TIME | \
-esc on/off | battery on/off | cable on/off | stop-switch open/closed | reset | look";
+esc on/off | battery on/off | cable on/off | stop-switch open/closed | markers covered/visible | \
+reset | look";
 
 /// A line that is no command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -57,6 +60,7 @@ impl FromStr for HandCommand {
             ("battery", [state]) => Self::Battery(is(state, ["on", "off"])?),
             ("cable", [state]) => Self::Cable(is(state, ["on", "off"])?),
             ("stop-switch", [state]) => Self::StopSwitch(is(state, ["open", "closed"])?),
+            ("markers", [state]) => Self::Markers(is(state, ["covered", "visible"])?),
             ("reset", []) => Self::Reset,
             ("look", []) => Self::Look,
             _ => return Err(UnknownHandCommand),
@@ -81,12 +85,14 @@ fn motion(name: &str, numbers: &[f64]) -> Option<HandMotion> {
             distance_m,
             speed_m_s,
         },
-        ("turn", &[angle, forward, left, for_s]) => HandMotion::Turn {
-            angle_rad: angle.to_radians(),
-            about_m: [forward, left],
-            wander_m: 0.0,
-            for_s,
-        },
+        ("turn", &[angle, forward, left, for_s, ref wander @ ..]) if wander.len() < 2 => {
+            HandMotion::Turn {
+                angle_rad: angle.to_radians(),
+                about_m: [forward, left],
+                wander_m: wander.first().copied().unwrap_or_default(),
+                for_s,
+            }
+        }
         ("twist", &[angle, forward, left, period_s, for_s]) => HandMotion::Twist {
             amplitude_rad: angle.to_radians(),
             about_m: [forward, left],
@@ -120,34 +126,191 @@ impl HandCommand {
             Self::Battery(on) => world.car_mut().set_battery_plugged(on),
             Self::Cable(on) => world.set_wire_connected(on),
             Self::StopSwitch(open) => world.board_mut().set_stop_input_open(open),
+            Self::Markers(covered) => {
+                world.cameras_mut().faults_mut().loss = covered.then_some(LossKind::Occluded);
+            }
             Self::Reset => world.press_reset(),
             Self::Look => {}
         }
     }
 }
 
-/// What a person sees of the car, as `key value` pairs on one line. Nothing of it is misread.
-#[must_use]
-pub fn seen(world: &World) -> String {
-    let (truth, car) = (world.truth(), world.car());
-    let yes = |is: bool| if is { "yes" } else { "no" };
-    let mut text = String::new();
-    let _ = write!(
-        text,
-        "steering_deg {:.2} wheels_m_s {:.3} driven {} buzzes {} esc {} battery_v {:.2} \
-         x_m {:.4} y_m {:.4} yaw_deg {:.2} held {}",
-        truth.steering.to_degrees(),
-        truth.wheel_speed,
-        yes(car.motor_is_driven()),
-        yes(car.servo_strains()),
-        if car.esc_has_power() { "on" } else { "off" },
-        truth.battery_v,
-        truth.x,
-        truth.y,
-        truth.yaw.to_degrees(),
-        yes(truth.held),
-    );
-    text
+/// The line that is this command: it parses as the same one.
+impl fmt::Display for HandCommand {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let on = |on: bool| if on { "on" } else { "off" };
+        match *self {
+            Self::Move(motion) => write_motion(f, motion),
+            Self::Esc(is_on) => write!(f, "esc {}", on(is_on)),
+            Self::Battery(is_on) => write!(f, "battery {}", on(is_on)),
+            Self::Cable(is_on) => write!(f, "cable {}", on(is_on)),
+            Self::StopSwitch(true) => f.write_str("stop-switch open"),
+            Self::StopSwitch(false) => f.write_str("stop-switch closed"),
+            Self::Markers(true) => f.write_str("markers covered"),
+            Self::Markers(false) => f.write_str("markers visible"),
+            Self::Reset => f.write_str("reset"),
+            Self::Look => f.write_str("look"),
+        }
+    }
+}
+
+fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
+    match motion {
+        HandMotion::Lift { height_m } => write!(f, "lift {height_m}"),
+        HandMotion::PutDown => f.write_str("put-down"),
+        HandMotion::Roll {
+            distance_m,
+            speed_m_s,
+        } => write!(f, "roll {distance_m} {speed_m_s}"),
+        HandMotion::Turn {
+            angle_rad,
+            about_m: [forward, left],
+            wander_m,
+            for_s,
+        } => write!(
+            f,
+            "turn {} {forward} {left} {for_s} {wander_m}",
+            angle_rad.to_degrees()
+        ),
+        HandMotion::Twist {
+            amplitude_rad,
+            about_m: [forward, left],
+            period_s,
+            for_s,
+        } => write!(
+            f,
+            "twist {} {forward} {left} {period_s} {for_s}",
+            amplitude_rad.to_degrees()
+        ),
+        HandMotion::Tilt {
+            roll_rad,
+            pitch_rad,
+            for_s,
+        } => write!(
+            f,
+            "tilt {} {} {for_s}",
+            roll_rad.to_degrees(),
+            pitch_rad.to_degrees()
+        ),
+        HandMotion::Carry { to, for_s } => write!(
+            f,
+            "carry {} {} {} {for_s}",
+            to.x_m,
+            to.y_m,
+            to.yaw_rad.to_degrees()
+        ),
+        HandMotion::Hold { for_s } => write!(f, "hold {for_s}"),
+    }
+}
+
+/// What a person sees of the car. Nothing of it is misread.
+///
+/// As text it is `key value` pairs on one line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Angle of the front wheels, in degrees; positive is to the left.
+    pub steering_deg: f64,
+    /// Speed of the driven wheels, in m/s.
+    pub wheels_m_s: f64,
+    /// Whether the motor is driven.
+    pub driven: bool,
+    /// Whether the servo buzzes against a stop.
+    pub buzzes: bool,
+    /// Whether the ESC has its supply.
+    pub esc: bool,
+    /// Voltage of the battery, in V.
+    pub battery_v: f64,
+    /// Position of the centre of mass, in m.
+    pub x_m: f64,
+    /// As `x_m`.
+    pub y_m: f64,
+    /// Yaw of the car, in degrees.
+    pub yaw_deg: f64,
+    /// Whether the car is in hands or on a stand.
+    pub held: bool,
+    /// Whether its wheels turn freely.
+    pub wheels_up: bool,
+}
+
+impl Seen {
+    /// What is seen now.
+    #[must_use]
+    pub fn of(world: &World) -> Self {
+        let (truth, car) = (world.truth(), world.car());
+        Self {
+            steering_deg: truth.steering.to_degrees(),
+            wheels_m_s: truth.wheel_speed,
+            driven: car.motor_is_driven(),
+            buzzes: car.servo_strains(),
+            esc: car.esc_has_power(),
+            battery_v: truth.battery_v,
+            x_m: truth.x,
+            y_m: truth.y,
+            yaw_deg: truth.yaw.to_degrees(),
+            held: truth.held,
+            wheels_up: car.wheels_are_up(),
+        }
+    }
+}
+
+impl fmt::Display for Seen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let yes = |is: bool| if is { "yes" } else { "no" };
+        write!(
+            f,
+            "steering_deg {:.2} wheels_m_s {:.3} driven {} buzzes {} esc {} battery_v {:.2} \
+             x_m {:.4} y_m {:.4} yaw_deg {:.2} held {} wheels_up {}",
+            self.steering_deg,
+            self.wheels_m_s,
+            yes(self.driven),
+            yes(self.buzzes),
+            if self.esc { "on" } else { "off" },
+            self.battery_v,
+            self.x_m,
+            self.y_m,
+            self.yaw_deg,
+            yes(self.held),
+            yes(self.wheels_up),
+        )
+    }
+}
+
+/// A line that does not say what is seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not a line of what is seen")]
+pub struct NotSeen;
+
+impl FromStr for Seen {
+    type Err = NotSeen;
+
+    fn from_str(line: &str) -> Result<Self, NotSeen> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let word = |key: &str| {
+            words
+                .chunks_exact(2)
+                .find_map(|pair| (pair[0] == key).then_some(pair[1]))
+                .ok_or(NotSeen)
+        };
+        let number = |key: &str| word(key)?.parse::<f64>().map_err(|_| NotSeen);
+        let flag = |key: &str| match word(key)? {
+            "yes" | "on" => Ok(true),
+            "no" | "off" => Ok(false),
+            _ => Err(NotSeen),
+        };
+        Ok(Self {
+            steering_deg: number("steering_deg")?,
+            wheels_m_s: number("wheels_m_s")?,
+            driven: flag("driven")?,
+            buzzes: flag("buzzes")?,
+            esc: flag("esc")?,
+            battery_v: number("battery_v")?,
+            x_m: number("x_m")?,
+            y_m: number("y_m")?,
+            yaw_deg: number("yaw_deg")?,
+            held: flag("held")?,
+            wheels_up: flag("wheels_up")?,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -196,11 +359,44 @@ mod tests {
             line.parse::<HandCommand>().unwrap().apply(&mut world);
         }
         world.advance_to(1_100_000);
-        let text = seen(&world);
+        let text = Seen::of(&world).to_string();
         assert!(
             text.contains("esc off") && text.contains("battery_v 0.00"),
             "{text}"
         );
-        assert!(text.ends_with("held yes"), "{text}");
+        assert!(text.ends_with("held yes wheels_up yes"), "{text}");
+        let read: Seen = text.parse().unwrap();
+        assert_eq!(read.to_string(), text);
+        assert_eq!("esc on".parse::<Seen>(), Err(NotSeen));
+    }
+
+    #[test]
+    fn a_command_is_written_as_it_is_read() {
+        for line in [
+            "lift 0.1",
+            "put-down",
+            "roll -0.5 0.4",
+            "turn 90 -0.1 0.02 3 0.004",
+            "twist 30 0 0.01 1.1 12",
+            "tilt 45 0 3",
+            "carry 1 -0.5 90 4",
+            "hold 2",
+            "esc off",
+            "battery on",
+            "cable off",
+            "stop-switch open",
+            "markers covered",
+            "reset",
+            "look",
+        ] {
+            let command: HandCommand = line.parse().unwrap();
+            assert_eq!(command.to_string(), line);
+        }
+        let without: HandCommand = "turn 90 0 0 3".parse().unwrap();
+        assert_eq!(without.to_string(), "turn 90 0 0 3 0");
+        assert_eq!(
+            "turn 90 0 0 3 0 0".parse::<HandCommand>(),
+            Err(UnknownHandCommand)
+        );
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{io, path::Path, time::Duration};
 
-use singletrack_sim::{HandCommand, RealTimeSimulator, seen};
+use singletrack_sim::{HandCommand, RealTimeSimulator, Seen};
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
     net::{UnixListener, UnixStream},
@@ -46,7 +46,7 @@ async fn attend(simulator: &RealTimeSimulator, mut stream: UnixStream) -> io::Re
                     .map_err(gone)?;
                 loop {
                     let (busy, text) = simulator
-                        .with_world(|world| (world.car().is_in_motion_by_hand(), seen(world)))
+                        .with_world(|world| (world.car().is_in_motion_by_hand(), Seen::of(world)))
                         .map_err(gone)?;
                     if !busy {
                         break format!("ok {text}\n");

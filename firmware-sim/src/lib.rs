@@ -49,7 +49,7 @@ pub use board::{
     BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
     SimulatedBoard, UnknownBoard, UnoError,
 };
-pub use by_hand::{HAND_COMMANDS, HandCommand, UnknownHandCommand, seen};
+pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     LossKind, TICKS_PER_SECOND, UpAxis,

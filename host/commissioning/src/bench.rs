@@ -26,6 +26,12 @@ pub trait Bench {
     /// The operator interrupts, or the daemon is gone.
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted>;
 
+    /// Why the procedure can't go on, if that came up in a request that gives another reason: a
+    /// step that failed then has found nothing.
+    fn interrupted(&self) -> Option<Interrupted> {
+        None
+    }
+
     /// Shows the progress of a measurement. It is called in every tick.
     fn show(&mut self, live: &Live<'_>);
 

@@ -48,7 +48,10 @@ pub fn run(
             Some(finding) => finding,
             None => {
                 journal.begin(step, index + 1, steps.len());
-                let result = (step.run)(bench);
+                let result = (step.run)(bench).and_then(|finding| match bench.interrupted() {
+                    Some(interrupted) if finding.verdict == Verdict::Failed => Err(interrupted),
+                    _ => Ok(finding),
+                });
                 if result.is_err() {
                     // The daemon stops the car as well when the connection ends.
                     let _ = bench.disarm();
@@ -143,6 +146,7 @@ mod tests {
     struct NoCar {
         config: Config,
         disarmed: u32,
+        is_interrupted: bool,
     }
 
     impl NoCar {
@@ -151,6 +155,7 @@ mod tests {
             Self {
                 config: Config::from_toml(text).unwrap(),
                 disarmed: 0,
+                is_interrupted: false,
             }
         }
     }
@@ -162,6 +167,10 @@ mod tests {
 
         fn ask(&mut self, _: &Question) -> Result<Answer, Interrupted> {
             Ok(Answer::Skip)
+        }
+
+        fn interrupted(&self) -> Option<Interrupted> {
+            self.is_interrupted.then_some(Interrupted::ByOperator)
         }
 
         fn show(&mut self, _: &Live<'_>) {}
@@ -207,6 +216,16 @@ mod tests {
         assert_eq!((RUNS.get(), car.disarmed), ([1, 2, 1], 1));
         let steps: Vec<_> = findings.iter().map(|finding| finding.step).collect();
         assert_eq!(steps, ["first", "second", "third"]);
+    }
+
+    #[test]
+    fn a_step_that_failed_because_it_was_interrupted_has_found_nothing() {
+        let (mut car, mut journal) = (NoCar::new(), Memory::default());
+        car.is_interrupted = true;
+        FAILS.set(Some(1));
+        let result = run(&STEPS, &mut car, &mut journal);
+        assert_eq!(result.unwrap_err(), Interrupted::ByOperator);
+        assert_eq!((journal.0.len(), car.disarmed), (1, 1));
     }
 
     #[test]

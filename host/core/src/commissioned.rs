@@ -209,8 +209,8 @@ impl Commissioned {
                 self.passed.retain(|other| !is_same(other));
                 push(&mut self.passed, entry);
             }
+            // It can be resumed, as after an interruption.
             ProcedureResult::Failed => {
-                self.begun.retain(|other| !is_same(other));
                 self.passed.retain(|other| !is_same(other));
             }
         }

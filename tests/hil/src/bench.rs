@@ -30,6 +30,8 @@ pub struct Equipment {
     pub board: BoardKind,
     /// Number of times that the daemon is killed while driving.
     pub kills: usize,
+    /// Whether there is time for every step of the procedures.
+    pub whole: bool,
     /// Collects the measurements.
     pub measurements: Measurements,
 }
@@ -38,6 +40,9 @@ impl Equipment {
     /// Reason why a test cannot run with this equipment, if any.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
+        if need == Need::Whole && !self.whole {
+            return Some("it takes a quarter of an hour: --whole");
+        }
         match &self.port {
             Some(_) => physical_lacks(need),
             None => simulated_lacks(self.board, need),

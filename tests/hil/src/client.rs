@@ -161,6 +161,15 @@ impl Client {
         self.ask("stop")
     }
 
+    /// Has the daemon read its configuration again.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn reload(&mut self) -> Outcome<Answer> {
+        self.ask("reload")
+    }
+
     /// Subscribes to the board's status, five times a second.
     ///
     /// # Errors
@@ -177,6 +186,15 @@ impl Client {
     /// Fails without an answer.
     pub fn watch_ticks(self) -> Outcome<Watch> {
         self.watch("tick")
+    }
+
+    /// Subscribes to the board's telemetry.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn watch_telemetry(self) -> Outcome<Watch> {
+        self.watch("telemetry")
     }
 
     fn watch(mut self, topic: &str) -> Outcome<Watch> {

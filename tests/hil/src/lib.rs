@@ -48,6 +48,7 @@ pub mod client;
 pub mod daemon;
 mod failure;
 mod measured;
+pub mod newcomer;
 pub mod program;
 pub mod rig;
 pub mod settings;

@@ -27,6 +27,7 @@ pub fn build() -> Outcome<PathBuf> {
         // With the suite's own features, so that the libraries are not built again.
         .args(["build", "--release", "--bins"])
         .args(["--package", "singletrackd", "--package", "singletrack"])
+        .args(["--package", "singletrack-sim"])
         .arg("--message-format=json-render-diagnostics")
         .stderr(Stdio::inherit())
         .output()

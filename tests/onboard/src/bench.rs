@@ -59,6 +59,10 @@ pub struct VirtualBench {
     link_is_ready: bool,
     /// Questions that nobody could answer, and how often.
     unknown: BTreeMap<String, u32>,
+    /// Every question, once.
+    questions: Vec<Question>,
+    /// Every change of the configuration.
+    changes: Vec<(String, Value)>,
 }
 
 impl VirtualBench {
@@ -83,6 +87,8 @@ impl VirtualBench {
             preflight: None,
             link_is_ready: false,
             unknown: BTreeMap::new(),
+            questions: Vec::new(),
+            changes: Vec::new(),
         };
         let mut observed = Vec::new();
         for _ in 0..ANSWER_TICKS * 4 {
@@ -125,6 +131,18 @@ impl VirtualBench {
     pub fn end_procedure(&mut self) {
         self.pass(4.0);
         self.guard.end(&self.drive);
+    }
+
+    /// Every question that was asked, once.
+    #[must_use]
+    pub fn questions(&self) -> &[Question] {
+        &self.questions
+    }
+
+    /// Every value that was put into the configuration.
+    #[must_use]
+    pub fn changes(&self) -> &[(String, Value)] {
+        &self.changes
     }
 
     /// The questions that were skipped because no script knows them.
@@ -248,7 +266,10 @@ impl Bench for VirtualBench {
     }
 
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
-        let Some(think_s) = self.person.consider(question, self.drive.world_mut()) else {
+        if !self.questions.contains(question) {
+            self.questions.push(question.clone());
+        }
+        let Some(think_s) = self.person.consider(question, self.drive.world()) else {
             *self.unknown.entry(question.id.to_string()).or_default() += 1;
             self.pass(1.0);
             return Ok(Answer::Skip);
@@ -353,6 +374,9 @@ impl Bench for VirtualBench {
         self.guard.configure(&config);
         self.config = config;
         self.file = file;
+        let changes = values.iter();
+        self.changes
+            .extend(changes.map(|(key, value)| ((*key).to_owned(), value.clone())));
         Ok(())
     }
 }

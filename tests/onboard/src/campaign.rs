@@ -30,13 +30,13 @@ use crate::{
 };
 
 /// A procedure with its steps.
-struct Procedure {
-    name: &'static str,
-    steps: Vec<Step>,
+pub(crate) struct Procedure {
+    pub(crate) name: &'static str,
+    pub(crate) steps: Vec<Step>,
 }
 
 /// The procedures, in their order.
-fn procedures() -> Vec<Procedure> {
+pub(crate) fn procedures() -> Vec<Procedure> {
     let procedure = |name, steps: &[Step]| Procedure {
         name,
         steps: steps.to_vec(),
@@ -91,7 +91,7 @@ pub struct CarOutcome {
 
 /// Keeps the findings of a procedure in memory.
 #[derive(Debug, Default)]
-struct Kept;
+pub(crate) struct Kept;
 
 impl Journal for Kept {
     fn found(&self, _: &str) -> Option<Finding> {

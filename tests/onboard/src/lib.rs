@@ -12,6 +12,7 @@ mod circle;
 mod guard;
 mod person;
 mod random;
+mod rehearsal;
 mod truths;
 
 pub use bench::{BenchError, VirtualBench};
@@ -21,5 +22,7 @@ pub use campaign::{
 pub use car::{HALL_M, OnboardCar, PlantedFault};
 pub use circle::Circle;
 pub use guard::{Guard, Violation};
+pub use person::{Hands, Person};
 pub use random::Random;
+pub use rehearsal::{Rehearsal, RehearsalError, RehearsedStep};
 pub use truths::truth_of;

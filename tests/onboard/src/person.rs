@@ -4,14 +4,56 @@ use core::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use std::collections::VecDeque;
 
 use singletrack_commissioning::{Answer, Answers, Question};
-use singletrack_sim::{HandMotion, LossKind, StartPose, World};
+use singletrack_sim::{HandCommand, HandMotion, Seen as View, StartPose, World};
 
 use crate::random::Random;
 
-/// The person.
+/// A car that a person stands beside.
+pub trait Hands {
+    /// The time, in µs.
+    fn now_us(&self) -> u64;
+
+    /// What is seen of the car now.
+    fn look(&self) -> View;
+
+    /// Whether the car is being moved by hand.
+    fn is_moving(&self) -> bool;
+
+    /// Does something to the car, or begins with it.
+    fn apply(&mut self, command: HandCommand);
+
+    /// Distance of the rear axle from the centre of mass, in m.
+    fn rear_axle_m(&self) -> f64;
+}
+
+impl Hands for World {
+    fn now_us(&self) -> u64 {
+        Self::now_us(self)
+    }
+
+    fn look(&self) -> View {
+        View::of(self)
+    }
+
+    fn is_moving(&self) -> bool {
+        self.car().is_in_motion_by_hand()
+    }
+
+    fn apply(&mut self, command: HandCommand) {
+        command.apply(self);
+    }
+
+    fn rear_axle_m(&self) -> f64 {
+        self.config().car.vehicle.rear_axle_distance_m
+    }
+}
+
+/// The person. What it does is the same in virtual time and in real time.
 #[derive(Debug)]
-pub(crate) struct Person {
+pub struct Person {
     random: Random,
+    /// It neither thinks nor looks twice.
+    hurries: bool,
     /// What is still to be done before the answer, or after it.
     tasks: VecDeque<Task>,
     /// What is done after the answer.
@@ -19,12 +61,14 @@ pub(crate) struct Person {
     /// Until when nothing is done, in µs.
     idle_until_us: u64,
     /// What is done so long after the wheels have begun to turn, in s.
-    trigger: Option<(f64, Action)>,
+    trigger: Option<(f64, HandCommand)>,
     /// Since when the wheels turn, in µs.
     turning_since_us: Option<u64>,
     /// When the last such action was done, in µs.
     acted_us: Option<u64>,
     seen: Seen,
+    /// When it last looked, in µs.
+    looked_us: Option<u64>,
     has_kill_switch: bool,
 }
 
@@ -46,33 +90,7 @@ struct Seen {
 enum Task {
     Move(HandMotion),
     Pause(f64),
-    Act(Action),
-}
-
-/// What is done to the electronics.
-#[derive(Clone, Copy, Debug)]
-enum Action {
-    SwitchEsc(bool),
-    PressReset,
-    OpenStopSwitch(bool),
-    Plug(bool),
-    PlugBattery(bool),
-    CoverMarkers(bool),
-}
-
-impl Action {
-    fn apply(self, world: &mut World) {
-        match self {
-            Self::SwitchEsc(on) => world.car_mut().set_esc_power(on),
-            Self::PressReset => world.press_reset(),
-            Self::OpenStopSwitch(open) => world.board_mut().set_stop_input_open(open),
-            Self::PlugBattery(plugged) => world.car_mut().set_battery_plugged(plugged),
-            Self::CoverMarkers(covered) => {
-                world.cameras_mut().faults_mut().loss = covered.then_some(LossKind::Occluded);
-            }
-            Self::Plug(plugged) => world.set_wire_connected(plugged),
-        }
-    }
+    Act(HandCommand),
 }
 
 /// The longest stretch in which the car is rolled without a pause, in m: the board takes wheels
@@ -82,11 +100,14 @@ const STRETCH_M: f64 = 0.6;
 const ROLL_M_S: f64 = 0.4;
 
 impl Person {
-    pub(crate) fn new(seed: u64) -> Self {
+    /// A person with habits of its own.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0x6861_6e64);
         let has_kill_switch = random.happens(0.6);
         Self {
             random,
+            hurries: false,
             tasks: VecDeque::new(),
             later: Vec::new(),
             idle_until_us: 0,
@@ -94,13 +115,24 @@ impl Person {
             turning_since_us: None,
             acted_us: None,
             seen: Seen::default(),
+            looked_us: None,
             has_kill_switch,
+        }
+    }
+
+    /// A person who answers at once and carries the car quickly. What it does with the car is
+    /// as slow as ever.
+    #[must_use]
+    pub fn in_a_hurry(seed: u64) -> Self {
+        Self {
+            hurries: true,
+            ..Self::new(seed)
         }
     }
 
     /// Begins with what a question asks for, and says how long the person thinks, in s; none
     /// if the question is not known.
-    pub(crate) fn consider(&mut self, question: &Question, world: &mut World) -> Option<f64> {
+    pub fn consider(&mut self, question: &Question, hands: &impl Hands) -> Option<f64> {
         self.trigger = None;
         self.later.clear();
         let id = question.id;
@@ -113,24 +145,19 @@ impl Person {
                     // Along the longer side of the hall.
                     yaw_rad: self.random.normal(0.08),
                 };
-                self.do_now(&[
-                    Task::Move(HandMotion::Carry { to, for_s: 4.0 }),
-                    Task::Pause(1.0),
-                ]);
+                self.carry_to(to);
             }
             "cover-markers" => {
-                self.trigger = Some((self.random.between(3.0, 6.0), Action::CoverMarkers(true)));
+                self.trigger = Some((self.random.between(3.0, 6.0), HandCommand::Markers(true)));
             }
-            "uncover-markers" => self.do_now(&[Task::Act(Action::CoverMarkers(false))]),
+            "uncover-markers" => self.do_now(&[Task::Act(HandCommand::Markers(false))]),
             // Doctor.
             "voltmeter" => {}
-            "press-reset" if !world.car().wheels_are_up() => {
-                self.later.push(Task::Act(Action::PressReset));
-            }
-            "unplug-battery" => self.later.push(Task::Act(Action::PlugBattery(false))),
-            "plug-battery" => self.later.push(Task::Act(Action::PlugBattery(true))),
-            "open-stop-switch" => self.later.push(Task::Act(Action::OpenStopSwitch(true))),
-            "close-stop-switch" => self.later.push(Task::Act(Action::OpenStopSwitch(false))),
+            "press-reset" => self.later.push(Task::Act(HandCommand::Reset)),
+            "unplug-battery" => self.later.push(Task::Act(HandCommand::Battery(false))),
+            "plug-battery" => self.later.push(Task::Act(HandCommand::Battery(true))),
+            "open-stop-switch" => self.later.push(Task::Act(HandCommand::StopSwitch(true))),
+            "close-stop-switch" => self.later.push(Task::Act(HandCommand::StopSwitch(false))),
             "push-wheels" => self.later.push(Task::Pause(5.0)),
             "stand-still" => self.carry(0.0),
             "nose-up" => self.tilt_later([0.0, -FRAC_PI_4]),
@@ -165,7 +192,7 @@ impl Person {
                 } else {
                     -1.0
                 };
-                let rear = world.config().car.vehicle.rear_axle_distance_m;
+                let rear = hands.rear_axle_m();
                 // How well the middle of the axle is held over its point.
                 let about_m = [
                     -rear + self.random.normal(0.0015),
@@ -183,31 +210,34 @@ impl Person {
             "on-stand" => self.do_now(&[Task::Move(HandMotion::Lift { height_m: 0.1 })]),
             "esc-dark" | "esc-woke" | "kill-switch" | "wheels-still" | "front-wheels"
             | "wheel-angle" | "at-stop" | "driven-wheels" | "stopped-how" => {}
-            "cut-supply" => self.trigger = Some((1.0, Action::SwitchEsc(false))),
-            "open-switch" => self.trigger = Some((1.0, Action::OpenStopSwitch(true))),
-            "unplug" => self.trigger = Some((1.0, Action::Plug(false))),
-            "press-reset" => self.trigger = Some((1.0, Action::PressReset)),
+            "cut-supply" => self.trigger = Some((1.0, HandCommand::Esc(false))),
+            "open-switch" => self.trigger = Some((1.0, HandCommand::StopSwitch(true))),
+            "unplug" => self.trigger = Some((1.0, HandCommand::Cable(false))),
+            "reset-at-speed" => self.trigger = Some((1.0, HandCommand::Reset)),
             "restore-supply" => {
-                self.do_now(&[Task::Act(Action::SwitchEsc(true)), Task::Pause(3.0)]);
+                self.do_now(&[Task::Act(HandCommand::Esc(true)), Task::Pause(3.0)]);
             }
             "esc-after-board" => self.do_now(&[
-                Task::Act(Action::SwitchEsc(false)),
+                Task::Act(HandCommand::Esc(false)),
                 Task::Pause(0.5),
-                Task::Act(Action::PressReset),
+                Task::Act(HandCommand::Reset),
                 Task::Pause(3.0),
-                Task::Act(Action::SwitchEsc(true)),
+                Task::Act(HandCommand::Esc(true)),
                 Task::Pause(2.5),
             ]),
             "board-after-esc" | "clear-latch" => {
-                self.do_now(&[Task::Act(Action::PressReset), Task::Pause(3.0)]);
+                self.do_now(&[Task::Act(HandCommand::Reset), Task::Pause(3.0)]);
             }
             "close-switch" => self.do_now(&[
-                Task::Act(Action::OpenStopSwitch(false)),
-                Task::Act(Action::PressReset),
+                Task::Act(HandCommand::StopSwitch(false)),
+                Task::Act(HandCommand::Reset),
                 Task::Pause(3.0),
             ]),
-            "plug-in" => self.do_now(&[Task::Act(Action::Plug(true)), Task::Pause(3.0)]),
+            "plug-in" => self.do_now(&[Task::Act(HandCommand::Cable(true)), Task::Pause(3.0)]),
             _ => return None,
+        }
+        if self.hurries {
+            return Some(0.0);
         }
         Some(match question.answers {
             Answers::Number { .. } => self.random.between(3.0, 8.0),
@@ -216,22 +246,21 @@ impl Person {
     }
 
     /// The answer, after the time to think.
-    pub(crate) fn answer(&mut self, question: &Question, world: &World) -> Answer {
-        let car = world.car();
-        let truth = world.truth();
+    pub fn answer(&mut self, question: &Question, hands: &impl Hands) -> Answer {
+        let view = hands.look();
         let [forward, backward] = self.seen.wheels;
         let answer = match question.id {
             "voltmeter" => {
-                let read = truth.battery_v * (1.0 + self.random.normal(0.003));
+                let read = view.battery_v * (1.0 + self.random.normal(0.003));
                 Answer::Number((read * 100.0).round() / 100.0)
             }
-            "on-stand" => Answer::YesNo(car.wheels_are_up()),
-            "esc-dark" => Answer::YesNo(!car.esc_has_power()),
+            "on-stand" => Answer::YesNo(view.wheels_up),
+            "esc-dark" => Answer::YesNo(!view.esc),
             "esc-woke" => Answer::YesNo(self.seen.esc_was_on),
             "kill-switch" => Answer::YesNo(self.has_kill_switch),
             "wheels-still" => Answer::YesNo(forward + backward < 0.003),
             "front-wheels" => {
-                let angle = truth.steering.to_degrees() + self.random.normal(0.75).clamp(-1.5, 1.5);
+                let angle = view.steering_deg + self.random.normal(0.75).clamp(-1.5, 1.5);
                 choice(
                     &question.answers,
                     match angle {
@@ -242,7 +271,7 @@ impl Person {
                 )
             }
             "wheel-angle" => {
-                let angle = truth.steering.to_degrees() + self.random.normal(1.0).clamp(-2.0, 2.0);
+                let angle = view.steering_deg + self.random.normal(1.0).clamp(-2.0, 2.0);
                 Answer::Number((2.0 * angle).round() / 2.0)
             }
             "at-stop" => Answer::YesNo(self.seen.buzzed),
@@ -260,7 +289,7 @@ impl Person {
                 choice(
                     &question.answers,
                     match drove_us {
-                        _ if car.motor_is_driven() => "not",
+                        _ if view.driven => "not",
                         drove_us if drove_us > 400_000 => "late",
                         _ => "at-once",
                     },
@@ -277,52 +306,52 @@ impl Person {
         answer
     }
 
-    /// Looks, and goes on with what is under way. It is called in every tick.
-    pub(crate) fn act(&mut self, world: &mut World) {
-        let now_us = world.now_us();
-        self.look(world);
+    /// Looks, and goes on with what is under way. It is called often, in virtual
+    /// time in every tick.
+    pub fn act(&mut self, hands: &mut impl Hands) {
+        let now_us = hands.now_us();
+        self.look(hands);
         if let (Some(since_us), Some((after_s, action))) = (self.turning_since_us, self.trigger)
             && now_us.saturating_sub(since_us) as f64 * 1e-6 > after_s
         {
-            action.apply(world);
+            hands.apply(action);
             self.acted_us = Some(now_us);
             self.trigger = None;
         }
-        while now_us >= self.idle_until_us && !world.car().is_in_motion_by_hand() {
+        while now_us >= self.idle_until_us && !hands.is_moving() {
             match self.tasks.pop_front() {
                 None => break,
-                Some(Task::Move(motion)) => world.car_mut().begin_by_hand(motion),
+                Some(Task::Move(motion)) => hands.apply(HandCommand::Move(motion)),
                 Some(Task::Pause(seconds)) => {
                     self.idle_until_us = now_us + (seconds * 1e6) as u64;
                 }
-                Some(Task::Act(action)) => action.apply(world),
+                Some(Task::Act(action)) => hands.apply(action),
             }
         }
     }
 
-    fn look(&mut self, world: &World) {
-        const TICK_S: f64 = 0.01;
-        let car = world.car();
-        let truth = world.truth();
-        let turned = truth.wheel_speed * TICK_S;
+    fn look(&mut self, hands: &impl Hands) {
+        let now_us = hands.now_us();
+        let view = hands.look();
+        let since_us = now_us.saturating_sub(self.looked_us.unwrap_or(now_us));
+        self.looked_us = Some(now_us);
+        let turned = view.wheels_m_s * since_us as f64 * 1e-6;
         self.seen.wheels[usize::from(turned < 0.0)] += turned.abs();
-        self.seen.buzzed |= car.servo_strains();
-        self.seen.esc_was_on |= car.esc_has_power();
-        if car.motor_is_driven() {
-            self.seen.driven_us = world.now_us();
+        self.seen.buzzed |= view.buzzes;
+        self.seen.esc_was_on |= view.esc;
+        if view.driven {
+            self.seen.driven_us = now_us;
         }
-        if truth.wheel_speed.abs() < 0.05 {
+        if view.wheels_m_s.abs() < 0.05 {
             self.turning_since_us = None;
         } else {
-            self.turning_since_us.get_or_insert(world.now_us());
+            self.turning_since_us.get_or_insert(now_us);
         }
     }
 
     /// Whether the hands are at work.
-    pub(crate) fn is_busy(&self, world: &World) -> bool {
-        !self.tasks.is_empty()
-            || world.now_us() < self.idle_until_us
-            || world.car().is_in_motion_by_hand()
+    pub fn is_busy(&self, hands: &impl Hands) -> bool {
+        !self.tasks.is_empty() || hands.now_us() < self.idle_until_us || hands.is_moving()
     }
 
     fn do_now(&mut self, tasks: &[Task]) {
@@ -381,9 +410,14 @@ impl Person {
             y_m: -back * libm::sin(yaw_rad) + self.random.between(-0.3, 0.3),
             yaw_rad,
         };
+        self.carry_to(to);
+    }
+
+    fn carry_to(&mut self, to: StartPose) {
+        let for_s = if self.hurries { 1.0 } else { 4.0 };
         self.do_now(&[
-            Task::Move(HandMotion::Carry { to, for_s: 4.0 }),
-            Task::Pause(1.0),
+            Task::Move(HandMotion::Carry { to, for_s }),
+            Task::Pause(for_s / 4.0),
         ]);
     }
 }

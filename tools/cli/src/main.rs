@@ -38,11 +38,11 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
     ///
-    /// The exit status is 0 if no step failed, otherwise 3.
+    /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     BringUp(bring_up::BringUpArgs),
     /// Drive slowly on the floor to measure steering, motor and brakes: after bring-up.
     ///
-    /// The exit status is 0 if no step failed, otherwise 3.
+    /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Calibrate(calibrate::CalibrateArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),

@@ -193,6 +193,8 @@ impl<'a> Car<'a> {
             }
         }
         self.renewed = None;
+        // The hand took its time.
+        self.tick()?;
         let until = self.now()?.after(ARMING_S);
         let rest = self.rest();
         while !self.jogs() {

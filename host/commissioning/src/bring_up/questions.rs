@@ -190,7 +190,7 @@ pub(super) fn plug_in() -> Question {
 /// The operator presses the board's reset about a second after the wheels begin to turn.
 pub(super) fn reset_at_speed() -> Question {
     question(
-        "press-reset",
+        "reset-at-speed",
         "The wheels will turn. Press the reset of the board a second after they begin. Ready?"
             .into(),
         Answers::Begin,

@@ -627,7 +627,7 @@ impl Bench for MockCar {
             "cut-supply" => self.prepare(Hand::CutSupply),
             "open-switch" => self.prepare(Hand::OpenSwitch),
             "unplug" => self.prepare(Hand::Unplug),
-            "press-reset" => self.prepare(Hand::PressReset),
+            "reset-at-speed" => self.prepare(Hand::PressReset),
             "restore-supply" => {
                 self.supply_cut = false;
                 Answer::Begin

@@ -60,6 +60,7 @@ fn measure(options: &Options) -> Outcome {
         program: program::build()?,
         port: None,
         board: BoardKind::Native,
+        whole: false,
         kills: 0,
         measurements: Measurements::default(),
     };

@@ -169,6 +169,10 @@ pub enum Need {
     Image,
     /// A computer on which input devices can be made.
     Uinput,
+    /// A simulator of its own, in real time, with the board's code.
+    Newcomer,
+    /// The time for every step of the three procedures.
+    Whole,
 }
 
 /// The device by which input devices are made.

@@ -279,6 +279,7 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::AnotherCar => Some("the harness can't give a physical UNO another car's number"),
         Need::Image => Some("the harness can't make the processor of a physical UNO fail"),
         Need::Uinput => uinput_lacks(),
+        Need::Newcomer | Need::Whole => Some("its car is lifted, rolled and turned by a simulator"),
         Need::FreshBoard => None,
     }
 }

@@ -54,6 +54,9 @@ pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
             Some("only the image has a watchdog and a bus: --board uno")
         }
         (_, Need::Uinput) => uinput_lacks(),
+        (BoardKind::Uno, Need::Newcomer | Need::Whole) => {
+            Some("it has a simulator of its own, with the board's code")
+        }
         (BoardKind::Uno, Need::AnotherCar) => Some("the image was built for a car"),
         _ => None,
     }

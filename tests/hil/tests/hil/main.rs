@@ -8,6 +8,7 @@ mod hostile;
 mod image;
 mod line;
 mod markers;
+mod newcomer;
 mod pad;
 mod process;
 mod proving;
@@ -51,6 +52,11 @@ struct Options {
     /// Number of times that the daemon is killed while driving, at different times
     #[arg(long, value_name = "N", default_value_t = 3)]
     kills: usize,
+
+    /// Also take a car through every step of doctor, bring-up and calibration, which takes a
+    /// quarter of an hour
+    #[arg(long)]
+    whole: bool,
 
     #[command(flatten)]
     libtest: Arguments,
@@ -129,6 +135,7 @@ fn main() -> ExitCode {
         image::SCENARIOS,
         arm::SCENARIOS,
         pad::SCENARIOS,
+        newcomer::SCENARIOS,
         proving::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,
@@ -151,6 +158,7 @@ fn main() -> ExitCode {
         port: options.port,
         board: options.board,
         kills: options.kills,
+        whole: options.whole,
         measurements: measurements.clone(),
     };
     let trials = scenarios

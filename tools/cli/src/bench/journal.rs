@@ -8,7 +8,7 @@ use std::{
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use singletrack_commissioning::{Finding, Step, edit::Edit, report};
+use singletrack_commissioning::{Finding, Step, Verdict, edit::Edit, report};
 
 /// Age after which a finding is found again: the car may have been changed.
 const VALID: SignedDuration = SignedDuration::from_hours(24);
@@ -21,8 +21,8 @@ pub(super) struct FileJournal {
 }
 
 impl FileJournal {
-    /// The findings that still hold, of these steps: of this car, not older than a day, and with
-    /// measured values that the configuration still has.
+    /// The findings that still hold, of these steps: of this car, not older than a day, of a step
+    /// that did not fail, and with measured values that the configuration still has.
     pub(super) fn open(
         path: &Path,
         car_id: u16,
@@ -39,7 +39,8 @@ impl FileJournal {
                 let name = json.get("step")?.as_str()?;
                 let step = steps.iter().find(|step| step.name == name)?;
                 let finding = report::from_json(step.name, json)?;
-                let holds = age < VALID
+                let holds = finding.verdict != Verdict::Failed
+                    && age < VALID
                     && !age.is_negative()
                     && finding
                         .parameters
@@ -111,7 +112,7 @@ pub(super) fn write(path: &Path, text: &str) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_commissioning::{Bench, Interrupted, Interval, Parameter, Verdict};
+    use singletrack_commissioning::{Bench, Interrupted, Interval, Parameter};
 
     use super::*;
 
@@ -175,6 +176,23 @@ mod tests {
         journal.close().unwrap();
         let journal = FileJournal::open(&path, 3, &STEPS, &file, now);
         assert!(journal.found("first").is_none());
+    }
+
+    #[test]
+    fn a_step_that_failed_is_done_again_and_those_before_it_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("doctor.json");
+        let file = Edit::new("[board.servo]\ncentre_us = 1512\n").unwrap();
+        let now = Timestamp::from_second(1_800_000_000).unwrap();
+        let mut journal = FileJournal::open(&path, 3, &STEPS, &file, now);
+        journal.keep(&finding("first"), now).unwrap();
+        let failed = Finding {
+            verdict: Verdict::Failed,
+            ..finding("second")
+        };
+        journal.keep(&failed, now).unwrap();
+        let journal = FileJournal::open(&path, 3, &STEPS, &file, now);
+        assert!(journal.found("first").is_some() && journal.found("second").is_none());
     }
 
     #[test]

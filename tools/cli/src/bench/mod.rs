@@ -94,6 +94,9 @@ const WAIT: Duration = Duration::from_millis(20);
 const SETPOINT: Duration = Duration::from_millis(50);
 const SETTLES: Duration = Duration::from_millis(400);
 
+/// Time until a request that was refused is tried again.
+const AGAIN: Duration = Duration::from_millis(300);
+
 /// The longest wait for an answer of the daemon.
 const ANSWER: Duration = Duration::from_secs(5);
 
@@ -114,6 +117,8 @@ pub(crate) struct LiveBench {
     before: Edit,
     /// Begin of the paths of pictures.
     pictures: PathBuf,
+    /// Why the procedure can't go on.
+    interrupted: Option<Interrupted>,
 }
 
 /// A drive that a connection holds.
@@ -122,6 +127,14 @@ struct HeldDrive {
     renewed: Instant,
     /// Why it has ended.
     ended: Option<String>,
+}
+
+/// Why a car was not armed.
+enum NotArmed {
+    /// The operator let go of the space bar before.
+    LetGo,
+    /// The daemon's reason.
+    Refused(Refused),
 }
 
 impl LiveBench {
@@ -145,6 +158,7 @@ impl LiveBench {
             interrupt,
             before,
             pictures: PathBuf::new(),
+            interrupted: None,
         })
     }
 
@@ -170,6 +184,14 @@ impl LiveBench {
 
     /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
     fn pump(&mut self) -> Result<Option<Value>, Interrupted> {
+        let result = self.try_pump();
+        if let Err(interrupted) = &result {
+            self.interrupted = Some(interrupted.clone());
+        }
+        result
+    }
+
+    fn try_pump(&mut self) -> Result<Option<Value>, Interrupted> {
         if self.interrupt.is_raised() {
             return Err(Interrupted::ByOperator);
         }
@@ -248,25 +270,46 @@ impl LiveBench {
             .map_err(|error| Refused(error.to_string()))
     }
 
-    /// Waits until the operator holds the space bar.
+    /// Waits until the operator holds the space bar, which must have been released before.
     fn wait_for_key(&mut self) -> Result<(), Refused> {
+        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
+        self.terminal.await_release();
+        let mut is_told = false;
+        while !self
+            .terminal
+            .is_released()
+            .map_err(|error| refused(&error))?
+        {
+            if !is_told && self.terminal.was_pressed() {
+                is_told = true;
+                self.terminal.say("Let go of the space bar first.");
+            }
+            self.pump().map_err(|error| refused(&error))?;
+        }
+        self.terminal.await_press();
         self.terminal
             .say("Hold the space bar: the car is armed while it is held.");
-        loop {
-            if self
-                .terminal
-                .is_pressed()
-                .map_err(|error| Refused(error.to_string()))?
-            {
-                return Ok(());
-            }
-            self.pump().map_err(|error| Refused(error.to_string()))?;
+        while !self
+            .terminal
+            .is_pressed()
+            .map_err(|error| refused(&error))?
+        {
+            self.pump().map_err(|error| refused(&error))?;
+        }
+        Ok(())
+    }
+
+    /// Ends the time in which the space bar is the dead-man switch.
+    fn release_key(&mut self) {
+        if self.terminal.holds_key() {
+            self.terminal.release_key();
+            self.terminal.say("Let go of the space bar.");
         }
     }
 
     /// Arms with a connection that holds the drive.
-    fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, Refused> {
-        let refused = |error: ControlError| Refused(error.to_string());
+    fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
+        let refused = |error: ControlError| NotArmed::Refused(Refused(error.to_string()));
         let mut line = command("arm");
         if let Some(line) = line.as_object_mut() {
             line.insert("attendance".to_owned(), "hold".into());
@@ -284,7 +327,8 @@ impl LiveBench {
         let mut connection = Connection::open(&self.socket).map_err(refused)?;
         let begun = Instant::now();
         let mut asked: Option<Instant> = None;
-        let mut sent = Instant::now() - SETPOINT;
+        let mut again = begun;
+        let mut sent = begun - SETPOINT;
         loop {
             if sent.elapsed() >= SETPOINT {
                 sent = Instant::now();
@@ -293,7 +337,8 @@ impl LiveBench {
                     // Without set-points the car can't be armed.
                     lines.push(&stand);
                 }
-                let settled = attendance == Attendance::Jog || begun.elapsed() >= SETTLES;
+                let settled =
+                    (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
                 let hold = command("hold");
                 if asked.is_some() {
                     lines.push(&hold);
@@ -304,7 +349,7 @@ impl LiveBench {
                 for line in lines {
                     connection
                         .send(line)
-                        .map_err(|error| Refused(error.to_string()))?;
+                        .map_err(|error| refused(error.into()))?;
                 }
             }
             if let Some(answer) = connection.line().map_err(refused)? {
@@ -318,27 +363,29 @@ impl LiveBench {
                     }
                     // Renewals that came after a refusal.
                     Err(ControlError::Refused(reason)) if reason.starts_with("hold renews") => {}
-                    // The estimate begins anew with another configuration.
+                    // The estimate begins anew with another configuration, and a board that was
+                    // reset is configured again. The operator need not let go for that.
                     Err(ControlError::Refused(reason))
-                        if attendance == Attendance::Drive
-                            && reason.contains("mode idle")
+                        if (attendance == Attendance::Jog || reason.contains("mode idle"))
                             && begun.elapsed() < ANSWER =>
                     {
                         asked = None;
+                        again = Instant::now() + AGAIN;
                     }
                     Err(error) => return Err(refused(error)),
                 }
             }
-            let is_released = self.terminal.is_released().unwrap_or(true);
-            if is_released || asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
-                // The connection ends here, and with it the request.
-                return Err(Refused(if is_released {
-                    "the space bar was released".to_owned()
-                } else {
-                    "the daemon does not answer".to_owned()
-                }));
+            // The connection ends with either, and with it the request.
+            if self.terminal.is_released().unwrap_or(true) {
+                return Err(NotArmed::LetGo);
             }
-            self.pump().map_err(|error| Refused(error.to_string()))?;
+            if asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
+                return Err(NotArmed::Refused(Refused(
+                    "the daemon does not answer".to_owned(),
+                )));
+            }
+            self.pump()
+                .map_err(|error| NotArmed::Refused(Refused(error.to_string())))?;
         }
     }
 
@@ -454,6 +501,10 @@ impl Bench for LiveBench {
         self.ask_of(question, true)
     }
 
+    fn interrupted(&self) -> Option<Interrupted> {
+        self.interrupted.clone()
+    }
+
     fn show(&mut self, live: &Live<'_>) {
         self.terminal.show(live);
     }
@@ -482,14 +533,25 @@ impl Bench for LiveBench {
         self.terminal
             .hold_key()
             .map_err(|error| Refused(error.to_string()))?;
-        let armed = self.wait_for_key().and_then(|()| self.arm_held(attendance));
+        let armed = loop {
+            if let Err(refused) = self.wait_for_key() {
+                break Err(refused);
+            }
+            match self.arm_held(attendance) {
+                Ok(drive) => break Ok(drive),
+                Err(NotArmed::LetGo) => self
+                    .terminal
+                    .say("The space bar was released before the car was armed."),
+                Err(NotArmed::Refused(refused)) => break Err(refused),
+            }
+        };
         match armed {
             Ok(drive) => {
                 self.drive = Some(drive);
                 Ok(())
             }
             Err(refused) => {
-                self.terminal.release_key();
+                self.release_key();
                 Err(refused)
             }
         }
@@ -517,7 +579,7 @@ impl Bench for LiveBench {
     }
 
     fn disarm(&mut self) -> Result<(), Refused> {
-        self.terminal.release_key();
+        self.release_key();
         // The connection stays until its drive has ended: its end would be another stop.
         match &mut self.drive {
             Some(drive) => drive
@@ -531,7 +593,7 @@ impl Bench for LiveBench {
     }
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {
-        self.terminal.release_key();
+        self.release_key();
         control::ask(&command("stop"), &self.socket)
             .map(drop)
             .map_err(|error| Refused(error.to_string()))
@@ -561,10 +623,16 @@ impl Bench for LiveBench {
 impl Drop for LiveBench {
     fn drop(&mut self) {
         self.terminal.release_key();
+        // Ends the drive, if the daemon has not ended it yet.
         self.drive = None;
         if self.has_reference {
-            // The reference of the file is in force again.
-            let _ = control::ask(&command("reload"), &self.socket);
+            // The reference of the file is in force again, as soon as the car stands.
+            let begun = Instant::now();
+            while control::ask(&command("reload"), &self.socket).is_err()
+                && begun.elapsed() < ANSWER
+            {
+                thread::sleep(AGAIN);
+            }
         }
     }
 }

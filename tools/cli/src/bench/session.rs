@@ -80,7 +80,6 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     }
     let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)?;
     let page = write_page(procedure, &bench, &folder, &findings)?;
-    journal.file.close()?;
     bench.terminal.say(&format!(
         "\n{}\nThe page is {}.",
         report::summary(&findings),
@@ -90,7 +89,13 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
         .iter()
         .any(|finding| finding.verdict == Verdict::Failed);
     bench.report(procedure.name, if failed { "failed" } else { "passed" })?;
-    if !failed {
+    if failed {
+        bench.terminal.say(&format!(
+            "Correct what failed, and run `singletrack {}` again: it goes on with that step.",
+            procedure.name
+        ));
+    } else {
+        journal.file.close()?;
         bench.terminal.say(procedure.next);
     }
     bench.terminal.tell(&json!({

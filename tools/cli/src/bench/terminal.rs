@@ -32,6 +32,7 @@ struct HeldKey {
     /// The settings of the terminal before.
     before: Termios,
     pressed: Instant,
+    presses: u32,
     repeats: bool,
 }
 
@@ -127,12 +128,37 @@ impl Terminal {
         // Ctrl-C still interrupts.
         raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
         tcsetattr(&input, OptionalActions::Now, &raw)?;
+        // What was typed before is no press.
+        tcflush(&input, QueueSelector::IFlush)?;
         self.held = Some(HeldKey {
             before,
             pressed: Instant::now(),
+            presses: 0,
             repeats: false,
         });
         Ok(())
+    }
+
+    /// From now on the release of the key is awaited: one that is stuck must not arm a car.
+    pub(super) fn await_release(&mut self) {
+        if let Some(held) = &mut self.held {
+            held.pressed = Instant::now();
+            held.presses = 0;
+            held.repeats = true;
+        }
+    }
+
+    /// From now on a press is awaited.
+    pub(super) fn await_press(&mut self) {
+        if let Some(held) = &mut self.held {
+            held.presses = 0;
+            held.repeats = false;
+        }
+    }
+
+    /// Whether a press has come since [`Terminal::await_release`].
+    pub(super) fn was_pressed(&self) -> bool {
+        self.held.as_ref().is_some_and(|held| held.presses > 0)
     }
 
     /// Whether a press of the space bar has arrived; another key is none.
@@ -141,7 +167,8 @@ impl Terminal {
         let count = read_now(&mut buffer)?;
         let pressed = buffer.get(..count).unwrap_or_default().contains(&b' ');
         if pressed && let Some(held) = &mut self.held {
-            held.repeats |= held.pressed.elapsed() < REPEAT;
+            held.repeats |= held.presses > 0 && held.pressed.elapsed() < REPEAT;
+            held.presses = held.presses.saturating_add(1);
             held.pressed = Instant::now();
         }
         Ok(pressed)
@@ -156,6 +183,11 @@ impl Terminal {
         Ok(self.held.as_ref().is_some_and(|held| {
             held.pressed.elapsed() > if held.repeats { REPEAT } else { FIRST_REPEAT }
         }))
+    }
+
+    /// Whether the space bar is the dead-man switch.
+    pub(super) const fn holds_key(&self) -> bool {
+        self.held.is_some()
     }
 
     /// Ends [`Terminal::hold_key`]. Presses that were not read are dropped.
