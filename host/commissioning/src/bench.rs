@@ -146,6 +146,8 @@ pub enum Observation {
 pub struct BoardReading {
     /// When the board made it.
     pub time: Time,
+    /// The same on the board's own clock, µs, wrapping.
+    pub board_us: u32,
     /// When it arrived.
     pub receive: Time,
     /// The sample of the IMU, if it is a new one.

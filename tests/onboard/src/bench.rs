@@ -366,6 +366,7 @@ fn board(record: &TelemetryRecord) -> BoardReading {
     };
     BoardReading {
         time: Time(record.board_time_host_ns),
+        board_us: t.board_time_us,
         receive: Time(record.receive_time_ns),
         inertial: time.map(|time| Inertial {
             time: Time(time),

@@ -94,6 +94,7 @@ fn telemetry(entry: &Value) -> Option<BoardReading> {
     };
     Some(BoardReading {
         time: time(entry, "board_time_host_ns")?,
+        board_us: u32::try_from(entry.get("board_time_us")?.as_u64()?).ok()?,
         receive: time(entry, "receive_time_ns")?,
         inertial: if is_fresh { inertial() } else { None },
         motor_speed: milli("motor_speed_mm_s")?,
