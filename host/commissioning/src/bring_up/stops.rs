@@ -223,7 +223,9 @@ pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let stop = by_request(bench);
     let outcome = match stop {
         Ok(stop) => ask(bench, &questions::clear_latch())
-            .and_then(|_| stop.outcome(EMERGENCY, PULSE_WITHIN_S)),
+            // A bootloader may wait for longer than the operator.
+            .and_then(|_| unlatched(bench))
+            .and_then(|()| stop.outcome(EMERGENCY, PULSE_WITHIN_S)),
         Err(trouble) => Err(trouble),
     };
     conclude(
@@ -232,6 +234,26 @@ pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
         outcome,
     )
+}
+
+/// Waits until the board has been reset and is configured again.
+fn unlatched(bench: &mut dyn Bench) -> Result<(), Trouble> {
+    const PATIENCE_S: f64 = 15.0;
+    let mut car = Car::look(bench)?;
+    let begin = car.now()?;
+    while car
+        .board
+        .is_none_or(|reading| reading.mode == BoardMode::EmergencyStopped)
+    {
+        if car.now()?.seconds_since(begin) > PATIENCE_S {
+            return Err(failed(
+                "the board is still latched",
+                "Press the reset button of the board, and run this step again.",
+            ));
+        }
+        car.watch(0.1, "the board starts")?;
+    }
+    Ok(())
 }
 
 fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine,
-    fit::{mean, median, sample_times, stamp_delay, standard_deviation},
+    fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
 };
 
 /// Distance from the height of the body at rest to the ends of its band, in m.
@@ -289,10 +289,17 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         .zip(yaw)
         .map(|(pose, yaw)| (seconds(begin, pose.capture), yaw))
         .collect();
-    let (read, rates): (Vec<f64>, Vec<f64>) = readings
-        .gyro()
+    let (read, rates): (Vec<Reading>, Vec<f64>) = readings
+        .boards
         .iter()
-        .map(|(time, rate)| (*time, rate[2]))
+        .filter_map(|board| board.inertial)
+        .map(|inertial| {
+            let reading = Reading {
+                time: seconds(begin, inertial.time),
+                board_us: inertial.board_us,
+            };
+            (reading, inertial.angular_velocity[2])
+        })
         .unzip();
     let samples = sample_times(&read);
     let velocities: Vec<(f64, f64)> = samples.times.into_iter().zip(rates).collect();

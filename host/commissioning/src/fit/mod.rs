@@ -27,7 +27,7 @@ pub use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
 pub use frames::Frames;
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
-pub use sample_times::{SampleTimes, sample_times};
+pub use sample_times::{Reading, SampleTimes, sample_times};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,

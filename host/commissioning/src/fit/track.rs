@@ -1,6 +1,6 @@
 //! The readings of a drive on one time axis.
 
-use super::{Frames, frames::Record, sample_times};
+use super::{Frames, Reading, frames::Record, sample_times};
 use crate::Observation;
 
 /// A sample over time: seconds since the start of the track, and its value.
@@ -11,7 +11,7 @@ type Sample<T> = (f64, T);
 pub struct Track {
     origin_ns: Option<u64>,
     /// Angular velocity about the vertical, rad/s, when it was read.
-    gyro: Vec<Sample<f64>>,
+    gyro: Vec<(Reading, f64)>,
     /// Pulses of servo and ESC, µs.
     pulses: [Vec<Record>; 2],
     /// Speed by the motor pulses, m/s.
@@ -51,7 +51,9 @@ impl Track {
                 }
                 if let Some(inertial) = board.inertial {
                     let time = self.seconds(inertial.time.0);
-                    self.gyro.push((time, inertial.angular_velocity[2]));
+                    let board_us = inertial.board_us;
+                    let reading = Reading { time, board_us };
+                    self.gyro.push((reading, inertial.angular_velocity[2]));
                 }
             }
             Observation::Pose(pose) => {
@@ -92,7 +94,7 @@ impl Track {
 
     /// The angular velocity when it was measured.
     fn rate(&self) -> Signal {
-        let (readings, rates): (Vec<f64>, Vec<f64>) = self.gyro.iter().copied().unzip();
+        let (readings, rates): (Vec<Reading>, Vec<f64>) = self.gyro.iter().copied().unzip();
         let times = sample_times(&readings).times;
         Signal(times.into_iter().zip(rates).collect())
     }
