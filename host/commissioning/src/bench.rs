@@ -151,6 +151,8 @@ pub enum Observation {
 pub struct BoardReading {
     /// When the board made it.
     pub time: Time,
+    /// The same on the board's own clock, µs, wrapping.
+    pub board_us: u32,
     /// When it arrived.
     pub receive: Time,
     /// The sample of the IMU, if it is a new one.
@@ -170,8 +172,10 @@ pub struct BoardReading {
 /// A sample of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertial {
-    /// When it was taken.
+    /// When the board read it.
     pub time: Time,
+    /// The same on the board's own clock, µs, wrapping.
+    pub board_us: u32,
     /// Acceleration without gravity, m/s².
     pub acceleration: [f64; 3],
     /// Angular velocity, rad/s.

@@ -390,9 +390,13 @@ fn board(record: &TelemetryRecord) -> BoardReading {
     };
     BoardReading {
         time: Time(record.board_time_host_ns),
+        board_us: t.board_time_us,
         receive: Time(record.receive_time_ns),
         inertial: time.map(|time| Inertial {
             time: Time(time),
+            board_us: t
+                .board_time_us
+                .wrapping_sub(100 * u32::from(t.imu_age_100us)),
             acceleration: record.linear_acceleration_m_s2(),
             angular_velocity: record.angular_velocity_rad_s(),
             roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),

@@ -230,7 +230,29 @@ fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 fn find_emergency(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let stop = by_request(bench)?;
     ask(bench, &questions::clear_latch())?;
+    // A bootloader may wait for longer than the operator.
+    unlatched(bench)?;
     stop.outcome(EMERGENCY.name, PULSE_WITHIN_S)
+}
+
+/// Waits until the board has been reset and is configured again.
+fn unlatched(bench: &mut dyn Bench) -> Result<(), Trouble> {
+    const PATIENCE_S: f64 = 15.0;
+    let mut car = Car::look(bench)?;
+    let begin = car.now()?;
+    while car
+        .board
+        .is_none_or(|reading| reading.mode == BoardMode::EmergencyStopped)
+    {
+        if car.now()?.seconds_since(begin) > PATIENCE_S {
+            return Err(failed(
+                "the board is still latched",
+                "Press the reset button of the board, and run this step again.",
+            ));
+        }
+        car.watch(0.1, "the board starts")?;
+    }
+    Ok(())
 }
 
 fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {

@@ -3,7 +3,7 @@
 use super::floor::{self, Ends, Figure, SLOW, round};
 use crate::{
     Bench, Finding, Interrupted, Interval, Parameter, Verdict,
-    fit::{self, Body, Motion, Signal, Track, Turning, Wheels},
+    fit::{self, Body, Frames, Motion, Signal, Track, Turning, Wheels},
 };
 
 /// How often both circles are driven.
@@ -132,7 +132,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let [over, of] = track.latency();
     let late = if of > 0.0 { over / of } else { 0.0 };
     let motion = track.motion(late);
-    let (pulses, way) = (track.pulses(0), track.way());
+    let (pulses, way) = (track.servo(), track.way());
     let passes: Vec<(Body, Wheels)> = bounds
         .windows(2)
         .map(|ends| {
@@ -268,7 +268,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
 /// One pass.
 fn pass(
     motion: &Motion,
-    pulses: &Signal,
+    pulses: &Frames,
     way: &Signal,
     believed: &Believed,
 ) -> Option<(Body, Wheels)> {

@@ -62,7 +62,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let motion = drive.track.motion(0.0);
     let [_, left] = config.motion_capture.marker_offset_m;
     let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
-    let pulses = drive.track.pulses(1);
+    let pulses = drive.track.esc();
     let esc = &config.board.esc;
     let edge = f64::from(esc.neutral_us) + f64::from(esc.deadband_us);
     let about = [

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine,
-    fit::{mean, median, stamp_delay, standard_deviation},
+    fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
 };
 
 /// Distance from the height of the body at rest to the ends of its band, in m.
@@ -26,9 +26,6 @@ const TWIST_S: f64 = 10.0;
 const TWIST_RAD_S: f64 = 0.4;
 /// The largest error of the camera's stamps with which a car drives well, in s.
 const LATE_S: f64 = 0.005;
-/// Bound on the unknown age of a sample of the IMU: its own filter, and the time until the board
-/// asks for it, in s.
-const GYRO_AGE_S: f64 = 0.002;
 /// The key of the offset of the stamps.
 const OFFSET_KEY: &str = "motion_capture.timing.stamp_offset_ms";
 
@@ -293,11 +290,20 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         .zip(yaw)
         .map(|(pose, yaw)| (seconds(begin, pose.capture), yaw))
         .collect();
-    let velocities: Vec<(f64, f64)> = readings
-        .gyro()
+    let (read, rates): (Vec<Reading>, Vec<f64>) = readings
+        .boards
         .iter()
-        .map(|(time, rate)| (*time, rate[2]))
-        .collect();
+        .filter_map(|board| board.inertial)
+        .map(|inertial| {
+            let reading = Reading {
+                time: seconds(begin, inertial.time),
+                board_us: inertial.board_us,
+            };
+            (reading, inertial.angular_velocity[2])
+        })
+        .unzip();
+    let samples = sample_times(&read);
+    let velocities: Vec<(f64, f64)> = samples.times.into_iter().zip(rates).collect();
     let uncertainty = median(
         &readings
             .poses
@@ -306,7 +312,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             .collect::<Vec<_>>(),
     )
     .unwrap_or(0.0);
-    let delay = stamp_delay(&angles, &velocities, GYRO_AGE_S.hypot(uncertainty));
+    let delay = stamp_delay(&angles, &velocities, samples.systematic.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
         checks.failed("the car was not twisted", "10 s to and fro", again);
         return checks.finding("latency", bench);

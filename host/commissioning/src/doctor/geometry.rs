@@ -28,9 +28,8 @@ const AXLE_M: f64 = 0.004;
 const HELD_M: f64 = 0.02;
 /// The angle between the car and the way of its rear axle, in rad: play and toe of the wheels.
 const TOE_RAD: f64 = 0.003;
-/// The share of the wheels' way that is lost by slip, by a tyre that is loaded otherwise, or by
-/// the board's clock: a ceramic resonator is 0.5 % wrong.
-const SLIP: f64 = 0.006;
+/// The share of the wheels' way that is lost by slip, or by a tyre that is loaded otherwise.
+const SLIP: f64 = 0.003;
 /// Mean loss by the resolution of the board's speed, which rounds towards zero, in m/s.
 const HALF_STEP_M_S: f64 = 0.000_5;
 /// The share of the highest speed of a stretch from which on it counts for the pulses.
@@ -151,6 +150,8 @@ struct Pass {
     turn: f64,
     /// Way by the cameras over way by the pulses, where the car was fast.
     ratio: Option<f64>,
+    /// Seconds of the board's clock in a second.
+    clock: f64,
 }
 
 fn rolls(
@@ -188,6 +189,7 @@ fn rolls(
             turn: found.turn,
             ratio: ratio(&readings, origin, believed)
                 .and_then(|share| ratio(&readings, origin, share * believed)),
+            clock: clock(&readings.boards),
         });
     }
     if is_latched {
@@ -295,10 +297,16 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     };
     let ratio = ratio.widened(SLIP * ratio.value);
     let distance = ratio.scaled(believed);
+    // The board divides by its own seconds: with this distance its speed is right.
+    let clocks: Vec<f64> = passes.iter().map(|pass| pass.clock).collect();
+    let clock = mean(&clocks).unwrap_or(1.0);
+    let written = (distance.value * clock).round();
     checks.good(
         format!(
-            "{:.0} um in a pulse, configured were {believed:.0}",
-            distance.value
+            "{:.0} um in a pulse, {written:.0} by the board's clock, which is {:+.2} % fast; \
+             configured were {believed:.0}",
+            distance.value,
+            100.0 * (clock - 1.0)
         ),
         "as measured",
     );
@@ -322,10 +330,7 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
         name: "pulse-distance",
         unit: "um",
         estimate: distance,
-        key: Some((
-            "board.speed.pulse_distance_um",
-            (distance.value.round() as i64).into(),
-        )),
+        key: Some(("board.speed.pulse_distance_um", (written as i64).into())),
     });
 }
 
@@ -338,6 +343,7 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
 fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
     const PERIOD_S: f64 = 0.005;
     let speeds = speeds(&readings.poses);
+    let clock = clock(&readings.boards);
     let mut by_pulses = 0.0;
     let mut by_cameras = 0.0;
     for stretch in speeds.chunk_by(|left, right| (left.1 > SLOW_M_S) == (right.1 > SLOW_M_S)) {
@@ -354,9 +360,20 @@ fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
         let way = way(&readings.poses, origin, *begin, *end)?;
         let late = PERIOD_S + pulse * seconds(*begin, *end) / way;
         by_cameras += way;
-        by_pulses += wheel_way(&readings.boards, *begin, *end, late);
+        by_pulses += wheel_way(&readings.boards, *begin, *end, late) * clock;
     }
     (by_pulses > 0.0).then(|| by_cameras / by_pulses)
+}
+
+/// Seconds of the board's clock in a second: a ceramic resonator is up to 0.5 % wrong.
+fn clock(boards: &[BoardReading]) -> f64 {
+    match (boards.first(), boards.last()) {
+        (Some(first), Some(last)) if seconds(first.time, last.time) > 1.0 => {
+            let own = f64::from(last.board_us.wrapping_sub(first.board_us)) * 1e-6;
+            own / seconds(first.time, last.time)
+        }
+        _ => 1.0,
+    }
 }
 
 /// The speed of the body at its poses, over a tenth of a second.

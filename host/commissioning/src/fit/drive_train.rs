@@ -1,6 +1,6 @@
 //! ESC, motor and gears, from changes of the speed.
 
-use super::{Signal, gauss_newton};
+use super::{Frames, gauss_newton};
 
 /// How the speed follows the ESC's pulse, as one change of the speed shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,11 +26,10 @@ const STEP: f64 = 0.002;
 pub fn drive_train(
     time: &[f64],
     way: &[f64],
-    pulses: &Signal,
+    pulses: &Frames,
     about: [f64; 2],
     rolling: f64,
 ) -> Option<DriveTrain> {
-    let pulses = &pulses.in_frames();
     let (start, first) = (*time.first()?, *way.first()?);
     let near = time.iter().take_while(|t| **t < start + 0.2).count();
     let (late, after) = (time.get(near)?, way.get(near)?);
@@ -58,7 +57,7 @@ pub fn drive_train(
                 .map(|(&time, &way)| {
                     while now + STEP <= time {
                         now += STEP;
-                        let wanted = (pulses.at(now - 0.5 * STEP - delay) - edge) * gain * 1e-3;
+                        let wanted = (pulses.mean(now - delay, STEP) - edge) * gain * 1e-3;
                         let change = (share * (wanted.max(0.0) - speed)).max(-rolling * STEP);
                         position += (speed + 0.5 * change) * STEP;
                         speed += change;
@@ -164,9 +163,9 @@ mod tests {
     use crate::fit::tests::Noise;
 
     /// A rise of the speed: pulses by the telemetry, and way by the cameras.
-    fn rise(seed: u64, truth: &DriveTrain) -> (Signal, Vec<f64>, Vec<f64>) {
+    fn rise(seed: u64, truth: &DriveTrain) -> (Frames, Vec<f64>, Vec<f64>) {
         let mut noise = Noise::new(seed);
-        let (phase, telemetry) = (0.02 * noise.uniform(), 0.01 * noise.uniform());
+        let phase = 0.02 * noise.uniform();
         let from = truth.edge_us + 0.15 * truth.us_per_m_s;
         let to = truth.edge_us + 0.3 * truth.us_per_m_s;
         // The speed loop: a kick, and a ramp.
@@ -175,9 +174,9 @@ mod tests {
             let kick = 4.0 * (-since / 0.2).exp() * since.min(0.05) / 0.05;
             (from + (to - from) * (since / 0.1).min(1.0) + kick).round()
         };
-        let pulses = Signal(
-            (0..220)
-                .map(|index| telemetry + 0.01 * f64::from(index))
+        let pulses = Frames(
+            (0..110)
+                .map(|index| phase + 0.02 * f64::from(index))
                 .map(|time| (time, wanted(time)))
                 .collect(),
         );

@@ -10,8 +10,10 @@ mod body;
 mod body_in_bends;
 mod delay;
 mod drive_train;
+mod frames;
 mod gauss_newton;
 mod least_squares;
+mod sample_times;
 pub(crate) mod speed_curve;
 mod statistics;
 pub(crate) mod steering;
@@ -22,8 +24,10 @@ pub use body::{FloorPose, Rolled, rolled, turned_about};
 pub use body_in_bends::{Body, body};
 pub use delay::{Delay, stamp_delay};
 pub use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
+pub use frames::Frames;
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
+pub use sample_times::{Reading, SampleTimes, sample_times};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,

@@ -1,5 +1,6 @@
 //! The readings of a drive on one time axis.
 
+use super::{Frames, Reading, frames::Record, sample_times};
 use crate::Observation;
 
 /// A sample over time: seconds since the start of the track, and its value.
@@ -9,10 +10,10 @@ type Sample<T> = (f64, T);
 #[derive(Clone, Debug, Default)]
 pub struct Track {
     origin_ns: Option<u64>,
-    /// Angular velocity about the vertical, rad/s.
-    gyro: Vec<Sample<f64>>,
+    /// Angular velocity about the vertical, rad/s, when it was read.
+    gyro: Vec<(Reading, f64)>,
     /// Pulses of servo and ESC, µs.
-    pulses: Vec<Sample<[f64; 2]>>,
+    pulses: [Vec<Record>; 2],
     /// Speed by the motor pulses, m/s.
     motor: Vec<Sample<f64>>,
     /// Position, m, and yaw, rad, not wrapped, of the rigid body by the stamp.
@@ -45,11 +46,14 @@ impl Track {
             Observation::Board(board) => {
                 let time = self.seconds(board.time.0);
                 self.motor.push((time, board.motor_speed));
-                let pulses = [board.servo_us, board.esc_us].map(f64::from);
-                self.pulses.push((time, pulses));
+                for (records, pulse) in self.pulses.iter_mut().zip([board.servo_us, board.esc_us]) {
+                    records.push((time, board.board_us, pulse.into()));
+                }
                 if let Some(inertial) = board.inertial {
                     let time = self.seconds(inertial.time.0);
-                    self.gyro.push((time, inertial.angular_velocity[2]));
+                    let board_us = inertial.board_us;
+                    let reading = Reading { time, board_us };
+                    self.gyro.push((reading, inertial.angular_velocity[2]));
                 }
             }
             Observation::Pose(pose) => {
@@ -76,15 +80,23 @@ impl Track {
         self.poses.len()
     }
 
-    /// The pulses of servo (0) or ESC (1).
+    /// The pulses of the servo.
     #[must_use]
-    pub fn pulses(&self, of: usize) -> Signal {
-        Signal(
-            self.pulses
-                .iter()
-                .map(|(time, pulses)| (*time, pulses[of]))
-                .collect(),
-        )
+    pub fn servo(&self) -> Frames {
+        Frames::of(&self.pulses[0])
+    }
+
+    /// The pulses of the ESC.
+    #[must_use]
+    pub fn esc(&self) -> Frames {
+        Frames::of(&self.pulses[1])
+    }
+
+    /// The angular velocity when it was measured.
+    fn rate(&self) -> Signal {
+        let (readings, rates): (Vec<Reading>, Vec<f64>) = self.gyro.iter().copied().unzip();
+        let times = sample_times(&readings).times;
+        Signal(times.into_iter().zip(rates).collect())
     }
 
     /// The integral of the motor's speed, m.
@@ -97,7 +109,7 @@ impl Track {
     /// quotient is that, so that tracks can be added. None without motion.
     #[must_use]
     pub fn latency(&self) -> [f64; 2] {
-        let rate = Signal(self.gyro.clone());
+        let rate = self.rate();
         let smooth = rate.smoothed(2);
         let turned = rate.integral();
         let mut sums = [0.0; 2];
@@ -131,7 +143,7 @@ impl Track {
     /// The motion at the poses, whose stamps are late by `latency` s.
     #[must_use]
     pub fn motion(&self, latency: f64) -> Motion {
-        let turned = Signal(self.gyro.clone()).integral();
+        let turned = self.rate().integral();
         let time: Vec<f64> = self.poses.iter().map(|(time, _)| time - latency).collect();
         let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
         let lead: Vec<f64> = self
@@ -213,30 +225,6 @@ impl Signal {
             (None, Some((_, value))) => *value,
             (None, None) => 0.0,
         }
-    }
-
-    /// What a servo gets on average: the pulses that the telemetry tells are taken over at the
-    /// next frame, 20 ms apart, and last until the one after.
-    #[must_use]
-    pub fn in_frames(&self) -> Self {
-        const FRAME: f64 = 0.02;
-        let integral = self.integral();
-        let first = self.0.first().map_or(0.0, |(time, _)| *time);
-        Self(
-            self.0
-                .iter()
-                .flat_map(|(time, _)| [*time, *time + 0.005])
-                .map(|time| {
-                    let past = (time - FRAME).max(first);
-                    let value = if time > past {
-                        (integral.at(time) - integral.at(past)) / (time - past)
-                    } else {
-                        self.at(time)
-                    };
-                    (time, value)
-                })
-                .collect(),
-        )
     }
 
     /// The integral since the first sample.

@@ -1,6 +1,6 @@
 //! The steering servo, from a drive with bends.
 
-use super::{Motion, Signal, gauss_newton};
+use super::{Frames, Motion, gauss_newton};
 
 /// The steering servo, as one pass shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,13 +42,12 @@ const SLOWEST: f64 = 0.05;
 #[must_use]
 pub fn wheels(
     motion: &Motion,
-    pulses: &Signal,
+    pulses: &Frames,
     speed: &[f64],
     turning: &Turning,
     about: [f64; 2],
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
-    let pulses = &pulses.in_frames();
     let residuals = |parameters: &[f64; 5]| residuals(motion, pulses, speed, turning, parameters);
     let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.02, 3.0];
     let reach = 1_000.0 / gain_us_per_rad.abs();
@@ -83,7 +82,7 @@ pub fn wheels(
 /// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
 fn residuals(
     motion: &Motion,
-    pulses: &Signal,
+    pulses: &Frames,
     speed: &[f64],
     turning: &Turning,
     &[centre_us, inverse, lag, delay, play_us]: &[f64; 5],
@@ -104,7 +103,7 @@ fn residuals(
             let speed = f64::midpoint(speed[index - 1], speed[index]);
             while now + STEP <= middle {
                 now += STEP;
-                let pulse = pulses.at(now - 0.5 * STEP - delay);
+                let pulse = pulses.mean(now - delay, STEP);
                 held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
                 let before = turned;
                 turned += share * (angle(held) - turned);
@@ -172,9 +171,9 @@ mod tests {
     };
 
     /// A pass over both circles with a weave, by a servo with these parameters.
-    fn pass(seed: u64, truth: &Wheels) -> (Motion, Signal, Vec<f64>) {
+    fn pass(seed: u64, truth: &Wheels) -> (Motion, Frames, Vec<f64>) {
         let mut noise = Noise::new(seed);
-        let (phase, telemetry) = (0.02 * noise.uniform(), 0.01 * noise.uniform());
+        let phase = 0.02 * noise.uniform();
         let command = 0.01 * noise.uniform();
         let wanted = |time: f64| {
             // Commands come every 10 ms.
@@ -196,9 +195,9 @@ mod tests {
             let angle = side + if strong { 0.12 } else { 0.03 } * triangle;
             (truth.centre_us + truth.gain_us_per_rad * angle).round()
         };
-        let pulses = Signal(
-            (0..3_800)
-                .map(|index| telemetry + 0.01 * f64::from(index) - 0.5)
+        let pulses = Frames(
+            (0..1_900)
+                .map(|index| phase + 0.02 * f64::from(index) - 0.5)
                 .map(|time| (time, wanted(time)))
                 .collect(),
         );
@@ -214,7 +213,7 @@ mod tests {
         for index in 0..180_000 {
             let now = f64::from(index) * step;
             let acted = now - truth.delay;
-            let pulse = wanted(((acted - phase) / 0.02).floor() * 0.02 + phase);
+            let pulse = wanted(((acted - phase) / 0.02 + 1e-9).floor() * 0.02 + phase);
             held = held.clamp(pulse - 0.5 * truth.play_us, pulse + 0.5 * truth.play_us);
             let angle = (held - truth.centre_us) / truth.gain_us_per_rad;
             turned += step * (angle - turned) / truth.lag;

@@ -542,6 +542,7 @@ impl Bench for MockCar {
             let sign = self.esc_offset_us.signum();
             observed.push(Observation::Board(BoardReading {
                 time,
+                board_us: self.now_us as u32,
                 receive: time,
                 inertial: None,
                 motor_speed: self.measured * sign,

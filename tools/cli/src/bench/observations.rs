@@ -68,6 +68,7 @@ fn tick(entry: &Value) -> Option<TickReading> {
 fn telemetry(entry: &Value) -> Option<BoardReading> {
     let milli = |key| Some(number(entry, key)? / 1_000.0);
     let part = |key| i16::try_from(entry.get(key)?.as_i64()?).ok();
+    let board_us = u32::try_from(entry.get("board_time_us")?.as_u64()?).ok()?;
     let is_fresh = entry.get("imu")?.as_str()? == "fresh";
     let inertial = || {
         let tilt = imu_tilt([
@@ -78,6 +79,7 @@ fn telemetry(entry: &Value) -> Option<BoardReading> {
         ]);
         Some(Inertial {
             time: time(entry, "imu_time_host_ns")?,
+            board_us: board_us.wrapping_sub(100 * u32::from(small(entry, "imu_age_100us")?)),
             acceleration: [
                 milli("forward_acceleration_mm_s2")?,
                 milli("left_acceleration_mm_s2")?,
@@ -94,6 +96,7 @@ fn telemetry(entry: &Value) -> Option<BoardReading> {
     };
     Some(BoardReading {
         time: time(entry, "board_time_host_ns")?,
+        board_us,
         receive: time(entry, "receive_time_ns")?,
         inertial: if is_fresh { inertial() } else { None },
         motor_speed: milli("motor_speed_mm_s")?,

@@ -1,0 +1,110 @@
+//! The pulses that servo and ESC get, from what the telemetry says of them.
+//!
+//! The board makes a record every 10 ms and a pulse for each of the two every 20 ms, both from
+//! its start on: a pulse begins with every second record, and is as long as that record says.
+
+/// Microseconds between two pulses, and between two records.
+const FRAME_US: u32 = 20_000;
+const RECORD_US: u32 = 10_000;
+
+/// After the 71 minutes in which the board's clock has counted through, records no longer come
+/// at multiples of 10 ms: by that they show how often it has.
+const MOST_TURNS: u32 = 3;
+
+/// The pulses of an output.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frames(
+    /// When each began, s, and its length, µs.
+    pub Vec<(f64, f64)>,
+);
+
+/// A record: when it was made, s, the same on the board's clock, µs, and the pulse that it names,
+/// µs.
+pub(super) type Record = (f64, u32, f64);
+
+impl Frames {
+    /// The pulses that these records announce.
+    pub(super) fn of(records: &[Record]) -> Self {
+        let shifted = |turns: u32| turns.wrapping_mul(u32::MAX % FRAME_US + 1) % FRAME_US;
+        let off = |board_us: u32, turns: u32, period_us: u32| {
+            let since = (board_us % period_us + shifted(turns)) % period_us;
+            // The nearest one, before or after.
+            i64::from(since) - i64::from(if since > period_us / 2 { period_us } else { 0 })
+        };
+        let far = |turns: u32| -> i64 {
+            let records = records.iter().map(|(_, board_us, _)| *board_us);
+            records.map(|us| off(us, turns, RECORD_US).abs()).sum()
+        };
+        let turns = (0..=MOST_TURNS)
+            .min_by_key(|turns| far(*turns))
+            .unwrap_or(0);
+        let own = |board_us: u32| {
+            let off_us = off(board_us, turns, FRAME_US);
+            (off_us.unsigned_abs() < u64::from(RECORD_US) / 2).then_some(off_us)
+        };
+        Self(
+            records
+                .iter()
+                .filter_map(|(time, board_us, pulse)| {
+                    own(*board_us).map(|off_us| (time - 1e-6 * off_us as f64, *pulse))
+                })
+                .collect(),
+        )
+    }
+
+    /// The pulse that acts at a time: the last one that has begun, or the first one.
+    #[must_use]
+    pub fn at(&self, time: f64) -> f64 {
+        self.last(time).map_or(0.0, |(_, pulse)| pulse)
+    }
+
+    /// The mean over a time, which ends at `end` and is shorter than the time between two pulses.
+    #[must_use]
+    pub fn mean(&self, end: f64, lasts: f64) -> f64 {
+        let Some((begin, pulse)) = self.last(end) else {
+            return 0.0;
+        };
+        let share = ((end - begin) / lasts).clamp(0.0, 1.0);
+        if share == 1.0 {
+            return pulse;
+        }
+        share * pulse + (1.0 - share) * self.at(end - lasts)
+    }
+
+    fn last(&self, time: f64) -> Option<(f64, f64)> {
+        let after = self.0.partition_point(|(begin, _)| *begin <= time);
+        self.0.get(after.saturating_sub(1)).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Records of a pulse that grows by 1 us with every record, `turns` after the board's start.
+    fn records(turns: u32) -> Vec<Record> {
+        (0..50_u32)
+            .map(|n| {
+                let since_start_us = (u64::from(turns) << 32) / 20_000 * 20_000 + 40_000;
+                let board_us =
+                    (since_start_us + 10_000 * u64::from(n) + u64::from(n % 3) * 100) as u32;
+                (0.01 * f64::from(n), board_us, f64::from(n))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_pulse_is_that_of_the_record_with_which_it_begins() {
+        for turns in 0..=MOST_TURNS {
+            let frames = Frames::of(&records(turns));
+            for (time, pulse) in [(0.001, 0.0), (0.019, 0.0), (0.0205, 2.0), (0.117, 10.0)] {
+                assert_eq!(frames.at(time), pulse, "{turns}: {time}");
+            }
+        }
+        assert_eq!(Frames::default().at(1.0), 0.0);
+        let frames = Frames(vec![(0.0, 10.0), (0.02, 20.0)]);
+        for (end, mean) in [(0.019, 10.0), (0.021, 15.0), (0.022, 20.0), (-1.0, 10.0)] {
+            assert!((frames.mean(end, 0.002) - mean).abs() < 1e-9, "{end}");
+        }
+    }
+}
