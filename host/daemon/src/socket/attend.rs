@@ -11,6 +11,7 @@ use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     net::unix::{OwnedReadHalf, OwnedWriteHalf},
+    task::coop::consume_budget,
     time::{Instant, MissedTickBehavior, interval},
 };
 
@@ -19,7 +20,8 @@ use super::{
     command::{Arm, Command, SOCKET_VERSION},
     drives::Ticket,
     progress::{DriveWatch, POLL, Progress},
-    serve::{LONGEST_LINE, answer, failure, pass_setpoint, send, skip_line},
+    serve::{LONGEST_LINE, answer, failure, no_command, send, skip_line},
+    setpoint::SetpointStream,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::TickView};
 
@@ -35,6 +37,7 @@ pub(super) async fn hold(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     request: Arm,
 ) -> io::Result<bool> {
     let begun = tokio::select! {
@@ -52,7 +55,7 @@ pub(super) async fn hold(
         ticket,
         jogs: false,
     };
-    attend(read, write, daemon, &drive, watch).await
+    attend(read, write, daemon, setpoints, &drive, watch).await
 }
 
 /// Arms to jog, and passes pulses on for as long as the client gives them. Returns whether the
@@ -61,6 +64,7 @@ pub(super) async fn jog(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
 ) -> io::Result<bool> {
     let (ticket, watch) = match begin_jogging(daemon) {
         Ok(begun) => begun,
@@ -70,7 +74,7 @@ pub(super) async fn jog(
         }
     };
     let drive = Attended { ticket, jogs: true };
-    attend(read, write, daemon, &drive, watch).await
+    attend(read, write, daemon, setpoints, &drive, watch).await
 }
 
 /// A drive that a connection holds.
@@ -95,10 +99,11 @@ async fn attend(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     drive: &Attended,
     watch: DriveWatch,
 ) -> io::Result<bool> {
-    let result = serve_drive(read, write, daemon, drive, watch).await;
+    let result = serve_drive(read, write, daemon, setpoints, drive, watch).await;
     if !matches!(result, Ok(true)) {
         // The client is gone, and the drive is not over.
         let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
@@ -110,6 +115,7 @@ async fn serve_drive(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     drive: &Attended,
     mut watch: DriveWatch,
 ) -> io::Result<bool> {
@@ -181,7 +187,9 @@ async fn serve_drive(
                 send(write, &answer(question, daemon).await).await?;
             }
             Ok(Command::Setpoint(setpoint)) if !drive.jogs => {
-                pass_setpoint(write, daemon, &setpoint).await?;
+                if let Some(answer) = setpoints.pass(daemon, &setpoint) {
+                    send(write, &answer).await?;
+                }
             }
             Ok(_) => {
                 let error = if drive.jogs {
@@ -192,9 +200,10 @@ async fn serve_drive(
                 };
                 send(write, &failure(error)).await?;
             }
-            Err(error) => send(write, &failure(error)).await?,
+            Err(error) => send(write, &no_command(daemon, &error)).await?,
         }
         line.clear();
+        consume_budget().await;
     }
 }
 

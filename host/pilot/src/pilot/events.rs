@@ -1,6 +1,6 @@
 //! Handles the events of a tick.
 
-use singletrack_control::{PoseSample, PoseVerdict, Reference};
+use singletrack_control::{PoseSample, PoseVerdict, Reference, Time};
 
 use super::Pilot;
 use crate::{
@@ -10,7 +10,7 @@ use crate::{
 
 impl Pilot {
     /// Handles an event; true if it is a pose and was accepted.
-    pub(super) fn handle(&mut self, event: &Event) -> bool {
+    pub(super) fn handle(&mut self, now: Time, event: &Event) -> bool {
         match event {
             Event::Pose(pose) => return self.handle_pose(pose),
             Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
@@ -21,9 +21,15 @@ impl Pilot {
             Event::Health(health) => self.supervisor.handle_health(*health),
             Event::Line(line) => self.supervisor.handle_line(*line),
             Event::RealTime(state) => self.supervisor.handle_real_time(*state),
+            // Without a set-point that it does not refuse, the reference becomes stale.
             Event::Setpoint(setpoint) => {
                 if let Reference::External(external) = &mut self.config.reference {
-                    external.handle(setpoint);
+                    external.handle(setpoint, now).ok();
+                }
+            }
+            Event::TrajectoryPiece(piece) => {
+                if let Reference::External(external) = &mut self.config.reference {
+                    external.handle_piece(piece, now).ok();
                 }
             }
             Event::Jog(jog) => {

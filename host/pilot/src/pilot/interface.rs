@@ -2,7 +2,7 @@
 
 use singletrack_control::{
     Actuation, Estimate, EstimatorConfig, FrontPointLaw, Limits, Position, Reference,
-    ReferencePoint, Time, TrackingLoop, Velocity,
+    ReferencePoint, SetpointStamp, Time, TrackingLoop, Velocity,
 };
 
 use crate::{
@@ -93,6 +93,8 @@ pub struct Output {
     /// Why an arm request would be refused now; `None` if it would not, or while a drive is
     /// underway. Unlike `reason`, it never says why the last drive ended.
     pub preflight: Option<Reason>,
+    /// The newest set-point from outside that was not refused.
+    pub setpoint: Option<SetpointStamp>,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.

@@ -5,7 +5,9 @@ mod interface;
 mod verdicts;
 
 use libm::{cos, fabs, rint};
-use singletrack_control::{Actuation, Estimate, Estimator, LimitedLaw, OuterLoop, Reference, Time};
+use singletrack_control::{
+    Actuation, Demand, Estimate, Estimator, LimitedLaw, OuterLoop, Reference, Time,
+};
 
 use crate::{
     event::{Event, Jog},
@@ -132,7 +134,7 @@ impl Pilot {
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let mut held = true;
         for event in events {
-            held &= !self.handle(event);
+            held &= !self.handle(now, event);
         }
         let last_tick = self.last_tick.replace(now);
         let steering = self.law.actuation().steering;
@@ -251,6 +253,10 @@ impl Pilot {
             disproved: false,
             braking_measured: stop.measured,
             preflight: self.supervisor.preflight(),
+            setpoint: match &self.config.reference {
+                Reference::External(external) => external.in_force(),
+                _ => None,
+            },
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();
@@ -300,7 +306,8 @@ impl Pilot {
         output
     }
 
-    /// A tick in [`Mode::Driving`]: reference, position loop, law. Fails where the law is
+    /// A tick in [`Mode::Driving`]: reference, position loop, law, or the actuation that a
+    /// controller outside demands. Fails where the law is
     /// singular.
     fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
         let time = self
@@ -312,20 +319,21 @@ impl Pilot {
             self.law.actuation().steering,
         );
         let before = self.law.actuation().speed;
-        let reference = self.config.reference.at(time);
-        let velocity = self.config.tracking.velocity(&reference, &point);
-        let actuation = self
-            .law
-            .step(
-                &estimate.motion(),
-                estimate.speed,
-                &velocity,
-                self.config.period,
-            )
-            .map_err(|_| match &self.proving {
-                Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
-                _ => Reason::LawSingular,
-            })?;
+        let period = self.config.period;
+        let actuation = match self.config.reference.demand(now, time) {
+            Demand::Point(reference) => {
+                let velocity = self.config.tracking.velocity(&reference, &point);
+                output.reference = Some(reference);
+                output.point_velocity = Some(velocity);
+                self.law
+                    .step(&estimate.motion(), estimate.speed, &velocity, period)
+            }
+            Demand::Actuation { steering, speed } => self.law.follow(steering, speed, period),
+        }
+        .map_err(|_| match &self.proving {
+            Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
+            _ => Reason::LawSingular,
+        })?;
         // Without a fresh pose the car must not accelerate.
         let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));
@@ -335,8 +343,6 @@ impl Pilot {
         };
         let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
         output.drive_time = Some(time);
-        output.reference = Some(reference);
-        output.point_velocity = Some(velocity);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
         let mut command = command(estimate, &actuation, false);
