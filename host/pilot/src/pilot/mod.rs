@@ -306,9 +306,8 @@ impl Pilot {
         output
     }
 
-    /// A tick in [`Mode::Driving`]: reference, position loop, law, or the actuation that a
-    /// controller outside demands. Fails where the law is
-    /// singular.
+    /// A tick in [`Mode::Driving`]: reference, position loop and law, or the actuation that a
+    /// controller outside demands. Fails where the law is singular.
     fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
         let time = self
             .drive_start
