@@ -62,6 +62,8 @@ pub enum Next {
     Kill,
     /// Types Ctrl-C.
     Interrupt,
+    /// Lets the space bar go.
+    LetGo,
 }
 
 impl Newcomer {
@@ -268,6 +270,7 @@ impl Newcomer {
             match next(terminal.text(), &self.hands.look(), self.hands.is_moving()) {
                 Next::GoOn => {}
                 Next::Interrupt => terminal.interrupt()?,
+                Next::LetGo => terminal.let_go(),
                 Next::Kill => {
                     terminal.kill()?;
                     return Ok(Session {

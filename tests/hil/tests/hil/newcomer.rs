@@ -10,7 +10,7 @@ use std::{
     fs,
     path::Path,
     sync::{Mutex, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use singletrack_hil::{
@@ -73,11 +73,16 @@ const SHORT: [(&str, &[&str]); 3] = [
             "stop-emergency",
         ],
     ),
-    (CALIBRATE, &["straight", "cover"]),
+    (CALIBRATE, &["cover"]),
 ];
 
 /// Time from the end of the operator's program until the wheels of a slow car stand.
 const STANDING: Duration = Duration::from_millis(1_500);
+
+/// From the release of the space bar until the motor is not driven: the terminal repeats a key
+/// ten times a second at least, of which two may be missed, and the disarm takes as long as that
+/// of a killed program.
+const LET_GO_MS: f64 = 250.0 + NEUTRAL_LIMIT_MS;
 
 /// What the car does in virtual time, once for all tests.
 static REHEARSAL: Mutex<Option<Rehearsal>> = Mutex::new(None);
@@ -142,6 +147,7 @@ fn killed_and_resumed(
     procedure: &str,
     mut when: impl FnMut(&str, &Seen, bool) -> bool,
     after: impl FnOnce(&mut Newcomer) -> Outcome,
+    again: impl FnMut(&str, &Seen, bool) -> Next,
 ) -> Outcome {
     let mut before = String::new();
     let config = newcomer.config();
@@ -164,7 +170,7 @@ fn killed_and_resumed(
         "the configuration has changed after the kill"
     );
     let interrupted = begun(&killed.text).last().copied().unwrap_or_default();
-    let resumed = newcomer.run(&[procedure], rehearsal, |_, _, _| Next::GoOn)?;
+    let resumed = newcomer.run(&[procedure], rehearsal, again)?;
     succeeded(&resumed)?;
     ensure!(
         begun(&resumed.text).first() == Some(&interrupted),
@@ -185,6 +191,37 @@ fn killed_and_resumed(
     Ok(())
 }
 
+/// Types Ctrl-C when `when` says so: the car stops, the step has found nothing, and the command
+/// says how to go on.
+fn interrupted(
+    newcomer: &mut Newcomer,
+    rehearsal: &Rehearsal,
+    procedure: &str,
+    mut when: impl FnMut(&str, &Seen) -> bool,
+) -> Outcome {
+    let mut is_typed = false;
+    let session = newcomer.run(&[procedure], rehearsal, |text, seen, _| {
+        if !is_typed && when(text, seen) {
+            is_typed = true;
+            return Next::Interrupt;
+        }
+        Next::GoOn
+    })?;
+    let code = session.status.and_then(|status| status.code());
+    ensure!(
+        code == Some(1)
+            && session
+                .text
+                .contains("interrupted by the operator; run the same command again to resume")
+            && !session.text.contains("failed"),
+        "after Ctrl-C: status {code:?}\n{}",
+        session.text
+    );
+    newcomer
+        .look_until(STANDING, |seen, _| seen.wheels_m_s.abs() < 0.01)
+        .map(drop)
+}
+
 fn doctor_in_part(bench: &mut Bench) -> Outcome {
     let rehearsal = rehearsal()?;
     let mut newcomer = newcomer(bench, &rehearsal, DOCTOR)?;
@@ -194,6 +231,7 @@ fn doctor_in_part(bench: &mut Bench) -> Outcome {
         DOCTOR,
         |text, _, is_moving| text.contains("[5/8]") && is_moving,
         |_| Ok(()),
+        |_, _, _| Next::GoOn,
     )
 }
 
@@ -204,6 +242,7 @@ fn bring_up_in_part(bench: &mut Bench) -> Outcome {
 }
 
 fn jog_is_killed(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) -> Outcome {
+    let (mut let_go, mut undriven) = (None, None);
     killed_and_resumed(
         newcomer,
         rehearsal,
@@ -237,6 +276,23 @@ fn jog_is_killed(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) 
                 })
                 .map(drop)
         },
+        |text, seen, _| {
+            if text.contains("[8/16]") && seen.wheels_m_s > 0.15 && let_go.is_none() {
+                let_go = Some(Instant::now());
+                return Next::LetGo;
+            }
+            if !seen.driven && undriven.is_none() {
+                undriven = let_go.map(|let_go| let_go.elapsed());
+            }
+            Next::GoOn
+        },
+    )?;
+    let undriven = undriven.ok_or_else(|| Failure::new("the motor was never let go"))?;
+    bench.at_most(
+        "from the release of the space bar until the motor is not driven",
+        undriven.as_secs_f64() * 1e3,
+        LET_GO_MS,
+        "ms",
     )
 }
 
@@ -245,7 +301,7 @@ fn drive_is_killed(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal
         newcomer,
         rehearsal,
         CALIBRATE,
-        |text, seen, is_moving| text.contains("[1/5]") && !is_moving && seen.wheels_m_s > 0.15,
+        |text, seen, is_moving| text.contains("[5/5]") && !is_moving && seen.wheels_m_s > 0.15,
         |newcomer| {
             let took = newcomer.look_until(Duration::from_secs(4), |seen, _| {
                 seen.wheels_m_s.abs() < 0.01
@@ -257,12 +313,19 @@ fn drive_is_killed(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal
                 "ms",
             )
         },
+        |_, _, _| Next::GoOn,
     )
 }
 
 fn calibrate_in_part(bench: &mut Bench) -> Outcome {
     let rehearsal = rehearsal()?;
     let mut newcomer = newcomer(bench, &rehearsal, CALIBRATE)?;
+    interrupted(&mut newcomer, &rehearsal, CALIBRATE, |text, _| {
+        text.contains("Hold the space bar")
+    })?;
+    interrupted(&mut newcomer, &rehearsal, CALIBRATE, |text, seen| {
+        text.contains("Hold the space bar") && seen.wheels_m_s > 0.15
+    })?;
     drive_is_killed(bench, &mut newcomer, &rehearsal)?;
     circle(bench, &mut newcomer, &rehearsal)
 }
@@ -309,7 +372,7 @@ fn circle(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) -> Outc
     let time = format!("{DRIVE_S}s");
     let session = newcomer.run(&["arm", "--for", &time], rehearsal, |_, seen, _| {
         if seen.wheels_m_s > 0.05 {
-            begun.get_or_insert_with(std::time::Instant::now);
+            begun.get_or_insert_with(Instant::now);
         }
         let is_settled = begun.is_some_and(|begun| begun.elapsed().as_secs_f64() > SETTLES_S);
         if is_settled && seen.wheels_m_s > 0.2 {

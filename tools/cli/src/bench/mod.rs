@@ -363,12 +363,9 @@ impl LiveBench {
                     }
                     // Renewals that came after a refusal.
                     Err(ControlError::Refused(reason)) if reason.starts_with("hold renews") => {}
-                    // The estimate begins anew with another configuration, and a board that was
-                    // reset is configured again. The operator need not let go for that.
-                    Err(ControlError::Refused(reason))
-                        if (attendance == Attendance::Jog || reason.contains("mode idle"))
-                            && begun.elapsed() < ANSWER =>
-                    {
+                    // The board is configured again after a reset and with another reference, and
+                    // the estimate begins anew. The operator need not let go for that.
+                    Err(ControlError::Refused(_)) if begun.elapsed() < ANSWER => {
                         asked = None;
                         again = Instant::now() + AGAIN;
                     }

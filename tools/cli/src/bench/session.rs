@@ -6,6 +6,7 @@ use std::{
     process::ExitCode,
 };
 
+use indicatif::ProgressBar;
 use jiff::Timestamp;
 use serde_json::json;
 use singletrack_commissioning::{
@@ -53,7 +54,10 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
             &bench.before,
             Timestamp::now(),
         ),
-        terminal: Report { json: args.json },
+        terminal: Report {
+            json: args.json,
+            bar: bench.terminal.bar(),
+        },
     };
     if args.again {
         journal.file.close()?;
@@ -185,6 +189,8 @@ struct SessionJournal {
 /// What the journal prints, while the bench has the terminal.
 struct Report {
     json: bool,
+    /// That of the bench.
+    bar: ProgressBar,
 }
 
 impl Journal for SessionJournal {
@@ -200,6 +206,7 @@ impl Journal for SessionJournal {
     }
 
     fn begin(&mut self, step: &Step, number: usize, of: usize) {
+        self.terminal.bar.finish_and_clear();
         eprintln!("\n[{number}/{of}] {}", step.title);
         if self.terminal.json {
             println!(
@@ -212,6 +219,7 @@ impl Journal for SessionJournal {
 
 impl Report {
     fn finding(&self, finding: &Finding) {
+        self.bar.finish_and_clear();
         eprintln!("{}: {}", finding.verdict.name(), finding.found);
         if matches!(finding.verdict, Verdict::Failed | Verdict::Warning) {
             eprintln!("  should be: {}", finding.expected);

@@ -43,6 +43,8 @@ impl Terminal {
         if let Ok(style) = ProgressStyle::with_template("{bar:16} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
+        // It is drawn while something is measured.
+        bar.finish_and_clear();
         Self {
             json,
             bar,
@@ -53,7 +55,16 @@ impl Terminal {
 
     /// A line for people.
     pub(super) fn say(&self, text: &str) {
-        self.bar.suspend(|| eprintln!("{text}"));
+        if self.bar.is_finished() {
+            eprintln!("{text}");
+        } else {
+            self.bar.suspend(|| eprintln!("{text}"));
+        }
+    }
+
+    /// The progress bar, for lines that others print: they clear it before.
+    pub(super) fn bar(&self) -> ProgressBar {
+        self.bar.clone()
     }
 
     /// A line for programs.
@@ -67,6 +78,9 @@ impl Terminal {
     }
 
     pub(super) fn show(&self, live: &Live<'_>) {
+        if self.bar.is_finished() {
+            self.bar.reset();
+        }
         self.bar
             .set_position((live.done.clamp(0.0, 1.0) * 1_000.0) as u64);
         self.bar.set_message(live.text.to_owned());
@@ -75,7 +89,6 @@ impl Terminal {
     /// Puts a question; the answer is then read with [`Terminal::answer`].
     pub(super) fn put(&mut self, question: &Question) -> io::Result<()> {
         self.bar.finish_and_clear();
-        self.bar.reset();
         self.tell(&json!({
             "question": question.id,
             "text": question.text,
