@@ -25,6 +25,7 @@ mod daemon;
 mod handle;
 mod judgement;
 mod live;
+mod messages;
 mod mocap_receiver;
 mod mocap_socket;
 mod recording;

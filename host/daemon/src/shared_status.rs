@@ -4,10 +4,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::Topic;
+use singletrack_record::{ClockMapping, Topic};
 use tokio::sync::broadcast;
 
-use crate::{snapshot::TickView, summary::Tally};
+use crate::{messages::MessageFeed, snapshot::TickView, summary::Tally};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
@@ -34,13 +34,16 @@ pub(crate) struct SharedStatus {
     latest: Mutex<Latest>,
     /// Every entry of the record as a line of JSON.
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
+    /// The same as the messages of the record.
+    pub(crate) messages: MessageFeed,
 }
 
 impl SharedStatus {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(clocks: ClockMapping) -> Self {
         Self {
             latest: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
+            messages: MessageFeed::new(clocks),
         }
     }
 

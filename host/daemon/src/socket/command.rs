@@ -9,7 +9,7 @@ use singletrack_core::{
     config::ReferenceSection,
 };
 use singletrack_pilot::Jog;
-use singletrack_record::Topic;
+use singletrack_record::{Channel, Topic};
 
 /// The version of the protocol. Client and daemon must have the same one.
 pub const SOCKET_VERSION: u32 = 2;
@@ -46,6 +46,11 @@ pub enum Command {
     Watch {
         /// The topics; empty for all.
         topics: Vec<Topic>,
+    },
+    /// A subscription to encoded messages, answered by a stream of them.
+    Messages {
+        /// Their channels; empty for all.
+        channels: Vec<Channel>,
     },
 }
 
@@ -170,9 +175,18 @@ impl Command {
                     .map(|topic| Topic::from_str(topic).map_err(|error| error.to_string()))
                     .collect::<Result<_, _>>()?,
             },
+            "messages" => Self::Messages {
+                channels: line
+                    .topics
+                    .take()
+                    .unwrap_or_default()
+                    .iter()
+                    .map(|topic| channel(topic))
+                    .collect::<Result<_, _>>()?,
+            },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload, messages or watch"
                 ));
             }
         };
@@ -287,6 +301,15 @@ impl Line {
     }
 }
 
+fn channel(topic: &str) -> Result<Channel, String> {
+    Channel::all()
+        .find(|channel| channel.topic() == topic)
+        .ok_or_else(|| {
+            let known: Vec<_> = Channel::all().map(Channel::topic).collect();
+            format!("no topic {topic:?}: use {}", known.join(", "))
+        })
+}
+
 fn within(key: &str, value: [f64; 2], limit: f64) -> Result<(), String> {
     if value.iter().all(|part| part.abs() <= limit) {
         return Ok(());
@@ -347,6 +370,10 @@ mod tests {
             (
                 r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
                 "ticks",
+            ),
+            (
+                r#"{"version":2,"command":"messages","topics":["/odm"]}"#,
+                "no topic \"/odm\": use /singletrack/tick, ",
             ),
             (
                 r#"{"version":2,"command":"watch","velocity_m_s":[0,0]}"#,
