@@ -52,6 +52,7 @@ fn main() -> ExitCode {
         .with_writer(io::stderr)
         .without_time()
         .with_target(false)
+        .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
         .init();
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
