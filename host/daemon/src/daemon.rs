@@ -42,7 +42,8 @@ use crate::{
     snapshot::Snapshot,
     socket::{BoundSocket, Drives, SocketError, SocketThread},
     state_file::StateFile,
-    summary::Summary,
+    state_stream::StateLines,
+    summary::{Figures, Summary},
     wake::StopFlag,
     wall_watch::WallWatch,
 };
@@ -235,6 +236,7 @@ impl Daemon {
             messages: Encoder::new(begin),
             record_dropped: 0,
             logged_mode: None,
+            state_lines: StateLines::default(),
             state,
             state_tried_ns: 0,
             stop: Arc::clone(&daemon.collector_stop),
@@ -448,7 +450,10 @@ impl Daemon {
             .tally
             .dropped_inputs(counts.observations, counts.serial_bytes);
         Ok(Summary {
-            figures: latest.tally.figures(),
+            figures: Figures {
+                setpoints: self.handle.status.setpoints.figures(),
+                ..latest.tally.figures()
+            },
             realtime: self.handle.realtime.clone(),
             record,
             record_error,

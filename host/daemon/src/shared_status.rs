@@ -7,7 +7,10 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, Topic};
 use tokio::sync::broadcast;
 
-use crate::{messages::MessageFeed, snapshot::TickView, summary::Tally};
+use crate::{
+    messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES,
+    summary::Tally,
+};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
@@ -36,6 +39,10 @@ pub(crate) struct SharedStatus {
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
     /// The same as the messages of the record.
     pub(crate) messages: MessageFeed,
+    /// The state of every tick as a line of JSON, with its end.
+    pub(crate) states: broadcast::Sender<Arc<str>>,
+    /// The set-points of all clients.
+    pub(crate) setpoints: SetpointCounters,
 }
 
 impl SharedStatus {
@@ -44,6 +51,8 @@ impl SharedStatus {
             latest: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
             messages: MessageFeed::new(clocks),
+            states: broadcast::Sender::new(STATE_LINES),
+            setpoints: SetpointCounters::default(),
         }
     }
 
