@@ -258,16 +258,12 @@ def drive(lab, system, name, act, arguments):
     wait("the end of the drive", lambda: system.mode()[0] in ("idle", "ready"))
 
 
-def check_messages(lab):
-    """1,000 of 1,000: no tick is missing between the first and the last."""
-    wait("an estimate", lambda: len(lab.arrived) > 50)
+def check_latency(lab):
+    """A thousand messages while the car stands."""
     begin = len(lab.arrived)
     wait("1,000 messages", lambda: len(lab.arrived) >= begin + 1000)
-    stamps = [stamp for stamp, _ in lab.arrived[begin : begin + 1000]]
-    gaps = [b - a for a, b in zip(stamps, stamps[1:])]
-    assert max(gaps) < 0.0155 and min(gaps) > 0.0045, (min(gaps), max(gaps))
     delays = [now - stamp for stamp, now in lab.arrived[begin : begin + 1000]]
-    print(f"/odom: 1,000 of 1,000; from the tick's stamp to rclpy: {quantiles(delays)}")
+    print(f"/odom, from the stamp of its tick to rclpy: {quantiles(delays)}")
 
 
 def check_velocity(lab, system, arguments):
@@ -326,18 +322,18 @@ def check_stalled(lab, system, arguments):
         stalled.send_signal(signal.SIGSTOP)
         begin = len(lab.arrived)
         time.sleep(arguments.stalled)
-        stamps = [stamp for stamp, _ in lab.arrived[begin:]]
-        gaps = [b - a for a, b in zip(stamps, stamps[1:])]
+        count = len(lab.arrived) - begin
         after = system.status()["figures"]
         stalled.send_signal(signal.SIGCONT)
     finally:
         stalled.kill()
         stalled.wait()
-    assert len(stamps) > 95 * arguments.stalled and max(gaps) < 0.0155, (len(stamps), max(gaps))
-    print(f"a subscriber stopped for {arguments.stalled:.0f} s: {len(stamps)} /odom without a gap")
-    for key in ("lateness_us", "tick_us", "computation_us"):
-        if key in after:
-            print(f"  {key}: {before[key]} before, {after[key]} after")
+    ticks = after["ticks"] - before["ticks"]
+    print(f"a subscriber stopped for {arguments.stalled:.0f} s: {count} /odom of {ticks} ticks")
+    # Before and after the two questions for the status, ticks go on.
+    assert abs(count - ticks) <= 30, (count, ticks)
+    for key in ("lateness_us", "tick_duration_us", "deadline_misses"):
+        print(f"  {key}: {before[key]} before, {after[key]} after")
 
 
 def check_stop(lab, system):
@@ -347,14 +343,20 @@ def check_stop(lab, system):
 
 
 def check_bytes(lab, folder):
-    """Every message is in the record, with the same bytes."""
+    """Every message is in the record, with the same bytes; and no /odom of it was lost."""
     (record,) = folder.glob("*.mcap")
-    recorded = {channel: set() for channel, _ in TOPICS.values()}
+    recorded = {channel: [] for channel, _ in TOPICS.values()}
     with open(record, "rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
             if channel.topic in recorded:
-                recorded[channel.topic].add(message.data)
+                recorded[channel.topic].append(message.data)
+    odom = recorded["/odom"]
+    begin, end = odom.index(lab.raw["odom"][0]), odom.index(lab.raw["odom"][-1])
+    print(f"/odom: {len(lab.raw['odom'])} of {end - begin + 1}")
+    assert lab.raw["odom"] == odom[begin : end + 1]
+    assert len(lab.raw["odom"]) > 1000
     counts = []
+    recorded = {channel: set(messages) for channel, messages in recorded.items()}
     for name, (channel, _) in TOPICS.items():
         ours = [raw for raw in lab.raw[name] if raw not in recorded[channel]]
         if name == "diagnostics":
@@ -404,7 +406,7 @@ def main():
         for publisher in (lab.velocities, lab.drives, lab.paths):
             wait("a match", lambda: publisher.get_subscription_count() > 0)
         wait("P", lambda: lab.point is not None and lab.yaw is not None)
-        check_messages(lab)
+        check_latency(lab)
         check_velocity(lab, system, arguments)
         check_drive(lab, system, arguments)
         check_old(lab, system)

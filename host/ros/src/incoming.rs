@@ -2,7 +2,10 @@
 
 use std::{
     path::PathBuf,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU32, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -51,6 +54,7 @@ pub(crate) fn start(
     let way = Arc::new(Way {
         socket: arguments.socket.clone(),
         connection: Mutex::new(None),
+        sequence: AtomicU32::new(1),
         attendance: attendance.clone(),
         tally: Arc::clone(tally),
     });
@@ -93,13 +97,15 @@ fn take<M: DeserializeOwned + Send + 'static>(
 struct Way {
     socket: PathBuf,
     connection: Mutex<Option<Connection>>,
+    /// The number of the next set-point.
+    sequence: AtomicU32,
     attendance: Attendance,
     tally: Arc<Tally>,
 }
 
 impl Way {
     fn pass(&self, name: &str, line: Result<Value, Refusal>) {
-        let line = match line {
+        let mut line = match line {
             Ok(line) => line,
             Err(refusal) => {
                 *self.tally.lock().refused.entry(refusal.name()).or_default() += 1;
@@ -111,6 +117,11 @@ impl Way {
             .connection
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
+        // The lock keeps the numbers in order.
+        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
+        if let Some(line) = line.as_object_mut() {
+            line.insert("sequence".to_owned(), sequence.into());
+        }
         match self.send(&mut connection, &line) {
             Ok(()) => {
                 self.tally.lock().passed += 1;

@@ -6,11 +6,11 @@
 use std::{
     fs, io,
     net::{IpAddr, Ipv4Addr},
-    os::fd::{AsFd, OwnedFd},
+    os::fd::OwnedFd,
 };
 
 use rustix::process::{PidfdFlags, PidfdGetfdFlags, getpid, pidfd_getfd, pidfd_open};
-use socket2::{SockFilter, SockRef};
+use socket2::{Domain, SockFilter, SockRef, Type};
 
 /// The addresses of the interfaces that are used: that of loopback if none is given.
 pub(crate) fn networks(interfaces: &[IpAddr]) -> Vec<IpAddr> {
@@ -34,9 +34,13 @@ pub(crate) fn close_to_others() -> io::Result<()> {
         let Ok(file) = pidfd_getfd(&process, number, PidfdGetfdFlags::empty()) else {
             continue;
         };
-        if is_udp(&file) {
-            SockRef::from(&file.as_fd()).attach_filter(&FROM_HERE)?;
-            closed += 1;
+        match datagrams(&file) {
+            Some(Domain::IPV4) => {
+                SockRef::from(&file).attach_filter(&FROM_HERE)?;
+                closed += 1;
+            }
+            Some(Domain::IPV6) => SockRef::from(&file).attach_filter(&NOTHING)?,
+            Some(_) | None => {}
         }
     }
     if closed == 0 {
@@ -45,15 +49,11 @@ pub(crate) fn close_to_others() -> io::Result<()> {
     Ok(())
 }
 
-fn is_udp(file: &OwnedFd) -> bool {
+/// The domain of a socket for datagrams; none if the file is something else.
+fn datagrams(file: &OwnedFd) -> Option<Domain> {
     let socket = SockRef::from(file);
-    let is_datagram = socket
-        .r#type()
-        .is_ok_and(|kind| kind == socket2::Type::DGRAM);
-    is_datagram
-        && socket
-            .domain()
-            .is_ok_and(|domain| domain == socket2::Domain::IPV4)
+    let kind = socket.r#type().ok()?;
+    (kind == Type::DGRAM).then(|| socket.domain().ok())?
 }
 
 /// Classic BPF: takes a datagram whose source is in 127.0.0.0/8.
@@ -64,6 +64,9 @@ const FROM_HERE: [SockFilter; 4] = [
     SockFilter::new(RETURN, 0, 0, u32::MAX),
     SockFilter::new(RETURN, 0, 0, 0),
 ];
+
+/// Takes nothing: nodes of ROS reach this one over IPv4.
+const NOTHING: [SockFilter; 1] = [SockFilter::new(RETURN, 0, 0, 0)];
 
 /// `BPF_LD | BPF_B | BPF_ABS`.
 const LOAD_BYTE_ABSOLUTE: u16 = 0x30;

@@ -136,7 +136,7 @@ impl Judge {
 
     /// Timed positions of P, with velocities from the positions.
     pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Value, Refusal> {
-        self.decided(&message.header, now)?;
+        let decided = self.decided(&message.header, now)?;
         in_frame(&message.header, &[WORLD])?;
         let poses = &message.poses;
         if !(FEWEST..=MOST).contains(&poses.len()) {
@@ -174,6 +174,7 @@ impl Judge {
             "version": SOCKET_VERSION,
             "command": "setpoint",
             "trajectory": trajectory,
+            "time_ns": decided,
         }))
     }
 
