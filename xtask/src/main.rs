@@ -20,6 +20,7 @@ mod process;
 mod publish;
 mod readers;
 mod release;
+mod ros;
 mod same_bits;
 mod step;
 mod target;

@@ -68,7 +68,7 @@ fn environment(folder: &Path, requirements: &Path) -> Result<PathBuf, Failure> {
 }
 
 /// Creates or empties a folder.
-fn empty(folder: &Path) -> io::Result<()> {
+pub(crate) fn empty(folder: &Path) -> io::Result<()> {
     match fs::remove_dir_all(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}

@@ -10,7 +10,7 @@ use crate::{
     process::{Failure, check},
     publish, readers,
     release::{Release, features},
-    same_bits,
+    ros, same_bits,
     step::{Step, run_all},
     target, units, uno,
     workspace::cargo,
@@ -23,7 +23,7 @@ Run every check of the project, or the named steps. First tests the prerequisite
 this machine, and installs Debian packages that are missing or too old. Prints the time
 of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, units
+  --without PART   skip all steps of a part: uno, odroid, readers, ros, units
   -h, --help       print this help
 ";
 
@@ -147,7 +147,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
                     Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, units"
+                        "--without {name:?}: the parts are uno, odroid, readers, ros, units"
                     ))
                 })?;
             if !request.without.contains(&part) {
@@ -340,6 +340,13 @@ fn real_time_steps(release: Release) -> Vec<Step> {
             move || with_image(release, &mut suite("uno")?),
         )
         .of(Part::Uno),
+        Step::new(
+            "ros",
+            "a node of ROS 2 in Python reads the car and drives it",
+            move || ros::check(release),
+        )
+        .of(Part::Ros)
+        .needing(release.part()),
     ]
 }
 
@@ -391,7 +398,7 @@ mod tests {
     #[test]
     fn an_unknown_part_or_option_is_refused_with_the_known_ones() {
         let why = parsed("--without arduino").unwrap_err().to_string();
-        assert!(why.contains("\"arduino\"") && why.contains("uno, odroid, readers, units"));
+        assert!(why.contains("\"arduino\"") && why.contains("uno, odroid, readers, ros, units"));
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
         }
@@ -427,7 +434,10 @@ mod tests {
         for line in ["--without uno,odroid", "prerequisites --without uno,odroid"] {
             let request = parsed(line).unwrap();
             let steps = steps(&request.without);
-            assert_eq!(request.parts_needed(&steps), [Part::Readers, Part::Units]);
+            assert_eq!(
+                request.parts_needed(&steps),
+                [Part::Readers, Part::Ros, Part::Units]
+            );
         }
         let request = parsed("tests --without uno").unwrap();
         assert_eq!(request.parts_needed(&steps(&request.without)), []);

@@ -15,7 +15,7 @@ use rtrb::Consumer;
 use singletrack_core::{Proof, Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
-use singletrack_record::{Entry, FeedInput, Level, Log, TickOutput};
+use singletrack_record::{Encoder, Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
@@ -48,6 +48,8 @@ pub(crate) struct Collector {
     pub(crate) record: Option<FeedInput>,
     /// The live view gets the same entries as the record.
     pub(crate) live: Option<FeedInput>,
+    /// Encodes for the clients of the control socket.
+    pub(crate) messages: Encoder,
     /// Entries that found no room in the record's ring.
     pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
@@ -234,6 +236,7 @@ impl Collector {
             // An error means that the last watcher has left.
             let _ = self.status.watchers.send((entry.topic(), Arc::from(line)));
         }
+        self.status.messages.publish(&mut self.messages, &entry);
         if let Some(live) = &mut self.live {
             // Viewers may miss entries; the record has them.
             let _ = live.push(entry.clone());

@@ -22,7 +22,7 @@ use singletrack_core::{
 };
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Reason};
-use singletrack_record::ClockMapping;
+use singletrack_record::{ClockMapping, Encoder};
 use tracing::{error, info, warn};
 
 use crate::{
@@ -185,7 +185,7 @@ impl Daemon {
             None => (None, None),
         };
 
-        let status = Arc::new(SharedStatus::new());
+        let status = Arc::new(SharedStatus::new(begin));
         let (entries_in, entries) = mpsc::channel();
         let mut daemon = Self {
             handle: DaemonHandle {
@@ -233,6 +233,7 @@ impl Daemon {
             reconfigurer: daemon.handle.reconfigurer.clone(),
             record,
             live,
+            messages: Encoder::new(begin),
             record_dropped: 0,
             logged_mode: None,
             state_lines: StateLines::default(),

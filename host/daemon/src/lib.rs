@@ -26,6 +26,7 @@ mod handle;
 mod json_file;
 mod judgement;
 mod live;
+mod messages;
 mod mocap_receiver;
 mod mocap_socket;
 mod recording;

@@ -4,11 +4,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::Topic;
+use singletrack_record::{ClockMapping, Topic};
 use tokio::sync::broadcast;
 
 use crate::{
-    snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES, summary::Tally,
+    messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES,
+    summary::Tally,
 };
 
 /// Lines that a watcher may be behind before it misses some.
@@ -36,6 +37,8 @@ pub(crate) struct SharedStatus {
     latest: Mutex<Latest>,
     /// Every entry of the record as a line of JSON.
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
+    /// The same as the messages of the record.
+    pub(crate) messages: MessageFeed,
     /// The state of every tick as a line of JSON, with its end.
     pub(crate) states: broadcast::Sender<Arc<str>>,
     /// The set-points of all clients.
@@ -43,10 +46,11 @@ pub(crate) struct SharedStatus {
 }
 
 impl SharedStatus {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(clocks: ClockMapping) -> Self {
         Self {
             latest: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
+            messages: MessageFeed::new(clocks),
             states: broadcast::Sender::new(STATE_LINES),
             setpoints: SetpointCounters::default(),
         }

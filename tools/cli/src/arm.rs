@@ -4,8 +4,7 @@
 //! the car stops when it ends, however it ends.
 
 use std::{
-    io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _},
-    os::unix::net::UnixStream,
+    io::{self, IsTerminal as _, Write as _},
     path::PathBuf,
     process::ExitCode,
     time::{Duration, Instant},
@@ -13,11 +12,12 @@ use std::{
 
 use clap::Args;
 use serde_json::{Value, json};
+use singletrack_client::Connection;
 use singletrack_sim::parse_duration_us;
 use singletrackd::SOCKET_VERSION;
 
 use crate::{
-    control::{ControlArgs, ControlError, agreed, ask, connect, print},
+    control::{ControlArgs, ControlError, agreed, ask, print},
     interrupt::Interrupt,
 };
 
@@ -53,6 +53,9 @@ const RENEWAL: Duration = Duration::from_millis(100);
 
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
+
+/// The longest wait for a daemon that does not read.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// The exit status of a drive that the daemon or the board stopped.
 const STOPPED: u8 = 3;
@@ -115,10 +118,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
 
 /// A connection that attends a drive.
 pub(crate) struct Drive {
-    read: BufReader<UnixStream>,
-    write: UnixStream,
-    /// The line that is being read.
-    line: Vec<u8>,
+    connection: Connection,
     progress: Progress,
     socket: PathBuf,
 }
@@ -126,43 +126,15 @@ pub(crate) struct Drive {
 impl Drive {
     /// `what` names the drive in the message about its end.
     pub(crate) fn connect(args: &ControlArgs, what: &'static str) -> Result<Self, ControlError> {
-        let stream = connect(&args.socket)?;
-        stream.set_read_timeout(Some(WAIT))?;
         Ok(Self {
-            read: BufReader::new(stream.try_clone()?),
-            write: stream,
-            line: Vec::new(),
+            connection: Connection::open(&args.socket, PATIENCE)?,
             progress: Progress::new(what),
             socket: args.socket.clone(),
         })
     }
 
-    pub(crate) fn send(&mut self, line: &Value) -> io::Result<()> {
-        self.write.write_all(format!("{line}\n").as_bytes())
-    }
-
-    /// The next line; `None` if there is none within [`WAIT`].
-    fn receive(&mut self) -> Result<Option<Value>, ControlError> {
-        match self.read.read_until(b'\n', &mut self.line) {
-            Ok(_) if self.line.ends_with(b"\n") => {
-                let value = serde_json::from_slice(&self.line)?;
-                self.line.clear();
-                Ok(Some(value))
-            }
-            Ok(_) => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-            // What was read of the line stays.
-            Err(error)
-                if matches!(
-                    error.kind(),
-                    io::ErrorKind::WouldBlock
-                        | io::ErrorKind::TimedOut
-                        | io::ErrorKind::Interrupted
-                ) =>
-            {
-                Ok(None)
-            }
-            Err(error) => Err(error.into()),
-        }
+    pub(crate) fn send(&mut self, line: &Value) -> Result<(), ControlError> {
+        Ok(self.connection.send(line)?)
     }
 
     /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car, as
@@ -206,7 +178,7 @@ impl Drive {
                     None => is_let_go = true,
                 }
             }
-            let Some(line) = self.receive()? else {
+            let Some(line) = self.connection.receive_within(WAIT)? else {
                 continue;
             };
             if let Some(ended) = line.get("ended") {

@@ -1,15 +1,18 @@
 //! `singletrack status|disarm|stop`: requests to the running daemon.
 
 use std::{
-    io::{self, BufRead, BufReader, Write},
+    io::{self, Write},
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
 use serde_json::{Value, json};
+use singletrack_client::{ClientError, SOCKET_VERSION};
 use singletrack_core::config::SocketSection;
-use singletrackd::SOCKET_VERSION;
+
+/// The daemon of this release speaks the version of its client.
+const _: () = assert!(SOCKET_VERSION == singletrackd::SOCKET_VERSION);
 
 /// Where the daemon listens.
 #[derive(Clone, Debug, Args)]
@@ -43,29 +46,24 @@ impl ControlCommand {
 /// Why the request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// No process listens at the socket.
-    #[error(
-        "can't reach the daemon at {}: {source}; is singletrackd running, with this socket.path?",
-        path.display()
-    )]
-    Connect {
-        /// The socket.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The connection failed.
-    #[error("lost the connection to the daemon: {0}")]
-    BrokeOff(#[from] io::Error),
-    /// The answer can't be read.
-    #[error("can't understand the daemon's answer: {0}; is it the same version as singletrack?")]
-    Answer(#[from] serde_json::Error),
+    /// The daemon can't be asked, or refuses.
+    #[error(transparent)]
+    Client(#[from] ClientError),
     /// The output can't be written.
     #[error("can't write to standard output: {0}")]
     Output(io::Error),
-    /// The daemon refuses.
-    #[error("{0}")]
-    Refused(String),
+}
+
+impl From<io::Error> for ControlError {
+    fn from(error: io::Error) -> Self {
+        ClientError::from(error).into()
+    }
+}
+
+impl From<serde_json::Error> for ControlError {
+    fn from(error: serde_json::Error) -> Self {
+        ClientError::from(error).into()
+    }
 }
 
 /// Sends the request and prints the result: the status as JSON, any other in words.
@@ -102,30 +100,15 @@ pub(crate) fn print(text: &str) -> Result<(), ControlError> {
 }
 
 pub(crate) fn connect(path: &Path) -> Result<UnixStream, ControlError> {
-    UnixStream::connect(path).map_err(|source| ControlError::Connect {
-        path: path.to_owned(),
-        source,
-    })
+    Ok(singletrack_client::connect(path)?)
 }
 
 /// The daemon's answer to one line, unless it is a refusal.
 pub(crate) fn ask(line: &Value, path: &Path) -> Result<Value, ControlError> {
-    let mut stream = connect(path)?;
-    stream.write_all(format!("{line}\n").as_bytes())?;
-    let mut answer = String::new();
-    if BufReader::new(stream).read_line(&mut answer)? == 0 {
-        return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
-    }
-    agreed(serde_json::from_str(&answer)?)
+    Ok(singletrack_client::ask(line, path)?)
 }
 
 /// An answer, unless it is a refusal.
 pub(crate) fn agreed(answer: Value) -> Result<Value, ControlError> {
-    if answer.get("ok").and_then(Value::as_bool) == Some(true) {
-        return Ok(answer);
-    }
-    let error = answer.get("error").and_then(Value::as_str);
-    Err(ControlError::Refused(
-        error.map_or_else(|| answer.to_string(), str::to_owned),
-    ))
+    Ok(singletrack_client::agreed(answer)?)
 }

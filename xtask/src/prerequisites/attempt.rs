@@ -231,3 +231,22 @@ pub(crate) fn python(machine: &Machine) -> Result<PathBuf, String> {
     }
     Err(found.join("; "))
 }
+/// What builds messages for rclpy and runs it apart from every network.
+pub(super) fn ros(machine: &Machine) -> Result<String, String> {
+    const NEEDED: &str = "import os, sys, sysconfig; \
+                          header = sysconfig.get_paths()['include'] + '/Python.h'; \
+                          sys.exit(sys.version_info >= (3, 14) or not os.path.exists(header))";
+    let python = python(machine)?;
+    let name = python.to_string_lossy().into_owned();
+    match machine.ask(&name, ["-c", NEEDED]) {
+        Some(Answer { success: true, .. }) => {}
+        _ => return Err(format!("{name} lacks its headers, or is 3.14 or later")),
+    }
+    runs(machine, "c++", ["--version"])?;
+    runs(
+        machine,
+        "unshare",
+        crate::ros::NAMESPACE.into_iter().chain(["ip", "link"]),
+    )?;
+    runs(machine, &name, ["--version"])
+}

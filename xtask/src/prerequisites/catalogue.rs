@@ -4,7 +4,7 @@ use super::{
     Part, Prerequisite,
     attempt::{
         c_compiler, clippy, emulator, image_clippy, image_linker, odroid_linker, of_this_toolchain,
-        python, runs, rust, simavr, systemd,
+        python, ros, runs, rust, simavr, systemd,
     },
 };
 use crate::compiler::{ARM, AVR};
@@ -127,6 +127,23 @@ pub(crate) const PYTHON: Prerequisite = Prerequisite {
     attempt: |machine| python(machine).map(|python| python.to_string_lossy().into_owned()),
 };
 
+pub(crate) const ROS: Prerequisite = Prerequisite {
+    name: "Python for ROS",
+    needed: "Python 3.11 to 3.13 with virtual environments and its headers, a C++ compiler, and a \
+             network namespace of our own (unshare, ip)",
+    packages: &[
+        "python3",
+        "python3-venv",
+        "python3-dev",
+        "g++",
+        "iproute2",
+        "util-linux",
+    ],
+    otherwise: "",
+    part: Some(Part::Ros),
+    attempt: ros,
+};
+
 pub(crate) const PROGRAMMER: Prerequisite = Prerequisite {
     name: "avrdude",
     needed: "avrdude, which writes the image to the Arduino",
@@ -152,7 +169,7 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
         .chain(IMAGE)
         .chain([IMAGE_CLIPPY])
         .chain(ODROID)
-        .chain([EMULATOR, SYSTEMD, PYTHON])
+        .chain([EMULATOR, SYSTEMD, PYTHON, ROS])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
         .collect()
 }

@@ -8,7 +8,7 @@ use singletrack_core::{
     config::ReferenceSection,
 };
 use singletrack_pilot::Jog;
-use singletrack_record::Topic;
+use singletrack_record::{Channel, Topic};
 
 use super::setpoint::{PointKeys, Rejected, SetpointCommand, SetpointKeys, unreadable};
 
@@ -47,6 +47,11 @@ pub enum Command {
     Watch {
         /// The topics; empty for all.
         topics: Vec<Topic>,
+    },
+    /// A subscription to encoded messages, answered by a stream of them.
+    Messages {
+        /// Their channels; empty for all.
+        channels: Vec<Channel>,
     },
     /// A subscription to the state of every tick.
     WatchState,
@@ -223,9 +228,18 @@ impl Command {
                     .map(|topic| Topic::from_str(topic).map_err(|error| error.to_string()))
                     .collect::<Result<_, _>>()?,
             },
+            "messages" => Self::Messages {
+                channels: line
+                    .topics
+                    .take()
+                    .unwrap_or_default()
+                    .iter()
+                    .map(|topic| channel(topic))
+                    .collect::<Result<_, _>>()?,
+            },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload, messages or watch"
                 )
                 .into());
             }
@@ -346,6 +360,15 @@ impl Line {
     }
 }
 
+fn channel(topic: &str) -> Result<Channel, String> {
+    Channel::all()
+        .find(|channel| channel.topic() == topic)
+        .ok_or_else(|| {
+            let known: Vec<_> = Channel::all().map(Channel::topic).collect();
+            format!("no topic {topic:?}: use {}", known.join(", "))
+        })
+}
+
 #[cfg(test)]
 mod tests {
     use singletrack_control::{
@@ -402,6 +425,10 @@ mod tests {
             (
                 r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
                 "ticks",
+            ),
+            (
+                r#"{"version":2,"command":"messages","topics":["/odm"]}"#,
+                "no topic \"/odm\": use /singletrack/tick, ",
             ),
             (
                 r#"{"version":2,"command":"watch","velocity_m_s":[0,0]}"#,

@@ -11,7 +11,7 @@ use singletrack_core::{
     reconfigure::ChangeError,
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
-use singletrack_record::Topic;
+use singletrack_record::{Channel, Topic};
 use socket2::SockRef;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
@@ -90,6 +90,13 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 // while there are no entries.
                 return tokio::select! {
                     result = watch(&mut write, daemon, &topics) => result,
+                    closed = read.read(&mut rest) => closed.map(drop),
+                };
+            }
+            Ok(Command::Messages { channels }) => {
+                let mut rest = [0];
+                return tokio::select! {
+                    result = messages(&mut write, daemon, &channels) => result,
                     closed = read.read(&mut rest) => closed.map(drop),
                 };
             }
@@ -345,6 +352,43 @@ async fn watch(
                     write.write_all(line.as_bytes()).await?;
                     write.write_all(b"\n").await?;
                 }
+            }
+            Err(RecvError::Lagged(missed)) => {
+                send(
+                    write,
+                    &json!({ "version": SOCKET_VERSION, "missed": missed }),
+                )
+                .await?;
+            }
+            Err(RecvError::Closed) => return Ok(()),
+        }
+    }
+}
+
+/// Sends messages as ROS 2 encodes them: for each a line with its length, then its bytes.
+async fn messages(
+    write: &mut OwnedWriteHalf,
+    daemon: &DaemonHandle,
+    channels: &[Channel],
+) -> io::Result<()> {
+    let feed = &daemon.status.messages;
+    let mut frames = feed.subscribe();
+    let begun = json!({
+        "version": SOCKET_VERSION,
+        "ok": true,
+        "clocks": {
+            "monotonic_ns": feed.clocks.monotonic_ns,
+            "wall_ns": feed.clocks.wall_ns,
+        },
+    });
+    send(write, &begun).await?;
+    let mut bytes = Vec::new();
+    loop {
+        match frames.recv().await {
+            Ok(frames) => {
+                bytes.clear();
+                frames.choose(channels, &mut bytes);
+                write.write_all(&bytes).await?;
             }
             Err(RecvError::Lagged(missed)) => {
                 send(

@@ -58,7 +58,10 @@ impl Bench {
         let ring = Requests::new(ring);
         let (entries, _) = mpsc::channel();
         let daemon = DaemonHandle {
-            status: Arc::new(SharedStatus::new()),
+            status: Arc::new(SharedStatus::new(singletrack_record::ClockMapping {
+                monotonic_ns: 0,
+                wall_ns: 0,
+            })),
             reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
             requests: ring,
             setpoints: host.setpoints,

@@ -1,7 +1,6 @@
 //! A car behind the daemon, and a person at the terminal: what the procedures `doctor`,
 //! `bring-up` and `calibrate` run on.
 
-mod connection;
 mod journal;
 mod observations;
 mod picture;
@@ -19,6 +18,7 @@ use clap::Args;
 use jiff::Timestamp;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
+use singletrack_client::{ClientError, Connection, agreed, ask};
 use singletrack_commissioning::{
     Answer, Answers, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question,
     Refused,
@@ -28,14 +28,13 @@ use singletrack_control::{Position, Velocity};
 use singletrack_core::{Config, ConfigError};
 use singletrackd::SOCKET_VERSION;
 
-use crate::{
-    control::{self, ControlArgs, ControlError},
-    interrupt::Interrupt,
-};
-use connection::Connection;
+use crate::{control::ControlArgs, interrupt::Interrupt};
 use terminal::Terminal;
 
 pub use session::{Procedure, run};
+
+/// The longest wait for a daemon that does not read.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Options of the procedures.
 #[derive(Clone, Debug, Args)]
@@ -72,7 +71,7 @@ pub enum BenchError {
     Edit(#[from] EditError),
     /// The daemon refuses or does not answer.
     #[error(transparent)]
-    Control(#[from] ControlError),
+    Control(#[from] ClientError),
     /// Terminal, signals or the findings.
     #[error("{0}")]
     System(#[from] io::Error),
@@ -172,14 +171,14 @@ impl LiveBench {
     }
 
     /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
-    fn report(&self, procedure: &str, result: &str) -> Result<(), ControlError> {
+    fn report(&self, procedure: &str, result: &str) -> Result<(), ClientError> {
         let line = json!({
             "version": SOCKET_VERSION,
             "command": "commissioned",
             "procedure": procedure,
             "result": result,
         });
-        control::ask(&line, &self.socket).map(drop)
+        ask(&line, &self.socket).map(drop)
     }
 
     /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
@@ -196,12 +195,12 @@ impl LiveBench {
             return Err(Interrupted::ByOperator);
         }
         self.renew();
-        let gone = |error: ControlError| Interrupted::DaemonGone(error.to_string());
-        let mut line = self.watch.line().map_err(gone)?;
+        let gone = |error: ClientError| Interrupted::DaemonGone(error.to_string());
+        let mut line = self.watch.receive().map_err(gone)?;
         if line.is_none() {
             let mut polled = [PollFd::new(&self.watch, PollFlags::IN)];
             let _ = poll(&mut polled, Some(&timespec(WAIT)));
-            line = self.watch.line().map_err(gone)?;
+            line = self.watch.receive().map_err(gone)?;
         }
         if line.is_some() {
             self.heard = Instant::now();
@@ -237,7 +236,7 @@ impl LiveBench {
             }
         }
         loop {
-            match drive.connection.line() {
+            match drive.connection.receive() {
                 Ok(None) => return,
                 Ok(Some(line)) => {
                     if let Some(ended) = line.get("ended") {
@@ -309,7 +308,7 @@ impl LiveBench {
 
     /// Arms with a connection that holds the drive.
     fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
-        let refused = |error: ControlError| NotArmed::Refused(Refused(error.to_string()));
+        let refused = |error: ClientError| NotArmed::Refused(Refused(error.to_string()));
         let mut line = command("arm");
         if let Some(line) = line.as_object_mut() {
             line.insert("attendance".to_owned(), "hold".into());
@@ -324,7 +323,7 @@ impl LiveBench {
             "command": "setpoint",
             "velocity_m_s": [0.0, 0.0],
         });
-        let mut connection = Connection::open(&self.socket).map_err(refused)?;
+        let mut connection = Connection::open(&self.socket, PATIENCE).map_err(refused)?;
         let begun = Instant::now();
         let mut asked: Option<Instant> = None;
         let mut again = begun;
@@ -352,8 +351,8 @@ impl LiveBench {
                         .map_err(|error| refused(error.into()))?;
                 }
             }
-            if let Some(answer) = connection.line().map_err(refused)? {
-                match control::agreed(answer) {
+            if let Some(answer) = connection.receive().map_err(refused)? {
+                match agreed(answer) {
                     Ok(_) => {
                         return Ok(HeldDrive {
                             connection,
@@ -362,10 +361,10 @@ impl LiveBench {
                         });
                     }
                     // Renewals that came after a refusal.
-                    Err(ControlError::Refused(reason)) if reason.starts_with("hold renews") => {}
+                    Err(ClientError::Refused(reason)) if reason.starts_with("hold renews") => {}
                     // The board is configured again after a reset and with another reference, and
-                    // the estimate begins anew. The operator need not let go for that.
-                    Err(ControlError::Refused(_)) if begun.elapsed() < ANSWER => {
+                    // the estimate restarts. The operator need not let go for that.
+                    Err(ClientError::Refused(_)) if begun.elapsed() < ANSWER => {
                         asked = None;
                         again = Instant::now() + AGAIN;
                     }
@@ -408,9 +407,9 @@ impl LiveBench {
 
     /// Has the daemon read its file again. What takes a restart is done by the operator.
     fn reload(&mut self) -> Result<(), Refused> {
-        match control::ask(&command("reload"), &self.socket) {
+        match ask(&command("reload"), &self.socket) {
             Ok(_) => Ok(()),
-            Err(ControlError::Refused(reason)) if reason.contains("restart it") => self.restart(),
+            Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
             Err(error) => Err(Refused(error.to_string())),
         }
     }
@@ -524,7 +523,7 @@ impl Bench for LiveBench {
                 "command": "set-reference",
                 "reference": { "kind": "external", "setpoint_timeout_ms": 200 },
             });
-            control::ask(&line, &self.socket).map_err(|error| Refused(error.to_string()))?;
+            ask(&line, &self.socket).map_err(|error| Refused(error.to_string()))?;
             self.has_reference = true;
         }
         self.terminal
@@ -583,7 +582,7 @@ impl Bench for LiveBench {
                 .connection
                 .send(&command("disarm"))
                 .map_err(|error| Refused(error.to_string())),
-            None => control::ask(&command("disarm"), &self.socket)
+            None => ask(&command("disarm"), &self.socket)
                 .map(drop)
                 .map_err(|error| Refused(error.to_string())),
         }
@@ -591,7 +590,7 @@ impl Bench for LiveBench {
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {
         self.release_key();
-        control::ask(&command("stop"), &self.socket)
+        ask(&command("stop"), &self.socket)
             .map(drop)
             .map_err(|error| Refused(error.to_string()))
     }
@@ -625,9 +624,7 @@ impl Drop for LiveBench {
         if self.has_reference {
             // The reference of the file is in force again, as soon as the car stands.
             let begun = Instant::now();
-            while control::ask(&command("reload"), &self.socket).is_err()
-                && begun.elapsed() < ANSWER
-            {
+            while ask(&command("reload"), &self.socket).is_err() && begun.elapsed() < ANSWER {
                 thread::sleep(AGAIN);
             }
         }
@@ -635,8 +632,8 @@ impl Drop for LiveBench {
 }
 
 /// A connection that receives what the daemon records.
-fn watch(socket: &std::path::Path) -> Result<Connection, ControlError> {
-    let mut watch = Connection::open(socket)?;
+fn watch(socket: &std::path::Path) -> Result<Connection, ClientError> {
+    let mut watch = Connection::open(socket, PATIENCE)?;
     watch.send(&json!({
         "version": SOCKET_VERSION,
         "command": "watch",
@@ -644,8 +641,8 @@ fn watch(socket: &std::path::Path) -> Result<Connection, ControlError> {
     }))?;
     let asked = Instant::now();
     loop {
-        if let Some(answer) = watch.line()? {
-            control::agreed(answer)?;
+        if let Some(answer) = watch.receive()? {
+            agreed(answer)?;
             return Ok(watch);
         }
         if asked.elapsed() > ANSWER {

@@ -7,8 +7,8 @@ mod device;
 pub mod pad;
 
 use std::{
-    io::{self, BufRead as _, BufReader, Read as _, Write as _},
-    os::{fd::AsFd as _, unix::net::UnixStream},
+    io::{self, BufRead as _, BufReader, Write as _},
+    os::fd::AsFd as _,
     path::{Path, PathBuf},
     process::ExitCode,
     time::{Duration, Instant},
@@ -20,12 +20,13 @@ use rustix::{
     io::Errno,
 };
 use serde_json::{Value, json};
+use singletrack_client::{ClientError, Connection, agreed, connect};
 use singletrack_control::{Time, Velocity, direction};
 use singletrack_core::config::ReferenceSection;
 use singletrackd::{SOCKET_VERSION, monotonic_ns};
 
 use crate::{
-    control::{ControlArgs, ControlError, agreed, connect, print},
+    control::{ControlArgs, ControlError, print},
     interrupt::Interrupt,
     set_reference::{SetReferenceError, read_reference},
 };
@@ -83,6 +84,9 @@ pub enum DriveError {
     },
     /// The daemon can't be reached.
     #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The end of the drive can't be printed.
+    #[error(transparent)]
     Control(#[from] ControlError),
     /// The reference is invalid.
     #[error(transparent)]
@@ -97,6 +101,9 @@ impl From<io::Error> for DriveError {
         Self::Control(error.into())
     }
 }
+
+/// The longest wait for a daemon that does not read.
+const PATIENCE: Duration = Duration::from_millis(20);
 
 /// The longest wait for an event, so that renewals and Ctrl-C are not late.
 const WAIT_NS: i64 = 5_000_000;
@@ -134,7 +141,7 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         source,
     })?;
     let reference = args.reference.as_deref().map(read_reference).transpose()?;
-    let mut watch = Lines::connect(&args.control.socket)?;
+    let mut watch = open(&args.control.socket)?;
     watch.send(&json!({
         "version": SOCKET_VERSION, "command": "watch", "topics": ["tick"],
     }))?;
@@ -146,7 +153,7 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
     };
     let mut shell = Shell {
         pad: Pad::new(options, now),
-        session: Lines::connect(&args.control.socket)?,
+        session: open(&args.control.socket)?,
         watch,
         socket: &args.control.socket,
         stage: Stage::Off,
@@ -196,8 +203,8 @@ struct Car {
 struct Shell<'a> {
     pad: Pad,
     /// Holds the drive.
-    session: Lines,
-    watch: Lines,
+    session: Connection,
+    watch: Connection,
     socket: &'a Path,
     stage: Stage,
     /// The driver whose reference is in force; `None` if unknown.
@@ -369,7 +376,7 @@ impl Shell<'_> {
 
     /// Sends a line on a connection of its own: the session may wait for the board to arm.
     fn send_apart(&mut self, line: &Value) -> Result<(), DriveError> {
-        let sent = (|| -> Result<(), ControlError> {
+        let sent = (|| -> Result<(), ClientError> {
             let mut stream = connect(self.socket)?;
             stream.set_write_timeout(Some(ANSWER))?;
             stream.set_read_timeout(Some(ANSWER))?;
@@ -459,52 +466,17 @@ impl Shell<'_> {
     }
 }
 
-/// A connection that is read without waiting.
-struct Lines {
-    stream: UnixStream,
-    buffer: Vec<u8>,
-}
-
-impl Lines {
-    fn connect(socket: &Path) -> Result<Self, ControlError> {
-        let stream = connect(socket)?;
-        stream.set_nonblocking(true)?;
-        Ok(Self {
-            stream,
-            buffer: Vec::new(),
-        })
-    }
-
-    /// Sends a line. A full buffer is an error: the daemon hangs.
-    fn send(&mut self, line: &Value) -> Result<(), ControlError> {
-        Ok(self.stream.write_all(format!("{line}\n").as_bytes())?)
-    }
-
-    /// The next line, if there is a whole one.
-    fn receive(&mut self) -> Result<Option<Value>, ControlError> {
-        loop {
-            if let Some(end) = self.buffer.iter().position(|&byte| byte == b'\n') {
-                let line: Vec<u8> = self.buffer.drain(..=end).collect();
-                return Ok(Some(serde_json::from_slice(&line)?));
-            }
-            let mut bytes = [0; 4_096];
-            match self.stream.read(&mut bytes) {
-                Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-                Ok(count) => self.buffer.extend(bytes.iter().take(count)),
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error.into()),
-            }
-        }
-    }
+/// A connection whose daemon takes every line at once, or hangs.
+fn open(socket: &Path) -> Result<Connection, ClientError> {
+    Connection::open(socket, PATIENCE)
 }
 
 /// Waits for something to read, but not for long.
-fn wait(source: &Source, session: &Lines, watch: &Lines) -> io::Result<()> {
+fn wait(source: &Source, session: &Connection, watch: &Connection) -> io::Result<()> {
     let mut all = [
         PollFd::from_borrowed_fd(source.as_fd(), PollFlags::IN),
-        PollFd::from_borrowed_fd(session.stream.as_fd(), PollFlags::IN),
-        PollFd::from_borrowed_fd(watch.stream.as_fd(), PollFlags::IN),
+        PollFd::from_borrowed_fd(session.as_fd(), PollFlags::IN),
+        PollFd::from_borrowed_fd(watch.as_fd(), PollFlags::IN),
     ];
     let timeout = Timespec {
         tv_sec: 0,

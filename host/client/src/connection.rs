@@ -1,0 +1,204 @@
+//! Lines to the daemon, and its answers.
+
+use std::{
+    io::{self, BufRead as _, BufReader, Read as _, Write as _},
+    os::{
+        fd::{AsFd, BorrowedFd},
+        unix::net::UnixStream,
+    },
+    path::Path,
+    time::Duration,
+};
+
+use serde_json::Value;
+
+use crate::ClientError;
+
+/// Connects to the daemon that listens at `path`.
+///
+/// # Errors
+///
+/// No process listens there.
+pub fn connect(path: &Path) -> Result<UnixStream, ClientError> {
+    UnixStream::connect(path).map_err(|source| ClientError::Connect {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// The daemon's answer to one line, unless it is a refusal.
+///
+/// # Errors
+///
+/// The daemon can't be asked, or refuses; the reason is the daemon's.
+pub fn ask(line: &Value, path: &Path) -> Result<Value, ClientError> {
+    let mut stream = connect(path)?;
+    stream.write_all(format!("{line}\n").as_bytes())?;
+    let mut answer = String::new();
+    if BufReader::new(stream).read_line(&mut answer)? == 0 {
+        return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+    }
+    agreed(serde_json::from_str(&answer)?)
+}
+
+/// An answer, unless it is a refusal.
+///
+/// # Errors
+///
+/// The daemon's reason.
+pub fn agreed(answer: Value) -> Result<Value, ClientError> {
+    if answer.get("ok").and_then(Value::as_bool) == Some(true) {
+        return Ok(answer);
+    }
+    let error = answer.get("error").and_then(Value::as_str);
+    Err(ClientError::Refused(
+        error.map_or_else(|| answer.to_string(), str::to_owned),
+    ))
+}
+
+/// A connection for lines in both directions.
+#[derive(Debug)]
+pub struct Connection {
+    stream: UnixStream,
+    /// What was read and is not yet taken.
+    received: Vec<u8>,
+    /// The longest wait for something to read.
+    wait: Option<Duration>,
+}
+
+impl Connection {
+    /// Connects to `path`. `patience` is the longest time that [`send`](Self::send) waits for a
+    /// daemon that does not read.
+    ///
+    /// # Errors
+    ///
+    /// No process listens there.
+    pub fn open(path: &Path, patience: Duration) -> Result<Self, ClientError> {
+        let stream = connect(path)?;
+        stream.set_write_timeout(Some(patience))?;
+        Ok(Self {
+            stream,
+            received: Vec::new(),
+            wait: None,
+        })
+    }
+
+    /// Sends a line.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost, or the daemon does not read.
+    pub fn send(&mut self, line: &Value) -> Result<(), ClientError> {
+        self.stream.set_nonblocking(false)?;
+        Ok(self.stream.write_all(format!("{line}\n").as_bytes())?)
+    }
+
+    /// The next line, if it has arrived.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost, or the line is not JSON.
+    pub fn receive(&mut self) -> Result<Option<Value>, ClientError> {
+        self.stream.set_nonblocking(true)?;
+        self.read_line()
+    }
+
+    /// Waits for the next line; `None` if nothing comes within `wait`.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost, or the line is not JSON.
+    pub fn receive_within(&mut self, wait: Duration) -> Result<Option<Value>, ClientError> {
+        self.stream.set_nonblocking(false)?;
+        if self.wait != Some(wait) {
+            self.stream.set_read_timeout(Some(wait))?;
+            self.wait = Some(wait);
+        }
+        self.read_line()
+    }
+
+    fn read_line(&mut self) -> Result<Option<Value>, ClientError> {
+        loop {
+            if let Some(end) = self.received.iter().position(|&byte| byte == b'\n') {
+                let line: Vec<u8> = self.received.drain(..=end).collect();
+                return Ok(Some(serde_json::from_slice(&line)?));
+            }
+            let mut buffer = [0; 16_384];
+            match self.stream.read(&mut buffer) {
+                Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+                Ok(count) => self.received.extend(buffer.iter().take(count)),
+                Err(error)
+                    if matches!(
+                        error.kind(),
+                        io::ErrorKind::WouldBlock
+                            | io::ErrorKind::TimedOut
+                            | io::ErrorKind::Interrupted
+                    ) =>
+                {
+                    return Ok(None);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
+
+impl AsFd for Connection {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.stream.as_fd()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use std::{io::Write as _, os::unix::net::UnixListener, thread};
+
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_line_that_comes_in_two_parts_is_received_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        let listener = UnixListener::bind(&path).unwrap();
+        let mut connection = Connection::open(&path, Duration::from_secs(1)).unwrap();
+        let (mut daemon, _) = listener.accept().unwrap();
+        daemon.write_all(b"{\"ok\":").unwrap();
+        assert_eq!(connection.receive().unwrap(), None);
+        let short = Duration::from_millis(1);
+        assert_eq!(connection.receive_within(short).unwrap(), None);
+        daemon.write_all(b"true}\n{}\n").unwrap();
+        assert_eq!(connection.receive().unwrap(), Some(json!({ "ok": true })));
+        assert_eq!(connection.receive().unwrap(), Some(json!({})));
+        drop(daemon);
+        assert!(matches!(
+            connection.receive(),
+            Err(ClientError::BrokeOff(_))
+        ));
+    }
+
+    #[test]
+    fn a_refusal_is_an_error_with_the_daemons_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        let listener = UnixListener::bind(&path).unwrap();
+        let daemon = thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            stream
+                .write_all(b"{\"ok\":false,\"error\":\"the car is gone\"}\n")
+                .unwrap();
+            stream
+        });
+        let error = ask(&json!({}), &path).unwrap_err();
+        assert_eq!(error.to_string(), "the car is gone");
+        drop(daemon.join().unwrap());
+    }
+
+    #[test]
+    fn a_socket_without_a_daemon_is_named() {
+        let error = connect(Path::new("/nonexistent/socket")).unwrap_err();
+        assert!(error.to_string().contains("/nonexistent/socket"));
+    }
+}

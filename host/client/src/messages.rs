@@ -1,0 +1,198 @@
+//! The stream of messages as ROS 2 encodes them.
+
+use std::{
+    io::{self, BufRead as _, BufReader, Read as _, Write as _},
+    os::unix::net::UnixStream,
+    path::Path,
+    time::Duration,
+};
+
+use serde::Deserialize;
+use serde_json::json;
+
+use crate::{ClientError, SOCKET_VERSION, agreed, connect};
+
+/// The largest message that is received, in bytes.
+const LARGEST: usize = 1 << 20;
+
+/// The moment that connects the daemon's two clocks, in ns: stamps are on the second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub struct Clocks {
+    /// On `CLOCK_MONOTONIC`.
+    pub monotonic_ns: u64,
+    /// On the wall clock, since 1970.
+    pub wall_ns: u64,
+}
+
+/// A message of the stream. It belongs to the stream's buffers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Message<'a> {
+    /// Its topic, such as `/odom`.
+    pub topic: &'a str,
+    /// The message as ROS 2 encodes it: CDR with its header of four bytes.
+    pub bytes: &'a [u8],
+}
+
+/// What came next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Received<'a> {
+    /// A message.
+    Message(Message<'a>),
+    /// This number of entries was lost, because this client was too slow.
+    Missed(u64),
+}
+
+#[derive(Deserialize)]
+struct Head {
+    topic: Option<String>,
+    bytes: Option<usize>,
+    missed: Option<u64>,
+}
+
+#[derive(Deserialize)]
+struct Begun {
+    clocks: Clocks,
+}
+
+/// A subscription to the messages of some topics.
+#[derive(Debug)]
+pub struct MessageStream {
+    read: BufReader<UnixStream>,
+    clocks: Clocks,
+    line: Vec<u8>,
+    topic: String,
+    bytes: Vec<u8>,
+}
+
+impl MessageStream {
+    /// Subscribes to `topics`; none: to all. `wait` is the longest time between two messages.
+    ///
+    /// # Errors
+    ///
+    /// The daemon can't be reached, or does not know a topic.
+    pub fn open(path: &Path, topics: &[&str], wait: Duration) -> Result<Self, ClientError> {
+        let mut stream = connect(path)?;
+        stream.set_read_timeout(Some(wait))?;
+        let line = json!({
+            "version": SOCKET_VERSION,
+            "command": "messages",
+            "topics": topics,
+        });
+        stream.write_all(format!("{line}\n").as_bytes())?;
+        let mut read = BufReader::with_capacity(1 << 16, stream);
+        let mut answer = String::new();
+        if read.read_line(&mut answer)? == 0 {
+            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+        }
+        let begun: Begun = serde_json::from_value(agreed(serde_json::from_str(&answer)?)?)?;
+        Ok(Self {
+            read,
+            clocks: begun.clocks,
+            line: Vec::new(),
+            topic: String::new(),
+            bytes: Vec::new(),
+        })
+    }
+
+    /// The daemon's clocks when its record began.
+    #[must_use]
+    pub const fn clocks(&self) -> Clocks {
+        self.clocks
+    }
+
+    /// Waits for what comes next.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost, nothing came within the time to wait, or what came is not a
+    /// message.
+    pub fn receive(&mut self) -> Result<Received<'_>, ClientError> {
+        self.line.clear();
+        if self.read.read_until(b'\n', &mut self.line)? == 0 {
+            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+        }
+        let head: Head = serde_json::from_slice(&self.line)?;
+        if let Some(missed) = head.missed {
+            return Ok(Received::Missed(missed));
+        }
+        let (Some(topic), Some(length)) = (head.topic, head.bytes.filter(|&n| n <= LARGEST)) else {
+            let line = String::from_utf8_lossy(&self.line);
+            let error = format!("a message without topic or length: {}", line.trim_end());
+            return Err(io::Error::new(io::ErrorKind::InvalidData, error).into());
+        };
+        self.topic = topic;
+        self.bytes.resize(length, 0);
+        self.read.read_exact(&mut self.bytes)?;
+        Ok(Received::Message(Message {
+            topic: &self.topic,
+            bytes: &self.bytes,
+        }))
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use std::{os::unix::net::UnixListener, thread};
+
+    use super::*;
+
+    /// A stream whose daemon answers with `bytes`, and the line that opened it.
+    fn stream(bytes: &'static [u8]) -> (Result<MessageStream, ClientError>, String) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        let listener = UnixListener::bind(&path).unwrap();
+        let daemon = thread::spawn(move || {
+            let (stream, _) = listener.accept().unwrap();
+            let mut line = String::new();
+            BufReader::new(&stream).read_line(&mut line).unwrap();
+            (&stream).write_all(bytes).unwrap();
+            line
+        });
+        let opened = MessageStream::open(&path, &["/odom"], Duration::from_secs(5));
+        (opened, daemon.join().unwrap())
+    }
+
+    #[test]
+    fn messages_are_received_with_every_byte() {
+        let (opened, line) = stream(
+            b"{\"version\":2,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+              {\"topic\":\"/odom\",\"bytes\":4}\n\x00\n\x01\x02{\"version\":2,\"missed\":7}\n\
+              {\"topic\":\"/tf\",\"bytes\":0}\n",
+        );
+        assert_eq!(
+            line,
+            "{\"command\":\"messages\",\"topics\":[\"/odom\"],\"version\":2}\n"
+        );
+        let mut stream = opened.unwrap();
+        let clocks = Clocks {
+            monotonic_ns: 1,
+            wall_ns: 2,
+        };
+        assert_eq!(stream.clocks(), clocks);
+        let message = |topic, bytes| Received::Message(Message { topic, bytes });
+        assert_eq!(
+            stream.receive().unwrap(),
+            message("/odom", b"\x00\n\x01\x02")
+        );
+        assert_eq!(stream.receive().unwrap(), Received::Missed(7));
+        assert_eq!(stream.receive().unwrap(), message("/tf", b""));
+        assert!(stream.receive().is_err(), "the end is no message");
+    }
+
+    #[test]
+    fn a_length_beyond_every_message_is_refused_before_memory_is_taken() {
+        let (opened, _) = stream(
+            b"{\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+              {\"topic\":\"/odom\",\"bytes\":99999999999}\n",
+        );
+        let error = opened.unwrap().receive().unwrap_err().to_string();
+        assert!(error.contains("99999999999"), "{error}");
+    }
+
+    #[test]
+    fn a_topic_that_the_daemon_does_not_know_is_refused_with_its_words() {
+        let (opened, _) = stream(b"{\"version\":2,\"ok\":false,\"error\":\"no such topic\"}\n");
+        assert_eq!(opened.unwrap_err().to_string(), "no such topic");
+    }
+}

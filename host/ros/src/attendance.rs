@@ -1,0 +1,226 @@
+//! The drive that a node of ROS has armed, held by a connection of this process.
+//!
+//! The daemon's dead-man switch is this connection. The controller behind it is watched by the
+//! age of its set-points: a drive can only be armed while set-points are passed on, and the
+//! daemon stops the car when they end.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use serde_json::{Value, json};
+use singletrack_client::{ClientError, Connection, SOCKET_VERSION, ask};
+
+use crate::node::start;
+
+/// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// The longest wait for a line, so that renewals are not late.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// The longest wait for a daemon that does not read.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// The last set-point before an arm may be this old.
+const ATTENDED: Duration = Duration::from_millis(500);
+
+/// Arms, disarms and stops.
+#[derive(Clone, Debug)]
+pub(crate) struct Attendance {
+    socket: PathBuf,
+    state: Arc<Mutex<State>>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// When a set-point was passed on, and when the daemon rejected one.
+    passed: Option<Instant>,
+    rejected: Option<Instant>,
+    /// A drive of this process is being armed, or driven.
+    is_held: bool,
+}
+
+impl State {
+    /// Why no drive may be armed now.
+    fn refusal(&self, now: Instant) -> Option<&'static str> {
+        let recent =
+            |time: Option<Instant>| time.is_some_and(|time| now.duration_since(time) <= ATTENDED);
+        if self.is_held {
+            return Some("a drive of this node is under way");
+        }
+        if !recent(self.passed) {
+            return Some(
+                "no set-points come: send them to point_velocity, drive or path first, then arm",
+            );
+        }
+        if recent(self.rejected) {
+            return Some(
+                "the daemon rejects the set-points (see /diagnostics); is reference.kind \
+                 \"external\"?",
+            );
+        }
+        None
+    }
+}
+
+impl Attendance {
+    pub(crate) fn new(socket: PathBuf) -> Self {
+        Self {
+            socket,
+            state: Arc::default(),
+        }
+    }
+
+    /// A set-point was passed on to the daemon.
+    pub(crate) fn passed(&self) {
+        self.state().passed = Some(Instant::now());
+    }
+
+    /// The daemon rejected a set-point.
+    pub(crate) fn rejected(&self) {
+        self.state().rejected = Some(Instant::now());
+    }
+
+    /// Arms a drive, and holds it until it ends. Returns once the car drives.
+    pub(crate) fn arm(&self) -> Result<(), String> {
+        {
+            let mut state = self.state();
+            if let Some(refusal) = state.refusal(Instant::now()) {
+                return Err(format!("can't arm: {refusal}"));
+            }
+            state.is_held = true;
+        }
+        let held = Held(self.clone());
+        let mut drive = Drive::arm(&self.socket).map_err(|error| error.to_string())?;
+        start("hold", move || {
+            let ended = drive.hold();
+            drop(held);
+            match ended {
+                Ok(ended) => tracing::info!("the drive has ended: {ended}"),
+                Err(error) => tracing::warn!("the drive has ended: {error}"),
+            }
+        })
+        .map_err(|error| error.to_string())
+    }
+
+    /// Slows the car down and stops it.
+    pub(crate) fn disarm(&self) -> Result<(), String> {
+        self.tell("disarm")
+    }
+
+    /// Stops the car at once, until the board is reset.
+    pub(crate) fn stop(&self) -> Result<(), String> {
+        self.tell("stop")
+    }
+
+    /// Disarms a drive of this process.
+    pub(crate) fn end(&self) {
+        if self.state().is_held
+            && let Err(error) = self.disarm()
+        {
+            tracing::warn!("{error}");
+        }
+    }
+
+    fn tell(&self, command: &str) -> Result<(), String> {
+        let line = json!({ "version": SOCKET_VERSION, "command": command });
+        ask(&line, &self.socket)
+            .map(drop)
+            .map_err(|error| error.to_string())
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        // The state holds no invariant that a panic could break.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A drive is held for as long as this lives.
+struct Held(Attendance);
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.0.state().is_held = false;
+    }
+}
+
+/// A connection that holds a drive.
+struct Drive {
+    connection: Connection,
+    renewed: Instant,
+}
+
+impl Drive {
+    /// Arms; returns once the car drives.
+    fn arm(socket: &std::path::Path) -> Result<Self, ClientError> {
+        let mut drive = Self {
+            connection: Connection::open(socket, PATIENCE)?,
+            renewed: Instant::now(),
+        };
+        drive.connection.send(&json!({
+            "version": SOCKET_VERSION,
+            "command": "arm",
+            "attendance": "hold",
+        }))?;
+        loop {
+            if let Some(answer) = drive.next()? {
+                singletrack_client::agreed(answer)?;
+                return Ok(drive);
+            }
+        }
+    }
+
+    /// Renews the drive until it has ended; returns how.
+    fn hold(&mut self) -> Result<String, ClientError> {
+        loop {
+            if let Some(line) = self.next()?
+                && let Some(ended) = line.get("ended")
+            {
+                let word = |key| ended.get(key).and_then(Value::as_str);
+                let mode = word("mode").unwrap_or("unknown");
+                return Ok(match word("reason") {
+                    Some(reason) => format!("mode {mode}: {reason}"),
+                    None => format!("mode {mode}"),
+                });
+            }
+        }
+    }
+
+    /// The next line, if one comes soon. Renews the drive.
+    fn next(&mut self) -> Result<Option<Value>, ClientError> {
+        if self.renewed.elapsed() >= RENEWAL {
+            self.renewed = Instant::now();
+            let hold = json!({ "version": SOCKET_VERSION, "command": "hold" });
+            self.connection.send(&hold)?;
+        }
+        self.connection.receive_within(WAIT)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_is_armed_only_while_set_points_come_and_are_taken() {
+        let now = Instant::now() + Duration::from_secs(10);
+        let ago = |ms| Some(now - Duration::from_millis(ms));
+        let refusal = |passed, rejected, is_held| {
+            let state = State {
+                passed,
+                rejected,
+                is_held,
+            };
+            state.refusal(now).unwrap_or("none").to_owned()
+        };
+        assert_eq!(refusal(ago(10), None, false), "none");
+        assert_eq!(refusal(ago(10), ago(501), false), "none");
+        assert!(refusal(ago(10), ago(10), false).contains("rejects"));
+        assert!(refusal(ago(501), None, false).contains("no set-points"));
+        assert!(refusal(None, None, false).contains("no set-points"));
+        assert!(refusal(ago(10), None, true).contains("under way"));
+    }
+}

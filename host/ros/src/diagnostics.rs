@@ -1,0 +1,107 @@
+//! Publishes the counts of this program once a second, beside the daemon's diagnostics.
+
+use std::{sync::Arc, thread, time::Duration};
+
+use crate::{
+    RunError,
+    clocks::Now,
+    message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time},
+    node::{Node, start as start_thread},
+    tally::{Counts, Tally},
+};
+
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// Levels of `diagnostic_msgs/msg/DiagnosticStatus`.
+const OK: u8 = 0;
+const WARN: u8 = 1;
+
+pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), RunError> {
+    let publisher = node.publisher("diagnostics", ("diagnostic_msgs", "DiagnosticArray"))?;
+    let tally = Arc::clone(tally);
+    start_thread("diagnostics", move || {
+        let mut before = 0;
+        loop {
+            thread::sleep(INTERVAL);
+            let counts = tally.lock().clone();
+            let refused = counts
+                .refused
+                .values()
+                .chain(counts.rejected.values())
+                .sum();
+            let level = if refused > before { WARN } else { OK };
+            before = refused;
+            // A slow subscriber sees the next one.
+            let _ = publisher.publish(report(&counts, level, Now::read()));
+        }
+    })
+}
+
+fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
+    let value = |key, value: String| KeyValue { key, value };
+    let by_word = |words: Vec<(&str, &u64)>| {
+        let words: Vec<String> = words
+            .into_iter()
+            .map(|(word, count)| format!("{word} {count}"))
+            .collect();
+        words.join(", ")
+    };
+    let refused = counts.refused.iter().map(|(word, count)| (*word, count));
+    let rejected = counts
+        .rejected
+        .iter()
+        .map(|(word, count)| (word.as_str(), count));
+    let message = match level {
+        OK => "set-points pass",
+        _ => "set-points are refused",
+    };
+    DiagnosticArray {
+        header: Header {
+            stamp: Time::from_ns(now.wall),
+            frame_id: String::new(),
+        },
+        status: vec![DiagnosticStatus {
+            level,
+            name: "singletrack-ros",
+            message: message.to_owned(),
+            hardware_id: "",
+            values: vec![
+                value("set-points passed on", counts.passed.to_string()),
+                value("set-points refused", by_word(refused.collect())),
+                value(
+                    "set-points rejected by the daemon",
+                    by_word(rejected.collect()),
+                ),
+                value("set-points lost", counts.lost.to_string()),
+                value("entries missed", counts.missed.to_string()),
+                value("messages held up", counts.held_up.to_string()),
+            ],
+        }],
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::indexing_slicing, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_is_reported_with_its_count() {
+        let mut counts = Counts::default();
+        counts.refused.insert("old", 3);
+        counts.refused.insert("frame", 1);
+        let now = Now {
+            monotonic: 0,
+            wall: 1_500_000_000,
+        };
+        let report = report(&counts, WARN, now);
+        assert_eq!(
+            report.header.stamp,
+            Time {
+                sec: 1,
+                nanosec: 500_000_000
+            }
+        );
+        assert_eq!(report.status[0].values[1].value, "frame 1, old 3");
+    }
+}

@@ -1,0 +1,169 @@
+//! Takes set-points and passes them on to the daemon.
+
+use std::{
+    path::PathBuf,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU32, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use futures::{StreamExt as _, executor::block_on};
+use ros2_client::{
+    Subscription,
+    qos::{Reliability, WhenFull},
+};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use singletrack_client::{ClientError, Connection};
+
+use crate::{
+    RunError,
+    arguments::Arguments,
+    attendance::Attendance,
+    clocks::Now,
+    node::{Node, start as start_thread},
+    setpoint::{Judge, Refusal},
+    tally::Tally,
+};
+
+/// The longest wait for a daemon that does not read.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// The newest set-point counts, and one that is lost is replaced by the next.
+const NEWEST: Reliability = Reliability::BestEffort;
+
+/// A path is sent once.
+const ONCE: Reliability = Reliability::Reliable {
+    when_full: WhenFull::DEFAULT,
+};
+
+pub(crate) fn start(
+    node: &mut Node,
+    arguments: &Arguments,
+    attendance: &Attendance,
+    tally: &Arc<Tally>,
+) -> Result<(), RunError> {
+    if arguments.publish_only {
+        return Ok(());
+    }
+    let judge = Judge {
+        max_age: arguments.max_age(),
+    };
+    let way = Arc::new(Way {
+        socket: arguments.socket.clone(),
+        connection: Mutex::new(None),
+        sequence: AtomicU32::new(1),
+        attendance: attendance.clone(),
+        tally: Arc::clone(tally),
+    });
+    let twist = ("geometry_msgs", "TwistStamped");
+    let velocities = node.subscription("point_velocity", twist, NEWEST)?;
+    take(&way, "velocity", velocities, move |message, now| {
+        judge.velocity(message, now)
+    })?;
+    let ackermann = ("ackermann_msgs", "AckermannDriveStamped");
+    let drives = node.subscription("drive", ackermann, NEWEST)?;
+    take(&way, "drive", drives, move |message, now| {
+        judge.drive(message, now)
+    })?;
+    let paths = node.subscription("path", ("nav_msgs", "Path"), ONCE)?;
+    take(&way, "path", paths, move |message, now| {
+        judge.path(message, now)
+    })
+}
+
+/// Passes the messages of a subscription on, on a thread of its own.
+fn take<M: DeserializeOwned + Send + 'static>(
+    way: &Arc<Way>,
+    name: &'static str,
+    subscription: Subscription<M>,
+    judge: impl Fn(&M, Now) -> Result<Value, Refusal> + Send + 'static,
+) -> Result<(), RunError> {
+    let way = Arc::clone(way);
+    start_thread(name, move || {
+        let mut messages = Box::pin(subscription.async_stream());
+        while let Some(message) = block_on(messages.next()) {
+            match message {
+                Ok((message, _)) => way.pass(name, judge(&message, Now::read())),
+                Err(error) => way.warn(&format!("{name}: {error}")),
+            }
+        }
+    })
+}
+
+/// The way to the daemon.
+struct Way {
+    socket: PathBuf,
+    connection: Mutex<Option<Connection>>,
+    /// The number of the next set-point.
+    sequence: AtomicU32,
+    attendance: Attendance,
+    tally: Arc<Tally>,
+}
+
+impl Way {
+    fn pass(&self, name: &str, line: Result<Value, Refusal>) {
+        let mut line = match line {
+            Ok(line) => line,
+            Err(refusal) => {
+                *self.tally.lock().refused.entry(refusal.name()).or_default() += 1;
+                self.warn(&format!("{name}: refused: {refusal}"));
+                return;
+            }
+        };
+        let mut connection = self
+            .connection
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        // The lock keeps the numbers in order.
+        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
+        if let Some(line) = line.as_object_mut() {
+            line.insert("sequence".to_owned(), sequence.into());
+        }
+        match self.send(&mut connection, &line) {
+            Ok(()) => {
+                self.tally.lock().passed += 1;
+                self.attendance.passed();
+            }
+            Err(error) => {
+                // A line may have been cut: the next set-point begins with a new connection.
+                *connection = None;
+                self.tally.lock().lost += 1;
+                self.warn(&format!("{name}: lost: {error}"));
+            }
+        }
+    }
+
+    /// Sends a line, and reads what the daemon has answered to earlier ones.
+    fn send(&self, connection: &mut Option<Connection>, line: &Value) -> Result<(), ClientError> {
+        let open = match connection {
+            Some(open) => open,
+            None => connection.insert(Connection::open(&self.socket, PATIENCE)?),
+        };
+        open.send(line)?;
+        while let Some(answer) = open.receive()? {
+            self.rejected(&answer);
+        }
+        Ok(())
+    }
+
+    /// Counts and reports a set-point that the daemon rejected.
+    fn rejected(&self, answer: &Value) {
+        let text = |key| answer.get(key).and_then(Value::as_str);
+        let word = text("rejected").unwrap_or("rejected").to_owned();
+        self.attendance.rejected();
+        let error = text("error").unwrap_or("without a reason");
+        *self.tally.lock().rejected.entry(word).or_default() += 1;
+        self.warn(&format!("the daemon rejects a set-point: {error}"));
+    }
+
+    fn warn(&self, text: &str) {
+        // Numbers in a reason do not make it another one.
+        let reason: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
+        if self.tally.lock().may_log(&reason, Instant::now()) {
+            tracing::warn!("{text}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! `singletrack-ros`: the car as a node of ROS 2, without an installation of ROS.
+//!
+//! A process of its own. It is a client of the daemon's control socket, as any other: it
+//! publishes the messages of the record unchanged, and passes set-points and requests on. If it
+//! hangs or dies, the daemon stops the car.
+
+mod arguments;
+mod attendance;
+mod clocks;
+mod diagnostics;
+mod incoming;
+mod loopback;
+mod message;
+mod node;
+mod outgoing;
+mod services;
+mod setpoint;
+mod tally;
+
+use std::{io, process::ExitCode, sync::Arc};
+
+use arguments::Arguments;
+use clap::Parser as _;
+use tracing_subscriber::EnvFilter;
+
+/// Why the program ends.
+#[derive(Debug, thiserror::Error)]
+enum RunError {
+    /// A name, domain or address can't be used.
+    #[error("{0}")]
+    Argument(String),
+    /// DDS does not start.
+    #[error("can't take part in the network of ROS: {0}")]
+    Network(String),
+    /// The sockets can't be closed to other computers.
+    #[error(
+        "can't close the sockets to other computers: {0}; give the addresses of its interfaces \
+         with --interface to open them"
+    )]
+    Loopback(io::Error),
+    /// A thread or the handler of signals does not start.
+    #[error("can't start: {0}")]
+    Start(#[from] io::Error),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let filter = EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| EnvFilter::new("warn,singletrack_ros=info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .without_time()
+        .with_target(false)
+        .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
+        .init();
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("singletrack-ros: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Runs until a signal.
+fn run(arguments: &Arguments) -> Result<(), RunError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()?;
+    let tally = Arc::new(tally::Tally::default());
+    let attendance = attendance::Attendance::new(arguments.socket.clone());
+    let mut node = node::Node::start(arguments)?;
+    outgoing::start(&mut node, arguments, &tally)?;
+    incoming::start(&mut node, arguments, &attendance, &tally)?;
+    services::start(&mut node, arguments, &attendance)?;
+    diagnostics::start(&mut node, &tally)?;
+    node.spin()?;
+    tracing::info!(
+        domain = node.domain(),
+        namespace = arguments.namespace,
+        socket = %arguments.socket.display(),
+        "started"
+    );
+    runtime.block_on(signal())?;
+    // The connection that holds a drive ends with the process, and the car stops at once; a
+    // disarm slows it down.
+    attendance.end();
+    Ok(())
+}
+
+async fn signal() -> io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+    }
+    Ok(())
+}

@@ -1,0 +1,169 @@
+//! The node: its name, its qualities of service, and the threads on which it works.
+
+use std::{io, thread};
+
+use futures::executor::block_on;
+use ros2_client::{
+    Context, MessageTypeName, Name, NodeName, NodeOptions, Publisher, QosProfile, Server,
+    ServiceMapping, ServiceTypeName, Subscription,
+    qos::{Durability, History, Reliability, WhenFull},
+};
+use rustdds::DomainParticipantBuilder;
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{
+    RunError,
+    arguments::Arguments,
+    loopback,
+    message::{TriggerRequest, TriggerResponse},
+};
+
+const NODE: &str = "singletrack";
+
+/// Messages that are kept for a reliable subscriber: a second of the fastest topic.
+const KEPT: usize = 100;
+
+/// The node of this car.
+pub(crate) struct Node {
+    node: ros2_client::Node,
+    namespace: String,
+    domain: u16,
+}
+
+impl Node {
+    pub(crate) fn start(arguments: &Arguments) -> Result<Self, RunError> {
+        let environment = std::env::var("ROS_DOMAIN_ID").ok();
+        let domain = arguments
+            .domain(environment.as_deref())
+            .map_err(RunError::Argument)?;
+        let name = NodeName::new(&arguments.namespace, NODE).map_err(|error| {
+            RunError::Argument(format!("--namespace {}: {error}", arguments.namespace))
+        })?;
+        let participant = DomainParticipantBuilder::new(domain)
+            .with_only_networks(loopback::networks(&arguments.interface))
+            .build()
+            .map_err(network)?;
+        if arguments.interface.is_empty() {
+            loopback::close_to_others().map_err(RunError::Loopback)?;
+        } else {
+            tracing::warn!(
+                interfaces = ?arguments.interface,
+                "other computers can reach this node, and there is no authentication"
+            );
+        }
+        let context = Context::from_domain_participant(participant).map_err(network)?;
+        let options = NodeOptions::new()
+            // The topic has the record's log.
+            .enable_rosout(false)
+            // There are none.
+            .start_parameter_services(false);
+        let node = context.new_node(name, options).map_err(network)?;
+        Ok(Self {
+            node,
+            namespace: arguments.namespace.clone(),
+            domain,
+        })
+    }
+
+    pub(crate) const fn domain(&self) -> u16 {
+        self.domain
+    }
+
+    /// A publisher that never waits: of a reliable subscriber that is too slow it keeps the
+    /// newest messages, and drops the oldest.
+    pub(crate) fn publisher<M: Serialize>(
+        &mut self,
+        topic: &str,
+        (package, kind): (&str, &str),
+    ) -> Result<Publisher<M>, RunError> {
+        let qos = qos(
+            Reliability::Reliable {
+                when_full: WhenFull::Fail,
+            },
+            KEPT,
+        );
+        let name = self.name(topic)?;
+        let kind = MessageTypeName::new(package, kind);
+        let topic = self.node.create_topic(&name, kind, &qos).map_err(network)?;
+        self.node
+            .create_publisher(&topic, Some(qos))
+            .map_err(network)
+    }
+
+    /// A subscription to the newest message.
+    pub(crate) fn subscription<M: DeserializeOwned + 'static>(
+        &mut self,
+        topic: &str,
+        (package, kind): (&str, &str),
+        reliability: Reliability,
+    ) -> Result<Subscription<M>, RunError> {
+        let qos = qos(reliability, 1);
+        let name = self.name(topic)?;
+        let kind = MessageTypeName::new(package, kind);
+        let topic = self.node.create_topic(&name, kind, &qos).map_err(network)?;
+        self.node
+            .create_subscription(&topic, Some(qos))
+            .map_err(network)
+    }
+
+    pub(crate) fn trigger(
+        &mut self,
+        service: &str,
+    ) -> Result<Server<TriggerRequest, TriggerResponse>, RunError> {
+        let qos = qos(
+            Reliability::Reliable {
+                when_full: WhenFull::DEFAULT,
+            },
+            10,
+        );
+        let name = self.name(service)?;
+        self.node
+            .create_server(
+                ServiceMapping::Enhanced,
+                &name,
+                &ServiceTypeName::new("std_srvs", "Trigger"),
+                qos.clone(),
+                qos,
+            )
+            .map_err(network)
+    }
+
+    /// Takes part in discovery, on a thread of its own.
+    pub(crate) fn spin(&mut self) -> Result<(), RunError> {
+        let spinner = self.node.spinner().map_err(network)?;
+        start("discovery", move || {
+            if let Err(error) = block_on(spinner.spin()) {
+                tracing::error!(%error, "discovery has ended");
+            }
+        })
+    }
+
+    fn name(&self, base: &str) -> Result<Name, RunError> {
+        // One log for all nodes.
+        let (namespace, base) = match base.strip_prefix('/') {
+            Some(base) => ("/", base),
+            None => (self.namespace.as_str(), base),
+        };
+        Name::new(namespace, base)
+            .map_err(|error| RunError::Argument(format!("--namespace {namespace}: {error}")))
+    }
+}
+
+/// Starts a thread that nobody waits for: it ends with the process.
+pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), RunError> {
+    let started: io::Result<_> = thread::Builder::new().name(name.to_owned()).spawn(run);
+    started.map(drop).map_err(RunError::Start)
+}
+
+fn network(error: impl core::fmt::Display) -> RunError {
+    RunError::Network(error.to_string())
+}
+
+fn qos(reliability: Reliability, depth: usize) -> QosProfile {
+    QosProfile {
+        reliability,
+        durability: Durability::Volatile,
+        history: History::KeepLast { depth },
+        ..QosProfile::subscription_default()
+    }
+}

@@ -1,0 +1,154 @@
+//! Publishes the messages of the record, as the daemon encodes them.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use ros2_client::{Publisher, WriteError};
+use singletrack_client::{ClientError, Clocks, MessageStream, Received};
+
+use crate::{
+    RunError,
+    arguments::Arguments,
+    clocks::Now,
+    message::Encoded,
+    node::{Node, start as start_thread},
+    tally::Tally,
+};
+
+/// The topics, each with the name of its node's topic and its type.
+pub(crate) const TOPICS: [(&str, &str, (&str, &str)); 9] = [
+    ("/odom", "odom", ("nav_msgs", "Odometry")),
+    ("/tf", "tf", ("tf2_msgs", "TFMessage")),
+    ("/imu", "imu", ("sensor_msgs", "Imu")),
+    (
+        "/diagnostics",
+        "diagnostics",
+        ("diagnostic_msgs", "DiagnosticArray"),
+    ),
+    ("/point_p", "point_p", ("geometry_msgs", "PointStamped")),
+    ("/reference", "reference", ("geometry_msgs", "PointStamped")),
+    (
+        "/mocap/pose",
+        "mocap_pose",
+        ("geometry_msgs", "PoseStamped"),
+    ),
+    ("/cmd", "cmd", ("ackermann_msgs", "AckermannDriveStamped")),
+    ("/rosout", "/rosout", ("rcl_interfaces", "Log")),
+];
+
+/// A daemon that is silent for so long hangs: there are 100 ticks a second.
+const SILENCE: Duration = Duration::from_secs(2);
+
+/// The pause before the next try to reach the daemon.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// The clocks of stamps and of this computer may differ by this, in s.
+const CLOCK_STEP: f64 = 0.02;
+
+pub(crate) fn start(
+    node: &mut Node,
+    arguments: &Arguments,
+    tally: &Arc<Tally>,
+) -> Result<(), RunError> {
+    let mut publishers = BTreeMap::new();
+    for (channel, topic, kind) in TOPICS {
+        publishers.insert(channel, node.publisher(topic, kind)?);
+    }
+    let outgoing = Outgoing {
+        socket: arguments.socket.clone(),
+        publishers,
+        tally: Arc::clone(tally),
+    };
+    start_thread("outgoing", move || outgoing.run())
+}
+
+struct Outgoing {
+    socket: PathBuf,
+    publishers: BTreeMap<&'static str, Publisher<Encoded>>,
+    tally: Arc<Tally>,
+}
+
+impl Outgoing {
+    fn run(&self) {
+        loop {
+            let Err(error) = self.publish(&self.socket);
+            if self
+                .tally
+                .lock()
+                .may_log(&error.to_string(), Instant::now())
+            {
+                tracing::warn!("nothing is published: {error}");
+            }
+            thread::sleep(PAUSE);
+        }
+    }
+
+    /// Publishes until the daemon is lost.
+    fn publish(&self, socket: &Path) -> Result<core::convert::Infallible, ClientError> {
+        let topics: Vec<_> = self.publishers.keys().copied().collect();
+        let mut stream = MessageStream::open(socket, &topics, SILENCE)?;
+        tracing::info!("connected to the daemon");
+        warn_of_clocks(stream.clocks());
+        loop {
+            match stream.receive()? {
+                Received::Missed(count) => self.tally.lock().missed += count,
+                Received::Message(message) => {
+                    let publisher = self.publishers.get(message.topic);
+                    let encoded = Encoded::new(message.bytes);
+                    let (Some(publisher), Some(encoded)) = (publisher, encoded) else {
+                        continue;
+                    };
+                    match publisher.publish(encoded) {
+                        Ok(()) => {}
+                        Err(WriteError::WouldBlock { .. }) => self.tally.lock().held_up += 1,
+                        Err(error) => {
+                            let error = error.to_string();
+                            if self.tally.lock().may_log(&error, Instant::now()) {
+                                tracing::warn!("{}: {error}", message.topic);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Stamps follow the wall clock as it was when the daemon's record began.
+fn warn_of_clocks(clocks: Clocks) {
+    let then = Now {
+        monotonic: clocks.monotonic_ns.into(),
+        wall: clocks.wall_ns.into(),
+    };
+    let step = Now::read().wall_step_s(then);
+    if step.abs() > CLOCK_STEP {
+        tracing::warn!(
+            "the clock was set by {step:.3} s since the daemon was started: the stamps of what is \
+             published are off by this; restart the daemon"
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_record::StandardTopic;
+
+    use super::*;
+
+    #[test]
+    fn every_topic_of_the_record_with_a_type_of_ros_is_published_with_this_type() {
+        assert_eq!(TOPICS.len(), StandardTopic::ALL.len());
+        for (channel, _, (package, kind)) in TOPICS {
+            let standard = StandardTopic::ALL
+                .into_iter()
+                .find(|standard| standard.channel() == channel);
+            let name = standard.map(StandardTopic::schema_name);
+            assert_eq!(name, Some(format!("{package}/msg/{kind}")), "{channel}");
+        }
+    }
+}

@@ -1,0 +1,404 @@
+//! From a message of ROS to a set-point of the daemon, or the reason against it.
+//!
+//! The daemon checks every set-point again. What is refused here is what only ROS knows: stamps
+//! on the wall clock, and frames.
+
+use core::fmt;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use singletrack_client::SOCKET_VERSION;
+
+use crate::{
+    clocks::Now,
+    message::{AckermannDriveStamped, Header, Path, Time, TwistStamped},
+};
+
+/// The frame of positions and of velocities of P.
+const WORLD: &str = "world";
+/// The frame of the car.
+const BASE: &str = "base_link";
+
+/// A stamp may be ahead of this computer's clock by this: clocks of two computers differ. The
+/// set-point then counts as decided now.
+const AHEAD: Duration = Duration::from_millis(5);
+
+/// The bounds of a trajectory's number of points.
+const FEWEST: usize = 2;
+const MOST: usize = 100;
+
+/// Why a set-point is not passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Refusal {
+    /// Its stamp is zero.
+    NoStamp,
+    /// Its stamp is too old.
+    Old,
+    /// Its stamp is in the future.
+    Future,
+    /// It is in another frame.
+    Frame,
+    /// It has a number that is none.
+    NotFinite,
+    /// It asks for what the car does not offer.
+    NotOffered,
+    /// Its points are too few, too many or not in order.
+    Points,
+}
+
+impl Refusal {
+    /// The word for it in diagnostics and documentation.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::NoStamp => "no-stamp",
+            Self::Old => "old",
+            Self::Future => "future",
+            Self::Frame => "frame",
+            Self::NotFinite => "not-finite",
+            Self::NotOffered => "not-offered",
+            Self::Points => "points",
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = match self {
+            Self::NoStamp => "header.stamp is zero: give the time at which it was decided",
+            Self::Old => "header.stamp is older than --max-age-ms",
+            Self::Future => "header.stamp is in the future: are the clocks synchronised?",
+            Self::Frame => {
+                "header.frame_id must be \"world\" for velocities and paths, \"base_link\" or \
+                 empty for /drive"
+            }
+            Self::NotFinite => "a number is not finite",
+            Self::NotOffered => {
+                "only linear.x and linear.y of a velocity, and steering_angle and speed of \
+                 /drive, may differ from zero"
+            }
+            Self::Points => "a path has 2 to 100 poses with increasing stamps",
+        };
+        write!(formatter, "{}: {text}", self.name())
+    }
+}
+
+/// The judge of set-points.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Judge {
+    pub(crate) max_age: Duration,
+}
+
+impl Judge {
+    /// The velocity of P.
+    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Value, Refusal> {
+        let time_ns = self.decided(&message.header, now)?;
+        in_frame(&message.header, &[WORLD])?;
+        let (linear, angular) = (message.linear, message.angular);
+        let rest = [linear.z, angular.x, angular.y, angular.z];
+        finite([linear.x, linear.y].into_iter().chain(rest))?;
+        if rest.iter().any(|&part| part != 0.0) {
+            return Err(Refusal::NotOffered);
+        }
+        Ok(json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "velocity_m_s": [linear.x, linear.y],
+            "time_ns": time_ns,
+        }))
+    }
+
+    /// Steering and speed.
+    pub(crate) fn drive(
+        &self,
+        message: &AckermannDriveStamped,
+        now: Now,
+    ) -> Result<Value, Refusal> {
+        let time_ns = self.decided(&message.header, now)?;
+        in_frame(&message.header, &[BASE, ""])?;
+        let rest = [
+            message.steering_angle_velocity,
+            message.acceleration,
+            message.jerk,
+        ];
+        let used = [message.steering_angle, message.speed];
+        finite(used.into_iter().chain(rest).map(f64::from))?;
+        if rest.iter().any(|&part| part != 0.0) {
+            return Err(Refusal::NotOffered);
+        }
+        Ok(json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "steering_rad": f64::from(message.steering_angle),
+            "speed_m_s": f64::from(message.speed),
+            "time_ns": time_ns,
+        }))
+    }
+
+    /// Timed positions of P, with velocities from the positions.
+    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Value, Refusal> {
+        let decided = self.decided(&message.header, now)?;
+        in_frame(&message.header, &[WORLD])?;
+        let poses = &message.poses;
+        if !(FEWEST..=MOST).contains(&poses.len()) {
+            return Err(Refusal::Points);
+        }
+        let mut points = Vec::with_capacity(poses.len());
+        for pose in poses {
+            in_frame(&pose.header, &[WORLD, ""])?;
+            finite([pose.position.x, pose.position.y])?;
+            points.push(Timed {
+                wall: pose.header.stamp.ns(),
+                position: [pose.position.x, pose.position.y],
+            });
+        }
+        if points.windows(2).any(|pair| match pair {
+            [first, second] => second.wall <= first.wall,
+            _ => false,
+        }) {
+            return Err(Refusal::Points);
+        }
+        let trajectory = velocities(&points)
+            .zip(&points)
+            .map(|(velocity, point)| {
+                finite(velocity)?;
+                let time_ns =
+                    u64::try_from(now.monotonic_at(point.wall)).map_err(|_| Refusal::Points)?;
+                Ok(json!({
+                    "time_ns": time_ns,
+                    "position_m": point.position,
+                    "velocity_m_s": velocity,
+                }))
+            })
+            .collect::<Result<Vec<_>, Refusal>>()?;
+        Ok(json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "trajectory": trajectory,
+            "time_ns": decided,
+        }))
+    }
+
+    /// When it was decided, on `CLOCK_MONOTONIC`.
+    fn decided(&self, header: &Header, now: Now) -> Result<u64, Refusal> {
+        if header.stamp == Time::default() {
+            return Err(Refusal::NoStamp);
+        }
+        let age = now.wall - header.stamp.ns();
+        if age > self.max_age.as_nanos() as i128 {
+            return Err(Refusal::Old);
+        }
+        if -age > AHEAD.as_nanos() as i128 {
+            return Err(Refusal::Future);
+        }
+        u64::try_from(now.monotonic - age.max(0)).map_err(|_| Refusal::Old)
+    }
+}
+
+/// A position at a time of the wall clock.
+struct Timed {
+    wall: i128,
+    position: [f64; 2],
+}
+
+/// The velocities at the points: between two, the slope of the parabola through it and its
+/// neighbours; at the ends, that of the line.
+fn velocities(points: &[Timed]) -> impl Iterator<Item = [f64; 2]> {
+    let slope = |from: Option<&Timed>, to: Option<&Timed>| {
+        let (from, to) = (from?, to?);
+        let time = (to.wall - from.wall) as f64 * 1e-9;
+        let [x, y] = [0, 1].map(|axis| {
+            let at = |point: &Timed| point.position.get(axis).copied().unwrap_or(0.0);
+            (at(to) - at(from)) / time
+        });
+        Some(([x, y], time))
+    };
+    (0..points.len()).map(move |index| {
+        let here = points.get(index);
+        let before = slope(index.checked_sub(1).and_then(|one| points.get(one)), here);
+        let after = slope(here, points.get(index + 1));
+        match (before, after) {
+            (Some((b, time_b)), Some((a, time_a))) => {
+                let total = time_b + time_a;
+                let mean = |b: f64, a: f64| (b * time_a + a * time_b) / total;
+                [mean(b[0], a[0]), mean(b[1], a[1])]
+            }
+            (Some((one, _)), None) | (None, Some((one, _))) => one,
+            (None, None) => [0.0; 2],
+        }
+    })
+}
+
+fn in_frame(header: &Header, frames: &[&str]) -> Result<(), Refusal> {
+    if frames.contains(&header.frame_id.as_str()) {
+        return Ok(());
+    }
+    Err(Refusal::Frame)
+}
+
+fn finite(numbers: impl IntoIterator<Item = f64>) -> Result<(), Refusal> {
+    if numbers.into_iter().all(f64::is_finite) {
+        return Ok(());
+    }
+    Err(Refusal::NotFinite)
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    clippy::indexing_slicing,
+    reason = "a test may fail"
+)]
+mod tests {
+    use super::*;
+    use crate::message::{PoseStamped, Vector3};
+
+    const JUDGE: Judge = Judge {
+        max_age: Duration::from_millis(100),
+    };
+    const MS: i128 = 1_000_000;
+    const NOW: Now = Now {
+        monotonic: 7_000_000_000,
+        wall: 1_700_000_000_000_000_000,
+    };
+
+    fn header(age_ms: i128, frame: &str) -> Header {
+        Header {
+            stamp: Time::from_ns(NOW.wall - age_ms * MS),
+            frame_id: frame.to_owned(),
+        }
+    }
+
+    fn twist(age_ms: i128) -> TwistStamped {
+        TwistStamped {
+            header: header(age_ms, "world"),
+            linear: Vector3 {
+                x: 0.5,
+                y: -0.25,
+                z: 0.0,
+            },
+            angular: Vector3::default(),
+        }
+    }
+
+    fn drive(age_ms: i128) -> AckermannDriveStamped {
+        AckermannDriveStamped {
+            header: header(age_ms, "base_link"),
+            steering_angle: 0.25,
+            speed: 1.5,
+            ..AckermannDriveStamped::default()
+        }
+    }
+
+    #[test]
+    fn a_velocity_keeps_its_age_on_the_other_clock() {
+        assert_eq!(
+            JUDGE.velocity(&twist(30), NOW).unwrap(),
+            json!({
+                "version": 2, "command": "setpoint",
+                "velocity_m_s": [0.5, -0.25], "time_ns": 6_970_000_000_u64,
+            })
+        );
+    }
+
+    #[test]
+    fn a_drive_is_steering_and_speed() {
+        assert_eq!(
+            JUDGE.drive(&drive(0), NOW).unwrap(),
+            json!({
+                "version": 2, "command": "setpoint",
+                "steering_rad": 0.25, "speed_m_s": 1.5, "time_ns": 7_000_000_000_u64,
+            })
+        );
+    }
+
+    #[test]
+    fn stamps_decide_to_the_millisecond() {
+        assert!(JUDGE.velocity(&twist(100), NOW).is_ok());
+        assert_eq!(JUDGE.velocity(&twist(101), NOW), Err(Refusal::Old));
+        assert_eq!(JUDGE.drive(&drive(1_000), NOW), Err(Refusal::Old));
+        assert_eq!(JUDGE.velocity(&twist(-6), NOW), Err(Refusal::Future));
+        let ahead = JUDGE.velocity(&twist(-5), NOW).unwrap();
+        assert_eq!(ahead["time_ns"], 7_000_000_000_u64, "never in the future");
+        let mut none = twist(0);
+        none.header.stamp = Time::default();
+        assert_eq!(JUDGE.velocity(&none, NOW), Err(Refusal::NoStamp));
+    }
+
+    #[test]
+    fn other_frames_are_refused() {
+        for frame in ["", "map", "base_link"] {
+            let mut message = twist(0);
+            message.header.frame_id = frame.to_owned();
+            assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::Frame));
+        }
+        let mut message = drive(0);
+        message.header.frame_id.clear();
+        assert!(JUDGE.drive(&message, NOW).is_ok());
+        message.header.frame_id = "world".to_owned();
+        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::Frame));
+    }
+
+    #[test]
+    fn what_the_car_does_not_offer_is_refused_and_not_ignored() {
+        let mut message = twist(0);
+        message.angular.z = 0.1;
+        assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::NotOffered));
+        message.angular.z = f64::NAN;
+        assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::NotFinite));
+        let mut message = drive(0);
+        message.acceleration = 1.0;
+        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::NotOffered));
+        message.speed = f32::INFINITY;
+        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::NotFinite));
+    }
+
+    fn path(points: &[(i128, [f64; 2])]) -> Path {
+        Path {
+            header: header(0, "world"),
+            poses: points
+                .iter()
+                .map(|&(after_ms, [x, y])| PoseStamped {
+                    header: header(-after_ms, ""),
+                    position: Vector3 { x, y, z: 0.0 },
+                    orientation: [0.0, 0.0, 0.0, 1.0],
+                })
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn a_path_has_the_velocities_of_its_parabolas() {
+        // x = t^2, y = 2 t, with uneven steps.
+        let points: Vec<_> = [0, 100, 300, 400]
+            .map(|ms: i128| {
+                let time = ms as f64 * 1e-3;
+                (ms, [time * time, 2.0 * time])
+            })
+            .to_vec();
+        let line = JUDGE.path(&path(&points), NOW).unwrap();
+        let trajectory = line["trajectory"].as_array().unwrap();
+        assert_eq!(trajectory[1]["time_ns"], 7_100_000_000_u64);
+        for (point, expected) in trajectory.iter().zip([0.1, 0.2, 0.6, 0.7]) {
+            let x = point["velocity_m_s"][0].as_f64().unwrap();
+            let y = point["velocity_m_s"][1].as_f64().unwrap();
+            assert!((x - expected).abs() < 1e-9, "{x} is not {expected}");
+            assert!((y - 2.0).abs() < 1e-9, "{y}");
+        }
+    }
+
+    #[test]
+    fn a_path_without_order_or_with_too_many_points_is_refused() {
+        let here = [0.0, 0.0];
+        for points in [
+            vec![],
+            vec![(0, here)],
+            vec![(0, here), (0, here)],
+            vec![(10, here), (0, here)],
+            (0..101).map(|ms| (ms, here)).collect(),
+        ] {
+            assert_eq!(JUDGE.path(&path(&points), NOW), Err(Refusal::Points));
+        }
+        let infinite = path(&[(0, here), (1, [f64::INFINITY, 0.0])]);
+        assert_eq!(JUDGE.path(&infinite, NOW), Err(Refusal::NotFinite));
+    }
+}

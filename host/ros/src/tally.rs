@@ -1,0 +1,69 @@
+//! Counts what is passed on and what is not, and logs reasons without flooding the log.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// The same reason is logged once in this time.
+const LOG_INTERVAL: Duration = Duration::from_secs(5);
+
+/// The counts, shared by all threads.
+#[derive(Debug, Default)]
+pub(crate) struct Tally(Mutex<Counts>);
+
+/// The counts since the start.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Counts {
+    /// Set-points that were passed on to the daemon.
+    pub(crate) passed: u64,
+    /// Set-points that this program refused, by reason.
+    pub(crate) refused: BTreeMap<&'static str, u64>,
+    /// Set-points that the daemon rejected, by its word.
+    pub(crate) rejected: BTreeMap<String, u64>,
+    /// Set-points that did not reach the daemon.
+    pub(crate) lost: u64,
+    /// Entries of the record that this program was too slow for.
+    pub(crate) missed: u64,
+    /// Messages that were not published, because a reliable subscriber is too slow.
+    pub(crate) held_up: u64,
+    logged: BTreeMap<String, Instant>,
+}
+
+impl Tally {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {
+        // The counts hold no invariant that a panic could break.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Counts {
+    /// Whether `reason` has not been logged for a while; it counts as logged now.
+    pub(crate) fn may_log(&mut self, reason: &str, now: Instant) -> bool {
+        if let Some(logged) = self.logged.get_mut(reason) {
+            let may = now.duration_since(*logged) >= LOG_INTERVAL;
+            if may {
+                *logged = now;
+            }
+            return may;
+        }
+        self.logged.insert(reason.to_owned(), now);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reason_is_logged_once_in_a_while() {
+        let mut counts = Counts::default();
+        let now = Instant::now();
+        assert!(counts.may_log("old", now));
+        assert!(!counts.may_log("old", now + Duration::from_millis(4_999)));
+        assert!(counts.may_log("frame", now));
+        assert!(counts.may_log("old", now + LOG_INTERVAL));
+    }
+}

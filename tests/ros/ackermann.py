@@ -1,0 +1,130 @@
+"""Builds ackermann_msgs for rclpy: no package index has it.
+
+Run it with the Python of an environment that has rclpy. It generates the code with ROS's own
+generators, compiles it, and installs it into the environment. It needs a C and a C++ compiler
+and the headers of Python.
+"""
+
+import glob
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import sysconfig
+
+os.environ["AMENT_PREFIX_PATH"] = sys.prefix
+
+import numpy
+from rosidl_generator_c.cli import GenerateC
+from rosidl_generator_py.cli import GeneratePython
+from rosidl_typesupport_c.cli import GenerateCTypesupport
+from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
+
+NAME = "ackermann_msgs"
+PREFIX = pathlib.Path(sys.prefix)
+LIBRARIES = PREFIX / "lib"
+
+
+def generate(source, build):
+    """Writes the code for the definitions in `source` to `build`."""
+    kinds = (
+        GenerateC,
+        GenerateCTypesupport,
+        GenerateFastRTPSCTypesupport,
+        GenerateIntrospectionCTypesupport,
+        GeneratePython,
+    )
+    files = [f"{source}:msg/{path.name}" for path in sorted((source / "msg").glob("*.idl"))]
+    for kind in kinds:
+        kind(kind.__name__).generate(NAME, files, [str(PREFIX / "share")], build)
+
+
+def link(compiler, output, sources, libraries, include):
+    """Compiles `sources` into a shared library."""
+    sources = [path for pattern in sources for path in sorted(glob.glob(str(pattern)))]
+    assert sources, output
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-w", *[f"-I{path}" for path in include], *sources]
+        + ["-o", str(output), f"-L{LIBRARIES}", *libraries],
+        check=True,
+    )
+
+
+def main(source, build):
+    shutil.rmtree(build, ignore_errors=True)
+    package = build / NAME
+    package.mkdir(parents=True)
+    generate(source, package)
+    include = [build, PREFIX / "include", *sorted((PREFIX / "include").iterdir())]
+    include += [sysconfig.get_paths()["include"], numpy.get_include()]
+    code = package / "msg"
+    own = f"-l{NAME}__rosidl_generator_c"
+    fastcdr = sorted(glob.glob(str(LIBRARIES / "libfastcdr.so*")))[0]
+
+    def library(kind, compiler, sources, *libraries):
+        output = LIBRARIES / f"lib{NAME}__{kind}.so"
+        link(compiler, output, sources, libraries, include)
+
+    library(
+        "rosidl_generator_c",
+        "cc",
+        [code / "detail/*__functions.c", code / "detail/*__description.c"],
+        "-lstd_msgs__rosidl_generator_c",
+        "-lrosidl_runtime_c",
+        "-lrcutils",
+    )
+    library(
+        "rosidl_typesupport_fastrtps_c",
+        "c++",
+        [code / "detail/*__type_support_c.cpp"],
+        own,
+        "-lstd_msgs__rosidl_typesupport_fastrtps_c",
+        "-lrosidl_typesupport_fastrtps_c",
+        "-lrosidl_typesupport_fastrtps_cpp",
+        fastcdr,
+    )
+    library(
+        "rosidl_typesupport_introspection_c",
+        "cc",
+        [code / "detail/*__type_support.c"],
+        own,
+        "-lstd_msgs__rosidl_typesupport_introspection_c",
+        "-lrosidl_typesupport_introspection_c",
+    )
+    library(
+        "rosidl_typesupport_c",
+        "c++",
+        [code / "*__type_support.cpp"],
+        own,
+        "-lrosidl_typesupport_c",
+    )
+    library(
+        "rosidl_generator_py",
+        "cc",
+        [code / "_*_s.c"],
+        own,
+        "-lstd_msgs__rosidl_generator_py",
+    )
+    installed = pathlib.Path(sysconfig.get_paths()["purelib"]) / NAME
+    (installed / "msg").mkdir(parents=True, exist_ok=True)
+    (installed / "__init__.py").touch()
+    for path in code.glob("*.py"):
+        shutil.copy(path, installed / "msg")
+    suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    link(
+        "cc",
+        installed / f"{NAME}_s__rosidl_typesupport_c{suffix}",
+        [package / f"_{NAME}_s.ep.rosidl_typesupport_c.c"],
+        [
+            f"-l{NAME}__rosidl_generator_py",
+            f"-l{NAME}__rosidl_typesupport_c",
+            own,
+            "-lrosidl_typesupport_c",
+        ],
+        include,
+    )
+
+
+main(pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve())

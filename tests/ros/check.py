@@ -1,0 +1,430 @@
+"""Checks singletrack-ros against rclpy: the daemon drives the simulated car in real time, and
+this process is the laboratory's node.
+
+Everything runs on loopback, best in a network namespace of its own. The arguments are the folder
+with the programs and an empty one for what they write.
+"""
+
+import argparse
+import json
+import math
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import rclpy
+from ackermann_msgs.msg import AckermannDriveStamped
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from mcap.reader import make_reader
+from nav_msgs.msg import Odometry, Path
+from rcl_interfaces.msg import Log
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
+
+# The circle of P: radius in m, speed in m/s. Below the speed of the first, proving metre.
+RADIUS = 0.85
+SPEED = 0.27
+GAIN = 1.0
+NAMESPACE = "/car7"
+
+ARGUMENTS = argparse.ArgumentParser()
+ARGUMENTS.add_argument("programs", type=pathlib.Path)
+ARGUMENTS.add_argument("folder", type=pathlib.Path)
+ARGUMENTS.add_argument("--configuration", type=pathlib.Path, required=True)
+ARGUMENTS.add_argument("--drive", type=float, default=6.0, help="seconds of each drive")
+ARGUMENTS.add_argument("--stalled", type=float, default=5.0, help="seconds of a stopped subscriber")
+ARGUMENTS.add_argument("--stall", action="store_true", help="be the subscriber that is stopped")
+
+# The topics of the record and their types here; tf2_msgs is on no package index.
+TOPICS = {
+    "odom": ("/odom", Odometry),
+    "imu": ("/imu", Imu),
+    "diagnostics": ("/diagnostics", DiagnosticArray),
+    "point_p": ("/point_p", PointStamped),
+    "reference": ("/reference", PointStamped),
+    "mocap_pose": ("/mocap/pose", PoseStamped),
+    "cmd": ("/cmd", AckermannDriveStamped),
+    "/rosout": ("/rosout", Log),
+}
+RELIABLE = QoSProfile(depth=2000)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def seconds(stamp):
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def quantiles(values):
+    values = sorted(values)
+    at = lambda part: values[min(len(values) - 1, int(part * len(values)))]
+    return f"p50 {at(0.5) * 1e3:.2f} ms, p99 {at(0.99) * 1e3:.2f} ms, of {len(values)}"
+
+
+def wait(what, condition, limit=20.0):
+    end = time.monotonic() + limit
+    while not condition():
+        if time.monotonic() > end:
+            raise SystemExit(f"never: {what}")
+        time.sleep(0.01)
+
+
+class Lab(Node):
+    """The laboratory's node: keeps what it receives, and sends set-points."""
+
+    def __init__(self):
+        super().__init__("lab", namespace=NAMESPACE)
+        self.raw = {name: [] for name in TOPICS}
+        self.arrived = []
+        self.point = None
+        self.yaw = None
+        self.refused = {}
+        for name, (_, kind) in TOPICS.items():
+            self.create_subscription(
+                kind, name, lambda raw, name=name: self.take(name, raw), RELIABLE, raw=True
+            )
+        self.velocities = self.create_publisher(TwistStamped, "point_velocity", 1)
+        self.drives = self.create_publisher(AckermannDriveStamped, "drive", 1)
+        self.paths = self.create_publisher(Path, "path", 1)
+        self.triggers = {
+            name: self.create_client(Trigger, name) for name in ("arm", "disarm", "stop")
+        }
+
+    def take(self, name, raw):
+        now = time.time()
+        self.raw[name].append(bytes(raw))
+        if name == "odom":
+            odometry = deserialize_message(raw, Odometry)
+            self.arrived.append((seconds(odometry.header.stamp), now))
+            pose = odometry.pose.pose
+            self.yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        elif name == "point_p":
+            point = deserialize_message(raw, PointStamped).point
+            self.point = (point.x, point.y)
+        elif name == "diagnostics":
+            for status in deserialize_message(raw, DiagnosticArray).status:
+                if status.name == "singletrack-ros":
+                    self.refused = {value.key: value.value for value in status.values}
+
+    def header(self, message, frame, age=0.0):
+        message.header.frame_id = frame
+        stamp = time.time_ns() - int(age * 1e9)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        return message
+
+    def velocity(self, velocity, age=0.0):
+        message = self.header(TwistStamped(), "world", age)
+        message.twist.linear.x, message.twist.linear.y = velocity
+        self.velocities.publish(message)
+
+    def steer(self, steering, speed, age=0.0):
+        message = self.header(AckermannDriveStamped(), "base_link", age)
+        message.drive.steering_angle, message.drive.speed = steering, speed
+        self.drives.publish(message)
+
+    def call(self, name):
+        answer = self.triggers[name].call_async(Trigger.Request())
+        wait(f"an answer of {name}", answer.done, 15.0)
+        return answer.result()
+
+
+class Circle:
+    """P on a circle about the origin, counter-clockwise, in a proportional loop."""
+
+    def __init__(self, lab):
+        self.lab = lab
+        self.begin = math.atan2(lab.point[1], lab.point[0])
+        self.start = None
+        self.errors = []
+
+    def velocity(self):
+        now = time.monotonic()
+        self.start = self.start or now
+        angle = self.begin + SPEED / RADIUS * (now - self.start)
+        wanted = (RADIUS * math.cos(angle), RADIUS * math.sin(angle))
+        feed = (-SPEED * math.sin(angle), SPEED * math.cos(angle))
+        point = self.lab.point
+        self.errors.append(math.hypot(wanted[0] - point[0], wanted[1] - point[1]))
+        return [feed[axis] + GAIN * (wanted[axis] - point[axis]) for axis in (0, 1)]
+
+    def steering(self):
+        """Steers P's direction of motion to the tangent, and its distance to the radius."""
+        x, y = self.lab.point
+        self.errors.append(abs(math.hypot(x, y) - RADIUS))
+        tangent = math.atan2(y, x) + math.pi / 2 + 1.5 * (math.hypot(x, y) - RADIUS)
+        error = math.remainder(tangent - self.lab.yaw, 2 * math.pi)
+        return max(-0.35, min(0.35, error)), SPEED
+
+
+def every(interval, duration, act):
+    """Calls `act` at the interval for the duration."""
+    begin = time.monotonic()
+    count = 0
+    while (now := time.monotonic()) < begin + duration:
+        act()
+        count += 1
+        time.sleep(max(0.0, begin + count * interval - now))
+
+
+class System:
+    """Simulator, daemon and singletrack-ros."""
+
+    def __init__(self, arguments):
+        self.programs = arguments.programs
+        self.folder = arguments.folder
+        self.socket = self.folder / "control.sock"
+        board = self.folder / "board"
+        text = arguments.configuration.read_text()
+        for pattern, value in (
+            (r"^port = .*", f'port = "{board}"'),
+            (r"^server = .*", 'server = "127.0.0.1"'),
+            (r"^#directory = .*", f'directory = "{self.folder}"'),
+            (r"^#path = .*", f'path = "{self.socket}"'),
+            (r'^kind = "circle"', 'kind = "external"'),
+            (r"^(radius_m|angular_velocity_rad_s) = .*\n", ""),
+            (r"^\[supervisor\]", "[supervisor]\nrequire_calibration = false"),
+        ):
+            text = re.sub(pattern, value, text, flags=re.MULTILINE)
+        configuration = self.folder / "car.toml"
+        configuration.write_text(text)
+        self.processes = {}
+        self.start("singletrack-sim", "--port", board, "--start", "0.67,-0.45,69")
+        wait("the simulator's port", board.exists)
+        self.start("singletrackd", "--config", configuration)
+        wait("the daemon's socket", self.socket.exists)
+        self.start("singletrack-ros", "--socket", self.socket, "--namespace", NAMESPACE)
+
+    def start(self, name, *arguments):
+        log = open(self.folder / f"{name}.log", "w")
+        command = [self.programs / name, *map(str, arguments)]
+        self.processes[name] = subprocess.Popen(command, stdout=log, stderr=log)
+
+    def status(self):
+        command = [self.programs / "singletrack", "status", "--socket", self.socket]
+        return json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+
+    def mode(self):
+        status = self.status()
+        return status["mode"], status["reason"]
+
+    def end(self):
+        for name in ("singletrack-ros", "singletrackd", "singletrack-sim"):
+            process = self.processes[name]
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
+            if process.returncode != 0 and name != "singletrack-sim":
+                raise SystemExit(f"{name} ended with {process.returncode}")
+
+    def kill(self):
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def drive(lab, system, name, act, arguments):
+    """Arms, drives, and disarms by the services; returns the errors once settled."""
+    every(0.02, 0.6, act)
+    feeding = threading.Event()
+
+    def feed():
+        while not feeding.is_set():
+            act()
+            time.sleep(0.02)
+
+    thread = threading.Thread(target=feed)
+    thread.start()
+    try:
+        answer = lab.call("arm")
+        assert answer.success, answer.message
+        again = lab.call("arm")
+        assert not again.success and "under way" in again.message, again.message
+        time.sleep(arguments.drive)
+        mode, reason = system.mode()
+        assert mode == "driving", f"{name}: {mode}: {reason}"
+        assert lab.call("disarm").success
+    finally:
+        feeding.set()
+        thread.join()
+    wait("the end of the drive", lambda: system.mode()[0] in ("idle", "ready"))
+
+
+def check_latency(lab):
+    """A thousand messages while the car stands."""
+    begin = len(lab.arrived)
+    wait("1,000 messages", lambda: len(lab.arrived) >= begin + 1000)
+    delays = [now - stamp for stamp, now in lab.arrived[begin : begin + 1000]]
+    print(f"/odom, from the stamp of its tick to rclpy: {quantiles(delays)}")
+
+
+def check_velocity(lab, system, arguments):
+    circle = Circle(lab)
+    drive(lab, system, "velocity", lambda: lab.velocity(circle.velocity()), arguments)
+    settled = circle.errors[len(circle.errors) // 2 :]
+    print(f"TwistStamped: P within {max(settled):.3f} m of its place on the circle")
+    assert max(settled) < 0.25, max(settled)
+
+
+def check_drive(lab, system, arguments):
+    circle = Circle(lab)
+    drive(lab, system, "drive", lambda: lab.steer(*circle.steering()), arguments)
+    settled = circle.errors[len(circle.errors) // 2 :]
+    print(f"/drive: P within {max(settled):.3f} m of the circle")
+    assert max(settled) < 0.3, max(settled)
+
+
+def check_old(lab, system):
+    """Stamps one second old are refused, and end a drive."""
+    answer = lab.call("arm")
+    assert not answer.success and "no set-points" in answer.message, answer.message
+    every(0.02, 1.0, lambda: lab.velocity((0.1, 0.0), age=1.0))
+    answer = lab.call("arm")
+    assert not answer.success and "no set-points" in answer.message, answer.message
+    wait("the count of old stamps", lambda: "old" in lab.refused.get("set-points refused", ""))
+    passed = lab.refused["set-points passed on"]
+    circle = Circle(lab)
+    every(0.02, 0.6, lambda: lab.velocity(circle.velocity()))
+    arm = lab.triggers["arm"].call_async(Trigger.Request())
+
+    def until_driving():
+        lab.velocity(circle.velocity())
+        time.sleep(0.02)
+        return arm.done()
+
+    wait("the answer of arm", until_driving)
+    assert arm.result().success, arm.result().message
+    every(0.02, 1.0, lambda: lab.velocity(circle.velocity()))
+    begin = time.monotonic()
+    every(0.02, 0.6, lambda: lab.velocity(circle.velocity(), age=1.0))
+    mode, reason = system.mode()
+    assert mode != "driving" and reason == "setpoint-stale", (mode, reason)
+    wait("the count of old stamps", lambda: lab.refused["set-points passed on"] != passed)
+    print(f"stamps 1 s old: refused ({lab.refused['set-points refused']}); the drive ended: {reason}")
+    wait("the car stands", lambda: system.mode()[0] in ("idle", "ready"))
+
+
+def check_stalled(lab, system, arguments):
+    """A reliable subscriber that is stopped changes nothing for the others and the daemon."""
+    command = [sys.executable, __file__, *map(str, sys.argv[1:]), "--stall"]
+    stalled = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert stalled.stdout.readline() == "subscribed\n"
+        before = system.status()["figures"]
+        stalled.send_signal(signal.SIGSTOP)
+        begin = len(lab.arrived)
+        time.sleep(arguments.stalled)
+        count = len(lab.arrived) - begin
+        after = system.status()["figures"]
+        stalled.send_signal(signal.SIGCONT)
+    finally:
+        stalled.kill()
+        stalled.wait()
+    ticks = after["ticks"] - before["ticks"]
+    print(f"a subscriber stopped for {arguments.stalled:.0f} s: {count} /odom of {ticks} ticks")
+    # Before and after the two questions for the status, ticks go on.
+    assert abs(count - ticks) <= 30, (count, ticks)
+    for key in ("lateness_us", "tick_duration_us", "deadline_misses"):
+        print(f"  {key}: {before[key]} before, {after[key]} after")
+
+
+def check_stop(lab, system):
+    assert lab.call("stop").success
+    wait("the stop", lambda: system.mode()[1] == "emergency-stop")
+    print("stop: emergency-stop")
+
+
+def check_bytes(lab, folder):
+    """Every message is in the record, with the same bytes; and no /odom of it was lost."""
+    (record,) = folder.glob("*.mcap")
+    recorded = {channel: [] for channel, _ in TOPICS.values()}
+    with open(record, "rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            if channel.topic in recorded:
+                recorded[channel.topic].append(message.data)
+    odom = recorded["/odom"]
+    begin, end = odom.index(lab.raw["odom"][0]), odom.index(lab.raw["odom"][-1])
+    print(f"/odom: {len(lab.raw['odom'])} of {end - begin + 1}")
+    assert lab.raw["odom"] == odom[begin : end + 1]
+    assert len(lab.raw["odom"]) > 1000
+    counts = []
+    recorded = {channel: set(messages) for channel, messages in recorded.items()}
+    for name, (channel, _) in TOPICS.items():
+        ours = [raw for raw in lab.raw[name] if raw not in recorded[channel]]
+        if name == "diagnostics":
+            # Those of singletrack-ros itself.
+            ours = [raw for raw in ours if b"singletrack-ros" not in raw]
+        if name == "/rosout":
+            # Every node of this process writes there too.
+            ours = [raw for raw in ours if raw and b"\0lab" not in raw and b"lab\0" not in raw]
+        assert not ours, f"{name}: {len(ours)} of {len(lab.raw[name])} are not in the record"
+        assert lab.raw[name], f"{name}: nothing"
+        counts.append(f"{len(lab.raw[name])} {channel}")
+    print("in the record, byte for byte:", ", ".join(counts))
+
+
+def stall():
+    """Subscribes, and says so; it is then stopped."""
+    rclpy.init()
+    node = Node("stalled", namespace=NAMESPACE)
+    count = [0]
+
+    def take(_):
+        count[0] += 1
+        if count[0] == 20:
+            print("subscribed", flush=True)
+
+    node.create_subscription(Odometry, "odom", take, RELIABLE)
+    rclpy.spin(node)
+
+
+def main():
+    arguments = ARGUMENTS.parse_args()
+    if arguments.stall:
+        stall()
+        return
+    begin = time.monotonic()
+    system = System(arguments)
+    rclpy.init()
+    lab = Lab()
+    executor = SingleThreadedExecutor()
+    executor.add_node(lab)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        wait("the mode idle or ready", lambda: system.mode()[0] in ("idle", "ready"))
+        for client in lab.triggers.values():
+            assert client.wait_for_service(10.0), "a service is missing"
+        for publisher in (lab.velocities, lab.drives, lab.paths):
+            wait("a match", lambda: publisher.get_subscription_count() > 0)
+        wait("P", lambda: lab.point is not None and lab.yaw is not None)
+        check_latency(lab)
+        check_velocity(lab, system, arguments)
+        check_drive(lab, system, arguments)
+        check_old(lab, system)
+        check_stalled(lab, system, arguments)
+        check_stop(lab, system)
+        system.end()
+        check_bytes(lab, arguments.folder)
+        print(f"{time.monotonic() - begin:.0f} s")
+    except BaseException:
+        for name in ("singletrackd", "singletrack-ros"):
+            print(f"-- {name}:", (arguments.folder / f"{name}.log").read_text()[-3000:])
+        raise
+    finally:
+        system.kill()
+        # rclpy's threads do not end by themselves.
+        sys.stdout.flush()
+        executor.shutdown(0)
+    os._exit(0)
+
+
+main()
