@@ -7,6 +7,7 @@
 use libm::{atan, fabs, sqrt, tan};
 
 use crate::{
+    SpeedDemand, SteeringDemand,
     law::{FrontPointLaw, Motion, Singularity},
     point::{Velocity, angle_between, direction},
 };
@@ -204,6 +205,34 @@ impl LimitedLaw {
             let command = self.law.command(motion, self.actuation.steering, &wanted)?;
             (command.speed, command.steering_rate)
         };
+        Ok(self.apply(speed, rate, period))
+    }
+
+    /// One step of `period` seconds towards steering and speed that a controller outside
+    /// demands, as far as the limits allow.
+    ///
+    /// # Errors
+    ///
+    /// [`Singularity::NotFinite`] for a demand that is not finite; the actuation does not
+    /// change then.
+    pub fn follow(
+        &mut self,
+        steering: SteeringDemand,
+        speed: SpeedDemand,
+        period: f64,
+    ) -> Result<Actuation, Singularity> {
+        let rate = match steering {
+            SteeringDemand::Angle(angle) => (angle - self.actuation.steering) / period,
+            SteeringDemand::Rate(rate) => rate,
+        };
+        let speed = match speed {
+            SpeedDemand::Speed(speed) => speed,
+            SpeedDemand::Acceleration(change) => self.actuation.speed + change * period,
+        };
+        if !rate.is_finite() || !speed.is_finite() {
+            return Err(Singularity::NotFinite);
+        }
+        self.turning = None;
         Ok(self.apply(speed, rate, period))
     }
 
@@ -432,6 +461,76 @@ mod tests {
             either.step(&standing(0.0), 0.0, &behind, PERIOD).unwrap();
         }
         assert_eq!(either.actuation().speed, -0.3);
+    }
+
+    #[test]
+    fn demanded_steering_and_speed_are_reached_within_every_limit() {
+        let limits = Limits {
+            max_reverse_speed: 0.3,
+            ..Limits::paper()
+        };
+        let mut law = limited(limits);
+        let demands = [
+            (
+                SteeringDemand::Angle(0.1),
+                SpeedDemand::Speed(0.5),
+                0.1,
+                0.5,
+            ),
+            (
+                SteeringDemand::Angle(1.5),
+                SpeedDemand::Speed(50.0),
+                0.45,
+                1.037,
+            ),
+            (
+                SteeringDemand::Angle(0.0),
+                SpeedDemand::Speed(50.0),
+                0.0,
+                1.5,
+            ),
+            (
+                SteeringDemand::Rate(-9.0),
+                SpeedDemand::Acceleration(-99.0),
+                -0.45,
+                -0.3,
+            ),
+            (
+                SteeringDemand::Rate(0.0),
+                SpeedDemand::Acceleration(0.0),
+                -0.45,
+                -0.3,
+            ),
+        ];
+        for (steering, speed, reached_steering, reached_speed) in demands {
+            for _ in 0..300 {
+                let before = law.actuation();
+                let now = law.follow(steering, speed, PERIOD).unwrap();
+                assert!((now.speed - before.speed).abs() <= 2.0 * PERIOD + 1e-12);
+                assert!((now.steering - before.steering).abs() <= 5.0 * PERIOD + 1e-12);
+                let lateral = now.speed * now.speed * now.steering.tan().abs() / 0.26;
+                assert!(lateral <= 2.0 + 1e-9, "{lateral}");
+            }
+            let now = law.actuation();
+            assert!((now.steering - reached_steering).abs() < 1e-3, "{now:?}");
+            assert!((now.speed - reached_speed).abs() < 1e-3, "{now:?}");
+        }
+        let before = law.actuation();
+        for (steering, speed) in [
+            (SteeringDemand::Angle(f64::NAN), SpeedDemand::Speed(0.1)),
+            (SteeringDemand::Rate(0.1), SpeedDemand::Speed(f64::NAN)),
+            (SteeringDemand::Rate(f64::INFINITY), SpeedDemand::Speed(0.1)),
+            (
+                SteeringDemand::Angle(0.1),
+                SpeedDemand::Acceleration(f64::NAN),
+            ),
+        ] {
+            assert_eq!(
+                law.follow(steering, speed, PERIOD),
+                Err(Singularity::NotFinite)
+            );
+        }
+        assert_eq!(law.actuation(), before);
     }
 
     #[test]

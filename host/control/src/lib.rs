@@ -35,6 +35,7 @@ mod outer_loop;
 mod point;
 mod reference;
 mod relaxed_single_track;
+mod setpoint;
 mod single_track;
 mod time;
 mod vehicle;
@@ -48,7 +49,7 @@ pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
-pub use measurement::{InertialSample, PoseSample, Setpoint};
+pub use measurement::{InertialSample, PoseSample};
 pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
 pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
@@ -58,6 +59,10 @@ pub use reference::{
     Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
+pub use setpoint::{
+    Demand, MAX_TRAJECTORY_POINTS, Setpoint, SetpointError, SetpointStamp, SpeedDemand,
+    SteeringDemand, Trajectory, TrajectoryPiece, TrajectoryPoint,
+};
 pub use single_track::{
     LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
 };

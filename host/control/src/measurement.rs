@@ -1,6 +1,6 @@
-//! Measurements of the car, and set-points from outside.
+//! Measurements of the car.
 
-use crate::{Position, Time, Velocity};
+use crate::{Position, Time};
 
 /// A valid pose of the rigid body, from the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,26 +28,4 @@ pub struct InertialSample {
     pub forward_acceleration: f64,
     /// Acceleration to the left, without gravity, in m/s².
     pub left_acceleration: f64,
-}
-
-/// A set-point for P from outside.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Setpoint {
-    /// Time from which its age counts.
-    pub time: Time,
-    /// Wanted position of P, in m; `None` for a velocity alone.
-    pub position: Option<Position>,
-    /// Wanted velocity of P, in m/s.
-    pub velocity: Velocity,
-}
-
-impl Setpoint {
-    /// Whether every component is finite.
-    #[must_use]
-    pub fn is_finite(&self) -> bool {
-        self.velocity.iter().all(|value| value.is_finite())
-            && self
-                .position
-                .is_none_or(|position| position.iter().all(|value| value.is_finite()))
-    }
 }

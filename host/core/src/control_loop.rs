@@ -19,7 +19,7 @@ use crate::{
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
-    setpoint_slot::SetpointReceiver,
+    setpoint_slot::{SetpointReceiver, Taken},
 };
 
 /// The rings of the control thread.
@@ -33,7 +33,7 @@ pub struct Rings<L> {
     pub observations: Consumer<Observation>,
     /// Requests of people and programs.
     pub requests: Consumer<ControlRequest>,
-    /// External set-points for P.
+    /// Set-points from outside.
     pub setpoints: SetpointReceiver,
     /// Pulses of the operator who jogs.
     pub jogs: JogReceiver,
@@ -51,6 +51,10 @@ const COMMANDS_INTO_SILENCE: u32 = 2;
 
 /// The number of observations that a tick handles. Of more, the newest are handled.
 const OBSERVATIONS: usize = 16;
+
+/// The number of points of a trajectory that a tick handles: the longest one reaches the pilot
+/// in five ticks, and leaves room for the other events.
+const TRAJECTORY_PIECES: usize = 20;
 
 /// The control thread has stalled if bytes of the line have waited for longer than this, ns.
 const STALL_NS: u64 = 100_000_000;
@@ -179,9 +183,7 @@ impl<L: Line> ControlLoop<L> {
             self.take_observations()
         };
         self.take_requests(slot.start_ns);
-        if let Some(setpoint) = self.rings.setpoints.take() {
-            self.controller.setpoint(setpoint);
-        }
+        self.take_setpoints();
         if let Some(jog) = self.rings.jogs.take() {
             self.controller.jog(jog);
         }
@@ -292,6 +294,17 @@ impl<L: Line> ControlLoop<L> {
             self.controller.observed(&observation);
         }
         u32::try_from(old).unwrap_or(u32::MAX)
+    }
+
+    /// Handles the newest set-point, or the next points of a trajectory.
+    fn take_setpoints(&mut self) {
+        for _ in 0..TRAJECTORY_PIECES {
+            match self.rings.setpoints.take() {
+                Some(Taken::Piece(piece)) => self.controller.trajectory_piece(piece),
+                Some(Taken::Setpoint(setpoint)) => return self.controller.setpoint(setpoint),
+                None => return,
+            }
+        }
     }
 
     fn take_serial(&mut self, now_ns: u64) {

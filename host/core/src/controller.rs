@@ -3,7 +3,7 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time};
+use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time, TrajectoryPiece};
 use singletrack_link::{
     ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
 };
@@ -217,9 +217,15 @@ impl Controller {
         self.push(Event::RealTime(state));
     }
 
-    /// A set-point for P from outside. Only the newest of a tick counts.
+    /// A set-point from outside. Only the newest of a tick counts.
     pub fn setpoint(&mut self, setpoint: Setpoint) {
         self.push(Event::Setpoint(setpoint));
+    }
+
+    /// A point of a trajectory from outside. The trajectory is in force once the pilot has all
+    /// of them.
+    pub fn trajectory_piece(&mut self, piece: TrajectoryPiece) {
+        self.push(Event::TrajectoryPiece(piece));
     }
 
     /// Pulses of the operator who jogs. Only the newest of a tick count.
@@ -374,7 +380,10 @@ struct Queue<'a> {
 impl Queue<'_> {
     fn push(&mut self, event: Event) {
         let room = match event {
-            Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_) => MAX_EVENTS - RESERVED,
+            Event::Pose(_)
+            | Event::PoseMissing(_)
+            | Event::Board(_)
+            | Event::TrajectoryPiece(_) => MAX_EVENTS - RESERVED,
             // Only the latest value matters.
             Event::Health(_)
             | Event::Line(_)

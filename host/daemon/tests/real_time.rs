@@ -117,11 +117,8 @@ fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
         drive.run_until_tick(index);
         if index.is_multiple_of(10) {
             drive.reconfigure(config.clone(), u64::MAX);
-            drive.host.setpoints.send(&Setpoint {
-                time: Time(index),
-                position: None,
-                velocity: Velocity::zeros(),
-            });
+            let setpoint = Setpoint::point(Time(index), None, Velocity::zeros());
+            drive.host.setpoints.send(&setpoint);
         }
         total += allocations(|| drive.tick(index));
         if index.is_multiple_of(10) {

@@ -1,6 +1,6 @@
 //! The inputs of a tick: everything that reached the pilot since the last one.
 
-use singletrack_control::{InertialSample, PoseSample, Setpoint, Time};
+use singletrack_control::{InertialSample, PoseSample, Setpoint, Time, TrajectoryPiece};
 
 use crate::words::words;
 
@@ -34,8 +34,10 @@ pub enum Event {
     Proved(bool),
     /// What the system granted the control thread. It comes once, with the first tick.
     RealTime(RealTimeState),
-    /// A set-point for P from outside.
+    /// A set-point from outside.
     Setpoint(Setpoint),
+    /// A point of a trajectory from outside, which is in force with its last one.
+    TrajectoryPiece(TrajectoryPiece),
     /// Pulses for servo and ESC, from the operator who jogs. They count in
     /// [`crate::Mode::Jogging`] alone, and renew it.
     Jog(Jog),

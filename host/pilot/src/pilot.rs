@@ -4,9 +4,9 @@ use core::f64::consts::PI;
 
 use libm::{copysign, cos, fabs, rint, sin, tan};
 use singletrack_control::{
-    Actuation, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits, OuterLoop,
-    PoseSample, PoseVerdict, Position, Reference, ReferencePoint, Time, TrackingLoop, Velocity,
-    direction,
+    Actuation, Demand, Estimate, Estimator, EstimatorConfig, FrontPointLaw, LimitedLaw, Limits,
+    OuterLoop, PoseSample, PoseVerdict, Position, Reference, ReferencePoint, SetpointStamp, Time,
+    TrackingLoop, Velocity, direction,
 };
 
 use crate::{
@@ -101,6 +101,8 @@ pub struct Output {
     /// Why an arm request would be refused now; `None` if it would not, or while a drive is
     /// underway. Unlike `reason`, it never says why the last drive ended.
     pub preflight: Option<Reason>,
+    /// The newest set-point from outside that was not refused.
+    pub setpoint: Option<SetpointStamp>,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.
@@ -234,7 +236,7 @@ impl Pilot {
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let mut held = true;
         for event in events {
-            held &= !self.handle(event);
+            held &= !self.handle(now, event);
         }
         let last_tick = self.last_tick.replace(now);
         let steering = self.law.actuation().steering;
@@ -353,6 +355,10 @@ impl Pilot {
             disproved: false,
             braking_measured: stop.measured,
             preflight: self.supervisor.preflight(),
+            setpoint: match &self.config.reference {
+                Reference::External(external) => external.in_force(),
+                _ => None,
+            },
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();
@@ -402,7 +408,8 @@ impl Pilot {
         output
     }
 
-    /// A tick in [`Mode::Driving`]: reference, position loop, law. Fails where the law is
+    /// A tick in [`Mode::Driving`]: reference, position loop, law, or the actuation that a
+    /// controller outside demands. Fails where the law is
     /// singular.
     fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
         let time = self
@@ -414,20 +421,21 @@ impl Pilot {
             self.law.actuation().steering,
         );
         let before = self.law.actuation().speed;
-        let reference = self.config.reference.at(time);
-        let velocity = self.config.tracking.velocity(&reference, &point);
-        let actuation = self
-            .law
-            .step(
-                &estimate.motion(),
-                estimate.speed,
-                &velocity,
-                self.config.period,
-            )
-            .map_err(|_| match &self.proving {
-                Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
-                _ => Reason::LawSingular,
-            })?;
+        let period = self.config.period;
+        let actuation = match self.config.reference.demand(now, time) {
+            Demand::Point(reference) => {
+                let velocity = self.config.tracking.velocity(&reference, &point);
+                output.reference = Some(reference);
+                output.point_velocity = Some(velocity);
+                self.law
+                    .step(&estimate.motion(), estimate.speed, &velocity, period)
+            }
+            Demand::Actuation { steering, speed } => self.law.follow(steering, speed, period),
+        }
+        .map_err(|_| match &self.proving {
+            Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
+            _ => Reason::LawSingular,
+        })?;
         // Without a fresh pose the car must not accelerate.
         let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));
@@ -437,8 +445,6 @@ impl Pilot {
         };
         let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
         output.drive_time = Some(time);
-        output.reference = Some(reference);
-        output.point_velocity = Some(velocity);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
         let mut command = command(estimate, &actuation, false);
@@ -570,7 +576,7 @@ impl Pilot {
     }
 
     /// Handles an event; true if it is a pose and was accepted.
-    fn handle(&mut self, event: &Event) -> bool {
+    fn handle(&mut self, now: Time, event: &Event) -> bool {
         match event {
             Event::Pose(pose) => return self.handle_pose(pose),
             Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
@@ -581,9 +587,15 @@ impl Pilot {
             Event::Health(health) => self.supervisor.handle_health(*health),
             Event::Line(line) => self.supervisor.handle_line(*line),
             Event::RealTime(state) => self.supervisor.handle_real_time(*state),
+            // Without a set-point that it does not refuse, the reference becomes stale.
             Event::Setpoint(setpoint) => {
                 if let Reference::External(external) = &mut self.config.reference {
-                    external.handle(setpoint);
+                    external.handle(setpoint, now).ok();
+                }
+            }
+            Event::TrajectoryPiece(piece) => {
+                if let Reference::External(external) = &mut self.config.reference {
+                    external.handle_piece(piece, now).ok();
                 }
             }
             Event::Jog(jog) => {

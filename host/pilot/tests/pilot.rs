@@ -306,11 +306,8 @@ fn a_tick_that_comes_too_late_ends_the_drive() {
 }
 
 fn setpoint(bench: &Bench, velocity: Velocity, position: Option<Position>) -> Event {
-    Event::Setpoint(Setpoint {
-        time: Time((bench.tick + 1) * TICK_NS),
-        position,
-        velocity,
-    })
+    let now = Time((bench.tick + 1) * TICK_NS);
+    Event::Setpoint(Setpoint::point(now, position, velocity))
 }
 
 #[test]

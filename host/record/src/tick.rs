@@ -168,6 +168,7 @@ pub(crate) mod tests {
                 braking_measured: None,
                 preflight: None,
                 jog: None,
+                setpoint: None,
             },
             drive: None,
             link: LinkPhase::Greeting,
@@ -249,6 +250,7 @@ pub(crate) mod tests {
                 braking_measured: None,
                 preflight: None,
                 jog: None,
+                setpoint: None,
             },
             drive: Some(DriveWrite {
                 sequence: 255,

@@ -30,10 +30,10 @@ impl Program {
         let radius = radius(speed);
         let angle = drive_time_s.unwrap_or(0.0) * speed / radius;
         let (sin, cos) = (libm::sin(angle), libm::cos(angle));
-        Some(Setpoint {
-            time: Time(host_ns(now_us)),
-            position: Some(Position::new(radius * cos, radius * sin)),
-            velocity: Velocity::new(-speed * sin, speed * cos),
-        })
+        Some(Setpoint::point(
+            Time(host_ns(now_us)),
+            Some(Position::new(radius * cos, radius * sin)),
+            Velocity::new(-speed * sin, speed * cos),
+        ))
     }
 }

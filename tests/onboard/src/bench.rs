@@ -156,11 +156,9 @@ impl VirtualBench {
 
     /// The set-point of a car that stands: without one it can't be armed.
     fn stand_still(&self) {
-        self.drive.send_setpoint(&Setpoint {
-            time: Time(self.drive.next_tick_us() * 1_000),
-            position: None,
-            velocity: Velocity::zeros(),
-        });
+        let now = Time(self.drive.next_tick_us() * 1_000);
+        self.drive
+            .send_setpoint(&Setpoint::point(now, None, Velocity::zeros()));
     }
 
     fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
@@ -318,11 +316,9 @@ impl Bench for VirtualBench {
             self.held = false;
             return Err(self.ended());
         }
-        self.drive.send_setpoint(&Setpoint {
-            time: Time(self.drive.next_tick_us() * 1_000),
-            position,
-            velocity,
-        });
+        let now = Time(self.drive.next_tick_us() * 1_000);
+        self.drive
+            .send_setpoint(&Setpoint::point(now, position, velocity));
         Ok(())
     }
 

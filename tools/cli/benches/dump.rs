@@ -103,6 +103,7 @@ fn tick(index: u64) -> Entry {
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint: None,
             preflight: None,
             jog: None,
         },

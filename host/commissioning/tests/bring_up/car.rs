@@ -582,6 +582,7 @@ impl Bench for MockCar {
             command: None,
             point: None,
             braking_measured: None,
+            setpoint: None,
         }));
         Ok(())
     }

@@ -14,7 +14,7 @@ pub use path::{MAX_PATH_POINTS, Path, PathSpeed};
 pub use velocity_steps::{MAX_VELOCITY_STEPS, VelocityStep, VelocitySteps};
 pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
 
-use crate::{Position, Velocity};
+use crate::{Demand, Position, Time, Velocity};
 
 /// A reference at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -131,7 +131,17 @@ pub enum ReferenceError {
 }
 
 impl Reference {
-    /// The reference at `time` seconds after the start of the drive.
+    /// What the reference demands at `now`, `time` seconds after the start of the drive.
+    #[must_use]
+    pub fn demand(&self, now: Time, time: f64) -> Demand {
+        match self {
+            Self::External(external) => external.demand(now),
+            own => Demand::Point(own.at(time)),
+        }
+    }
+
+    /// The reference at `time` seconds after the start of the drive; standstill for set-points
+    /// from outside, which no one knows beforehand.
     #[must_use]
     pub fn at(&self, time: f64) -> ReferencePoint {
         match self {
@@ -140,7 +150,10 @@ impl Reference {
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
             Self::Path(path) => path.at(time),
-            Self::External(external) => external.newest(),
+            Self::External(_) => ReferencePoint {
+                position: None,
+                velocity: Velocity::zeros(),
+            },
         }
     }
 

@@ -205,6 +205,7 @@ kinds! {
         Attitude = 12 "attitude",
         Proved = 13 "proved",
         Jog = 14 "jog",
+        TrajectoryPiece = 15 "trajectory-piece",
     }
 }
 

@@ -1,6 +1,9 @@
 //! The events of a tick, exactly: a replay starts from them.
 
-use singletrack_control::{InertialSample, PoseSample, Setpoint};
+use singletrack_control::{
+    Demand, InertialSample, PoseSample, ReferencePoint, Setpoint, SetpointStamp, SpeedDemand,
+    SteeringDemand, TrajectoryPiece, TrajectoryPoint,
+};
 use singletrack_pilot::{
     AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
     PilotRequest, PoseMissing, RealTimeState, Tilt,
@@ -34,6 +37,7 @@ message! {
         /// Whether the configuration has been proved on this car.
         proved: Maybe<bool>,
         jog: Maybe<JogMessage>,
+        trajectory_piece: Maybe<TrajectoryPieceMessage>,
     }
 }
 
@@ -138,13 +142,125 @@ message! {
 }
 
 message! {
-    /// A set-point for P from outside.
-    SetpointMessage as "Setpoint" of Setpoint {
-        /// When it arrived, in ns of the host's monotonic clock.
-        time_ns: u64 = time,
-        /// Absent for a velocity alone.
+    /// A set-point from outside: a velocity of P, with a position or without; or a steering
+    /// angle or rate with a speed or an acceleration.
+    SetpointMessage as "Setpoint" {
+        stamp: Group<StampFields>,
+        /// Of P; absent for a velocity alone.
         position: Maybe<PointMessage>,
+        /// Of P.
+        velocity: Maybe<VelocityMessage>,
+        steering_rad: Maybe<f64>,
+        steering_rate_rad_s: Maybe<f64>,
+        speed_m_s: Maybe<f64>,
+        acceleration_m_s2: Maybe<f64>,
+    }
+}
+
+message! {
+    /// The set-point in force.
+    StampMessage as "SetpointStamp" of SetpointStamp {
+        /// When it was decided, in ns of the host's monotonic clock.
+        time_ns: u64 = time,
+        /// Number that its sender gave to it.
+        sequence: Maybe<u32>,
+    }
+}
+
+fields! {
+    /// When a set-point was decided, and its number.
+    StampFields of SetpointStamp {
+        /// When it was decided, in ns of the host's monotonic clock.
+        time_ns: u64 = time,
+        /// Number that its sender gave to it.
+        sequence: Maybe<u32>,
+    }
+}
+
+message! {
+    /// A point of a trajectory from outside; the last one puts it in force.
+    TrajectoryPieceMessage as "TrajectoryPiece" of TrajectoryPiece {
+        stamp: Group<StampFields>,
+        /// Its place, from 0.
+        index: u8,
+        /// The number of points.
+        count: u8,
+        point: Group<TrajectoryPointFields>,
+    }
+}
+
+fields! {
+    /// A point of a trajectory.
+    TrajectoryPointFields of TrajectoryPoint {
+        /// When P should be there, in ns of the host's monotonic clock.
+        at_ns: u64 = time,
+        /// Of P.
+        position: PointMessage,
+        /// Of P.
         velocity: VelocityMessage,
+    }
+}
+
+impl Represents<Setpoint> for SetpointMessage {
+    fn of(setpoint: &Setpoint) -> Self {
+        let stamp = Represents::of(&setpoint.stamp);
+        let absent = Self {
+            stamp,
+            ..Fields::absent()
+        };
+        match setpoint.demand {
+            Demand::Point(ReferencePoint { position, velocity }) => Self {
+                position: Represents::of(&position),
+                velocity: Represents::of(&Some(velocity)),
+                ..absent
+            },
+            Demand::Actuation { steering, speed } => {
+                let (angle, rate) = match steering {
+                    SteeringDemand::Angle(angle) => (Some(angle), None),
+                    SteeringDemand::Rate(rate) => (None, Some(rate)),
+                };
+                let (speed, acceleration) = match speed {
+                    SpeedDemand::Speed(speed) => (Some(speed), None),
+                    SpeedDemand::Acceleration(acceleration) => (None, Some(acceleration)),
+                };
+                Self {
+                    steering_rad: Maybe(angle),
+                    steering_rate_rad_s: Maybe(rate),
+                    speed_m_s: Maybe(speed),
+                    acceleration_m_s2: Maybe(acceleration),
+                    ..absent
+                }
+            }
+        }
+    }
+
+    fn value(self) -> Result<Setpoint, InvalidMessage> {
+        let part = Part("a set-point");
+        let demand = if self.velocity.0.is_some() {
+            Demand::Point(ReferencePoint {
+                position: self.position.value()?,
+                velocity: part.take(self.velocity, "its velocity")?,
+            })
+        } else {
+            Demand::Actuation {
+                steering: match self.steering_rad.0 {
+                    Some(angle) => SteeringDemand::Angle(angle),
+                    None => SteeringDemand::Rate(
+                        part.take(self.steering_rate_rad_s, "velocity and steering")?,
+                    ),
+                },
+                speed: match self.speed_m_s.0 {
+                    Some(speed) => SpeedDemand::Speed(speed),
+                    None => {
+                        SpeedDemand::Acceleration(part.take(self.acceleration_m_s2, "its speed")?)
+                    }
+                },
+            }
+        };
+        Ok(Setpoint {
+            stamp: self.stamp.value()?,
+            demand,
+        })
     }
 }
 
@@ -218,6 +334,10 @@ impl Represents<Event> for EventMessage {
                 jog: Maybe(Some(Represents::of(jog))),
                 ..of(EventKind::Jog)
             },
+            Event::TrajectoryPiece(piece) => Self {
+                trajectory_piece: Maybe(Some(Represents::of(piece))),
+                ..of(EventKind::TrajectoryPiece)
+            },
         }
     }
 
@@ -242,6 +362,9 @@ impl Represents<Event> for EventMessage {
             EventKind::Attitude => Event::Attitude(part.take(self.attitude, "the attitude")?),
             EventKind::Proved => Event::Proved(part.take(self.proved, "whether it is proved")?),
             EventKind::Jog => Event::Jog(part.take(self.jog, "the pulses")?),
+            EventKind::TrajectoryPiece => {
+                Event::TrajectoryPiece(part.take(self.trajectory_piece, "the trajectory's point")?)
+            }
         })
     }
 }
@@ -250,7 +373,7 @@ impl Represents<Event> for EventMessage {
 mod tests {
     use byteorder::LittleEndian;
     use proptest::prelude::*;
-    use singletrack_control::{Position, Time};
+    use singletrack_control::{Position, Time, Velocity};
 
     use super::*;
 
@@ -317,8 +440,60 @@ mod tests {
             })
     }
 
+    fn any_stamp() -> impl Strategy<Value = SetpointStamp> {
+        (any_time(), any::<Option<u32>>())
+            .prop_map(|(time, sequence)| SetpointStamp { time, sequence })
+    }
+
+    fn any_demand() -> impl Strategy<Value = Demand> {
+        let pair = || (any_float(), any_float());
+        prop_oneof![
+            (prop::option::of(pair()), pair()).prop_map(|(position, (v_x, v_y))| {
+                Demand::Point(ReferencePoint {
+                    position: position.map(|(x, y)| Position::new(x, y)),
+                    velocity: Velocity::new(v_x, v_y),
+                })
+            }),
+            (any::<[bool; 2]>(), pair()).prop_map(|([angle, speed], (steers, drives))| {
+                Demand::Actuation {
+                    steering: if angle {
+                        SteeringDemand::Angle(steers)
+                    } else {
+                        SteeringDemand::Rate(steers)
+                    },
+                    speed: if speed {
+                        SpeedDemand::Speed(drives)
+                    } else {
+                        SpeedDemand::Acceleration(drives)
+                    },
+                }
+            }),
+        ]
+    }
+
+    fn any_piece() -> impl Strategy<Value = TrajectoryPiece> {
+        (any_stamp(), any::<[u8; 2]>(), any_time(), any::<[u64; 4]>()).prop_map(
+            |(stamp, [index, count], time, floats)| {
+                let [x, y, v_x, v_y] = floats.map(f64::from_bits);
+                TrajectoryPiece {
+                    stamp,
+                    index,
+                    count,
+                    point: TrajectoryPoint {
+                        time,
+                        position: Position::new(x, y),
+                        velocity: Velocity::new(v_x, v_y),
+                    },
+                }
+            },
+        )
+    }
+
     fn any_event() -> impl Strategy<Value = Event> {
         prop_oneof![
+            (any_stamp(), any_demand())
+                .prop_map(|(stamp, demand)| Event::Setpoint(Setpoint { stamp, demand })),
+            any_piece().prop_map(Event::TrajectoryPiece),
             any_pose().prop_map(Event::Pose),
             any_board().prop_map(Event::Board),
             prop::sample::select(vec![
@@ -364,6 +539,23 @@ mod tests {
                 }
                 floats
             }
+            Event::Setpoint(setpoint) => match setpoint.demand {
+                Demand::Point(ReferencePoint { position, velocity }) => {
+                    let position = position.unwrap_or_default();
+                    vec![position.x, position.y, velocity.x, velocity.y]
+                }
+                Demand::Actuation { steering, speed } => {
+                    let (SteeringDemand::Angle(steers) | SteeringDemand::Rate(steers)) = steering;
+                    let (SpeedDemand::Speed(drives) | SpeedDemand::Acceleration(drives)) = speed;
+                    vec![steers, drives]
+                }
+            },
+            Event::TrajectoryPiece(TrajectoryPiece { point, .. }) => vec![
+                point.position.x,
+                point.position.y,
+                point.velocity.x,
+                point.velocity.y,
+            ],
             _ => Vec::new(),
         };
         floats.into_iter().map(f64::to_bits).collect()

@@ -6,7 +6,7 @@ use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason};
 use super::{
     code::{Code, OptionalCode},
     declare::{fields, message},
-    event::{EventMessage, JogMessage},
+    event::{EventMessage, JogMessage, StampMessage},
     field::{Group, InvalidMessage, Maybe, Represents},
     floor::{PointMessage, VelocityMessage},
 };
@@ -82,6 +82,8 @@ fields! {
         preflight: PreflightMessage,
         /// Bare pulses to send to the board.
         jog: Maybe<JogMessage>,
+        /// The newest set-point from outside that was not refused.
+        setpoint: Maybe<StampMessage>,
     }
 }
 

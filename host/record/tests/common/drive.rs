@@ -136,6 +136,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint: None,
             preflight: None,
             jog: None,
         },

@@ -154,6 +154,7 @@ fn output() -> impl Strategy<Value = Output> {
                 proved: false,
                 disproved: false,
                 braking_measured: None,
+                setpoint: None,
                 preflight: None,
                 jog: None,
             },

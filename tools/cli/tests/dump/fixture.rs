@@ -133,6 +133,7 @@ pub(crate) fn standing_tick() -> TickRecord {
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint: None,
             preflight: None,
             jog: None,
         },

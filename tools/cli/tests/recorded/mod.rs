@@ -247,6 +247,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint: None,
             preflight: None,
             jog: None,
         },

@@ -172,13 +172,10 @@ impl Stream {
     fn setpoint(&self, time: Time, seconds: f64) -> Setpoint {
         let (s, c) = (self.rate * seconds).sin_cos();
         let speed = self.rate * self.radius;
-        Setpoint {
-            time,
-            position: self
-                .has_position
-                .then(|| Position::new(self.radius * c, self.radius * s)),
-            velocity: Velocity::new(-speed * s, speed * c),
-        }
+        let position = self
+            .has_position
+            .then(|| Position::new(self.radius * c, self.radius * s));
+        Setpoint::point(time, position, Velocity::new(-speed * s, speed * c))
     }
 }
 
