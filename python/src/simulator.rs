@@ -10,6 +10,10 @@ use pyo3::{
     prelude::*,
     types::PyDict,
 };
+use singletrack_control::{
+    Demand, MAX_TRAJECTORY_POINTS, Position, ReferencePoint, Setpoint, SetpointStamp, SpeedDemand,
+    SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
+};
 use singletrack_core::config::ReferenceSection;
 use singletrack_pilot::PilotRequest;
 use singletrack_scenario::{
@@ -21,10 +25,7 @@ use singletrack_sim::{
     parse_duration_us,
 };
 
-use crate::{
-    setup::{Setup, reference},
-    vehicle::{Command, send},
-};
+use crate::setup::{Setup, reference};
 
 /// Ticks after which a record is written to its file.
 const TICKS_PER_WRITE: u32 = 100;
@@ -37,6 +38,8 @@ struct Simulation {
     setup: Setup,
     drive: VirtualDrive,
     last: Option<VirtualTick>,
+    /// The time of the first tick.
+    first_ns: Option<u64>,
     record: Option<VirtualRecord>,
     unwritten: u32,
 }
@@ -86,6 +89,7 @@ impl Simulator {
             setup,
             drive,
             last: None,
+            first_ns: None,
             record,
             unwritten: 0,
         })))
@@ -112,7 +116,8 @@ impl Simulator {
         let output = &tick.output;
         let state = PyDict::new(py);
         state.set_item("time_ns", now.0)?;
-        state.set_item("t", now.0 as f64 * 1e-9)?;
+        let first_ns = simulation.first_ns.unwrap_or(now.0);
+        state.set_item("t", (now.0 - first_ns) as f64 * 1e-9)?;
         state.set_item("mode", output.mode.name())?;
         state.set_item("reason", output.reason.map(|reason| reason.name()))?;
         state.set_item("preflight", output.preflight.map(|reason| reason.name()))?;
@@ -129,7 +134,13 @@ impl Simulator {
             state.set_item("pose_age", age as f64 * 1e-9)?;
         }
         state.set_item("steering", output.actuation.steering)?;
-        state.set_item("speed_command", output.actuation.speed)?;
+        state.set_item("commanded_speed", output.actuation.speed)?;
+        state.set_item("tick", tick.index)?;
+        if let Some(stamp) = &output.setpoint {
+            state.set_item("sequence", stamp.sequence)?;
+            let age = now.0.saturating_sub(stamp.time.0);
+            state.set_item("setpoint_age", age as f64 * 1e-9)?;
+        }
         state.set_item("point", output.point.map(|point| (point.x, point.y)))?;
         state.set_item(
             "point_velocity",
@@ -201,15 +212,74 @@ impl Simulator {
         ))
     }
 
-    /// Sends a velocity of P, in m/s, decided after the last tick.
-    fn point_velocity(&self, v_x: f64, v_y: f64) -> PyResult<()> {
-        self.simulation()?.send(Command::PointVelocity([v_x, v_y]))
+    /// Sends a velocity of P, in m/s, with a position in m or without, decided after the last
+    /// tick. A set-point that is not obeyed is refused with the reason.
+    #[pyo3(signature = (velocity, position, sequence))]
+    fn point_velocity(
+        &self,
+        velocity: [f64; 2],
+        position: Option<[f64; 2]>,
+        sequence: Option<u32>,
+    ) -> PyResult<()> {
+        let [v_x, v_y] = velocity;
+        let demand = Demand::Point(ReferencePoint {
+            position: position.map(|[x, y]| Position::new(x, y)),
+            velocity: Velocity::new(v_x, v_y),
+        });
+        self.simulation()?.send(demand, sequence)
     }
 
-    /// Sends a steering angle and a speed, decided after the last tick.
-    fn actuate(&self, steering_rad: f64, speed_m_s: f64) -> PyResult<()> {
-        self.simulation()?
-            .send(Command::Actuate([steering_rad, speed_m_s]))
+    /// Sends steering, an angle or a rate, and speed, itself or its change, decided after the
+    /// last tick.
+    #[pyo3(signature = (steering_rad, steering_rate_rad_s, speed_m_s, acceleration_m_s2, sequence))]
+    fn actuate(
+        &self,
+        steering_rad: Option<f64>,
+        steering_rate_rad_s: Option<f64>,
+        speed_m_s: Option<f64>,
+        acceleration_m_s2: Option<f64>,
+        sequence: Option<u32>,
+    ) -> PyResult<()> {
+        let demand = Demand::Actuation {
+            steering: match (steering_rad, steering_rate_rad_s) {
+                (Some(angle), None) => SteeringDemand::Angle(angle),
+                (None, Some(rate)) => SteeringDemand::Rate(rate),
+                _ => return Err(refuse("give steering_rad or steering_rate_rad_s")),
+            },
+            speed: match (speed_m_s, acceleration_m_s2) {
+                (Some(speed), None) => SpeedDemand::Speed(speed),
+                (None, Some(acceleration)) => SpeedDemand::Acceleration(acceleration),
+                _ => return Err(refuse("give speed_m_s or acceleration_m_s2")),
+            },
+        };
+        self.simulation()?.send(demand, sequence)
+    }
+
+    /// Sends a trajectory: rows of time (ns of the clock of the states), x, y, `v_x`, `v_y`.
+    #[pyo3(signature = (points, sequence))]
+    fn trajectory(&self, points: Vec<(u64, [f64; 4])>, sequence: Option<u32>) -> PyResult<()> {
+        let simulation = self.simulation()?;
+        let trajectory = Trajectory {
+            stamp: simulation.stamp(sequence)?,
+            points: points
+                .iter()
+                .take(MAX_TRAJECTORY_POINTS)
+                .map(|&(time_ns, [x, y, v_x, v_y])| TrajectoryPoint {
+                    time: Time(time_ns),
+                    position: Position::new(x, y),
+                    velocity: Velocity::new(v_x, v_y),
+                })
+                .collect(),
+        };
+        if points.len() > MAX_TRAJECTORY_POINTS {
+            return Err(refuse(format!(
+                "a trajectory has at most {MAX_TRAJECTORY_POINTS} points"
+            )));
+        }
+        let now = trajectory.stamp.time;
+        trajectory.check(now, f64::INFINITY).map_err(refuse)?;
+        simulation.drive.send_trajectory(&trajectory);
+        Ok(())
     }
 
     /// The ground truth.
@@ -376,7 +446,9 @@ impl Simulator {
 
 impl Simulation {
     fn step(&mut self) -> PyResult<()> {
-        self.last = Some(self.drive.step());
+        let tick = self.drive.step();
+        self.first_ns.get_or_insert(tick.now.0);
+        self.last = Some(tick);
         self.unwritten += 1;
         if let Some(record) = &mut self.record
             && self.unwritten >= TICKS_PER_WRITE
@@ -387,10 +459,20 @@ impl Simulation {
         Ok(())
     }
 
-    fn send(&mut self, command: Command) -> PyResult<()> {
+    /// The stamp of a set-point that is decided after the last tick.
+    fn stamp(&self, sequence: Option<u32>) -> PyResult<SetpointStamp> {
         let last = self.last.as_ref();
         let last = last.ok_or_else(|| fail("run a tick before the first set-point"))?;
-        send(&self.drive, last, command);
+        Ok(SetpointStamp {
+            time: last.now,
+            sequence,
+        })
+    }
+
+    fn send(&self, demand: Demand, sequence: Option<u32>) -> PyResult<()> {
+        demand.check().map_err(refuse)?;
+        let stamp = self.stamp(sequence)?;
+        self.drive.send_setpoint(&Setpoint { stamp, demand });
         Ok(())
     }
 }

@@ -1,7 +1,9 @@
 //! The two simulated cars of the environments: the car alone, and the whole system.
 
 use singletrack_board::Actuators;
-use singletrack_control::{Actuation, LimitedLaw, Motion, Setpoint, Velocity};
+use singletrack_control::{
+    Actuation, LimitedLaw, Motion, Setpoint, SpeedDemand, SteeringDemand, Velocity,
+};
 use singletrack_core::config::ReferenceSection;
 use singletrack_pilot::Mode;
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualTick};
@@ -147,12 +149,12 @@ impl Plant {
 
     /// The command within the limits of the pilot.
     fn actuation(&mut self, command: Command, truth: &Truth) -> Actuation {
-        match command {
-            Command::Actuate([steering, speed]) => Actuation {
-                speed,
-                steering,
-                steering_rate: 0.0,
-            },
+        let actuation = match command {
+            Command::Actuate([steering, speed]) => self.law.follow(
+                SteeringDemand::Angle(steering),
+                SpeedDemand::Speed(speed),
+                PERIOD_S,
+            ),
             Command::PointVelocity([x, y]) => {
                 let motion = Motion {
                     yaw: truth.yaw,
@@ -160,11 +162,10 @@ impl Plant {
                     sideslip: truth.sideslip,
                 };
                 let wanted = Velocity::new(x, y);
-                self.law
-                    .step(&motion, truth.speed, &wanted, PERIOD_S)
-                    .unwrap_or_else(|_| self.law.actuation())
+                self.law.step(&motion, truth.speed, &wanted, PERIOD_S)
             }
-        }
+        };
+        actuation.unwrap_or_else(|_| self.law.actuation())
     }
 
     fn advance(&mut self) {
@@ -232,13 +233,13 @@ impl System {
 
 /// Sends a set-point that was decided after the tick `last`.
 pub(crate) fn send(drive: &VirtualDrive, last: &VirtualTick, command: Command) {
-    let velocity = match command {
-        Command::PointVelocity([x, y]) => Velocity::new(x, y),
-        Command::Actuate(_) => return,
+    let setpoint = match command {
+        Command::PointVelocity([x, y]) => Setpoint::point(last.now, None, Velocity::new(x, y)),
+        Command::Actuate([steering, speed]) => Setpoint::actuation(
+            last.now,
+            SteeringDemand::Angle(steering),
+            SpeedDemand::Speed(speed),
+        ),
     };
-    drive.send_setpoint(&Setpoint {
-        time: last.now,
-        position: None,
-        velocity,
-    });
+    drive.send_setpoint(&setpoint);
 }

@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use singletrack_control::{Setpoint, Time};
+use singletrack_control::{Setpoint, Time, Trajectory};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
@@ -237,6 +237,11 @@ impl VirtualDrive {
     /// Gives an external reference its newest set-point.
     pub fn send_setpoint(&self, setpoint: &Setpoint) {
         self.host.parts().setpoints.send(setpoint);
+    }
+
+    /// Gives an external reference a trajectory in the place of its newest set-point.
+    pub fn send_trajectory(&self, trajectory: &Trajectory) {
+        self.host.parts().setpoints.send_trajectory(trajectory);
     }
 
     /// Gives the operator's pulses for servo and ESC, for the next tick. They count while the
