@@ -23,6 +23,7 @@ use crate::{
     shared_status::SharedStatus,
     snapshot::TickView,
     state_file::StateFile,
+    state_stream::StateLines,
     wall_watch::WallWatch,
 };
 
@@ -51,6 +52,8 @@ pub(crate) struct Collector {
     pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
+    /// Makes the lines of the state stream.
+    pub(crate) state_lines: StateLines,
     /// Where newly proved configurations are kept.
     pub(crate) state: StateFile,
     /// When the state file was last tried again.
@@ -103,6 +106,14 @@ impl Collector {
             }
         }
         while let Some(tick) = self.ticks.pop() {
+            // First of all: a controller outside waits for it.
+            self.state_lines.tick(&tick);
+            if self.status.states.receiver_count() > 0
+                && let Some(line) = self.state_lines.line(&tick)
+            {
+                // An error means that the last reader has left.
+                let _ = self.status.states.send(Arc::from(line + "\n"));
+            }
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             if let Some(measured) = tick.output.braking_measured {
                 let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());

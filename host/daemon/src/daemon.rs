@@ -42,7 +42,8 @@ use crate::{
     snapshot::Snapshot,
     socket::{BoundSocket, Drives, SocketError, SocketThread},
     state_file::StateFile,
-    summary::Summary,
+    state_stream::StateLines,
+    summary::{Figures, Summary},
     wake::StopFlag,
     wall_watch::WallWatch,
 };
@@ -234,6 +235,7 @@ impl Daemon {
             live,
             record_dropped: 0,
             logged_mode: None,
+            state_lines: StateLines::default(),
             state,
             state_tried_ns: 0,
             stop: Arc::clone(&daemon.collector_stop),
@@ -447,7 +449,10 @@ impl Daemon {
             .tally
             .dropped_inputs(counts.observations, counts.serial_bytes);
         Ok(Summary {
-            figures: latest.tally.figures(),
+            figures: Figures {
+                setpoints: self.handle.status.setpoints.figures(),
+                ..latest.tally.figures()
+            },
             realtime: self.handle.realtime.clone(),
             record,
             record_error,

@@ -7,6 +7,7 @@ use singletrack_core::{Requests, jog_slot::JogSender, setpoint_slot::SetpointSen
 use crate::{
     commissioned_file::CommissionedFile, live::LiveView, realtime::RealTimeStatus,
     reconfigure::Reconfigurer, shared_status::SharedStatus, snapshot::Snapshot, socket::Drives,
+    summary::Figures,
 };
 
 /// Reads the daemon's status and passes requests to the control thread.
@@ -37,7 +38,10 @@ impl DaemonHandle {
             board_status: latest.board_status,
             proved: latest.proved,
             cameras: latest.cameras.clone(),
-            figures: latest.tally.figures(),
+            figures: Figures {
+                setpoints: self.status.setpoints.figures(),
+                ..latest.tally.figures()
+            },
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),
             commissioned: self

@@ -32,6 +32,7 @@ mod serial_reader;
 mod shared_status;
 mod snapshot;
 mod state_file;
+mod state_stream;
 mod summary;
 mod system;
 mod wake;
@@ -46,5 +47,8 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::{Snapshot, TickView};
-pub use socket::{Arm, Attendance, Command, Question, SOCKET_VERSION, SocketError};
+pub use socket::{
+    Arm, Attendance, Command, ParseError, Question, Rejection, SOCKET_VERSION, SetpointCommand,
+    SetpointFigures, SocketError,
+};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

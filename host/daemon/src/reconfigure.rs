@@ -65,7 +65,7 @@ struct Shared {
 #[derive(Debug)]
 struct Published {
     view: ConfigurationView,
-    takes_setpoints: bool,
+    setpoint_timeout: Option<f64>,
     braking_m_s2: f64,
     subject: Option<Subject>,
 }
@@ -91,7 +91,7 @@ impl Reconfigurer {
                     number: configurations.number(),
                     last_change: None,
                 },
-                takes_setpoints: takes_setpoints(configurations.in_force()),
+                setpoint_timeout: setpoint_timeout(configurations.in_force()),
                 braking_m_s2: configurations.in_force().fence.braking_m_s2,
                 subject: subject(configurations.in_force()).ok(),
             }),
@@ -126,9 +126,9 @@ impl Reconfigurer {
         self.published().view.clone()
     }
 
-    /// Whether the reference in force is external, so that set-points have an effect.
-    pub(crate) fn takes_setpoints(&self) -> bool {
-        self.published().takes_setpoints
+    /// How long a set-point is valid, in s; `None` if the reference in force is not external.
+    pub(crate) fn setpoint_timeout(&self) -> Option<f64> {
+        self.published().setpoint_timeout
     }
 
     /// `fence.braking_m_s2` of the configuration in force.
@@ -249,7 +249,7 @@ impl Reconfigurer {
         published.subject = subject;
         published.view.number = number;
         published.view.last_change = Some(ChangeView { by, error: None });
-        published.takes_setpoints = takes_setpoints(configurations.in_force());
+        published.setpoint_timeout = setpoint_timeout(configurations.in_force());
         published.braking_m_s2 = configurations.in_force().fence.braking_m_s2;
     }
 
@@ -258,6 +258,11 @@ impl Reconfigurer {
     }
 }
 
-const fn takes_setpoints(config: &Config) -> bool {
-    matches!(config.reference, ReferenceSection::External { .. })
+fn setpoint_timeout(config: &Config) -> Option<f64> {
+    match config.reference {
+        ReferenceSection::External {
+            setpoint_timeout_ms,
+        } => Some(f64::from(setpoint_timeout_ms) * 1e-3),
+        _ => None,
+    }
 }

@@ -7,7 +7,9 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::Topic;
 use tokio::sync::broadcast;
 
-use crate::{snapshot::TickView, summary::Tally};
+use crate::{
+    snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES, summary::Tally,
+};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
@@ -34,6 +36,10 @@ pub(crate) struct SharedStatus {
     latest: Mutex<Latest>,
     /// Every entry of the record as a line of JSON.
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
+    /// The state of every tick as a line of JSON, with its end.
+    pub(crate) states: broadcast::Sender<Arc<str>>,
+    /// The set-points of all clients.
+    pub(crate) setpoints: SetpointCounters,
 }
 
 impl SharedStatus {
@@ -41,6 +47,8 @@ impl SharedStatus {
         Self {
             latest: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
+            states: broadcast::Sender::new(STATE_LINES),
+            setpoints: SetpointCounters::default(),
         }
     }
 

@@ -10,7 +10,7 @@ use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
 use singletrack_statistics::{DurationHistogram, Percentiles};
 
-use crate::realtime::RealTimeStatus;
+use crate::{realtime::RealTimeStatus, socket::SetpointFigures};
 
 /// The figures of a run at its end, and its record.
 #[derive(Clone, Debug, Serialize)]
@@ -48,6 +48,8 @@ pub struct Figures {
     pub mocap: MocapFigures,
     /// Data dropped because a ring or list was full.
     pub dropped: Dropped,
+    /// Set-points of the clients of the control socket.
+    pub setpoints: SetpointFigures,
 }
 
 /// Counts of the serial line to the board.

@@ -389,17 +389,15 @@ impl<'a> Drive<'a> {
                     .poll(self.now_us, &self.schedule.situation, self.drive_time_s)
         {
             let setpoint = if self.is_active(FaultKind::SetpointsNotANumber) {
-                Setpoint {
-                    velocity: Velocity::new(f64::NAN, 0.0),
-                    ..setpoint
-                }
+                let velocity = Velocity::new(f64::NAN, 0.0);
+                Setpoint::point(setpoint.stamp.time, None, velocity)
             } else {
                 setpoint
             };
             if !self.is_active(FaultKind::SetpointsGone) {
                 daemon.send(&setpoint);
-                if setpoint.is_finite() {
-                    self.newest_setpoint_ns = Some(setpoint.time.0);
+                if setpoint.demand.check().is_ok() {
+                    self.newest_setpoint_ns = Some(setpoint.stamp.time.0);
                 }
             }
         }

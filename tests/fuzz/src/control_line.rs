@@ -1,6 +1,7 @@
 //! Fuzz target: lines from clients of the control socket.
 
-use singletrackd::Command;
+use singletrack_control::Time;
+use singletrackd::{Command, SetpointCommand};
 
 use crate::choices::Choices;
 
@@ -11,7 +12,7 @@ const NOW_NS: u64 = 1_000_000_000_000;
 const MAX_ANSWER: usize = 1_024;
 
 /// Keys of a line, and an unknown one.
-const KEYS: [&str; 17] = [
+const KEYS: [&str; 23] = [
     "version",
     "command",
     "topics",
@@ -28,11 +29,17 @@ const KEYS: [&str; 17] = [
     "jog",
     "servo_us",
     "esc_us",
+    "steering_rad",
+    "steering_rate_rad_s",
+    "speed_m_s",
+    "acceleration_m_s2",
+    "trajectory",
+    "sequence",
     "surplus",
 ];
 
 /// Values that are valid for some keys.
-const VALUES: [&str; 30] = [
+const VALUES: [&str; 32] = [
     "1",
     "2",
     "0",
@@ -63,6 +70,8 @@ const VALUES: [&str; 30] = [
     "\"jog\"",
     "\"reload\"",
     "1500",
+    "[\"state\"]",
+    "[{\"time_ns\":1000000000000,\"position_m\":[0,0],\"velocity_m_s\":[0,0]},{\"time_ns\":1000100000000,\"position_m\":[0,0],\"velocity_m_s\":[0,0]}]",
 ];
 
 /// Parses lines from a client of the control socket.
@@ -137,31 +146,32 @@ fn check_accepted(command: &Command, line: &[u8]) {
         Command::Hold => "hold",
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",
-        Command::Watch { .. } => "watch",
+        Command::Watch { .. } | Command::WatchState => "watch",
     };
     assert!(
         text.contains(word) || text.contains('\\'),
         "{word} is read from {text}"
     );
     if let Command::Setpoint(setpoint) = command {
-        let position = setpoint.position.map(|position| [position.x, position.y]);
-        let numbers = [
-            position.unwrap_or_default(),
-            [setpoint.velocity.x, setpoint.velocity.y],
-        ];
-        assert!(
-            numbers.iter().flatten().all(|number| number.is_finite()),
-            "{setpoint:?} is not finite"
-        );
-        assert!(setpoint.time.0 <= NOW_NS, "a set-point from the future");
+        let (stamp, checked) = match setpoint {
+            SetpointCommand::Setpoint(setpoint) => (setpoint.stamp, setpoint.demand.check()),
+            SetpointCommand::Trajectory(trajectory) => (
+                trajectory.stamp,
+                trajectory.check(Time(NOW_NS), f64::INFINITY),
+            ),
+        };
+        assert_eq!(checked, Ok(()), "{setpoint:?}");
+        assert!(stamp.time.0 <= NOW_NS, "a set-point from the future");
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use singletrackd::ParseError;
+
     use super::{Choices, Command, NOW_NS, object};
 
-    fn parse(data: &[u8]) -> Result<Command, String> {
+    fn parse(data: &[u8]) -> Result<Command, ParseError> {
         Command::parse(object(&mut Choices::new(data)).as_bytes(), NOW_NS)
     }
 

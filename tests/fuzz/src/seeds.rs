@@ -457,6 +457,14 @@ fn control_line() -> Vec<Seed> {
             r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
         ),
         (
+            "setpoint-actuation",
+            r#"{"version":2,"command":"setpoint","steering_rad":0.1,"acceleration_m_s2":-1,"sequence":7}"#,
+        ),
+        (
+            "setpoint-trajectory",
+            r#"{"version":2,"command":"setpoint","trajectory":[{"time_ns":1000000000000,"position_m":[0,0],"velocity_m_s":[0,0]},{"time_ns":1000100000000,"position_m":[0.1,0],"velocity_m_s":[1,0]}]}"#,
+        ),
+        (
             "setpoint-too-large",
             r#"{"version":2,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
         ),

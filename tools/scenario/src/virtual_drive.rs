@@ -239,7 +239,7 @@ impl VirtualDrive {
         self.host.parts().setpoints.send(setpoint);
     }
 
-    /// Gives an external reference a trajectory in the place of its newest set-point.
+    /// Gives an external reference a trajectory in place of its set-point.
     pub fn send_trajectory(&self, trajectory: &Trajectory) {
         self.host.parts().setpoints.send_trajectory(trajectory);
     }

@@ -21,16 +21,17 @@ use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     net::unix::{OwnedReadHalf, OwnedWriteHalf},
     sync::Mutex,
-    task::spawn_blocking,
+    task::{coop::consume_budget, spawn_blocking},
     time::{Instant, MissedTickBehavior, interval, sleep},
 };
 
 use super::{
     command::{Arm, Attendance, Command, SOCKET_VERSION},
     serve::{
-        LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, not_ready, pass_setpoint, send,
+        LONGEST_LINE, answer, arm_outcome, cannot_arm, failure, no_command, not_ready, send,
         skip_line,
     },
+    setpoint::SetpointStream,
 };
 use crate::{
     clock::monotonic_ns,
@@ -298,6 +299,7 @@ pub(super) async fn hold(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     request: Arm,
 ) -> io::Result<bool> {
     let begun = tokio::select! {
@@ -315,7 +317,7 @@ pub(super) async fn hold(
         ticket,
         jogs: false,
     };
-    attend(read, write, daemon, &drive, watch).await
+    attend(read, write, daemon, setpoints, &drive, watch).await
 }
 
 /// Arms to jog, and passes pulses on for as long as the client gives them. Returns whether the
@@ -324,6 +326,7 @@ pub(super) async fn jog(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
 ) -> io::Result<bool> {
     let (ticket, watch) = match begin_jogging(daemon) {
         Ok(begun) => begun,
@@ -333,7 +336,7 @@ pub(super) async fn jog(
         }
     };
     let drive = Attended { ticket, jogs: true };
-    attend(read, write, daemon, &drive, watch).await
+    attend(read, write, daemon, setpoints, &drive, watch).await
 }
 
 /// A drive that a connection holds.
@@ -358,10 +361,11 @@ async fn attend(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     drive: &Attended,
     watch: DriveWatch,
 ) -> io::Result<bool> {
-    let result = serve_drive(read, write, daemon, drive, watch).await;
+    let result = serve_drive(read, write, daemon, setpoints, drive, watch).await;
     if !matches!(result, Ok(true)) {
         // The client is gone, and the drive is not over.
         let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
@@ -373,6 +377,7 @@ async fn serve_drive(
     read: &mut BufReader<OwnedReadHalf>,
     write: &mut OwnedWriteHalf,
     daemon: &DaemonHandle,
+    setpoints: &mut SetpointStream,
     drive: &Attended,
     mut watch: DriveWatch,
 ) -> io::Result<bool> {
@@ -444,7 +449,9 @@ async fn serve_drive(
                 send(write, &answer(question, daemon).await).await?;
             }
             Ok(Command::Setpoint(setpoint)) if !drive.jogs => {
-                pass_setpoint(write, daemon, &setpoint).await?;
+                if let Some(answer) = setpoints.pass(daemon, &setpoint) {
+                    send(write, &answer).await?;
+                }
             }
             Ok(_) => {
                 let error = if drive.jogs {
@@ -455,9 +462,10 @@ async fn serve_drive(
                 };
                 send(write, &failure(error)).await?;
             }
-            Err(error) => send(write, &failure(error)).await?,
+            Err(error) => send(write, &no_command(daemon, &error)).await?,
         }
         line.clear();
+        consume_budget().await;
     }
 }
 

@@ -3,13 +3,14 @@
 use core::{str::FromStr, time::Duration};
 
 use serde::Deserialize;
-use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
 use singletrack_pilot::Jog;
 use singletrack_record::Topic;
+
+use super::setpoint::{PointKeys, Rejected, SetpointCommand, SetpointKeys, unreadable};
 
 /// The version of the protocol. Client and daemon must have the same one.
 pub const SOCKET_VERSION: u32 = 2;
@@ -34,7 +35,7 @@ pub enum Command {
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
     /// A set-point, answered only if it has no effect.
-    Setpoint(Setpoint),
+    Setpoint(SetpointCommand),
     /// What became of a procedure, answered by one line when it is kept.
     Commissioned {
         /// The procedure.
@@ -47,6 +48,48 @@ pub enum Command {
         /// The topics; empty for all.
         topics: Vec<Topic>,
     },
+    /// A subscription to the state of every tick.
+    WatchState,
+}
+
+/// Why a line is no command: the text of the answer, which says what to write instead.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParseError {
+    text: String,
+    /// The line is a set-point, and rejected with this word.
+    pub(super) rejected: Option<Rejected>,
+}
+
+impl core::fmt::Display for ParseError {
+    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        formatter.write_str(&self.text)
+    }
+}
+
+impl core::error::Error for ParseError {}
+
+impl From<String> for ParseError {
+    fn from(text: String) -> Self {
+        Self {
+            text,
+            rejected: None,
+        }
+    }
+}
+
+impl From<&str> for ParseError {
+    fn from(text: &str) -> Self {
+        text.to_owned().into()
+    }
+}
+
+impl From<Rejected> for ParseError {
+    fn from(rejected: Rejected) -> Self {
+        Self {
+            text: rejected.text.clone(),
+            rejected: Some(rejected),
+        }
+    }
 }
 
 /// A request to arm.
@@ -97,7 +140,13 @@ struct Line {
     reference: Option<ReferenceSection>,
     velocity_m_s: Option<[f64; 2]>,
     position_m: Option<[f64; 2]>,
+    steering_rad: Option<f64>,
+    steering_rate_rad_s: Option<f64>,
+    speed_m_s: Option<f64>,
+    acceleration_m_s2: Option<f64>,
+    trajectory: Option<Vec<PointKeys>>,
     time_ns: Option<u64>,
+    sequence: Option<u32>,
     jog: Option<bool>,
     servo_us: Option<u16>,
     esc_us: Option<u16>,
@@ -108,27 +157,27 @@ struct Line {
 const MIN_TIME: f64 = 0.5;
 const MAX_TIME: f64 = 86_400.0;
 
-/// The largest velocity of a set-point, m/s: beyond it the set-point is a mistake for any
-/// car.
-const MAX_VELOCITY: f64 = 100.0;
-/// The largest coordinate of a set-point, m.
-const MAX_COORDINATE: f64 = 10_000.0;
-
 impl Command {
     /// Parses a line that was read at `now_ns` of `CLOCK_MONOTONIC`.
     ///
     /// # Errors
     ///
     /// The text of the answer: what is wrong, and what to write instead.
-    pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, String> {
+    pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, ParseError> {
         let mut line: Line = serde_json::from_slice(line).map_err(|error| {
-            format!("{error}; write {{\"version\":{SOCKET_VERSION},\"command\":\"status\"}}")
+            let text =
+                format!("{error}; write {{\"version\":{SOCKET_VERSION},\"command\":\"status\"}}");
+            match unreadable(line, &error) {
+                Some(why) => Rejected { why, text }.into(),
+                None => ParseError::from(text),
+            }
         })?;
         if line.version != SOCKET_VERSION {
             return Err(format!(
                 "version is {}: this daemon speaks version {SOCKET_VERSION}; use the singletrack of its release",
                 line.version
-            ));
+            )
+            .into());
         }
         let command = match line.command.as_str() {
             "status" => Self::Ask(Question::Status),
@@ -138,7 +187,7 @@ impl Command {
                 match line.take_attendance()? {
                     Attendance::Hold if jogs => Self::ArmJog,
                     _ if jogs => {
-                        return Err("jogging must be held: \"attendance\":\"hold\"".to_owned());
+                        return Err("jogging must be held: \"attendance\":\"hold\"".into());
                     }
                     attendance => Self::Arm(Arm {
                         attendance,
@@ -159,8 +208,12 @@ impl Command {
                                \"radius_m\":1.0,\"angular_velocity_rad_s\":0.5}";
                 Self::SetReference(line.reference.take().ok_or(missing)?)
             }
-            "setpoint" => Self::Setpoint(line.take_setpoint(now_ns)?),
+            "setpoint" => Self::Setpoint(line.take_setpoint().parse(now_ns)?),
             "commissioned" => line.take_commissioned()?,
+            "watch" if line.topics.as_deref() == Some(&["state".to_owned()]) => {
+                line.topics = None;
+                Self::WatchState
+            }
             "watch" => Self::Watch {
                 topics: line
                     .topics
@@ -173,7 +226,8 @@ impl Command {
             other => {
                 return Err(format!(
                     "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload or watch"
-                ));
+                )
+                .into());
             }
         };
         line.refuse_other_keys()?;
@@ -235,27 +289,18 @@ impl Line {
         }
     }
 
-    fn take_setpoint(&mut self, now_ns: u64) -> Result<Setpoint, String> {
-        let velocity = self
-            .velocity_m_s
-            .take()
-            .ok_or("setpoint needs velocity_m_s, such as [0.4,0.0]")?;
-        let position = self.position_m.take();
-        within("velocity_m_s", velocity, MAX_VELOCITY)?;
-        if let Some(position) = position {
-            within("position_m", position, MAX_COORDINATE)?;
+    fn take_setpoint(&mut self) -> SetpointKeys {
+        SetpointKeys {
+            velocity_m_s: self.velocity_m_s.take(),
+            position_m: self.position_m.take(),
+            steering_rad: self.steering_rad.take(),
+            steering_rate_rad_s: self.steering_rate_rad_s.take(),
+            speed_m_s: self.speed_m_s.take(),
+            acceleration_m_s2: self.acceleration_m_s2.take(),
+            trajectory: self.trajectory.take(),
+            time_ns: self.time_ns.take(),
+            sequence: self.sequence.take(),
         }
-        let time_ns = self.time_ns.take().unwrap_or(now_ns);
-        if time_ns > now_ns {
-            return Err(format!(
-                "time_ns is {time_ns}: CLOCK_MONOTONIC of this computer says {now_ns}"
-            ));
-        }
-        Ok(Setpoint {
-            position: position.map(|[x, y]| Position::new(x, y)),
-            velocity: Velocity::new(velocity[0], velocity[1]),
-            time: Time(time_ns),
-        })
     }
 
     /// Refuses the keys that the command does not have.
@@ -270,7 +315,21 @@ impl Line {
             ("reference", self.reference.is_some(), "set-reference"),
             ("velocity_m_s", self.velocity_m_s.is_some(), "setpoint"),
             ("position_m", self.position_m.is_some(), "setpoint"),
+            ("steering_rad", self.steering_rad.is_some(), "setpoint"),
+            (
+                "steering_rate_rad_s",
+                self.steering_rate_rad_s.is_some(),
+                "setpoint",
+            ),
+            ("speed_m_s", self.speed_m_s.is_some(), "setpoint"),
+            (
+                "acceleration_m_s2",
+                self.acceleration_m_s2.is_some(),
+                "setpoint",
+            ),
+            ("trajectory", self.trajectory.is_some(), "setpoint"),
             ("time_ns", self.time_ns.is_some(), "setpoint"),
+            ("sequence", self.sequence.is_some(), "setpoint"),
             ("jog", self.jog.is_some(), "arm"),
             ("servo_us", self.servo_us.is_some(), "jog"),
             ("esc_us", self.esc_us.is_some(), "jog"),
@@ -287,18 +346,14 @@ impl Line {
     }
 }
 
-fn within(key: &str, value: [f64; 2], limit: f64) -> Result<(), String> {
-    if value.iter().all(|part| part.abs() <= limit) {
-        return Ok(());
-    }
-    Err(format!(
-        "{key} is {value:?}: both must lie between -{limit} and {limit}"
-    ))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use singletrack_control::{
+        Demand, Position, Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory,
+        TrajectoryPoint, Velocity,
+    };
+
+    use super::{super::setpoint::Rejection, *};
 
     const NOW: u64 = 1_000;
 
@@ -394,7 +449,7 @@ mod tests {
             ),
             (
                 r#"{"version":2,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
-                "velocity_m_s is [0.0, -100.1]: both must lie between -100 and 100",
+                "velocity_m_s must lie between -100 and 100",
             ),
             (
                 r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
@@ -434,6 +489,7 @@ mod tests {
             ),
         ] {
             let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
+            let error = error.to_string();
             assert!(error.contains(part), "{line}: {error}");
         }
     }
@@ -445,11 +501,20 @@ mod tests {
             uncalibrated: false,
         };
         let setpoint = |position, time| {
-            Command::Setpoint(Setpoint {
+            let velocity = Velocity::new(0.5, -1.0);
+            Command::Setpoint(SetpointCommand::Setpoint(Setpoint::point(
+                Time(time),
                 position,
-                velocity: Velocity::new(0.5, -1.0),
-                time: Time(time),
-            })
+                velocity,
+            )))
+        };
+        let actuation = |steering, speed, sequence| {
+            let stamp = SetpointStamp {
+                time: Time(NOW),
+                sequence,
+            };
+            let demand = Demand::Actuation { steering, speed };
+            Command::Setpoint(SetpointCommand::Setpoint(Setpoint { stamp, demand }))
         };
         for (line, command) in [
             (
@@ -535,8 +600,107 @@ mod tests {
                     "position_m":[2,3],"time_ns":400}"#,
                 setpoint(Some(Position::new(2.0, 3.0)), 400),
             ),
+            (
+                r#"{"version":2,"command":"setpoint","steering_rad":0.1,"speed_m_s":-0.5,
+                    "sequence":7}"#,
+                actuation(
+                    SteeringDemand::Angle(0.1),
+                    SpeedDemand::Speed(-0.5),
+                    Some(7),
+                ),
+            ),
+            (
+                r#"{"version":2,"command":"setpoint","steering_rate_rad_s":-0.2,
+                    "acceleration_m_s2":0.3}"#,
+                actuation(
+                    SteeringDemand::Rate(-0.2),
+                    SpeedDemand::Acceleration(0.3),
+                    None,
+                ),
+            ),
+            (
+                r#"{"version":2,"command":"setpoint","trajectory":[
+                    {"time_ns":900,"position_m":[1,2],"velocity_m_s":[0,0]},
+                    {"time_ns":1001,"position_m":[1,2.000001],"velocity_m_s":[3,4]}]}"#,
+                Command::Setpoint(SetpointCommand::Trajectory(Box::new(Trajectory {
+                    stamp: SetpointStamp {
+                        time: Time(NOW),
+                        sequence: None,
+                    },
+                    points: [(900, 2.0, [0.0, 0.0]), (1_001, 2.000_001, [3.0, 4.0])]
+                        .into_iter()
+                        .map(|(time, y, [v_x, v_y])| TrajectoryPoint {
+                            time: Time(time),
+                            position: Position::new(1.0, y),
+                            velocity: Velocity::new(v_x, v_y),
+                        })
+                        .collect(),
+                }))),
+            ),
+            (
+                r#"{"version":2,"command":"watch","topics":["state"]}"#,
+                Command::WatchState,
+            ),
         ] {
             assert_eq!(Command::parse(line.as_bytes(), NOW), Ok(command), "{line}");
         }
+    }
+
+    #[test]
+    fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
+        use Rejection::{Future, Invalid, NotFinite, Old, OutOfRange};
+        let points = |times: &[u64]| {
+            let point =
+                |time| format!(r#"{{"time_ns":{time},"position_m":[0,0],"velocity_m_s":[0,0]}}"#);
+            let points: Vec<_> = times.iter().map(point).collect();
+            format!(r#""trajectory":[{}]"#, points.join(","))
+        };
+        let many: Vec<u64> = (1_000..1_101).collect();
+        for (keys, why) in [
+            ("", Invalid),
+            (r#""position_m":[0,0]"#, Invalid),
+            (r#""velocity_m_s":[0]"#, Invalid),
+            (r#""velocity_m_s":[0,0],"speed_m_s":1"#, Invalid),
+            (r#""velocity_m_s":[0,0],"to":1"#, Invalid),
+            (r#""steering_rad":0.1"#, Invalid),
+            (r#""speed_m_s":0.1"#, Invalid),
+            (
+                r#""steering_rad":0.1,"steering_rate_rad_s":0.1,"speed_m_s":1"#,
+                Invalid,
+            ),
+            (
+                r#""steering_rad":0.1,"acceleration_m_s2":0.1,"speed_m_s":1"#,
+                Invalid,
+            ),
+            (r#""velocity_m_s":[0,0],"sequence":-1"#, Invalid),
+            (r#""velocity_m_s":[0,0],"sequence":4294967296"#, Invalid),
+            (r#""velocity_m_s":[NaN,0]"#, NotFinite),
+            (r#""velocity_m_s":[0,-Infinity]"#, NotFinite),
+            (r#""velocity_m_s":[0,null]"#, NotFinite),
+            (r#""velocity_m_s":[0,1e999]"#, NotFinite),
+            (r#""velocity_m_s":[0,100.1]"#, OutOfRange),
+            (r#""velocity_m_s":[0,0],"position_m":[1e5,0]"#, OutOfRange),
+            (r#""steering_rad":1.6,"speed_m_s":1"#, OutOfRange),
+            (r#""steering_rad":0,"speed_m_s":-101"#, OutOfRange),
+            (r#""steering_rate_rad_s":101,"speed_m_s":1"#, OutOfRange),
+            (r#""steering_rad":0,"acceleration_m_s2":101"#, OutOfRange),
+            (
+                r#""steering_rad":0,"acceleration_m_s2":1,"time_ns":1001"#,
+                Future,
+            ),
+            (&points(&[1_000]), OutOfRange),
+            (&points(&[1_000, 1_000]), OutOfRange),
+            (&points(&many), OutOfRange),
+            (&points(&[2_000_000_000, 3_000_000_000]), Future),
+            (&points(&[998, 999]), Old),
+        ] {
+            let comma = if keys.is_empty() { "" } else { "," };
+            let line = format!(r#"{{"version":2,"command":"setpoint"{comma}{keys}}}"#);
+            let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
+            let rejected = error.rejected.map(|rejected| rejected.why);
+            assert_eq!(rejected, Some(why), "{line}: {}", error.text);
+        }
+        let error = Command::parse(b"{\"version\":2,\"command\":NaN}", NOW).unwrap_err();
+        assert_eq!(error.rejected, None);
     }
 }

@@ -8,8 +8,9 @@
 //! | `{"version":2,"command":"disarm"}` | at once; the car slows down and stops. After an emergency stop the board stays stopped until it is reset: the answer has a `note` that says so |
 //! | `{"version":2,"command":"stop"}` | at once; neutral until the board is reset |
 //! | `{"version":2,"command":"set-reference","reference":{"kind":"circle",...}}` | when it is in force, as `{"version":2,"ok":true,"configuration":2}`, with `warnings` if there are any, or why it is not |
-//! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is invalid or not in use |
+//! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is rejected |
 //! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
+//! | `{"version":2,"command":"watch","topics":["state"]}` | `{"version":2,"ok":true}`, then the state of every tick |
 //!
 //! A failure is answered with `{"version":2,"ok":false,"error":"..."}`. A watcher that is
 //! too slow gets `{"version":2,"missed":N}`. Within version 2, commands and keys are added
@@ -28,11 +29,13 @@
 //! drives. It is in force until the configuration is reloaded.
 //!
 //! **Set-points** are followed while `reference.kind` is `"external"`. A client sends many
-//! per second on one connection. A set-point has the wanted velocity of P, in m/s in the
-//! cameras' frame, and may have a wanted position, in m: `"position_m":[0.5,0.0]`. Its age
+//! per second on one connection. A set-point is a velocity of P, in m/s in the cameras' frame,
+//! with a position or without; or `steering_rad` or `steering_rate_rad_s` with `speed_m_s` or
+//! `acceleration_m_s2`; or a `trajectory`, points with a time. Its age
 //! counts from when the daemon read it, or from `"time_ns"` of `CLOCK_MONOTONIC` if given:
 //! a set-point that was delayed on its way is then old when it arrives. Only the newest one
-//! counts. When it is older than `reference.setpoint_timeout_ms`, the car stops. A client
+//! counts. When it is older than `reference.setpoint_timeout_ms`, the car stops. A rejected
+//! one is answered with a word, `"rejected":"old"`, and counted. A client
 //! that sends invalid set-points without reading the answers is not read any more once the
 //! answers fill its connection.
 
@@ -40,10 +43,13 @@ mod attend;
 mod bind;
 mod command;
 mod serve;
+mod setpoint;
 mod thread;
 
 pub(crate) use attend::Drives;
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
-pub use command::{Arm, Attendance, Command, Question, SOCKET_VERSION};
+pub use command::{Arm, Attendance, Command, ParseError, Question, SOCKET_VERSION};
+pub(crate) use setpoint::SetpointCounters;
+pub use setpoint::{Rejection, SetpointCommand, SetpointFigures};
 pub(crate) use thread::SocketThread;

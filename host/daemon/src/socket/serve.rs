@@ -4,7 +4,6 @@ use core::fmt;
 use std::{io, time::Duration};
 
 use serde_json::{Value, json};
-use singletrack_control::Setpoint;
 use singletrack_core::{
     ControlRequest,
     commissioned::{Procedure, ProcedureResult},
@@ -13,6 +12,7 @@ use singletrack_core::{
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::Topic;
+use socket2::SockRef;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
     net::{
@@ -20,23 +20,24 @@ use tokio::{
         unix::{OwnedReadHalf, OwnedWriteHalf},
     },
     sync::broadcast::error::RecvError,
-    task::spawn_blocking,
+    task::{coop::consume_budget, spawn_blocking},
 };
 
 use super::{
     attend::{arm, hold, jog},
-    command::{Attendance, Command, Question, SOCKET_VERSION},
+    command::{Attendance, Command, ParseError, Question, SOCKET_VERSION},
+    setpoint::{SetpointStream, reject},
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
-    snapshot::Snapshot,
+    snapshot::Snapshot, state_stream::STATE_BUFFER,
 };
 
 /// The largest number of clients at a time.
 pub(super) const CLIENTS: usize = 32;
 
-/// The longest line, in bytes.
-pub(super) const LONGEST_LINE: u64 = 4_096;
+/// The longest line, in bytes: a trajectory of 100 points with all their digits.
+pub(super) const LONGEST_LINE: u64 = 16_384;
 
 /// The longest wait for the first line of a client beyond [`CLIENTS`].
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
@@ -61,8 +62,11 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
     let (read, mut write) = stream.into_split();
     let mut read = BufReader::new(read);
     let mut line = Vec::new();
+    let mut setpoints = SetpointStream::default();
     loop {
         line.clear();
+        // A client that sends without a pause must not delay the stop of another one.
+        consume_budget().await;
         let count = (&mut read)
             .take(LONGEST_LINE)
             .read_until(b'\n', &mut line)
@@ -88,13 +92,20 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                     closed = read.read(&mut rest) => closed.map(drop),
                 };
             }
+            Ok(Command::WatchState) => {
+                let mut rest = [0];
+                return tokio::select! {
+                    result = watch_state(&mut write, daemon) => result,
+                    closed = read.read(&mut rest) => closed.map(drop),
+                };
+            }
             Ok(Command::Arm(request)) if request.attendance == Attendance::Hold => {
-                if !hold(&mut read, &mut write, daemon, request).await? {
+                if !hold(&mut read, &mut write, daemon, &mut setpoints, request).await? {
                     return Ok(());
                 }
             }
             Ok(Command::ArmJog) => {
-                if !jog(&mut read, &mut write, daemon).await? {
+                if !jog(&mut read, &mut write, daemon, &mut setpoints).await? {
                     return Ok(());
                 }
             }
@@ -129,26 +140,21 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 send(&mut write, &answer).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {
-                pass_setpoint(&mut write, daemon, &setpoint).await?;
+                if let Some(answer) = setpoints.pass(daemon, &setpoint) {
+                    send(&mut write, &answer).await?;
+                }
             }
-            Err(error) => send(&mut write, &failure(error)).await?,
+            Err(error) => send(&mut write, &no_command(daemon, &error)).await?,
         }
     }
 }
 
-/// Passes a set-point on, or answers why it has no effect.
-pub(super) async fn pass_setpoint(
-    write: &mut OwnedWriteHalf,
-    daemon: &DaemonHandle,
-    setpoint: &Setpoint,
-) -> io::Result<()> {
-    if daemon.reconfigurer.takes_setpoints() {
-        daemon.setpoints.send(setpoint);
-        return Ok(());
+/// The answer to a line that is no command. A rejected set-point is counted.
+pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Value {
+    match &error.rejected {
+        Some(rejected) => reject(daemon, rejected),
+        None => failure(error),
     }
-    let error = "set-points are not in use: reference.kind is not \"external\"; change it with \
-                 set-reference or in the configuration";
-    send(write, &failure(error)).await
 }
 
 /// Reads and discards up to the end of the line or of the stream.
@@ -345,6 +351,23 @@ async fn watch(
                     &json!({ "version": SOCKET_VERSION, "missed": missed }),
                 )
                 .await?;
+            }
+            Err(RecvError::Closed) => return Ok(()),
+        }
+    }
+}
+
+/// Sends the state of every tick. A reader that is slow loses the oldest ones.
+async fn watch_state(write: &mut OwnedWriteHalf, daemon: &DaemonHandle) -> io::Result<()> {
+    SockRef::from(write.as_ref()).set_send_buffer_size(STATE_BUFFER)?;
+    let mut states = daemon.status.states.subscribe();
+    send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+    loop {
+        match states.recv().await {
+            Ok(line) => write.write_all(line.as_bytes()).await?,
+            Err(RecvError::Lagged(missed)) => {
+                let note = json!({ "version": SOCKET_VERSION, "missed": missed });
+                send(write, &note).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
         }

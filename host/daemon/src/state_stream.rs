@@ -1,0 +1,106 @@
+//! The state stream: what a controller outside needs to know of a tick, as a line of JSON.
+
+use serde::Serialize;
+use singletrack_pilot::{Event, Reason};
+use singletrack_record::TickRecord;
+
+/// Lines that a reader may be behind before it misses the oldest: 160 ms at 100 Hz. A
+/// controller has no use for an older state; who wants every tick watches `tick`.
+pub(crate) const STATE_LINES: usize = 16;
+
+/// Bytes of the kernel's buffer of a reader; the kernel doubles it. It holds some six lines,
+/// which a reader that is slow gets before it learns how many it has missed.
+pub(crate) const STATE_BUFFER: usize = 4_096;
+
+/// Makes the lines.
+#[derive(Debug, Default)]
+pub(crate) struct StateLines {
+    first_ns: Option<u64>,
+    board_ns: Option<u64>,
+}
+
+/// A line of the stream. Times are in s, positions in m, angles in rad, in the world frame.
+#[derive(Debug, Serialize)]
+struct StateLine {
+    topic: &'static str,
+    tick: u64,
+    t: f64,
+    time_ns: u64,
+    mode: &'static str,
+    reason: Option<&'static str>,
+    drive_time: Option<f64>,
+    x: Option<f64>,
+    y: Option<f64>,
+    yaw: Option<f64>,
+    speed: Option<f64>,
+    sideslip: Option<f64>,
+    yaw_rate: Option<f64>,
+    pose_age: Option<f64>,
+    held: bool,
+    point: Option<[f64; 2]>,
+    point_velocity: Option<[f64; 2]>,
+    reference: Option<[f64; 2]>,
+    steering: f64,
+    commanded_speed: f64,
+    board_age: Option<f64>,
+    setpoint: Option<SetpointInForce>,
+}
+
+#[derive(Debug, Serialize)]
+struct SetpointInForce {
+    sequence: Option<u32>,
+    age: f64,
+}
+
+impl StateLines {
+    /// Takes note of a tick; every one is passed in, also without readers.
+    pub(crate) fn tick(&mut self, tick: &TickRecord) {
+        self.first_ns.get_or_insert(tick.pilot_time.0);
+        for event in &tick.events {
+            if let Event::Board(sample) = event {
+                self.board_ns = Some(sample.time.0);
+            }
+        }
+    }
+
+    /// The line of a tick.
+    pub(crate) fn line(&self, tick: &TickRecord) -> Option<String> {
+        let output = &tick.output;
+        let estimate = output.estimate.as_ref();
+        let now_ns = tick.pilot_time.0;
+        let since = |ns: u64| now_ns.wrapping_sub(ns) as i64 as f64 * 1e-9;
+        let line = StateLine {
+            topic: "state",
+            tick: tick.index,
+            t: self.first_ns.map_or(0.0, since),
+            time_ns: now_ns,
+            mode: output.mode.name(),
+            reason: output.reason.map(Reason::name),
+            drive_time: output.drive_time,
+            x: estimate.map(|estimate| estimate.position.x),
+            y: estimate.map(|estimate| estimate.position.y),
+            yaw: estimate.map(|estimate| estimate.yaw),
+            speed: estimate.map(|estimate| estimate.speed),
+            sideslip: estimate.map(|estimate| estimate.sideslip),
+            yaw_rate: estimate.map(|estimate| estimate.yaw_rate),
+            pose_age: estimate.map(singletrack_control::Estimate::pose_age),
+            held: output.held,
+            point: output.point.map(|point| [point.x, point.y]),
+            point_velocity: output
+                .point_velocity
+                .map(|velocity| [velocity.x, velocity.y]),
+            reference: output
+                .reference
+                .and_then(|reference| reference.position)
+                .map(|position| [position.x, position.y]),
+            steering: output.actuation.steering,
+            commanded_speed: output.actuation.speed,
+            board_age: self.board_ns.map(since),
+            setpoint: output.setpoint.map(|stamp| SetpointInForce {
+                sequence: stamp.sequence,
+                age: since(stamp.time.0),
+            }),
+        };
+        serde_json::to_string(&line).ok()
+    }
+}
