@@ -27,6 +27,7 @@
 #[macro_use]
 extern crate std;
 
+mod actuators;
 mod board;
 mod clock;
 mod esc;
@@ -40,6 +41,7 @@ mod slew;
 mod speed;
 mod steering;
 
+pub use actuators::Actuators;
 pub use board::Board;
 pub use imu::axis_map;
 pub use io::{ImuHealth, ImuSample, Inputs, MotorPulses, Outputs};

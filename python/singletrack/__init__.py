@@ -1,0 +1,39 @@
+"""Drive a 1:10 car under motion capture, simulate it, and train on it.
+
+One script drives the simulator and the car::
+
+    import singletrack
+
+    car = singletrack.Car("sim")            # or Car("/run/singletrackd/control.sock")
+    with car.drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.4, 0.0)
+            if state.t > 5:
+                break
+
+Units are SI and radians. The world frame lies on the floor; yaw, yaw rate, sideslip and
+steering are positive to the left. ``singletrack.gym`` needs the package ``gymnasium``.
+"""
+
+from . import law, model, stability
+from ._car import Car, Drive
+from ._errors import ArmError, Rejected, SingletrackError
+from ._record import Record, read
+from ._simulator import Simulator
+from ._state import State
+
+__all__ = [
+    "ArmError",
+    "Car",
+    "Drive",
+    "Record",
+    "Rejected",
+    "Simulator",
+    "SingletrackError",
+    "State",
+    "law",
+    "model",
+    "read",
+    "stability",
+]
+__version__ = "0.1.0"

@@ -1,0 +1,86 @@
+"""What a controller outside sees of a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class State:
+    """The state after one tick of the controller.
+
+    Values of a car that is not seen are NaN, or ``None``. Times are in s, lengths in m, angles
+    in rad; the centre of mass is G, the point that follows the reference is P.
+    """
+
+    #: Time since the first tick of the daemon or of the simulation, in s.
+    t: float
+    #: The tick's time on ``CLOCK_MONOTONIC`` (on the virtual clock of a simulation), in ns.
+    time_ns: int
+    #: Mode of the supervisor: ``driving``, ``slowing``, ``stopping``, ``ready``, ...
+    mode: str
+    #: Why the car does not drive, or why the last drive ended.
+    reason: str | None
+    #: Number of the tick.
+    tick: int = 0
+    #: Position of G, in m.
+    x: float = nan
+    y: float = nan
+    #: Yaw, in rad, not wrapped.
+    yaw: float = nan
+    #: Speed of G, in m/s.
+    speed: float = nan
+    #: Angle from the car's axis to the velocity of G, in rad.
+    sideslip: float = nan
+    #: Yaw rate, in rad/s.
+    yaw_rate: float = nan
+    #: Steering angle that was commanded with this tick, within the limits, in rad.
+    steering: float = 0.0
+    #: Speed that was commanded with this tick, within the limits, in m/s.
+    commanded_speed: float = 0.0
+    #: Position of P, in m.
+    point: Pair = (nan, nan)
+    #: Velocity of P that the law was given, in m/s.
+    point_velocity: Pair | None = None
+    #: Where P should be, in m.
+    reference: Pair | None = None
+    #: Age of the newest accepted pose, in s.
+    pose_age: float = nan
+    #: Whether the tick had no new pose.
+    held: bool = True
+    #: Time since the first driving tick, in s.
+    drive_time: float | None = None
+    #: Number of the set-point in force.
+    sequence: int | None = None
+    #: Age of the set-point in force, in s.
+    setpoint_age: float = nan
+    #: Age of the newest telemetry of the board, in s; NaN in a simulation.
+    board_age: float = nan
+
+    @property
+    def driving(self) -> bool:
+        """Whether a drive is underway that the controller outside commands."""
+        return self.mode in ("driving", "slowing")
+
+
+def state(values: Mapping[str, Any]) -> State:
+    """The state of a line of the stream, or of a tick of the simulation."""
+    known = {name: values[name] for name in _NAMES if values.get(name) is not None}
+    for name in ("point", "point_velocity", "reference"):
+        if name in known:
+            x, y = known[name]
+            known[name] = (float(x), float(y))
+    setpoint = values.get("setpoint")
+    if isinstance(setpoint, Mapping):
+        known["sequence"] = setpoint.get("sequence")
+        known["setpoint_age"] = setpoint.get("age", nan)
+    known.setdefault("reason", None)
+    return State(**known)
+
+
+_NAMES = tuple(State.__dataclass_fields__)

@@ -1,0 +1,363 @@
+"""Gymnasium environments: one car, or many side by side.
+
+``gymnasium.make("Singletrack-v0")`` is the car alone, with the board's own servo and motor
+control; its state is known. ``gymnasium.make("Singletrack-System-v0")`` is the whole system:
+the supervisor, the estimator, cameras with noise and latency, the board behind its serial
+line. ``gymnasium.make_vec(..., num_envs=256)`` steps many cars natively.
+
+Names are those of f1tenth_gym where both have the same thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from . import _native
+from ._register import MAX_STEPS, register
+from ._toml import Table, text
+
+__all__ = ["RANDOMISE", "SingletrackEnv", "SingletrackVectorEnv", "register"]
+
+Observation = Any
+Ranges = Mapping[str, tuple[float, float]]
+
+#: The columns of the state, with f1tenth_gym's names.
+STATE = ("pose_x", "pose_y", "delta", "linear_vel_x", "pose_theta", "ang_vel_z", "beta")
+
+#: The paper's circle: radius 1 m, 0.5 m/s.
+CIRCLE: Mapping[str, Any] = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
+
+#: Cars that differ from their configuration as other people's cars do: domain randomisation
+#: for ``randomise``, by the names of the table ``[truth]``.
+RANDOMISE: Mapping[str, tuple[float, float]] = {
+    "vehicle.mass_kg": (1.5, 2.6),
+    "vehicle.yaw_inertia_kg_m2": (0.018, 0.035),
+    "vehicle.friction": (0.22, 0.6),
+    "vehicle.front_cornering_stiffness_n_rad": (40.0, 80.0),
+    "vehicle.rear_cornering_stiffness_n_rad": (90.0, 170.0),
+    "servo.centre_us": (1485.0, 1515.0),
+    "servo.gain_us_per_rad": (-880.0, -720.0),
+    "servo.lag_ms": (20.0, 80.0),
+    "servo.backlash_us": (0.0, 15.0),
+    "drive_train.rolling_m_s2": (0.5, 1.2),
+    "battery.start_v": (7.2, 8.4),
+}
+
+_INFORMATION = ("point_error", "progress", "speed")
+
+
+def _options(
+    *,
+    whole_system: bool = False,
+    reference: Table = None,
+    reward: Literal["tracking", "progress"] = "tracking",
+    control_input: Sequence[str] | str = ("speed", "steering_angle"),
+    observation: Literal["tracking", "kinematic_state", "original"] = "tracking",
+    randomise: Ranges | Literal["other-cars"] | None = None,
+    configuration: Table = None,
+    truth: Table = None,
+    timestep: float = 0.01,
+    preview: Sequence[float] = (0.0, 0.2, 0.4, 0.6),
+    lost: float = 1.0,
+    start_error: tuple[float, float] = (0.1, 0.2),
+    max_episode_steps: int | None = None,
+) -> dict[str, Any]:
+    """The arguments of both environments, checked."""
+    periods = round(timestep / 0.01)
+    if periods < 1 or abs(periods * 0.01 - timestep) > 1e-9:
+        raise ValueError(f"timestep is {timestep} s: it must be a multiple of 0.01")
+    words = [control_input] if isinstance(control_input, str) else list(control_input)
+    if sorted(words) == ["speed", "steering_angle"]:
+        control = "actuation"
+    elif words == ["point_velocity"]:
+        control = "point_velocity"
+    else:
+        raise ValueError(
+            f'control_input is {words}: use ["speed", "steering_angle"] or ["point_velocity"]'
+        )
+    if observation not in ("tracking", "kinematic_state", "original"):
+        raise ValueError(
+            f'observation is {observation!r}: use "tracking", "kinematic_state" or "original"'
+        )
+    ranges: Ranges
+    if randomise == "other-cars":
+        ranges = RANDOMISE
+    else:
+        assert not isinstance(randomise, str), f"randomise is {randomise!r}"
+        ranges = randomise or {}
+    return {
+        "observation": "kinematic_state" if observation == "original" else observation,
+        "native": {
+            "whole_system": whole_system,
+            "reference_toml": text(CIRCLE if reference is None else reference),
+            "configuration": text(configuration),
+            "truth": text(truth),
+            "randomise": [(name, float(low), float(high)) for name, (low, high) in ranges.items()],
+            "reward": reward,
+            "control": control,
+            "periods": periods,
+            "max_steps": max_episode_steps or MAX_STEPS,
+            "preview": [float(time) for time in preview],
+            "lost_m": float(lost),
+            "start_error": [float(value) for value in start_error],
+        },
+    }
+
+
+def _action_space(native: _native.Batch, control: str) -> spaces.Box:
+    steering, reverse, speed = native.limits
+    if control == "actuation":
+        # The order of f1tenth_gym: steering, then speed.
+        low, high = [-steering, -reverse], [steering, speed]
+    else:
+        low, high = [-speed, -speed], [speed, speed]
+    return spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+
+
+def _observation_space(native: _native.Batch, kind: str) -> spaces.Space[Any]:
+    if kind == "tracking":
+        return spaces.Box(-np.inf, np.inf, (native.columns,), np.float32)
+    return spaces.Dict({name: spaces.Box(-np.inf, np.inf, (), np.float32) for name in STATE})
+
+
+class SingletrackEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """One car that follows a reference with its point P.
+
+    Args:
+        whole_system: The whole system instead of the car alone. State and observation are then
+            the estimate; a drive that the supervisor ends is an end of the episode, with its
+            reason in ``info["reason"]``.
+        reference: Keys of ``[reference]``: a circle (the default: the paper's), a path,
+            a figure of eight or waypoints.
+        reward: ``"tracking"``: exp(-e/0.1 m) of the distance e between P and the reference at
+            its time; ``"progress"``: way of P along the path, less its distance from it. Both
+            less 0.05 of the squared change of the action; -10 for a car that is lost.
+        control_input: ``["speed", "steering_angle"]``: the action is ``[steering (rad),
+            speed (m/s)]``; or ``["point_velocity"]``: the velocity of P in the world, m/s.
+        observation: ``"tracking"``: float32 of the shape ``(6 + 4 k,)``: speed, sideslip, yaw
+            rate, steering and the last action; then, for each of the ``k`` times of
+            ``preview``, distance from P to the reference and velocity of the reference, forward
+            and left of the car. ``"kinematic_state"``: f1tenth_gym's dictionary ``pose_x,
+            pose_y, delta, linear_vel_x, pose_theta, ang_vel_z, beta``.
+        randomise: Ranges by the names of the table ``[truth]``, drawn at each reset, or
+            ``"other-cars"`` for :data:`RANDOMISE`.
+        configuration: Keys of the daemon's configuration, such as ``limits.max_speed_m_s``.
+        truth: What is true of every car and differs from the configuration.
+        timestep: Time between two actions, in s; a multiple of 0.01.
+        preview: Times ahead at which the reference is seen, in s.
+        lost: Distance between P and the reference that ends the episode, in m.
+        start_error: Largest errors of the start: of P along each axis (m), and of the yaw (rad).
+
+    ``info`` has ``point_error`` (m), ``progress`` (m), ``speed`` (the true one, m/s) and, once the
+    episode has been terminated, ``reason``.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+        chosen = _options(**options)
+        self._kind: str = chosen["observation"]
+        # The wrapper TimeLimit of `make` truncates.
+        chosen["native"]["max_steps"] = 2**31
+        self._native = _native.Batch(1, autoreset="disabled", threads=1, **chosen["native"])
+        self.render_mode = render_mode
+        self.action_space = _action_space(self._native, chosen["native"]["control"])
+        self.observation_space = _observation_space(self._native, self._kind)
+        self.timestep = chosen["native"]["periods"] * 0.01
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Puts the car down at the start. Without a ``seed`` the random numbers go on."""
+        first = self._np_random is None
+        super().reset(seed=seed)
+        if seed is not None or first:
+            seed = int(self.np_random.integers(2**63))
+        state, observation, *_ = self._native.reset([seed])
+        return self._observation(state, observation), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drives for a ``timestep``."""
+        row = np.asarray(action, dtype=np.float64).reshape(1, 2)
+        state, observation, reward, terminated, truncated, known = self._native.step(row)
+        information: dict[str, Any] = dict(zip(_INFORMATION, known[0].tolist(), strict=True))
+        for _, reason in self._native.reasons():
+            information["reason"] = reason
+        return (
+            self._observation(state, observation),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            information,
+        )
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """The true state, by the names of :data:`STATE`."""
+        return dict(zip(STATE, self._native.truth()[0].tolist(), strict=True))
+
+    @property
+    def point(self) -> NDArray[np.float64]:
+        """P as it is seen: shape ``(2,)``, m."""
+        return self._native.point()[0]
+
+    @property
+    def reference(self) -> NDArray[np.float64]:
+        """Position and velocity of the reference now: shape ``(4,)``, m and m/s."""
+        return self._native.reference()[0]
+
+    def _observation(self, state: NDArray[np.float64], row: NDArray[np.float32]) -> Observation:
+        if self._kind == "tracking":
+            return row[0]
+        values = state[0].astype(np.float32)
+        return {name: np.asarray(value) for name, value in zip(STATE, values, strict=True)}
+
+
+class SingletrackVectorEnv(VectorEnv[Observation, Any, Any]):
+    """Many cars, stepped natively on several threads; arguments as :class:`SingletrackEnv`.
+
+    Args:
+        num_envs: The number of cars.
+        autoreset_mode: When a car whose episode has ended is reset; gymnasium's default is
+            with the next step. With ``SAME_STEP``, ``info`` has ``final_obs``.
+        threads: Threads; as many as processors if left out. The results do not depend on it.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        **options: Any,
+    ) -> None:
+        chosen = _options(**options)
+        mode = AutoresetMode(autoreset_mode)
+        words = {
+            AutoresetMode.NEXT_STEP: "next_step",
+            AutoresetMode.SAME_STEP: "same_step",
+            AutoresetMode.DISABLED: "disabled",
+        }
+        if threads is None:
+            # A thread is not worth its start for a few cars alone.
+            import os
+
+            worth = num_envs if chosen["native"]["whole_system"] else num_envs // 16
+            threads = max(1, min(len(os.sched_getaffinity(0)), worth))
+        self._kind: str = chosen["observation"]
+        self._mode = mode
+        self._native = _native.Batch(
+            num_envs, autoreset=words[mode], threads=threads, **chosen["native"]
+        )
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.render_mode = render_mode
+        self.num_envs = num_envs
+        self.single_action_space = _action_space(self._native, chosen["native"]["control"])
+        self.single_observation_space = _observation_space(self._native, self._kind)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.timestep = chosen["native"]["periods"] * 0.01
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Resets the cars; with ``options={"reset_mask": mask}`` those of the mask.
+
+        A car with the seed ``s`` behaves as a single environment with this seed.
+        """
+        first = self._np_random is None
+        if isinstance(seed, int):
+            super().reset(seed=seed)
+            given: list[int | None] = [seed + index for index in range(self.num_envs)]
+        elif seed is not None:
+            given = list(seed)
+            if len(given) != self.num_envs:
+                raise ValueError(f"{len(given)} seeds are given for {self.num_envs} environments")
+        elif first:
+            given = [int(value) for value in self.np_random.integers(2**31, size=self.num_envs)]
+        else:
+            given = [None] * self.num_envs
+        seeds = [None if value is None else _seed(value) for value in given]
+        mask = None
+        if options and options.get("reset_mask") is not None:
+            mask = [bool(value) for value in options["reset_mask"]]
+        state, observation, *_ = self._native.reset(seeds, mask)
+        return self._observation(state, observation), {}
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Drives all cars for a ``timestep``; ``actions`` has the shape ``(num_envs, 2)``."""
+        rows = np.ascontiguousarray(actions, dtype=np.float64)
+        state, observation, rewards, terminated, truncated, known = self._native.step(rows)
+        information: dict[str, Any] = {}
+        all_cars = np.ones(self.num_envs, dtype=np.bool_)
+        for column, name in enumerate(_INFORMATION):
+            information[name] = known[:, column]
+            information[f"_{name}"] = all_cars
+        if terminated.any():
+            reasons = np.full(self.num_envs, None, dtype=object)
+            for index, reason in self._native.reasons():
+                reasons[index] = reason
+            information["reason"] = reasons
+            information["_reason"] = reasons != None  # noqa: E711
+        if self._mode is AutoresetMode.SAME_STEP and (terminated | truncated).any():
+            final = np.full(self.num_envs, None, dtype=object)
+            ended = np.zeros(self.num_envs, dtype=np.bool_)
+            for index, last, row in self._native.last():
+                final[index] = row if self._kind == "tracking" else _named(last)
+                ended[index] = True
+            information.update(final_obs=final, _final_obs=ended)
+        return (
+            self._observation(state, observation),
+            rewards,
+            terminated,
+            truncated,
+            information,
+        )
+
+    @property
+    def truth(self) -> NDArray[np.float64]:
+        """The true states: shape ``(num_envs, 7)``, the columns of :data:`STATE`."""
+        return self._native.truth()
+
+    @property
+    def point(self) -> NDArray[np.float64]:
+        """P of each car as it is seen: shape ``(num_envs, 2)``, m."""
+        return self._native.point()
+
+    @property
+    def reference(self) -> NDArray[np.float64]:
+        """Position and velocity of each car's reference: shape ``(num_envs, 4)``."""
+        return self._native.reference()
+
+    def _observation(self, state: NDArray[np.float64], rows: NDArray[np.float32]) -> Observation:
+        if self._kind == "tracking":
+            return rows
+        values = state.astype(np.float32)
+        return {name: values[:, column] for column, name in enumerate(STATE)}
+
+
+def _seed(seed: int) -> int:
+    """The native seed of an environment with this seed."""
+    generator, _ = gymnasium.utils.seeding.np_random(seed)
+    return int(generator.integers(2**63))
+
+
+def _named(state: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
+    values = state.astype(np.float32)
+    return {name: np.asarray(value) for name, value in zip(STATE, values, strict=True)}

@@ -1,0 +1,140 @@
+//! Records as columns: the native half of `singletrack.read`.
+
+use std::{collections::BTreeMap, path::PathBuf};
+
+use numpy::PyArray1;
+use pyo3::{
+    exceptions::{PyOSError, PyValueError},
+    prelude::*,
+    types::{PyDict, PyList},
+};
+use singletrack_record::{Ending, Reader, RecordError, Topic, Value};
+
+/// The values of a field in the order of the record.
+#[derive(Default)]
+struct Column(Vec<Value>);
+
+impl Column {
+    /// As an array: of truth values, of integers, of floats with NaN for an absent value, or
+    /// a list of texts with `None`.
+    fn into_array<'py>(self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let values = self.0;
+        let any = |wanted: fn(&Value) -> bool| values.iter().any(wanted);
+        let absent = any(|value| matches!(value, Value::Absent));
+        if any(|value| matches!(value, Value::Text(_))) {
+            let list = PyList::empty(py);
+            for value in &values {
+                match value {
+                    Value::Text(text) => list.append(text.as_ref())?,
+                    _ => list.append(py.None())?,
+                }
+            }
+            return Ok(list.into_any());
+        }
+        let all = |wanted: fn(&Value) -> bool| !absent && values.iter().all(wanted);
+        if all(|value| matches!(value, Value::Bool(_))) {
+            let bits = values.iter().map(|value| *value == Value::Bool(true));
+            return Ok(PyArray1::from_iter(py, bits).into_any());
+        }
+        if all(|value| matches!(value, Value::Unsigned(_))) {
+            let numbers = values.iter().map(|value| match value {
+                Value::Unsigned(number) => *number,
+                _ => 0,
+            });
+            return Ok(PyArray1::from_iter(py, numbers).into_any());
+        }
+        if all(|value| matches!(value, Value::Signed(_) | Value::Unsigned(_))) {
+            let numbers = values.iter().map(|value| match value {
+                Value::Signed(number) => *number,
+                Value::Unsigned(number) => i64::try_from(*number).unwrap_or(i64::MAX),
+                _ => 0,
+            });
+            return Ok(PyArray1::from_iter(py, numbers).into_any());
+        }
+        let numbers = values.iter().map(|value| match value {
+            Value::Float(number) => *number,
+            Value::Unsigned(number) => *number as f64,
+            Value::Signed(number) => *number as f64,
+            Value::Bool(bit) => f64::from(u8::from(*bit)),
+            Value::Absent | Value::Text(_) => f64::NAN,
+        });
+        Ok(PyArray1::from_iter(py, numbers).into_any())
+    }
+}
+
+fn error(error: RecordError) -> PyErr {
+    match error {
+        RecordError::Io { .. } => PyOSError::new_err(error.to_string()),
+        other => PyValueError::new_err(other.to_string()),
+    }
+}
+
+/// Reads a record: `(topics, meta)`, with a dictionary of columns for each topic.
+#[pyfunction]
+#[pyo3(signature = (path, topics = None))]
+#[expect(clippy::needless_pass_by_value, reason = "as PyO3 passes it")]
+pub(crate) fn read_record<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    topics: Option<Vec<String>>,
+) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyDict>)> {
+    let topics: Vec<Topic> = match topics {
+        None => Topic::ALL.to_vec(),
+        Some(names) => names
+            .iter()
+            .map(|name| name.parse())
+            .collect::<Result<_, _>>()
+            .map_err(|error: singletrack_record::UnknownTopic| {
+                PyValueError::new_err(error.to_string())
+            })?,
+    };
+    let mut reader = Reader::open(&path).map_err(error)?.only(&topics);
+    let mut columns: BTreeMap<&'static str, Vec<Column>> = BTreeMap::new();
+    let damage = py.detach(|| {
+        let mut values = Vec::new();
+        let mut entries = 0_u64;
+        loop {
+            let step = reader.advance().and_then(|found| {
+                found
+                    .map(|at| reader.read_values(&mut values).map(|()| at.topic))
+                    .transpose()
+            });
+            match step {
+                Ok(Some(topic)) => {
+                    entries += 1;
+                    let of_topic = columns.entry(topic.name()).or_default();
+                    of_topic.resize_with(values.len().max(of_topic.len()), Column::default);
+                    for (column, value) in of_topic.iter_mut().zip(values.drain(..)) {
+                        column.0.push(value);
+                    }
+                }
+                Ok(None) => return Ok(None),
+                // What comes before the damage can be used.
+                Err(damage @ RecordError::Damaged { .. }) if entries > 0 => {
+                    return Ok(Some(damage.to_string()));
+                }
+                Err(other) => return Err(other),
+            }
+        }
+    });
+    let damage = damage.map_err(error)?;
+    let tables = PyDict::new(py);
+    for topic in topics {
+        let table = PyDict::new(py);
+        let found = columns.remove(topic.name()).unwrap_or_default();
+        for (name, column) in topic.fields().into_iter().zip(found) {
+            table.set_item(name, column.into_array(py)?)?;
+        }
+        tables.set_item(topic.name(), table)?;
+    }
+    let meta = PyDict::new(py);
+    let found = reader.meta();
+    meta.set_item("configuration", &found.configuration)?;
+    meta.set_item("software", found.software.clone())?;
+    meta.set_item("seed", found.seed)?;
+    meta.set_item("start_monotonic_ns", found.start.monotonic_ns)?;
+    meta.set_item("start_wall_ns", found.start.wall_ns)?;
+    meta.set_item("damage", damage)?;
+    meta.set_item("finished", reader.ending() == Some(Ending::Finished))?;
+    Ok((tables, meta))
+}
