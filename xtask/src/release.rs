@@ -7,11 +7,11 @@
 use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use crate::{
-    image::Progress,
+    image::{self, Progress},
     prerequisites::Part,
     process::{Failure, check},
     target,
-    workspace::{cargo, root},
+    workspace::{cargo, cargo_here, root},
 };
 
 /// A release build.
@@ -87,24 +87,26 @@ impl Release {
     }
 }
 
-/// Prints a notice before the first build of a program.
-pub(crate) fn announce(program: &str) -> Result<(), Failure> {
-    if !target::folder()?.join("release").join(program).is_file() {
-        eprintln!("Building {program}: the first build takes some minutes");
+/// Builds a package's program of the same name, and the Arduino's image if it needs it, and
+/// replaces this process by the program; returns only on failure. The program starts in the current
+/// folder, from which its files are named. Cargo shows progress on a terminal.
+pub(crate) fn run(package: &str, needs_image: bool, arguments: &[String]) -> Result<(), Failure> {
+    if !target::folder()?.join("release").join(package).is_file() {
+        eprintln!("Building {package}: the first build takes some minutes");
     }
-    Ok(())
-}
-
-/// Replaces this process by `cargo run` with arguments for the program; returns
-/// only on failure. Cargo shows progress on a terminal.
-pub(crate) fn become_program(mut cargo_run: Command, arguments: &[String]) -> Result<(), Failure> {
-    cargo_run
+    let mut cargo = cargo_here();
+    if needs_image {
+        let image = image::ensure(Progress::of_stderr(), 0)?;
+        cargo.env("SINGLETRACK_UNO", image.folder);
+    }
+    cargo
+        .args(["run", "--release", "--package", package, "--bin", package])
         .args(Progress::of_stderr().option())
         .arg("--")
         .args(arguments);
     Err(Failure::new(format!(
         "cargo does not start: {}",
-        cargo_run.exec()
+        cargo.exec()
     )))
 }
 
