@@ -1,25 +1,14 @@
 //! `cargo demo`: builds the demo and executes it.
 
-use crate::{
-    image::{self, Progress},
-    process::Failure,
-    release,
-    workspace::cargo_here,
-};
+use crate::{process::Failure, release};
 
-/// Returns only on failure. It keeps the current folder, to which the demo writes
-/// its files, and leaves stdout to the demo.
+/// Returns only on failure. It leaves stdout to the demo.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    release::announce("singletrack")?;
-    let mut cargo = cargo_here();
-    if drives_the_image(arguments) {
-        let image = image::ensure(Progress::of_stderr(), 0)?;
-        cargo.env("SINGLETRACK_UNO", image.folder);
-    }
-    cargo
-        .args(["run", "--release", "--package", "singletrack"])
-        .args(["--bin", "singletrack"]);
-    release::become_program(cargo, &[&["demo".to_owned()], arguments].concat())
+    release::run(
+        "singletrack",
+        drives_the_image(arguments),
+        &[&["demo".to_owned()], arguments].concat(),
+    )
 }
 
 /// Whether the demo needs the Arduino's image. The demo itself validates the

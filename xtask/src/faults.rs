@@ -1,24 +1,11 @@
 //! `cargo faults`: builds the fault campaign and executes it.
 
-use crate::{
-    demo::drives_the_image,
-    image::{self, Progress},
-    process::Failure,
-    release,
-    workspace::cargo_here,
-};
+use crate::{demo::drives_the_image, process::Failure, release};
 
-/// Returns only on failure. It keeps the current folder, because a schedule may be
-/// a relative path.
+/// Returns only on failure.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    release::announce("singletrack-faults")?;
-    let mut cargo = cargo_here();
-    if drives_the_image(arguments) || replays_the_image(arguments) {
-        let image = image::ensure(Progress::of_stderr(), 0)?;
-        cargo.env("SINGLETRACK_UNO", image.folder);
-    }
-    cargo.args(["run", "--release", "--package", "singletrack-faults"]);
-    release::become_program(cargo, arguments)
+    let needs_image = drives_the_image(arguments) || replays_the_image(arguments);
+    release::run("singletrack-faults", needs_image, arguments)
 }
 
 /// Whether a schedule to replay, given as text or as a file, needs the Arduino's

@@ -1,22 +1,12 @@
 //! `cargo onboard`: builds the onboarding campaign and executes it.
 
-use crate::{
-    demo::drives_the_image,
-    image::{self, Progress},
-    process::Failure,
-    release,
-    workspace::cargo_here,
-};
+use crate::{demo::drives_the_image, process::Failure, release};
 
-/// Returns only on failure. It keeps the current folder, because the file of the results may
-/// be a relative path.
+/// Returns only on failure.
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    release::announce("singletrack-onboard")?;
-    let mut cargo = cargo_here();
-    if drives_the_image(arguments) {
-        let image = image::ensure(Progress::of_stderr(), 0)?;
-        cargo.env("SINGLETRACK_UNO", image.folder);
-    }
-    cargo.args(["run", "--release", "--package", "singletrack-onboard"]);
-    release::become_program(cargo, arguments)
+    release::run(
+        "singletrack-onboard",
+        drives_the_image(arguments),
+        arguments,
+    )
 }

@@ -4,14 +4,19 @@
 //! workspace, which are then compiled again. All checks therefore name the same
 //! packages, features and targets, and cargo builds nothing twice.
 
-use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
+use std::{
+    ffi::OsStr,
+    os::unix::process::CommandExt,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 use crate::{
-    image::Progress,
+    image::{self, Progress},
     prerequisites::Part,
     process::{Failure, check},
     target,
-    workspace::{cargo, root},
+    workspace::{cargo, cargo_here, root},
 };
 
 /// A release build.
@@ -23,6 +28,9 @@ pub(crate) struct Release {
 
 /// The hardware-in-the-loop test target.
 const SUITE: &str = "hil";
+
+/// The onboarding campaign.
+const ONBOARD: &str = "tests/onboard";
 
 /// Features that need simavr and the image.
 const UNO_FEATURES: &str = "singletrack-simavr/simavr,singletrack-sim/uno";
@@ -42,13 +50,27 @@ impl Release {
         arguments
     }
 
-    /// All tests in virtual time, as debug builds, which check for overflow.
+    /// The tests in virtual time, as debug builds, which check for overflow; without
+    /// [`Self::onboard_tests`].
     pub(crate) fn debug_tests(self) -> Command {
         let mut tests = cargo();
         tests
             .args(["test", "--workspace", "--exclude", "singletrack-hil"])
+            .args(["--exclude", "singletrack-onboard"])
             .args(features(self.uno));
         tests
+    }
+
+    /// The tests of the onboarding campaign, as release builds: in debug builds they take minutes,
+    /// and other tests check the same libraries for overflow. Tests of the same names in other
+    /// packages run too: cargo can't select one package without other features.
+    pub(crate) fn onboard_tests(self) -> Result<Command, Failure> {
+        let mut tests = cargo();
+        tests.arg("test").args(self.selection());
+        for name in test_names(&root().join(ONBOARD).join("tests"))? {
+            tests.args(["--test", &name]);
+        }
+        Ok(tests)
     }
 
     /// Builds all programs and the hardware-in-the-loop suite.
@@ -87,25 +109,46 @@ impl Release {
     }
 }
 
-/// Prints a notice before the first build of a program.
-pub(crate) fn announce(program: &str) -> Result<(), Failure> {
-    if !target::folder()?.join("release").join(program).is_file() {
-        eprintln!("Building {program}: the first build takes some minutes");
+/// Builds a package's program of the same name, and the Arduino's image if it needs it, and
+/// replaces this process by the program; returns only on failure. The program starts in the current
+/// folder, from which its files are named. Cargo shows progress on a terminal.
+pub(crate) fn run(package: &str, needs_image: bool, arguments: &[String]) -> Result<(), Failure> {
+    if !target::folder()?.join("release").join(package).is_file() {
+        eprintln!("Building {package}: the first build takes some minutes");
     }
-    Ok(())
-}
-
-/// Replaces this process by `cargo run` with arguments for the program; returns
-/// only on failure. Cargo shows progress on a terminal.
-pub(crate) fn become_program(mut cargo_run: Command, arguments: &[String]) -> Result<(), Failure> {
-    cargo_run
+    let mut cargo = cargo_here();
+    if needs_image {
+        let image = image::ensure(Progress::of_stderr(), 0)?;
+        cargo.env("SINGLETRACK_UNO", image.folder);
+    }
+    cargo
+        .args(["run", "--release", "--package", package, "--bin", package])
         .args(Progress::of_stderr().option())
         .arg("--")
         .args(arguments);
     Err(Failure::new(format!(
         "cargo does not start: {}",
-        cargo_run.exec()
+        cargo.exec()
     )))
+}
+
+/// The names of the integration tests in a folder.
+fn test_names(folder: &Path) -> Result<Vec<String>, Failure> {
+    let failed = |error| Failure::new(format!("{}: {error}", folder.display()));
+    let mut names = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        let is_test =
+            path.extension().is_some_and(|end| end == "rs") || path.join("main.rs").is_file();
+        names.extend(
+            path.file_stem()
+                .and_then(OsStr::to_str)
+                .filter(|_| is_test)
+                .map(str::to_owned),
+        );
+    }
+    names.sort();
+    Ok(names)
 }
 
 /// The features of the workspace for the checks.
@@ -117,4 +160,29 @@ pub(crate) fn features(uno: bool) -> impl IntoIterator<Item = &'static str> {
     }
     .iter()
     .copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn every_test_of_the_campaign_is_named() {
+        let folder = root().join(ONBOARD);
+        let names = test_names(&folder.join("tests")).unwrap();
+        for name in ["bring_up", "campaign", "doctor"] {
+            assert!(names.iter().any(|other| other == name), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn the_campaign_has_no_unit_tests_which_would_not_run() {
+        for entry in root().join(ONBOARD).join("src").read_dir().unwrap() {
+            let path = entry.unwrap().path();
+            let text = fs::read_to_string(&path).unwrap();
+            assert!(!text.contains("#[test]"), "{}", path.display());
+        }
+    }
 }

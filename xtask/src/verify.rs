@@ -249,12 +249,14 @@ fn program_steps(release: Release) -> Vec<Step> {
                 "unit, property and virtual-time tests, without the Arduino's image"
             },
             move || {
-                let mut tests = release.debug_tests();
-                if release.uno {
-                    with_image(release, &mut tests)
-                } else {
-                    check(&mut tests)
+                for mut tests in [release.debug_tests(), release.onboard_tests()?] {
+                    if release.uno {
+                        with_image(release, &mut tests)?;
+                    } else {
+                        check(&mut tests)?;
+                    }
                 }
+                Ok(())
             },
         )
         .needing(release.part()),

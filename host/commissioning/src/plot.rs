@@ -17,6 +17,26 @@ pub struct Plot {
     pub lines: Vec<PlotLine>,
 }
 
+impl Plot {
+    /// Lines over the time in s.
+    #[must_use]
+    pub fn over_time(
+        name: &'static str,
+        title: &'static str,
+        y: (&'static str, &'static str),
+        lines: Vec<PlotLine>,
+    ) -> Self {
+        Self {
+            name,
+            title,
+            x: ("time", "s"),
+            y,
+            equal: false,
+            lines,
+        }
+    }
+}
+
 /// A line of a [`Plot`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlotLine {

@@ -30,8 +30,8 @@ const ATTEMPTS: u32 = 3;
 
 /// The car on its stand.
 ///
-/// While pulses are held, every tick checks that it stays there. A car that moves would drive
-/// off: it gets an emergency stop at once.
+/// Every tick checks that it stays there. A car that moves may drive off: it gets an emergency
+/// stop at once.
 pub(super) struct Car<'a> {
     bench: &'a mut dyn Bench,
     observed: Vec<Observation>,
@@ -129,6 +129,7 @@ impl<'a> Car<'a> {
         if self.silent_waits > SILENT_WAITS {
             return Err(no_news());
         }
+        self.check_place()?;
         Ok(&self.readings)
     }
 
@@ -252,8 +253,9 @@ impl<'a> Car<'a> {
             if self.is_silent_for(SILENT_S)? {
                 return Err(self.ended(Some("the board sends nothing".into())));
             }
-            let turns = jog.esc_us != self.rest().esc_us;
-            self.check_stand(turns)?;
+            if jog.esc_us != self.rest().esc_us {
+                self.check_seen()?;
+            }
             self.show(what, done);
             all.extend_from_slice(&self.readings);
             if self.readings.iter().any(&mut ends) {
@@ -287,24 +289,29 @@ impl<'a> Car<'a> {
         }
     }
 
-    /// Stops a car that leaves its stand.
-    pub(super) fn check_stand(&mut self, turns: bool) -> Result<(), Trouble> {
-        if let Some(way) = self.place.left {
-            let _ = self.bench.emergency_stop();
-            return Err(failed(
-                format!(
-                    "the cameras saw the car move by {:.0} mm: emergency stop",
-                    way * 1e3
-                ),
-                "Put the car on its stand so that nothing can move it, press the reset of the \
-                 board, and run the bring-up again.",
-            ));
-        }
+    /// Stops a car that has left its stand.
+    fn check_place(&mut self) -> Result<(), Trouble> {
+        let Some(way) = self.place.left else {
+            return Ok(());
+        };
+        let _ = self.bench.emergency_stop();
+        Err(failed(
+            format!(
+                "the cameras saw the car move by {:.0} mm: emergency stop",
+                way * 1e3
+            ),
+            "Put the car on its stand so that nothing can move it, press the reset of the board, \
+             and run the bring-up again.",
+        ))
+    }
+
+    /// Disarms a car whose wheels may turn and which the cameras do not see.
+    fn check_seen(&mut self) -> Result<(), Trouble> {
         let unseen = match (self.place.seen, self.now) {
             (Some(seen), Some(now)) => now.seconds_since(seen),
             _ => f64::INFINITY,
         };
-        if turns && unseen > UNSEEN_S {
+        if unseen > UNSEEN_S {
             let _ = self.bench.disarm();
             return Err(failed(
                 "the cameras lost the car while its wheels turned",

@@ -3,8 +3,8 @@
 //!
 //! The kill switch comes first, then the ESC at rest, the servo, the motor, and every way to stop.
 //! All pulses are jogs: the board holds them within its own limits, and ends them when the
-//! command line, the daemon or the line is gone. While pulses are given, the cameras watch the
-//! car in every tick, and an emergency stop ends the step if it leaves its stand.
+//! command line, the daemon or the line is gone. The cameras watch the car in every tick, and an
+//! emergency stop ends the step if it leaves its stand.
 //!
 //! A step that measures puts its result in force, because later steps rely on it. An interrupted
 //! bring-up continues after the last step that was completed.

@@ -358,13 +358,11 @@ fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
         .filter(|(time, _)| is_shown(*time))
         .map(|(time, rate)| [*time, *rate])
         .collect();
-    Plot {
-        name: "latency",
-        title: "A twist by hand, seen by gyro and cameras",
-        x: ("time", "s"),
-        y: ("yaw rate", "rad/s"),
-        equal: false,
-        lines: vec![
+    Plot::over_time(
+        "latency",
+        "A twist by hand, seen by gyro and cameras",
+        ("yaw rate", "rad/s"),
+        vec![
             PlotLine {
                 name: "cameras",
                 kind: PlotKind::Measured,
@@ -376,7 +374,7 @@ fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
                 points: gyro,
             },
         ],
-    }
+    )
 }
 
 /// `late` is in ms, beyond the offset that is in force.

@@ -54,13 +54,11 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         check_tilt(bench, &samples, &readings, &mut checks);
     }
     check_wheels(&readings, &mut checks);
-    bench.plot(&Plot {
-        name: "rest",
-        title: "The gyro at rest",
-        x: ("time", "s"),
-        y: ("yaw rate", "rad/s"),
-        equal: false,
-        lines: vec![PlotLine {
+    bench.plot(&Plot::over_time(
+        "rest",
+        "The gyro at rest",
+        ("yaw rate", "rad/s"),
+        vec![PlotLine {
             name: "gyro",
             kind: PlotKind::Measured,
             points: readings
@@ -69,7 +67,7 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
                 .map(|(time, rate)| [*time, rate[2]])
                 .collect(),
         }],
-    });
+    ));
     checks.finding("rest", bench)
 }
 

@@ -73,6 +73,8 @@ pub(crate) struct Truth {
     /// The ESC drives on without pulses.
     pub(crate) runs_without_pulses: bool,
     pub(crate) switch_works: bool,
+    /// The car falls off its stand when it is disarmed while its wheels turn.
+    pub(crate) falls_off: bool,
 }
 
 impl Truth {
@@ -106,6 +108,7 @@ impl Truth {
             holds_s: 0.0,
             runs_without_pulses: false,
             switch_works: true,
+            falls_off: false,
         }
     }
 }
@@ -700,6 +703,9 @@ impl Bench for MockCar {
 
     fn disarm(&mut self) -> Result<(), Refused> {
         if self.is_armed() {
+            if self.truth.falls_off && self.measured != 0.0 {
+                self.way_m += 0.05;
+            }
             self.mode = BoardMode::Neutral;
             self.cause = StopCause::Disarmed;
             self.jogged = None;

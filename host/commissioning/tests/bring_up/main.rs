@@ -149,6 +149,20 @@ fn a_car_on_the_floor_is_stopped_within_centimetres() {
 }
 
 #[test]
+fn a_car_that_leaves_its_stand_after_the_pulses_have_ended_gets_an_emergency_stop() {
+    let mut car = MockCar::new(
+        Truth {
+            falls_off: true,
+            ..usual()
+        },
+        1,
+    );
+    let findings = bring_up_car(&mut car);
+    assert_fails_at(&findings, "motor-direction", "the cameras saw the car move");
+    assert_eq!(car.emergency_stops, 1);
+}
+
+#[test]
 fn a_kill_output_that_does_nothing_is_found_before_anything_turns() {
     let mut car = MockCar::new(
         Truth {

@@ -39,18 +39,16 @@ mod tests {
 
     #[test]
     fn a_plot_becomes_a_picture_with_its_axes_and_lines() {
-        let svg = svg(&Plot {
-            name: "latency",
-            title: "A twist",
-            x: ("time", "s"),
-            y: ("yaw rate", "rad/s"),
-            equal: false,
-            lines: vec![PlotLine {
+        let svg = svg(&Plot::over_time(
+            "latency",
+            "A twist",
+            ("yaw rate", "rad/s"),
+            vec![PlotLine {
                 name: "gyro",
                 kind: PlotKind::Measured,
                 points: vec![[0.0, 1.0], [1.0, 2.0], [f64::NAN, 0.0], [2.0, 1.0]],
             }],
-        });
+        ));
         for part in ["<svg", "A twist", "yaw rate", "gyro"] {
             assert!(svg.contains(part), "{part} is missing in {svg}");
         }

@@ -8,6 +8,7 @@
 use std::time::Duration;
 
 use singletrack_control::Time;
+use singletrack_protocol::JOG_LIMIT_US;
 
 /// A key that counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,9 +52,8 @@ const UNATTENDED: Duration = Duration::from_secs(60);
 /// A step of the servo, and one of the ESC pulse's distance from neutral, in us.
 const SERVO_STEP_US: u16 = 5;
 const ESC_STEP_US: u16 = 5;
-/// Distance of the first ESC pulse from neutral, and the largest, in us: the board's limit.
+/// Distance of the first ESC pulse from neutral, in us.
 const FIRST_US: u16 = 40;
-const MOST_US: u16 = 150;
 /// The shortest and the longest servo pulse, in us.
 const SERVO_US: [u16; 2] = [800, 2_200];
 
@@ -107,7 +107,7 @@ impl Keyboard {
         match key {
             Key::Left => self.servo_us = self.servo_us.saturating_sub(SERVO_STEP_US).max(least),
             Key::Right => self.servo_us = (self.servo_us + SERVO_STEP_US).min(most),
-            Key::More => self.throttle_us = (self.throttle_us + ESC_STEP_US).min(MOST_US),
+            Key::More => self.throttle_us = (self.throttle_us + ESC_STEP_US).min(JOG_LIMIT_US),
             Key::Less => self.throttle_us = self.throttle_us.saturating_sub(ESC_STEP_US),
             Key::Centre => self.servo_us = self.begun.servo_us,
             Key::Quit => self.is_over = true,
