@@ -100,6 +100,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
                 &motion.time[range.clone()],
                 &way[range],
                 &pulses,
+                [LOW, SLOW],
                 about,
                 rolling,
             )
