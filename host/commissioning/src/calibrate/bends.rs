@@ -2,7 +2,7 @@
 
 use super::floor::{self, Ends, Figure, SLOW, round};
 use crate::{
-    Bench, Finding, Interrupted, Interval, Parameter, Verdict,
+    Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
     fit::{self, Body, Frames, Motion, Signal, Track, Turning, Wheels},
 };
 
@@ -145,6 +145,10 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         })
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
+    if let ([begin, end, ..], Some(first)) = (bounds, passes.first()) {
+        let first_pass = between(&motion, *begin, *end);
+        plot(bench, &first_pass, &pulses, &believed, first);
+    }
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
         let values: Vec<f64> = passes.iter().map(of).collect();
         fit::mean_interval(&values, systematic).ok_or_else(undetermined)
@@ -263,6 +267,48 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             ),
         ],
     })
+}
+
+/// The way of the body in a pass, and the yaw rate in the middle of it.
+fn plot(
+    bench: &mut dyn Bench,
+    motion: &Motion,
+    pulses: &Frames,
+    believed: &Believed,
+    (body, steering): &(Body, Wheels),
+) {
+    const SHOWN: f64 = 6.0;
+    let line = |name, kind, points| PlotLine { name, kind, points };
+    bench.plot(&Plot {
+        name: "bends",
+        title: "The body on both circles",
+        x: ("x", "m"),
+        y: ("y", "m"),
+        equal: true,
+        lines: vec![line("body", PlotKind::Measured, motion.position.clone())],
+    });
+    let speed = motion.rear_speed(body.yaw, body.left, 2);
+    let rates = fit::yaw_rates(motion, pulses, &speed, &believed.turning, steering);
+    let middle = rates.get(rates.len() / 2).map_or(0.0, |[time, ..]| *time);
+    let shown = |of: usize| {
+        rates
+            .iter()
+            .filter(|rate| (rate[0] - middle).abs() < SHOWN / 2.0)
+            .map(|rate| [rate[0] - middle, rate[of]])
+            .collect::<Vec<_>>()
+    };
+    let (measured, fitted) = (shown(1), shown(2));
+    bench.plot(&Plot {
+        name: "steering",
+        title: "The yaw rate, measured and by the servo's pulses",
+        x: ("time", "s"),
+        y: ("yaw rate", "rad/s"),
+        equal: false,
+        lines: vec![
+            line("measured", PlotKind::Measured, measured),
+            line("fitted", PlotKind::Fitted, fitted),
+        ],
+    });
 }
 
 /// One pass.

@@ -2,8 +2,8 @@
 
 use super::floor::{self, Ends, Figure, SLOW, round};
 use crate::{
-    Bench, Finding, Interrupted, Interval, Parameter, Verdict,
-    fit::{self, DriveTrain},
+    Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
+    fit::{self, DriveTrain, Motion},
 };
 
 /// The lower speed, m/s.
@@ -107,7 +107,38 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         })
         .filter(|rise| rise.lag < 0.5 && rise.delay < 0.18)
         .collect();
+    plot(bench, &motion, &way, &starts);
     finding(bench, &rises, &rolls)
+}
+
+/// The speeds around all rises, over each other.
+fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
+    /// Poses between which a speed is taken.
+    const APART: usize = 4;
+    let mut points = Vec::new();
+    for rise in starts.iter().skip(1).step_by(2) {
+        for index in APART..motion.time.len() {
+            let (begin, end) = (motion.time[index - APART], motion.time[index]);
+            let time = f64::midpoint(begin, end) - rise;
+            if (-LOOK[0]..LOOK[1]).contains(&time) {
+                points.push([time, (way[index] - way[index - APART]) / (end - begin)]);
+            }
+        }
+        // The next one is another line.
+        points.push([f64::NAN; 2]);
+    }
+    bench.plot(&Plot {
+        name: "speed",
+        title: "Rises of the speed",
+        x: ("time since the reference rose", "s"),
+        y: ("speed", "m/s"),
+        equal: false,
+        lines: vec![PlotLine {
+            name: "rear axle",
+            kind: PlotKind::Measured,
+            points,
+        }],
+    });
 }
 
 fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Ends> {

@@ -114,6 +114,33 @@ pub fn wheels(
     })
 }
 
+/// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
+#[must_use]
+pub fn yaw_rates(
+    motion: &Motion,
+    pulses: &Frames,
+    speed: &[f64],
+    turning: &Turning,
+    found: &Wheels,
+) -> Vec<[f64; 3]> {
+    let parameters = [
+        found.centre_us,
+        1_000.0 / found.gain_us_per_rad,
+        found.lag,
+        found.delay,
+        found.play_us,
+    ];
+    let residuals = residuals(motion, pulses, speed, turning, &parameters);
+    let steps = motion.time.windows(2).zip(motion.yaw.windows(2));
+    steps
+        .zip(residuals)
+        .map(|((time, yaw), residual)| {
+            let rate = (yaw[1] - yaw[0]) / (time[1] - time[0]);
+            [f64::midpoint(time[0], time[1]), rate, rate - residual]
+        })
+        .collect()
+}
+
 /// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
 fn residuals(
     motion: &Motion,
