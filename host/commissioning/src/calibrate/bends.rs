@@ -17,10 +17,10 @@ const ACROSS: [f64; 2] = [0.2, 0.05];
 /// The periods of each.
 const IN_TURN: f64 = 3.0;
 
-/// What all passes have in common, within which 95 of 100 cars are. Pulses change in steps of
-/// 20 ms, at an unknown time between two records of telemetry; the tyres delay the car by about
-/// 5 ms more, which is known to a half; s, of the time constant and of the dead time:
-const IN_STEPS: [f64; 2] = [0.009, 0.008];
+/// What all passes have in common, within which 95 of 100 cars are. Time constant and dead time of
+/// the servo look alike in a weave: their sum is known to 3 ms, and what one is too long the other
+/// is too short, by 6 ms in most cars; s, of the time constant and of the dead time:
+const ALIKE: [f64; 2] = [0.01, 0.01];
 /// the axles, which are measured with a ruler, m;
 const RULER: f64 = 0.002;
 /// one axle, m;
@@ -163,8 +163,8 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let ahead = interval(&|(body, _)| body.ahead, slip.hypot(AXLE))?;
     let ahead = ahead.shifted(-believed.rear_axle);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
-    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * IN_STEPS[0])?;
-    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * IN_STEPS[1])?;
+    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * ALIKE[0])?;
+    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * ALIKE[1])?;
     let excess = [0, 1].map(|side| {
         let sum: f64 = passes
             .iter()
