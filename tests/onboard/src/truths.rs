@@ -35,7 +35,12 @@ pub fn truth_of(name: &str, procedure: &str, world: &World) -> Option<f64> {
             let way = v * v / rolling * (share - libm::log1p(share)) / (share * share);
             v * v / (2.0 * way)
         }
-        "motor-lag" => motor.lag_s * 1e3,
+        // With the battery, which gives way while the car accelerates to 0.3 m/s.
+        "motor-lag" => {
+            let battery = &car.battery;
+            let fall_v_s2_m = battery.resistance_ohm * battery.motor_a_per_m_s2;
+            1e3 * (motor.lag_s + 0.3 * fall_v_s2_m / world.truth().battery_v)
+        }
         "motor-dead-time" => ms(motor.dead_time_us),
         "feed-forward" => {
             // Pulse beyond the deadband for a speed, with the battery as it is.

@@ -3,7 +3,7 @@
 //! shown what the geofence can count on.
 
 use super::floor::{self, Ends, Figure, SLOW, Wanted, round};
-use crate::{Bench, Finding, Interrupted, Parameter, Verdict, fit};
+use crate::{Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Verdict, fit};
 
 /// The speeds, m/s.
 const SPEEDS: [f64; 3] = [SLOW, 0.6, 1.0];
@@ -14,6 +14,8 @@ const RISES_WITH: f64 = 0.5;
 /// How far it keeps it, m, and for how long more, s: the pilot tries its sensors and its brakes
 /// over a metre of a new configuration.
 const KEEPS: (f64, f64) = (1.5, 0.5);
+/// How long of a roll-out is shown, s.
+const SHOWN: f64 = 3.0;
 /// A car that rolls longer than this deceleration would let it is not measured, m/s².
 const LEAST: f64 = 0.2;
 /// How much of the weakest roll-out the geofence counts on.
@@ -29,6 +31,7 @@ pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     floor::place(bench)?;
     let mut stops: Vec<(f64, f64)> = Vec::new();
+    let mut ways = Vec::new();
     let mut passed = 0.0;
     let top = f64::from(bench.configuration().board.speed.max_forward_mm_s) * 1e-3;
     'rising: for speed in SPEEDS {
@@ -37,7 +40,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         }
         floor::limit_speed(bench, speed)?;
         for _ in 0..TIMES {
-            let Some(braking) = rolled(bench, speed)? else {
+            let Some(braking) = rolled(bench, speed, &mut ways)? else {
                 if passed == 0.0 {
                     return Err(Ends::Failed(
                         "there is no room for a circle where the car stands".to_owned(),
@@ -56,6 +59,18 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
             floor::change(bench, &[("fence.braking_m_s2", counted.into())])?;
         }
     }
+    bench.plot(&Plot {
+        name: "roll-out",
+        title: "Roll-outs",
+        x: ("time since neutral was asked for", "s"),
+        y: ("way", "m"),
+        equal: false,
+        lines: vec![PlotLine {
+            name: "rear axle",
+            kind: PlotKind::Measured,
+            points: ways,
+        }],
+    });
     let mean = |speed: f64| {
         let of: Vec<f64> = stops
             .iter()
@@ -113,7 +128,11 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
 
 /// Drives along a circle with this speed and lets the car roll out. Gives the deceleration,
 /// m/s²; none if there is no room for it.
-fn rolled(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
+fn rolled(
+    bench: &mut dyn Bench,
+    speed: f64,
+    ways: &mut Vec<[f64; 2]>,
+) -> Result<Option<f64>, Ends> {
     let mut stands = floor::ready(bench)?;
     let mut circle = Figure::circle(bench, &stands, speed);
     if circle.is_none() {
@@ -144,6 +163,11 @@ fn rolled(bench: &mut dyn Bench, speed: f64) -> Result<Option<f64>, Ends> {
     let motion = drive.track.motion(0.0);
     let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
     let first = motion.time.partition_point(|time| *time < begin);
+    let ends = motion.time.partition_point(|time| *time < begin + SHOWN);
+    let shown = first..ends.max(first);
+    ways.extend(shown.map(|index| [motion.time[index] - begin - 0.3, way[index] - way[first]]));
+    // The next one is another line.
+    ways.push([f64::NAN; 2]);
     fit::roll_out(&motion.time[first..], &way[first..])
         .map(Some)
         .ok_or_else(|| {

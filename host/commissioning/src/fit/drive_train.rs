@@ -1,13 +1,13 @@
 //! ESC, motor and gears, from changes of the speed.
 
-use super::{Frames, gauss_newton};
+use super::{Frames, gauss_newton, speed_curve::USUAL_BEND};
 
 /// How the speed follows the ESC's pulse, as one change of the speed shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveTrain {
-    /// Pulse per speed, µs/(m/s).
+    /// Pulse per speed, µs/(m/s), between the two speeds.
     pub us_per_m_s: f64,
-    /// Pulse at which the speed would be zero, µs.
+    /// Pulse at which the wheels begin to turn, µs.
     pub edge_us: f64,
     /// Time constant, s.
     pub lag: f64,
@@ -18,8 +18,9 @@ pub struct DriveTrain {
 /// The step of the simulated motor, s.
 const STEP: f64 = 0.002;
 
-/// Fits the way of the rear axle (times in s, ways in m) through a change to a higher speed.
-/// `about` is the pulse per speed and that at zero speed where the search begins. A motor that
+/// Fits the way of the rear axle (times in s, ways in m) through a change from the first of two
+/// speeds to the second, m/s. `about` is the pulse per speed and that at zero speed where the
+/// search begins. The map is bent as that of most motors is: the two speeds do not show it. A motor that
 /// turns faster than its pulse wants does not brake: the car rolls, with `rolling` m/s². None if
 /// it is not determined.
 #[must_use]
@@ -27,6 +28,7 @@ pub fn drive_train(
     time: &[f64],
     way: &[f64],
     pulses: &Frames,
+    speeds: [f64; 2],
     about: [f64; 2],
     rolling: f64,
 ) -> Option<DriveTrain> {
@@ -57,8 +59,9 @@ pub fn drive_train(
                 .map(|(&time, &way)| {
                     while now + STEP <= time {
                         now += STEP;
-                        let wanted = (pulses.mean(now - delay, STEP) - edge) * gain * 1e-3;
-                        let change = (share * (wanted.max(0.0) - speed)).max(-rolling * STEP);
+                        let beyond = (pulses.mean(now - delay, STEP) - edge).max(0.0) * gain * 1e-3;
+                        let wanted = beyond / (1.0 + USUAL_BEND * beyond);
+                        let change = (share * (wanted - speed)).max(-rolling * STEP);
                         position += (speed + 0.5 * change) * STEP;
                         speed += change;
                     }
@@ -68,7 +71,13 @@ pub fn drive_train(
         },
     )?;
     Some(DriveTrain {
-        us_per_m_s: 1_000.0 / gain,
+        us_per_m_s: speeds
+            .map(|v| 1.0 - USUAL_BEND * v)
+            .iter()
+            .product::<f64>()
+            .recip()
+            * 1_000.0
+            / gain,
         edge_us,
         lag,
         delay,
@@ -162,12 +171,13 @@ mod tests {
     use super::*;
     use crate::fit::tests::Noise;
 
-    /// A rise of the speed: pulses by the telemetry, and way by the cameras.
-    fn rise(seed: u64, truth: &DriveTrain) -> (Frames, Vec<f64>, Vec<f64>) {
+    /// A rise of the speed by a motor with a bent map: its pulses, and the way by the cameras.
+    fn rise(seed: u64, truth: &DriveTrain, bend: f64) -> (Frames, Vec<f64>, Vec<f64>) {
         let mut noise = Noise::new(seed);
         let phase = 0.02 * noise.uniform();
-        let from = truth.edge_us + 0.15 * truth.us_per_m_s;
-        let to = truth.edge_us + 0.3 * truth.us_per_m_s;
+        let slope = truth.us_per_m_s * (1.0 - 0.15 * bend) * (1.0 - 0.3 * bend);
+        let pulse = |speed: f64| truth.edge_us + slope * speed / (1.0 - bend * speed);
+        let (from, to) = (pulse(0.15), pulse(0.3));
         // The speed loop: a kick, and a ramp.
         let wanted = |time: f64| {
             let since = (time - 0.5).max(0.0);
@@ -187,7 +197,8 @@ mod tests {
             let now = f64::from(index) * step;
             let acted = now - truth.delay;
             let frame = ((acted - phase) / 0.02).floor() * 0.02 + phase;
-            let target = (wanted(frame) - truth.edge_us) / truth.us_per_m_s;
+            let beyond = (wanted(frame) - truth.edge_us) / slope;
+            let target = beyond / (1.0 + bend * beyond);
             speed += step * (target - speed) / truth.lag;
             position += step * speed;
             if index % 100 == 0 && now > 0.1 && now < 1.8 {
@@ -232,7 +243,11 @@ mod tests {
 
     #[test]
     fn the_means_of_some_rises_are_those_of_the_motor() {
-        for (seed, lag, delay) in [(1, 0.06, 0.035), (2, 0.1, 0.02), (3, 0.14, 0.012)] {
+        for (seed, lag, delay, bend) in [
+            (1, 0.06, 0.035, 0.25),
+            (2, 0.1, 0.02, 0.1),
+            (3, 0.14, 0.012, 0.4),
+        ] {
             let truth = DriveTrain {
                 us_per_m_s: 90.0,
                 edge_us: 1_528.0,
@@ -241,8 +256,8 @@ mod tests {
             };
             let found: Vec<DriveTrain> = (0..40)
                 .map(|rise_seed| {
-                    let (pulses, time, way) = rise(seed * 1_000 + rise_seed, &truth);
-                    drive_train(&time, &way, &pulses, [110.0, 1_525.0], 1.0).unwrap()
+                    let (pulses, time, way) = rise(seed * 1_000 + rise_seed, &truth, bend);
+                    drive_train(&time, &way, &pulses, [0.15, 0.3], [110.0, 1_525.0], 1.0).unwrap()
                 })
                 .collect();
             let mean = |of: fn(&DriveTrain) -> f64| found.iter().map(of).sum::<f64>() / 40.0;

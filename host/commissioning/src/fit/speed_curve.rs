@@ -15,7 +15,7 @@ const BENDS: u32 = 160;
 
 /// The bend of drive trains, and its standard deviation, s/m: what is known before. Without it
 /// slow speeds alone, or few, say nothing of the edge.
-const USUAL_BEND: f64 = 0.25;
+pub(crate) const USUAL_BEND: f64 = 0.25;
 const BEND_SPREAD: f64 = 0.2;
 
 /// What a pulse rounds to: the least scatter that is believed, us.

@@ -34,6 +34,13 @@ pub struct Turning {
 /// The step of the simulated servo, s.
 const STEP: f64 = 0.002;
 
+/// The most play that is searched, and how fine, µs.
+const MOST_PLAY_US: f64 = 24.0;
+const PLAY_STEP_US: f64 = 0.5;
+
+/// The model moves for so long before the pass: it forgets how it began, s.
+const AHEAD: f64 = 0.3;
+
 /// Slower poses tell nothing of the steering, m/s.
 const SLOWEST: f64 = 0.05;
 
@@ -49,7 +56,7 @@ pub fn wheels(
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
     let residuals = |parameters: &[f64; 5]| residuals(motion, pulses, speed, turning, parameters);
-    let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.02, 3.0];
+    let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.01];
     let reach = 1_000.0 / gain_us_per_rad.abs();
     let bounds = [
         [centre_us - 200.0, centre_us + 200.0],
@@ -57,12 +64,40 @@ pub fn wheels(
         [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
         [0.002, 0.3],
         [-0.03, 0.2],
-        [0.0, 40.0],
     ]
     .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
-    let scale = [0.5, 0.01, 0.001, 0.001, 0.5];
-    let found = gauss_newton(start, scale, bounds, residuals)?;
-    let [centre_us, inverse, lag, delay, play_us] = found;
+    let scale = [0.5, 0.01, 0.001, 0.001];
+    // Play has corners: together with it the search for the others would end at one of them.
+    let mut near = start;
+    let mut with_play = |play_us: f64| {
+        let whole = |&[centre, inverse, lag, delay]: &[f64; 4]| {
+            residuals(&[centre, inverse, lag, delay, play_us])
+        };
+        let found = gauss_newton(near, scale, bounds, whole)?;
+        near = found;
+        Some((whole(&found).iter().map(|r| r * r).sum::<f64>(), found))
+    };
+    // Golden section: one of the two inner points stays.
+    const GOLDEN: f64 = 0.618_034;
+    let [mut low, mut high] = [0.0, MOST_PLAY_US];
+    let [mut one, mut other] = [high - GOLDEN * high, GOLDEN * high];
+    let [mut at_one, mut at_other] = [with_play(one)?.0, with_play(other)?.0];
+    while high - low > PLAY_STEP_US {
+        if at_one < at_other {
+            high = other;
+            (other, at_other) = (one, at_one);
+            one = high - GOLDEN * (high - low);
+            at_one = with_play(one)?.0;
+        } else {
+            low = one;
+            (one, at_one) = (other, at_other);
+            other = low + GOLDEN * (high - low);
+            at_other = with_play(other)?.0;
+        }
+    }
+    let play_us = f64::midpoint(low, high);
+    let (_, [centre_us, inverse, lag, delay]) = with_play(play_us)?;
+    let found = [centre_us, inverse, lag, delay, play_us];
     let mut sums = [[0.0; 2]; 2];
     for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate[1..]) {
         let side = usize::from(*rate < 0.0);
@@ -79,6 +114,33 @@ pub fn wheels(
     })
 }
 
+/// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
+#[must_use]
+pub fn yaw_rates(
+    motion: &Motion,
+    pulses: &Frames,
+    speed: &[f64],
+    turning: &Turning,
+    found: &Wheels,
+) -> Vec<[f64; 3]> {
+    let parameters = [
+        found.centre_us,
+        1_000.0 / found.gain_us_per_rad,
+        found.lag,
+        found.delay,
+        found.play_us,
+    ];
+    let residuals = residuals(motion, pulses, speed, turning, &parameters);
+    let steps = motion.time.windows(2).zip(motion.yaw.windows(2));
+    steps
+        .zip(residuals)
+        .map(|((time, yaw), residual)| {
+            let rate = (yaw[1] - yaw[0]) / (time[1] - time[0]);
+            [f64::midpoint(time[0], time[1]), rate, rate - residual]
+        })
+        .collect()
+}
+
 /// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
 fn residuals(
     motion: &Motion,
@@ -90,11 +152,13 @@ fn residuals(
     let Some(&start) = motion.time.first() else {
         return Vec::new();
     };
-    let mut motion_state = [0.0; 2];
-    let mut held = pulses.at(start - delay);
+    let mut now = start - AHEAD;
+    let mut held = pulses.at(now - delay);
     let angle = |pulse: f64| (pulse - centre_us) * inverse * 1e-3;
     let mut turned = angle(held);
-    let mut now = start;
+    let [front, rear] = turning.axles;
+    let bend = turned / (front + rear);
+    let mut motion_state = [bend * speed.first().unwrap_or(&0.0), bend * rear];
     let share = 1.0 - (-STEP / lag).exp();
     (1..motion.time.len())
         .map(|index| {
