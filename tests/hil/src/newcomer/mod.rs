@@ -191,6 +191,7 @@ impl Newcomer {
         let edited = |error: singletrack_commissioning::edit::EditError| {
             Failure::new(format!("the configuration: {error}"))
         };
+        self.client()?.begin_procedure(procedure)?.accepted()?;
         let mut file = Edit::read(&self.config()).map_err(edited)?;
         rehearsal
             .apply(procedure, &is_done, &mut file)

@@ -365,6 +365,8 @@ fn circle(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) -> Outc
         y_m: -reach_m,
         yaw_rad: core::f64::consts::FRAC_PI_2,
     };
+    // A car that is lifted right after a drive moves although it was stopped.
+    newcomer.wait_for_mode("ready")?;
     newcomer.do_by_hand(HandCommand::Move(HandMotion::Carry { to, for_s: 1.0 }))?;
     newcomer.wait_for_mode("ready")?;
     let mut begun = None;
