@@ -84,6 +84,9 @@ const STANDING: Duration = Duration::from_millis(1_500);
 /// of a killed program.
 const LET_GO_MS: f64 = 250.0 + NEUTRAL_LIMIT_MS;
 
+/// The longest time that a procedure takes a person who does not think, in s.
+const WHOLE_S: f64 = 1_200.0;
+
 /// What the car does in virtual time, once for all tests.
 static REHEARSAL: Mutex<Option<Rehearsal>> = Mutex::new(None);
 
@@ -340,6 +343,12 @@ fn whole(bench: &mut Bench) -> Outcome {
     let mut newcomer = Newcomer::start(OnboardCar::random(SEED), bench.folder(), &programs)?;
     for procedure in [DOCTOR, BRING_UP, CALIBRATE] {
         let session = newcomer.run(&[procedure], &rehearsal, |_, _, _| Next::GoOn)?;
+        bench.at_most(
+            &format!("{procedure}, every step"),
+            session.time.as_secs_f64(),
+            WHOLE_S,
+            "s",
+        )?;
         eprintln!("{procedure}: {:.0} s", session.time.as_secs_f64());
         succeeded(&session)?;
     }
