@@ -170,6 +170,20 @@ impl Client {
         self.ask("reload")
     }
 
+    /// Reports that a procedure was begun, as its command does.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn begin_procedure(&mut self, procedure: &str) -> Outcome<Answer> {
+        self.request(&json!({
+            "version": VERSION,
+            "command": "commissioned",
+            "procedure": procedure,
+            "result": "begun",
+        }))
+    }
+
     /// Subscribes to the board's status, five times a second.
     ///
     /// # Errors

@@ -133,6 +133,13 @@ impl VirtualBench {
         self.guard.end(&self.drive);
     }
 
+    /// The connection of the operator ends, as when the program is killed.
+    pub fn lose_operator(&mut self) {
+        self.held = false;
+        // It may hold nothing.
+        let _ = self.drive.request(PilotRequest::OperatorGone);
+    }
+
     /// Every question that was asked, once.
     #[must_use]
     pub fn questions(&self) -> &[Question] {

@@ -21,7 +21,7 @@ use singletrack_commissioning::{Answer, Answers, Question, edit::Edit, report};
 use singletrack_onboard::{Hands as _, OnboardCar, Person, Rehearsal};
 use singletrack_sim::{HandCommand, Seen};
 
-use crate::{Failure, Outcome, client::Client, daemon::Daemon, ensure, wait};
+use crate::{Failure, Outcome, client::Client, daemon::Daemon, ensure, rig::as_hardware, wait};
 pub use hands::SocketHands;
 pub use terminal::Terminal;
 
@@ -191,6 +191,7 @@ impl Newcomer {
         let edited = |error: singletrack_commissioning::edit::EditError| {
             Failure::new(format!("the configuration: {error}"))
         };
+        self.client()?.begin_procedure(procedure)?.accepted()?;
         let mut file = Edit::read(&self.config()).map_err(edited)?;
         rehearsal
             .apply(procedure, &is_done, &mut file)
@@ -280,8 +281,8 @@ impl Newcomer {
                     });
                 }
             }
-            if terminal.text().len() > length {
-                (heard, length) = (Instant::now(), terminal.text().len());
+            if terminal.printed() > length {
+                (heard, length) = (Instant::now(), terminal.printed());
             }
             ensure!(
                 heard.elapsed() < SILENCE,
@@ -391,7 +392,8 @@ fn typed(answers: &Answers, answer: Answer) -> String {
 fn start_simulator(folder: &Path, programs: &Path) -> Outcome<(Child, u16)> {
     let log = folder.join("simulator.log");
     let output = fs::File::create(&log).map_err(Failure::system("can't write the log"))?;
-    let mut simulator = Command::new(programs.join("singletrack-sim"))
+    let mut command = Command::new(programs.join("singletrack-sim"));
+    command
         .arg("--config")
         .arg(folder.join("car.toml"))
         .arg("--port")
@@ -399,8 +401,8 @@ fn start_simulator(folder: &Path, programs: &Path) -> Outcome<(Child, u16)> {
         .args(["--command-port", "0", "--data-port", "0", "--hands"])
         .arg(folder.join("hands"))
         .stdin(Stdio::null())
-        .stdout(output)
-        .spawn()
+        .stdout(output);
+    let mut simulator = as_hardware(move || command.spawn())?
         .map_err(Failure::system("can't run singletrack-sim"))?;
     let port = wait::until("the simulator", Duration::from_secs(10), || {
         let text = fs::read_to_string(&log).unwrap_or_default();

@@ -33,8 +33,12 @@ pub struct Terminal {
     /// The person's side.
     screen: OwnedFd,
     program: Child,
-    /// What was printed, without control sequences.
+    /// What was printed, without control sequences and lines that were printed over.
     text: String,
+    /// The next character is printed at the begin of the line.
+    has_returned: bool,
+    /// How many bytes were printed.
+    printed: usize,
     /// How much of it was acted on.
     read: usize,
     /// The end of a control sequence is still to come.
@@ -92,6 +96,8 @@ impl Terminal {
             screen,
             program,
             text: String::new(),
+            has_returned: false,
+            printed: 0,
             read: 0,
             escape: Escape::None,
             held: None,
@@ -102,6 +108,12 @@ impl Terminal {
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
+    }
+
+    /// How many bytes have been printed so far.
+    #[must_use]
+    pub const fn printed(&self) -> usize {
+        self.printed
     }
 
     /// The end of what was printed, for the report of a failure.
@@ -147,12 +159,16 @@ impl Terminal {
     }
 
     fn take(&mut self, bytes: &[u8]) {
+        self.printed += bytes.len();
         for character in String::from_utf8_lossy(bytes).chars() {
             self.escape = match (self.escape, character) {
                 (Escape::None, '\x1b') => Escape::Begun,
-                (Escape::None, '\r' | '\x07') => Escape::None,
+                (Escape::None, '\r') => {
+                    self.has_returned = true;
+                    Escape::None
+                }
                 (Escape::None, character) => {
-                    self.text.push(character);
+                    self.put(character);
                     Escape::None
                 }
                 (Escape::Begun, '[') => Escape::Parameters,
@@ -162,6 +178,16 @@ impl Terminal {
                 _ => Escape::None,
             };
         }
+    }
+
+    fn put(&mut self, character: char) {
+        if self.has_returned && character != '\n' {
+            let line = self.text.rfind('\n').map_or(0, |end| end + 1);
+            self.text.truncate(line);
+            self.read = self.read.min(line);
+        }
+        self.has_returned = false;
+        self.text.push(character);
     }
 
     /// The text of the question that waits for an answer.

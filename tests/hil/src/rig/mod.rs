@@ -186,6 +186,18 @@ pub(crate) fn uinput_lacks() -> Option<&'static str> {
         .then_some("this computer has no /dev/uinput that the test may write to")
 }
 
+/// Runs something with raised priority, and what it starts.
+pub(crate) fn as_hardware<T: Send + 'static>(
+    start: impl FnOnce() -> T + Send + 'static,
+) -> Outcome<T> {
+    std::thread::spawn(move || {
+        priority::raise_priority();
+        start()
+    })
+    .join()
+    .map_err(|_| Failure::new("the start panicked"))
+}
+
 /// Faults of the line, in both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineFaults {

@@ -516,7 +516,13 @@ impl Bench for LiveBench {
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
-        self.drive = None;
+        let before = self.drive.take();
+        if let Some(ended) = before.and_then(|drive| drive.ended)
+            && self.terminal.holds_key()
+        {
+            self.terminal
+                .say(&format!("The car was disarmed: {ended}."));
+        }
         if attendance == Attendance::Drive && !self.has_reference {
             let line = json!({
                 "version": SOCKET_VERSION,

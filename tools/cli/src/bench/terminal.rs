@@ -136,7 +136,11 @@ impl Terminal {
                 "a terminal is needed: its space bar is the dead-man switch",
             ));
         }
-        let before = tcgetattr(&input)?;
+        // A jog that ended by itself has not given it back.
+        let before = match self.held.take() {
+            Some(held) => held.before,
+            None => tcgetattr(&input)?,
+        };
         let mut raw = before.clone();
         // Ctrl-C still interrupts.
         raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
