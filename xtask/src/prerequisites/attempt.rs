@@ -243,6 +243,10 @@ pub(super) fn ros(machine: &Machine) -> Result<String, String> {
         _ => return Err(format!("{name} lacks its headers, or is 3.14 or later")),
     }
     runs(machine, "c++", ["--version"])?;
-    runs(machine, "unshare", crate::ros::NAMESPACE.into_iter().chain(["ip", "link"]))?;
+    runs(
+        machine,
+        "unshare",
+        crate::ros::NAMESPACE.into_iter().chain(["ip", "link"]),
+    )?;
     runs(machine, &name, ["--version"])
 }
