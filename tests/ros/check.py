@@ -389,7 +389,11 @@ def check_bytes(lab, folder):
     odom, ours = recorded["/odom"], received["odom"]
     begin, end = odom.index(ours[0]), odom.index(ours[-1])
     print(f"/odom: {len(ours)} of {end - begin + 1}")
-    assert ours == odom[begin : end + 1] and len(ours) > 1000
+    lost = sorted(set(odom[begin : end + 1]) - set(ours), key=odom.index)
+    places = [odom.index(message) - begin for message in lost[:5]]
+    assert not lost, f"{len(lost)} lost, at {places}; singletrack-ros: {lab.refused}"
+    assert ours == odom[begin : end + 1], "in another order, or twice"
+    assert len(ours) > 1000
     counts = []
     recorded = {channel: set(messages) for channel, messages in recorded.items()}
     for name, (channel, _) in TOPICS.items():
