@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     /// Namespace of the node, its topics and its services, such as /car7
     #[arg(long, value_name = "NAME", default_value = "/")]
     pub(crate) namespace: String,
-    /// The domain of ROS [default: $ROS_DOMAIN_ID, or 0]
+    /// The domain of ROS [default: that of the environment (`ROS_DOMAIN_ID`), or 0]
     #[arg(long, value_name = "NUMBER",
           value_parser = clap::value_parser!(u16).range(0..=LAST_DOMAIN))]
     domain: Option<u16>,

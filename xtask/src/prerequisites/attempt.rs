@@ -243,10 +243,7 @@ pub(super) fn ros(machine: &Machine) -> Result<String, String> {
         _ => return Err(format!("{name} lacks its headers, or is 3.14 or later")),
     }
     runs(machine, "c++", ["--version"])?;
-    runs(
-        machine,
-        "unshare",
-        crate::ros::NAMESPACE.into_iter().chain(["ip", "link"]),
-    )?;
+    let [user, network] = crate::ros::NAMESPACE;
+    runs(machine, "unshare", [user, network, "ip", "link"])?;
     runs(machine, &name, ["--version"])
 }
