@@ -127,6 +127,11 @@ pub(crate) const PYTHON: Prerequisite = Prerequisite {
     attempt: |machine| python(machine).map(|python| python.to_string_lossy().into_owned()),
 };
 
+pub(crate) const PYTHON_PACKAGE: Prerequisite = Prerequisite {
+    part: Some(Part::Python),
+    ..PYTHON
+};
+
 pub(crate) const PROGRAMMER: Prerequisite = Prerequisite {
     name: "avrdude",
     needed: "avrdude, which writes the image to the Arduino",
@@ -152,7 +157,7 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
         .chain(IMAGE)
         .chain([IMAGE_CLIPPY])
         .chain(ODROID)
-        .chain([EMULATOR, SYSTEMD, PYTHON])
+        .chain([EMULATOR, SYSTEMD, PYTHON, PYTHON_PACKAGE])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
         .collect()
 }

@@ -29,18 +29,27 @@ pub(crate) enum Part {
     Odroid,
     /// The Python readers of records.
     Readers,
+    /// The Python package.
+    Python,
     /// systemd's verification of the service.
     Units,
 }
 
 impl Part {
-    pub(crate) const ALL: [Self; 4] = [Self::Uno, Self::Odroid, Self::Readers, Self::Units];
+    pub(crate) const ALL: [Self; 5] = [
+        Self::Uno,
+        Self::Odroid,
+        Self::Readers,
+        Self::Python,
+        Self::Units,
+    ];
 
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Uno => "uno",
             Self::Odroid => "odroid",
             Self::Readers => "readers",
+            Self::Python => "python",
             Self::Units => "units",
         }
     }
