@@ -18,6 +18,7 @@ steering are positive to the left. ``singletrack.gym`` needs the package ``gymna
 from . import law, model, stability
 from ._car import Car, Drive
 from ._errors import ArmError, Rejected, SingletrackError
+from ._register import register as _register
 from ._record import Record, read
 from ._simulator import Simulator
 from ._state import State
@@ -37,3 +38,6 @@ __all__ = [
     "stability",
 ]
 __version__ = "0.1.0"
+
+# For `gymnasium.make("Singletrack-v0")`.
+_register()

@@ -55,8 +55,8 @@ class Record(Mapping[str, "Columns"]):
             names = ("start_ns", "receive_time_ns", "time_ns")
             field = next(name for name in names if name in columns)
         times = np.asarray(columns[field])
-        since: NDArray[np.float64] = (times.astype(np.int64) - self.start_ns[0]) * 1e-9
-        return since
+        since = times.astype(np.int64) - self.start_ns[0]
+        return np.asarray(since * 1e-9, dtype=np.float64)
 
     def pandas(self, topic: str = "tick") -> Any:
         """A topic as a `pandas.DataFrame`, if pandas is installed."""

@@ -1,13 +1,17 @@
-"""Registers the environments with gymnasium, which calls this on its import."""
+"""Registers the environments with gymnasium."""
 
 from __future__ import annotations
+
+import importlib.util
 
 #: Steps of 10 ms in an episode: 20 s.
 MAX_STEPS = 2_000
 
 
 def register() -> None:
-    """Registers ``Singletrack-v0`` and ``Singletrack-System-v0``."""
+    """Registers ``Singletrack-v0`` and ``Singletrack-System-v0``, if gymnasium is installed."""
+    if importlib.util.find_spec("gymnasium") is None:
+        return
     from gymnasium.envs.registration import register as register_one
     from gymnasium.envs.registration import registry
 

@@ -144,14 +144,16 @@ class SocketCar:
     def begin(self, timeout: float) -> State:
         deadline = time.monotonic() + timeout
         self._setpoints = Connection(self._path)
+        self._released.clear()
         self._make_external()
         now = self.state()
         while now.mode != "ready":
+            # Standstill is a set-point too; without one the car is not ready.
+            self._standstill()
             if time.monotonic() > deadline:
                 raise ArmError(f"the car is not ready: mode {now.mode}, because of {now.reason}")
             now = self._receive()
         self._holding.set()
-        self._released.clear()
         self._standstill()
         more = {"uncalibrated": True} if self._uncalibrated else {}
         self._control.send("arm", attendance="hold", **more)

@@ -59,7 +59,7 @@ class State:
     sequence: int | None = None
     #: Age of the set-point in force, in s.
     setpoint_age: float = nan
-    #: Age of the newest telemetry of the board, in s; NaN in a simulation.
+    #: Age of the newest telemetry of the board, in s.
     board_age: float = nan
 
     @property

@@ -11,7 +11,7 @@ Names are those of f1tenth_gym where both have the same thing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -128,7 +128,7 @@ def _observation_space(native: _native.Batch, kind: str) -> spaces.Space[Any]:
     return spaces.Dict({name: spaces.Box(-np.inf, np.inf, (), np.float32) for name in STATE})
 
 
-class SingletrackEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class SingletrackEnv(gymnasium.Env[Any, Any]):
     """One car that follows a reference with its point P.
 
     Args:
@@ -160,7 +160,7 @@ class SingletrackEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     episode has been terminated, ``reason``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class)
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         chosen = _options(**options)
@@ -209,12 +209,12 @@ class SingletrackEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def point(self) -> NDArray[np.float64]:
         """P as it is seen: shape ``(2,)``, m."""
-        return self._native.point()[0]
+        return self._native.point().reshape(2)
 
     @property
     def reference(self) -> NDArray[np.float64]:
         """Position and velocity of the reference now: shape ``(4,)``, m and m/s."""
-        return self._native.reference()[0]
+        return self._native.reference().reshape(4)
 
     def _observation(self, state: NDArray[np.float64], row: NDArray[np.float32]) -> Observation:
         if self._kind == "tracking":
@@ -223,7 +223,7 @@ class SingletrackEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {name: np.asarray(value) for name, value in zip(STATE, values, strict=True)}
 
 
-class SingletrackVectorEnv(VectorEnv[Observation, Any, Any]):
+class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
     """Many cars, stepped natively on several threads; arguments as :class:`SingletrackEnv`.
 
     Args:

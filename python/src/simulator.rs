@@ -15,7 +15,7 @@ use singletrack_control::{
     SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Event, PilotRequest};
 use singletrack_scenario::{
     virtual_drive::{VirtualDrive, VirtualTick},
     virtual_record::VirtualRecord,
@@ -40,6 +40,8 @@ struct Simulation {
     last: Option<VirtualTick>,
     /// The time of the first tick.
     first_ns: Option<u64>,
+    /// The time of the newest telemetry.
+    board_ns: Option<u64>,
     record: Option<VirtualRecord>,
     unwritten: u32,
 }
@@ -90,6 +92,7 @@ impl Simulator {
             drive,
             last: None,
             first_ns: None,
+            board_ns: None,
             record,
             unwritten: 0,
         })))
@@ -136,6 +139,10 @@ impl Simulator {
         state.set_item("steering", output.actuation.steering)?;
         state.set_item("commanded_speed", output.actuation.speed)?;
         state.set_item("tick", tick.index)?;
+        if let Some(board_ns) = simulation.board_ns {
+            let age = now.0.saturating_sub(board_ns);
+            state.set_item("board_age", age as f64 * 1e-9)?;
+        }
         if let Some(stamp) = &output.setpoint {
             state.set_item("sequence", stamp.sequence)?;
             let age = now.0.saturating_sub(stamp.time.0);
@@ -448,6 +455,11 @@ impl Simulation {
     fn step(&mut self) -> PyResult<()> {
         let tick = self.drive.step();
         self.first_ns.get_or_insert(tick.now.0);
+        for event in &tick.tick.events {
+            if let Event::Board(sample) = event {
+                self.board_ns = Some(sample.time.0);
+            }
+        }
         self.last = Some(tick);
         self.unwritten += 1;
         if let Some(record) = &mut self.record

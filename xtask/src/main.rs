@@ -18,6 +18,7 @@ mod packages;
 mod prerequisites;
 mod process;
 mod publish;
+mod python;
 mod readers;
 mod release;
 mod ros;

@@ -22,6 +22,7 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     let python = environment(
         &target.join("readers-venv"),
         &source.join("requirements.txt"),
+        "import mcap_ros2, rosbags",
     )?;
     let singletrack = release.path("singletrack")?;
     let folder = target.join("readers");
@@ -38,15 +39,20 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
         .args([&singletrack, &record]))
 }
 
-/// Creates an environment with the required packages; returns its Python.
-fn environment(folder: &Path, requirements: &Path) -> Result<PathBuf, Failure> {
+/// Creates an environment with the required packages; returns its Python. `probe` is a program
+/// that succeeds if they work.
+pub(crate) fn environment(
+    folder: &Path,
+    requirements: &Path,
+    probe: &str,
+) -> Result<PathBuf, Failure> {
     let required = fs::read(requirements)
         .map_err(|error| Failure::new(format!("{}: {error}", requirements.display())))?;
     let python = folder.join("bin/python");
     // Written after the last successful installation.
     let installed = folder.join("installed.txt");
     // Its Python may have been removed or replaced.
-    let works = || silent(Command::new(&python).args(["-c", "import mcap_ros2, rosbags"])).is_ok();
+    let works = || silent(Command::new(&python).args(["-c", probe])).is_ok();
     if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
         return Ok(python);
     }

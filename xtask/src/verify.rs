@@ -8,7 +8,7 @@ use crate::{
     odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check},
-    publish, readers,
+    publish, python, readers,
     release::{Release, features},
     ros, same_bits,
     step::{Step, run_all},
@@ -23,7 +23,7 @@ Run every check of the project, or the named steps. First tests the prerequisite
 this machine, and installs Debian packages that are missing or too old. Prints the time
 of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, ros, units
+  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, units
   -h, --help       print this help
 ";
 
@@ -147,7 +147,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
                     Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, ros, units"
+                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, units"
                     ))
                 })?;
             if !request.without.contains(&part) {
@@ -272,6 +272,13 @@ fn program_steps(release: Release) -> Vec<Step> {
             move || readers::check(release),
         )
         .of(Part::Readers)
+        .needing(release.part()),
+        Step::new(
+            "python",
+            "the Python package installs, and drives the simulator and the daemon",
+            move || python::check(release),
+        )
+        .of(Part::Python)
         .needing(release.part()),
         Step::new(
             "faults",
@@ -400,7 +407,9 @@ mod tests {
     #[test]
     fn an_unknown_part_or_option_is_refused_with_the_known_ones() {
         let why = parsed("--without arduino").unwrap_err().to_string();
-        assert!(why.contains("\"arduino\"") && why.contains("uno, odroid, readers, ros, units"));
+        assert!(
+            why.contains("\"arduino\"") && why.contains("uno, odroid, readers, python, ros, units")
+        );
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
         }
@@ -426,6 +435,7 @@ mod tests {
         }
         assert_eq!(needed("format documentation packages publish"), []);
         assert_eq!(needed("readers"), [Part::Uno, Part::Readers]);
+        assert_eq!(needed("python"), [Part::Uno, Part::Python]);
         assert_eq!(needed("odroid"), [Part::Uno, Part::Odroid]);
         assert_eq!(needed(""), Part::ALL);
         assert_eq!(needed("prerequisites"), Part::ALL);
@@ -438,7 +448,7 @@ mod tests {
             let steps = steps(&request.without);
             assert_eq!(
                 request.parts_needed(&steps),
-                [Part::Readers, Part::Ros, Part::Units]
+                [Part::Readers, Part::Python, Part::Ros, Part::Units]
             );
         }
         let request = parsed("tests --without uno").unwrap();

@@ -144,6 +144,11 @@ pub(crate) const ROS: Prerequisite = Prerequisite {
     attempt: ros,
 };
 
+pub(crate) const PYTHON_PACKAGE: Prerequisite = Prerequisite {
+    part: Some(Part::Python),
+    ..PYTHON
+};
+
 pub(crate) const PROGRAMMER: Prerequisite = Prerequisite {
     name: "avrdude",
     needed: "avrdude, which writes the image to the Arduino",
@@ -169,7 +174,7 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
         .chain(IMAGE)
         .chain([IMAGE_CLIPPY])
         .chain(ODROID)
-        .chain([EMULATOR, SYSTEMD, PYTHON, ROS])
+        .chain([EMULATOR, SYSTEMD, PYTHON, PYTHON_PACKAGE, ROS])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
         .collect()
 }

@@ -29,6 +29,8 @@ pub(crate) enum Part {
     Odroid,
     /// The Python readers of records.
     Readers,
+    /// The Python package.
+    Python,
     /// ROS 2 in Python.
     Ros,
     /// systemd's verification of the service.
@@ -40,6 +42,7 @@ impl Part {
         Self::Uno,
         Self::Odroid,
         Self::Readers,
+        Self::Python,
         Self::Ros,
         Self::Units,
     ];
@@ -49,6 +52,7 @@ impl Part {
             Self::Uno => "uno",
             Self::Odroid => "odroid",
             Self::Readers => "readers",
+            Self::Python => "python",
             Self::Ros => "ros",
             Self::Units => "units",
         }

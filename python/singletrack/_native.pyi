@@ -1,0 +1,186 @@
+"""The native module; its functions are used through the package."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Arrays = tuple[
+    NDArray[np.float64],
+    NDArray[np.float32],
+    NDArray[np.float64],
+    NDArray[np.bool_],
+    NDArray[np.bool_],
+    NDArray[np.float64],
+]
+
+class Batch:
+    def __new__(
+        cls,
+        num_envs: int,
+        *,
+        whole_system: bool,
+        reference_toml: str,
+        configuration: str,
+        truth: str,
+        randomise: Sequence[tuple[str, float, float]],
+        reward: str,
+        control: str,
+        autoreset: str,
+        periods: int,
+        max_steps: int,
+        preview: Sequence[float],
+        lost_m: float,
+        start_error: Sequence[float],
+        threads: int,
+    ) -> Batch: ...
+    @property
+    def columns(self) -> int: ...
+    @property
+    def limits(self) -> tuple[float, float, float]: ...
+    def reset(
+        self, seeds: Sequence[int | None], mask: Sequence[bool] | None = None
+    ) -> _Arrays: ...
+    def step(self, actions: NDArray[np.float64]) -> _Arrays: ...
+    def last(self) -> list[tuple[int, NDArray[np.float64], NDArray[np.float32]]]: ...
+    def reasons(self) -> list[tuple[int, str]]: ...
+    def truth(self) -> NDArray[np.float64]: ...
+    def reference(self) -> NDArray[np.float64]: ...
+    def point(self) -> NDArray[np.float64]: ...
+
+class Simulator:
+    def __new__(
+        cls,
+        *,
+        seed: int,
+        start: Sequence[float],
+        point: bool,
+        configuration: str,
+        truth: str,
+        reference_toml: str | None,
+        record: str | None,
+    ) -> Simulator: ...
+    def step(self, count: int = 1) -> None: ...
+    def state(self) -> dict[str, Any] | None: ...
+    @property
+    def mode(self) -> str: ...
+    @property
+    def now(self) -> float: ...
+    @property
+    def is_external(self) -> bool: ...
+    def request(self, request: str) -> None: ...
+    def set_reference(self, toml: str) -> int: ...
+    def point_velocity(
+        self,
+        velocity: Sequence[float],
+        position: Sequence[float] | None,
+        sequence: int | None,
+    ) -> None: ...
+    def actuate(
+        self,
+        steering_rad: float | None,
+        steering_rate_rad_s: float | None,
+        speed_m_s: float | None,
+        acceleration_m_s2: float | None,
+        sequence: int | None,
+    ) -> None: ...
+    def trajectory(
+        self, points: Sequence[tuple[int, Sequence[float]]], sequence: int | None
+    ) -> None: ...
+    def truth(self) -> dict[str, Any]: ...
+    def marker_loss(self, pattern: str | None) -> None: ...
+    def lose_markers(self, duration: str) -> None: ...
+    def set_fault(self, name: str, value: Any) -> None: ...
+    def press_reset(self) -> None: ...
+    def place(self, x_m: float, y_m: float, yaw_rad: float) -> None: ...
+    def configuration(self) -> str: ...
+    def finish(self) -> None: ...
+
+def truth_keys() -> list[tuple[str, str, str]]: ...
+def read_record(
+    path: str, topics: Sequence[str] | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]: ...
+def paper_vehicle() -> list[float]: ...
+def model_derivative(
+    kind: str,
+    parameters: Sequence[float],
+    states: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    steering: NDArray[np.float64],
+) -> NDArray[np.float64]: ...
+def model_simulate(
+    kind: str,
+    parameters: Sequence[float],
+    start: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    steering: NDArray[np.float64],
+    period: float,
+) -> NDArray[np.float64]: ...
+def front_point(
+    yaw: float,
+    yaw_rate: float,
+    sideslip: float,
+    steering: float,
+    velocity: Sequence[float],
+    point_distance: float,
+    front_axle_distance: float,
+    wheelbase: float,
+) -> tuple[float, float]: ...
+def velocity_point(
+    yaw: float,
+    yaw_rate: float,
+    sideslip: float,
+    velocity: Sequence[float],
+    point_distance: float,
+    parameters: Sequence[float],
+) -> tuple[float, float]: ...
+def point_p(
+    x: float,
+    y: float,
+    yaw: float,
+    steering: float,
+    front_axle_distance: float,
+    point_distance: float,
+) -> tuple[float, float]: ...
+def eigenvalues(
+    parameters: Sequence[float],
+    law: str,
+    belief: str,
+    point_distance: float,
+    speed: float,
+    deviation: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def is_stable(
+    parameters: Sequence[float],
+    law: str,
+    belief: str,
+    point_distance: float,
+    speed: float,
+    deviation: float,
+) -> bool: ...
+def critical_speed(
+    parameters: Sequence[float], point_distance: float, deviations: Sequence[float]
+) -> float | None: ...
+def smallest_point_distance(
+    parameters: Sequence[float], deviations: Sequence[float]
+) -> float | None: ...
+def hopf_points(
+    parameters: Sequence[float],
+    law: str,
+    belief: str,
+    point_distance: float,
+    speed: float,
+) -> list[dict[str, Any]]: ...
+def sampled(
+    parameters: Sequence[float],
+    law: str,
+    belief: str,
+    point_distance: float,
+    speed: float,
+    deviation: float,
+    period: float,
+    delay: float,
+    position_gain: float,
+    longest_delay: float,
+) -> tuple[float, float | None]: ...

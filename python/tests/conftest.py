@@ -1,0 +1,94 @@
+"""A daemon and a simulated car in real time, for the tests of the socket."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from singletrack import Simulator
+
+PROGRAMS = ("SINGLETRACKD", "SINGLETRACK_SIM")
+
+
+class Daemon:
+    """The daemon with its simulator; ``socket`` is the control socket."""
+
+    def __init__(self, folder: Path) -> None:
+        self.socket = folder / "control.sock"
+        line = folder / "uno"
+        configuration = folder / "car.toml"
+        # The configuration of the simulated car, with the addresses of this test.
+        text = Simulator(configuration={"reference": {"kind": "external"}}).configuration()
+        commands, frames = _free_port(), _free_port()
+        text = _set(text, "serial", "port", f'"{line}"')
+        text = _set(text, "motion_capture", "interface", '"127.0.0.1"')
+        text = _set(text, "motion_capture", "command_port", f"{commands}")
+        text = _set(text, "motion_capture", "data_port", f"{frames}")
+        text = _set(text, "record", "directory", f'"{folder / "records"}"')
+        text = _set(text, "state", "directory", f'"{folder / "state"}"')
+        text = _set(text, "socket", "path", f'"{self.socket}"')
+        configuration.write_text(text)
+        self.log = (folder / "log").open("wb")
+        self.simulator = subprocess.Popen(
+            [
+                os.environ["SINGLETRACK_SIM"],
+                *("--port", str(line)),
+                *("--command-port", str(commands)),
+                *("--data-port", str(frames)),
+                *("--start", "1,-0.4868,90"),
+            ],
+            stdout=self.log,
+            stderr=self.log,
+        )
+        _wait(line)
+        self.daemon = subprocess.Popen(
+            [os.environ["SINGLETRACKD"], "--config", str(configuration)],
+            stdout=self.log,
+            stderr=self.log,
+        )
+        _wait(self.socket)
+
+    def close(self) -> None:
+        for program in (self.daemon, self.simulator):
+            program.terminate()
+        for program in (self.daemon, self.simulator):
+            program.wait(10)
+        self.log.close()
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _set(text: str, section: str, key: str, value: str) -> str:
+    pattern = rf"(\[{section}\]\n(?:[^\[].*\n|\n)*?){key} = .*\n"
+    replaced, count = re.subn(pattern, rf"\g<1>{key} = {value}\n", text)
+    assert count == 1, f"{section}.{key}"
+    return replaced
+
+
+def _wait(path: Path) -> None:
+    deadline = time.monotonic() + 15
+    while not path.exists():
+        assert time.monotonic() < deadline, f"no {path}"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    missing = [name for name in PROGRAMS if name not in os.environ]
+    if missing:
+        pytest.skip(f"set {', '.join(missing)} to the programs")
+    running = Daemon(tmp_path)
+    yield running
+    running.close()

@@ -1,0 +1,242 @@
+"""Driving, in the simulator and through the control socket of a daemon in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from circle import circle
+
+import singletrack
+from singletrack import ArmError, Car, Rejected, Simulator
+
+ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
+
+
+def test_one_script_drives_the_simulator_and_the_daemon(daemon: Any) -> None:
+    simulated = circle(Car("sim", **ON_CIRCLE), 8.0)
+    driven = circle(Car(str(daemon.socket)), 8.0)
+    for errors in (simulated, driven):
+        assert len(errors) > 300
+        # The machine of the tests may be busy.
+        assert max(errors) < 0.08
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    runs = [circle(Car("sim", seed=7, **ON_CIRCLE), 5.0) for _ in range(2)]
+    assert runs[0] == runs[1]
+    assert runs[0] != circle(Car("sim", seed=8, **ON_CIRCLE), 5.0)
+
+
+def test_actuation_is_followed_within_the_limits() -> None:
+    car = Car("sim")
+    with car.drive() as drive:
+        for state in drive:
+            drive.actuate(0.2, 0.5)
+            if state.drive_time is not None and state.drive_time > 2.0:
+                break
+        assert abs(state.steering - 0.2) < 1e-9 and abs(state.commanded_speed - 0.5) < 1e-9
+        truth = car.status()["truth"]
+        assert abs(truth["steering"] - 0.2) < 0.02 and abs(truth["speed"] - 0.5) < 0.1
+        for state in drive:
+            drive.actuate(1.5, 50.0)
+            if state.drive_time is not None and state.drive_time > 4.0:
+                break
+        assert state.steering <= 0.45 and state.commanded_speed <= 1.5
+
+
+def test_a_rate_and_an_acceleration_are_actuation_too() -> None:
+    with Car("sim").drive() as drive:
+        for state in drive:
+            drive.actuate(steering_rate_rad_s=0.1, acceleration_m_s2=0.2)
+            if state.drive_time is not None and state.drive_time >= 1.0:
+                break
+        assert 0.08 < state.steering < 0.11 and 0.17 < state.commanded_speed < 0.21
+        with pytest.raises(TypeError):
+            drive.actuate(0.1)
+
+
+def test_a_trajectory_is_followed() -> None:
+    errors = []
+    with Car("sim").drive() as drive:
+        start = None
+        for state in drive:
+            if start is None:
+                start, origin = state.t, state.point
+            if state.tick % 5 == 0:
+                ahead = [state.t + 0.1 * step for step in range(10)]
+                drive.trajectory(
+                    [(t, origin[0] + 0.3 * (t - start), origin[1], 0.3, 0.0) for t in ahead]
+                )
+            if state.t - start > 3.0:
+                errors.append(math.dist(state.point, (origin[0] + 0.3 * (state.t - start), origin[1])))
+            if state.t - start > 6.0:
+                break
+    assert len(errors) > 200 and max(errors) < 0.06
+
+
+def test_leaving_the_block_stops_the_car_also_by_an_exception() -> None:
+    car = Car("sim")
+    with pytest.raises(ZeroDivisionError), car.drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.5, 0.0)
+            if state.speed > 0.3:
+                raise ZeroDivisionError
+    assert car.state.mode in ("ready", "idle")
+    assert abs(car.status()["truth"]["speed"]) < 0.01
+    # And it can be driven again.
+    with car.drive() as drive:
+        assert next(drive).driving
+
+
+def test_what_is_not_finite_is_rejected_and_stops_the_car() -> None:
+    car = Car("sim")
+    for bad in (math.nan, math.inf):
+        with pytest.raises(Rejected) as rejected, car.drive() as drive:
+            next(drive)
+            drive.point_velocity(bad, 0.0)
+        assert rejected.value.word == "not-finite"
+        assert car.state.mode in ("ready", "idle")
+
+
+def test_a_controller_that_stops_sending_ends_the_drive() -> None:
+    with Car("sim").drive() as drive:
+        for count, _ in enumerate(drive):
+            if count < 100:
+                drive.point_velocity(0.4, 0.0)
+            assert count < 200
+    assert drive.reason == "setpoint-stale"
+
+
+def test_full_speed_at_the_fence_ends_inside_of_it() -> None:
+    simulator = Simulator(
+        configuration={"fence.corners_m": [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]]}
+    )
+    with Car(simulator).drive() as drive:
+        for state in drive:
+            drive.actuate(0.0, 1.5)
+            assert state.t < 30.0
+    assert drive.reason is not None and "fence" in drive.reason
+    assert abs(simulator.truth()["x"]) < 3.0
+
+
+def test_a_car_that_can_not_be_armed_says_why() -> None:
+    simulator = Simulator()
+    simulator.fault("cameras", "silent")
+    with pytest.raises(ArmError, match="no-pose"), Car(simulator).drive(timeout=4.0):
+        pass
+
+
+def test_faults_reach_the_system() -> None:
+    simulator = Simulator()
+    with Car(simulator).drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.4, 0.0)
+            if state.drive_time is not None and state.drive_time > 1.0:
+                simulator.fault("imu", "silent")
+            assert state.t < 20.0
+    assert drive.reason is not None and "imu" in drive.reason
+    with pytest.raises(ValueError, match="unknown fault"):
+        simulator.fault("imus", "silent")
+
+
+def test_truth_and_belief_are_two_things() -> None:
+    simulator = Simulator(truth={"servo.centre_us": 1540, "vehicle": {"friction": 0.5}})
+    assert "centre_us = 1500" in simulator.configuration()
+    with Car(simulator).drive() as drive:
+        for state in drive:
+            drive.actuate(0.0, 0.4)
+            if state.drive_time is not None and state.drive_time > 1.0:
+                break
+    assert abs(simulator.truth()["steering"] - 0.05) < 0.01
+    with pytest.raises(ValueError, match="servo.lag_ms"):
+        Simulator(truth={"servo.lag_ms": -1.0})
+    with pytest.raises(ValueError, match="friktion"):
+        Simulator(truth={"vehicle.friktion": 1.0})
+
+
+def test_asyncio_drives_too() -> None:
+    async def drives() -> singletrack.State:
+        async with Car("sim").drive() as drive:
+            async for state in drive:
+                drive.point_velocity(0.4, 0.0)
+                if state.drive_time is not None and state.drive_time > 1.0:
+                    return state
+        raise AssertionError(drive.reason)
+
+    assert asyncio.run(drives()).speed > 0.3
+
+
+def test_a_daemon_that_is_not_there_is_named() -> None:
+    with pytest.raises(ConnectionError, match="/nowhere.sock"):
+        Car("/nowhere.sock")
+
+
+def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    with car.drive() as drive:
+        for state in drive:
+            drive.actuate(0.3, 0.4)
+            if state.drive_time is not None and state.drive_time > 2.0:
+                break
+        assert abs(state.steering - 0.3) < 1e-6
+        assert state.setpoint_age < 0.2 and state.sequence is not None
+        until = state.t + 1.5
+        for state in drive:
+            (x, y), yaw = state.point, state.yaw
+            vx, vy = 0.4 * math.cos(yaw), 0.4 * math.sin(yaw)
+            drive.trajectory(
+                [(state.t + s, x + vx * s, y + vy * s, vx, vy) for s in (0.0, 0.3, 0.6)]
+            )
+            if state.t > until:
+                break
+        assert state.speed > 0.2
+    assert drive.state is not None and not drive.state.driving
+
+
+def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    with pytest.raises(Rejected) as rejected, car.drive() as drive:
+        for _ in drive:
+            # Beyond any car.
+            drive.actuate(0.1, 1_000.0)
+    assert rejected.value.word == "out-of-range"
+    wait_until_still(car)
+    script = Path(__file__).with_name("circle.py")
+    program = subprocess.Popen(
+        [sys.executable, str(script), str(daemon.socket)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 20
+    while car.state.speed < 0.2 or car.state.mode != "driving":
+        assert time.monotonic() < deadline
+    program.send_signal(signal.SIGINT)
+    assert program.wait(15) != 0
+    wait_until_still(car)
+    # A program that is killed ends the drive with its connection.
+    program = subprocess.Popen(
+        [sys.executable, str(script), str(daemon.socket)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    deadline = time.monotonic() + 20
+    while car.state.mode != "driving":
+        assert time.monotonic() < deadline
+    program.kill()
+    program.wait()
+    wait_until_still(car)
+    assert car.state.reason in ("operator-gone", "setpoint-stale")
+
+
+def wait_until_still(car: Car) -> None:
+    deadline = time.monotonic() + 10
+    while car.state.mode not in ("ready", "idle"):
+        assert time.monotonic() < deadline, car.state

@@ -1,0 +1,158 @@
+"""The environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import singletrack  # noqa: F401  (registers the environments)
+
+ENVIRONMENTS = ["Singletrack-v0", "Singletrack-System-v0"]
+OPTIONS: list[dict[str, Any]] = [
+    {},
+    {"observation": "kinematic_state"},
+    {"control_input": ["point_velocity"], "reward": "progress"},
+    {"randomise": "other-cars", "timestep": 0.02},
+]
+DRIVE = np.array([0.25, 0.5], np.float32)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("options", OPTIONS)
+def test_gymnasiums_checker_passes(name: str, options: dict[str, Any]) -> None:
+    check_env(gymnasium.make(name, **options).unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_the_same_seed_gives_the_same_bits_alone_and_side_by_side(name: str) -> None:
+    steps = 120
+
+    def alone(seed: int) -> list[np.ndarray]:
+        env = gymnasium.make(name, randomise="other-cars")
+        rows = [env.reset(seed=seed)[0]]
+        rows += [env.step(DRIVE)[0] for _ in range(steps)]
+        return rows
+
+    assert np.array_equal(alone(3), alone(3))
+    assert not np.array_equal(alone(3), alone(4))
+    for threads in (1, 2):
+        vector = gymnasium.make_vec(name, num_envs=3, randomise="other-cars", threads=threads)
+        rows = [vector.reset(seed=3)[0]]
+        rows += [vector.step(np.tile(DRIVE, (3, 1)))[0] for _ in range(steps)]
+        side_by_side = np.stack(rows, axis=1)
+        for index in range(3):
+            assert np.array_equal(side_by_side[index], alone(3 + index))
+
+
+def test_a_car_that_is_lost_ends_its_episode_with_the_reason() -> None:
+    env = gymnasium.make("Singletrack-v0")
+    env.reset(seed=1)
+    for _ in range(1_000):
+        _, reward, terminated, truncated, info = env.step(np.array([-0.4, 1.0], np.float32))
+        if terminated:
+            break
+    assert terminated and not truncated
+    assert reward == -10.0 and info["reason"] == "lost"
+
+
+def test_the_supervisor_ends_an_episode_of_the_whole_system() -> None:
+    env = gymnasium.make(
+        "Singletrack-System-v0",
+        lost=100.0,
+        configuration={"fence.corners_m": [[-2.5, -2.5], [2.5, -2.5], [2.5, 2.5], [-2.5, 2.5]]},
+    )
+    env.reset(seed=1)
+    for _ in range(1_500):
+        *_, terminated, _, info = env.step(np.array([0.0, 1.0], np.float32))
+        if terminated:
+            break
+    assert "fence" in info["reason"]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_episodes_end_and_begin_as_gymnasium_wants_it(mode: AutoresetMode) -> None:
+    vector = gymnasium.make_vec(
+        "Singletrack-v0",
+        num_envs=4,
+        max_episode_steps=10,
+        autoreset_mode=mode,
+    )
+    first, _ = vector.reset(seed=0)
+    actions = np.tile(DRIVE, (4, 1))
+    for _ in range(9):
+        *_, truncated, _ = vector.step(actions)
+        assert not truncated.any()
+    observation, _, _, truncated, info = vector.step(actions)
+    assert truncated.all()
+    if mode is AutoresetMode.SAME_STEP:
+        assert info["_final_obs"].all()
+        assert not np.array_equal(info["final_obs"][0], observation[0])
+        # A car at rest.
+        assert np.all(observation[:, 0] == 0.0)
+    elif mode is AutoresetMode.NEXT_STEP:
+        observation, reward, _, truncated, _ = vector.step(actions)
+        assert not truncated.any() and not reward.any()
+        assert np.all(observation[:, 0] == 0.0)
+    else:
+        with pytest.raises(ValueError, match="reset"):
+            vector.step(actions)
+        mask = np.array([True] * 4)
+        vector.reset(options={"reset_mask": mask})
+        vector.step(actions)
+
+
+def test_the_own_law_tracks_the_circle_in_both_environments() -> None:
+    for name, most in zip(ENVIRONMENTS, (0.03, 0.05), strict=True):
+        env = gymnasium.make(name, control_input=["point_velocity"], start_error=(0.05, 0.1))
+        env.reset(seed=1)
+        car: Any = env.unwrapped
+        for step in range(1_000):
+            x, y, vx, vy = car.reference
+            px, py = car.point
+            *_, terminated, _, info = env.step(np.array([vx + x - px, vy + y - py], np.float32))
+            assert not terminated
+            if step > 600:
+                assert info["point_error"] < most
+
+
+def test_names_and_values_are_those_of_f1tenth_gym() -> None:
+    vector = gymnasium.make_vec("Singletrack-v0", num_envs=2, observation="kinematic_state")
+    vector.reset(seed=1)
+    for _ in range(200):
+        observation, *_ = vector.step(np.tile(DRIVE, (2, 1)))
+    names = ["pose_x", "pose_y", "delta", "linear_vel_x", "pose_theta", "ang_vel_z", "beta"]
+    assert list(observation) == names
+    assert np.allclose(observation["linear_vel_x"], 0.5, atol=0.08)
+    assert np.allclose(observation["delta"], 0.25, atol=0.01)
+    assert np.all(observation["ang_vel_z"] > 0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"timestep": 0.015}, "timestep"),
+        ({"control_input": ["torque"]}, "control_input"),
+        ({"reward": "much"}, "reward"),
+        ({"randomise": {"servo.lag_ms": (0.0, 1.0)}}, "servo.lag_ms"),
+        ({"randomise": {"lag": (0.0, 1.0)}}, "section.key"),
+        ({"randomise": {"servo.lag_ms": (50.0, 20.0)}}, "in order"),
+        ({"reference": {"kind": "circle"}}, "radius_m"),
+        ({"configuration": {"limits.max_sped": 1.0}}, "max_sped"),
+    ],
+)
+def test_a_mistake_is_named(options: dict[str, Any], word: str) -> None:
+    with pytest.raises(ValueError, match=word):
+        gymnasium.make("Singletrack-v0", **options)
+
+
+def test_an_action_that_is_not_finite_is_refused() -> None:
+    env = gymnasium.make("Singletrack-v0", disable_env_checker=True)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="finite"):
+        env.step(np.array([np.nan, 0.1], np.float32))
