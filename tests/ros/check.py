@@ -12,6 +12,7 @@ import os
 import pathlib
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -366,6 +367,33 @@ def check_stalled(lab, system, arguments):
         print(f"  {key}: {before[key]} before, {after[key]} after")
 
 
+def sockets(process):
+    """The UDP ports of a process, and how many datagrams the kernel dropped at each."""
+    inodes = set()
+    for file in pathlib.Path(f"/proc/{process.pid}/fd").iterdir():
+        if (match := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(file))) is not None:
+            inodes.add(match[1])
+    lines = [line.split() for line in open("/proc/net/udp").readlines()[1:]]
+    return {int(line[1].split(":")[1], 16): int(line[12]) for line in lines if line[9] in inodes}
+
+
+def check_closed(system):
+    """Datagrams from another address than loopback's do not reach the node."""
+    process = system.processes["singletrack-ros"]
+    subprocess.run(["ip", "address", "add", "10.9.9.9/32", "dev", "lo"], check=True)
+    before = sockets(process)
+    assert len(before) >= 4, before
+    for source, count in (("127.0.0.1", 3), ("10.9.9.9", 5)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.bind((source, 0))
+            for port in before:
+                for _ in range(count):
+                    sender.sendto(b"RTPS", (source, port))
+    dropped = [drops - before[port] for port, drops in sockets(process).items()]
+    assert dropped == [5] * len(before), dropped
+    print(f"from elsewhere: every datagram is dropped at {len(before)} sockets")
+
+
 def check_stop(lab, system):
     assert lab.call("stop").success
     wait("the stop", lambda: system.mode()[1] == "emergency-stop")
@@ -445,6 +473,10 @@ def main():
         for publisher in (lab.velocities, lab.drives, lab.paths):
             wait("a match", lambda: publisher.get_subscription_count() > 0)
         wait("P", lambda: lab.point is not None and lab.yaw is not None)
+        # What came while the nodes found each other may have gaps.
+        time.sleep(0.5)
+        for raws in lab.raw.values():
+            raws.clear()
         check_latency(lab)
         check_velocity(lab, system, arguments)
         check_drive(lab, system, arguments)
@@ -452,6 +484,7 @@ def main():
         check_old(lab, system)
         check_stalled(lab, system, arguments)
         check_stop(lab, system)
+        check_closed(system)
         system.end()
         check_bytes(lab, arguments.folder)
         print(f"{time.monotonic() - begin:.0f} s")

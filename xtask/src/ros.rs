@@ -44,7 +44,7 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
         .envs(std::env::vars_os().filter(|(name, _)| name == "PATH" || name == "HOME")))
 }
 
-/// Creates an environment with rclpy and ackermann_msgs; returns its Python.
+/// Creates an environment with rclpy and the messages of `ackermann_msgs`; returns its Python.
 fn environment(folder: &Path, source: &Path) -> Result<PathBuf, Failure> {
     let requirements = source.join("requirements.txt");
     let builder = source.join("ackermann.py");
