@@ -25,9 +25,7 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     let build = target.join("python");
     let cargo_in_source = || {
         let mut command = cargo();
-        command
-            .current_dir(&source)
-            .env("CARGO_TARGET_DIR", &build);
+        command.current_dir(&source).env("CARGO_TARGET_DIR", &build);
         command
     };
     run(cargo_in_source().args(["fmt", "--check"]))?;
@@ -53,9 +51,11 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
         command
     };
     run(&mut in_source(&["-m", "mypy", "singletrack", "examples"]))?;
-    run(in_source(&["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
-        .env("SINGLETRACKD", release.path("singletrackd")?)
-        .env("SINGLETRACK_SIM", release.path("singletrack-sim")?))?;
+    run(
+        in_source(&["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
+            .env("SINGLETRACKD", release.path("singletrackd")?)
+            .env("SINGLETRACK_SIM", release.path("singletrack-sim")?),
+    )?;
     let folder = target.join("python-examples");
     std::fs::create_dir_all(&folder)
         .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
