@@ -1,7 +1,7 @@
 """Trains a policy on the car alone, and drives it on the whole system.
 
 Augmented random search of a linear policy (Mania, Guy, Recht 2018), which needs nothing but
-numpy: some minutes on two cores. Writes ``policy.npz`` and the curve ``training.csv``.
+numpy: some two minutes on two cores. Writes ``policy.npz`` and the curve ``training.csv``.
 ``--short`` only shows that it runs.
 """
 
@@ -108,7 +108,7 @@ def drive(policy: Policy, name: str, steps: int = 1_000) -> float:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--iterations", type=int, default=300)
+    parser.add_argument("--iterations", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--short", action="store_true", help="only two iterations")
     options = parser.parse_args()
