@@ -69,7 +69,8 @@ def train(iterations: int, seed: int) -> Policy:
         "Singletrack-v0", num_envs=count, randomise="other-cars",
         max_episode_steps=EPISODE + 1, **TASK,
     )  # fmt: skip
-    policy = Policy(envs.single_action_space, envs.single_observation_space.shape[0])
+    columns = envs.single_observation_space.sample().size
+    policy = Policy(envs.single_action_space, columns)
     generator = np.random.default_rng(seed)
     began = time.perf_counter()
     with open("training.csv", "w", encoding="utf-8") as curve:
