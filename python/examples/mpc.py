@@ -16,7 +16,7 @@ from scipy import sparse
 import singletrack
 
 HORIZON, STEP = 20, 0.05
-RATE, FASTEST, WALL = 0.5, 0.8, 1.5
+RATE, FASTEST, WALL = 0.5, 0.8, 1.8
 
 
 class Controller:
@@ -84,4 +84,4 @@ def main(target: str = "sim", seconds: float = 13.0) -> float:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main(sys.argv[1] if len(sys.argv) > 1 else "sim")

@@ -432,14 +432,11 @@ impl Cars {
                 .enumerate()
                 .map(|(number, chunk)| scope.spawn(move || run(number * share, chunk)))
                 .collect();
-            workers
-                .into_iter()
-                .map(|worker| {
-                    worker
-                        .join()
-                        .unwrap_or_else(|_| Err(SetupError::new("a simulation has panicked")))
-                })
-                .collect()
+            workers.into_iter().try_for_each(|worker| {
+                worker
+                    .join()
+                    .unwrap_or_else(|_| Err(SetupError::new("a simulation has panicked")))
+            })
         })
     }
 }
@@ -453,6 +450,9 @@ type Arrays<'py> = (
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray2<f64>>,
 );
+
+/// Index of a car, its state and its observation.
+type Last<'py> = (usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f32>>);
 
 fn refuse(error: impl ToString) -> PyErr {
     PyValueError::new_err(error.to_string())
@@ -632,7 +632,6 @@ impl Batch {
     }
 
     /// Steps all cars; `actions` has a row for each.
-    #[expect(clippy::needless_pass_by_value, reason = "as PyO3 passes it")]
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -663,10 +662,7 @@ impl Batch {
 
     /// The last state and observation of the episodes that ended in the last step and have
     /// been reset in it, by the index of the car.
-    fn last<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<Vec<(usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f32>>)>> {
+    fn last<'py>(&self, py: Python<'py>) -> PyResult<Vec<Last<'py>>> {
         let cars = self.cars()?;
         Ok(cars
             .instances

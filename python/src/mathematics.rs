@@ -16,6 +16,9 @@ use singletrack_control::{
 /// `[mass, yaw inertia, l_f, l_r, friction, C_f, C_r]`.
 type Vehicle = [f64; 7];
 
+/// Real and imaginary parts.
+type RealAndImaginary<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
 fn refuse(error: impl ToString) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
@@ -155,7 +158,6 @@ fn write(rows: &mut Array2<f64>, index: usize, values: [f64; 5]) {
 
 /// The derivative of each state.
 #[pyfunction]
-#[expect(clippy::needless_pass_by_value, reason = "as PyO3 passes it")]
 pub(crate) fn model_derivative<'py>(
     py: Python<'py>,
     kind: &str,
@@ -186,7 +188,6 @@ pub(crate) fn model_derivative<'py>(
 /// The states of a car from a start, one more than there are inputs. Each input holds for
 /// `period` s, which is integrated in steps of at most 1 ms.
 #[pyfunction]
-#[expect(clippy::needless_pass_by_value, reason = "as PyO3 passes it")]
 pub(crate) fn model_simulate<'py>(
     py: Python<'py>,
     kind: &str,
@@ -339,7 +340,7 @@ pub(crate) fn eigenvalues<'py>(
     point_distance: f64,
     speed: f64,
     deviation: f64,
-) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+) -> PyResult<RealAndImaginary<'py>> {
     let closed = closed_loop(parameters, law, belief, point_distance, speed, deviation)?;
     let values = closed.eigenvalues();
     Ok((

@@ -72,7 +72,6 @@ fn error(error: RecordError) -> PyErr {
 /// Reads a record: `(topics, meta)`, with a dictionary of columns for each topic.
 #[pyfunction]
 #[pyo3(signature = (path, topics = None))]
-#[expect(clippy::needless_pass_by_value, reason = "as PyO3 passes it")]
 pub(crate) fn read_record<'py>(
     py: Python<'py>,
     path: PathBuf,

@@ -215,6 +215,8 @@ def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any)
         [sys.executable, str(script), str(daemon.socket)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         stderr=subprocess.DEVNULL,
+        # A shell starts what runs in the background without it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 20
     while car.state.speed < 0.2 or car.state.mode != "driving":
