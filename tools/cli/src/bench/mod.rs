@@ -346,9 +346,7 @@ impl LiveBench {
                     lines.push(&line);
                 }
                 for line in lines {
-                    connection
-                        .send(line)
-                        .map_err(|error| refused(error.into()))?;
+                    connection.send(line).map_err(refused)?;
                 }
             }
             if let Some(answer) = connection.receive().map_err(refused)? {
