@@ -492,6 +492,10 @@ impl Bench for LiveBench {
     }
 
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
+        if self.terminal.holds_key() {
+            // A jog that ended by itself: the terminal echoes again.
+            let _ = self.disarm();
+        }
         self.ask_of(question, true)
     }
 
