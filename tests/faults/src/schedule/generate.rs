@@ -288,11 +288,11 @@ fn neutrals(random: &mut Random, end_ms: u32) -> [Fault; 2] {
     ]
 }
 
-/// What a program that turns hostile does, in half of the schedules with a program. The draws
+/// What a program that turns hostile does, in most of the schedules with a program. The draws
 /// are a stream of their own, so that they change nothing else of a schedule.
 fn hostile(seed: u64, end_ms: u32, faults: &mut Vec<Fault>) {
     let random = &mut Random::new(seed, Stream::ProgramFaults);
-    if random.happens(500) {
+    if random.happens(200) {
         return;
     }
     for _ in 0..random.between(1, 2) {
