@@ -368,13 +368,20 @@ def check_stalled(lab, system, arguments):
 
 
 def sockets(process):
-    """The UDP ports of a process, and how many datagrams the kernel dropped at each."""
+    """The UDP ports at which a process alone takes datagrams for every address, and how many of
+    them the kernel dropped. Those of multicast are shared."""
     inodes = set()
     for file in pathlib.Path(f"/proc/{process.pid}/fd").iterdir():
         if (match := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(file))) is not None:
             inodes.add(match[1])
     lines = [line.split() for line in open("/proc/net/udp").readlines()[1:]]
-    return {int(line[1].split(":")[1], 16): int(line[12]) for line in lines if line[9] in inodes}
+    port = lambda line: int(line[1].split(":")[1], 16)
+    ports = [port(line) for line in lines]
+    return {
+        port(line): int(line[12])
+        for line in lines
+        if line[9] in inodes and line[1].startswith("00000000:") and ports.count(port(line)) == 1
+    }
 
 
 def check_closed(system):
@@ -382,7 +389,7 @@ def check_closed(system):
     process = system.processes["singletrack-ros"]
     subprocess.run(["ip", "address", "add", "10.9.9.9/32", "dev", "lo"], check=True)
     before = sockets(process)
-    assert len(before) >= 4, before
+    assert len(before) >= 2, before
     for source, count in (("127.0.0.1", 3), ("10.9.9.9", 5)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.bind((source, 0))
