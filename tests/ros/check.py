@@ -464,6 +464,18 @@ def check_bytes(lab, folder):
     print("in the record, byte for byte:", ", ".join(counts))
 
 
+def report_setpoints(system, folder):
+    """From the stamp of a set-point here to the beginning of the tick that obeyed it."""
+    (record,) = folder.glob("*.mcap")
+    command = [system.programs / "singletrack", "dump", record, "--topic", "tick"]
+    ticks = subprocess.run([*command, "--format", "json"], check=True, capture_output=True).stdout
+    delays = []
+    for tick in map(json.loads, ticks.splitlines()):
+        setpoints = [event["setpoint"] for event in tick["events"] if event["setpoint"]]
+        delays += [(tick["start_ns"] - one["time_ns"]) * 1e-9 for one in setpoints]
+    print(f"set-points, from their stamp to the next tick (10 ms): {quantiles(delays)}")
+
+
 def stall():
     """Subscribes, and says so; it is then stopped."""
     rclpy.init()
@@ -514,6 +526,7 @@ def main():
         check_closed(system)
         system.end()
         check_bytes(lab, arguments.folder)
+        report_setpoints(system, arguments.folder)
         print(f"{time.monotonic() - begin:.0f} s")
     except BaseException:
         for name in ("singletrackd", "singletrack-ros"):
