@@ -91,6 +91,7 @@ class Lab(Node):
         super().__init__("lab", namespace=NAMESPACE)
         self.raw = {name: [] for name in TOPICS}
         self.arrived = []
+        self.whole = 0
         self.point = None
         self.yaw = None
         self.refused = {}
@@ -228,6 +229,9 @@ class System:
         wait("the simulator's port", board.exists)
         self.start("singletrackd", "--config", configuration)
         wait("the daemon's socket", self.socket.exists)
+        self.start_node()
+
+    def start_node(self):
         self.start("singletrack-ros", "--socket", self.socket, "--namespace", NAMESPACE)
 
     def start(self, name, *arguments):
@@ -386,6 +390,30 @@ def check_stalled(lab, system, arguments):
         print(f"  {key}: {before[key]} before, {after[key]} after")
 
 
+def check_killed(lab, system):
+    """singletrack-ros is killed in the middle of a drive: the car stops at once."""
+    circle = Circle(lab)
+    every(0.02, 0.6, lambda: lab.velocity(circle.velocity()))
+    arm = lab.triggers["arm"].call_async(Trigger.Request())
+    while not arm.done():
+        every(0.02, 0.02, lambda: lab.velocity(circle.velocity()))
+    assert arm.result().success, arm.result().message
+    every(0.02, 1.0, lambda: lab.velocity(circle.velocity()))
+    lab.whole = len(lab.raw["odom"])
+    begin = time.monotonic()
+    system.processes["singletrack-ros"].kill()
+    system.processes["singletrack-ros"].wait()
+    wait("the stop", lambda: system.mode()[0] != "driving")
+    took = time.monotonic() - begin
+    assert system.mode()[1] == "operator-gone", system.mode()
+    print(f"singletrack-ros killed: operator-gone, seen after {took * 1e3:.0f} ms")
+    system.start_node()
+    count = len(lab.raw["odom"])
+    wait("the messages of the next process", lambda: len(lab.raw["odom"]) > count + 50)
+    for client in lab.triggers.values():
+        assert client.wait_for_service(10.0), "a service is missing"
+
+
 def sockets(process):
     """The UDP ports at which a process alone takes datagrams for every address, and how many of
     them the kernel dropped. Those of multicast are shared."""
@@ -440,7 +468,8 @@ def check_bytes(lab, folder):
             if channel.topic in recorded:
                 recorded[channel.topic].append(padded(message.data))
     received = {name: [padded(raw) for raw in raws] for name, raws in lab.raw.items()}
-    odom, ours = recorded["/odom"], received["odom"]
+    # Until the process was killed.
+    odom, ours = recorded["/odom"], received["odom"][: lab.whole]
     begin, end = odom.index(ours[0]), odom.index(ours[-1])
     print(f"/odom: {len(ours)} of {end - begin + 1}")
     lost = sorted(set(odom[begin : end + 1]) - set(ours), key=odom.index)
@@ -522,6 +551,7 @@ def main():
         check_path(lab, system, arguments)
         check_old(lab, system)
         check_stalled(lab, system, arguments)
+        check_killed(lab, system)
         check_stop(lab, system)
         check_closed(system)
         system.end()
