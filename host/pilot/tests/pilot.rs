@@ -6,8 +6,9 @@
 mod bench;
 
 use singletrack_control::{
-    Circle, External, InertialSample, Limits, PoseSample, Position, Reference, Setpoint, Time,
-    VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+    Circle, External, InertialSample, Limits, PoseSample, Position, ProportionalLoop, Reference,
+    Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, TrackingLoop, Trajectory,
+    TrajectoryPoint, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
 };
 use singletrack_pilot::{
     BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
@@ -345,6 +346,140 @@ fn external_set_points_are_followed_until_the_last_one_is_too_old() {
         (output.mode, output.reason),
         (Mode::Stopping, Some(Reason::SetpointStale))
     );
+}
+
+#[test]
+fn demanded_steering_and_speed_replace_the_law_within_the_limits() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    });
+    let limits = config().limits;
+    let mut last = None;
+    for tick in 0..400 {
+        if tick == 100 {
+            bench.extra.push(Event::Request(PilotRequest::Arm));
+        }
+        let now = Time((bench.tick + 1) * TICK_NS);
+        let (steering, speed) = (SteeringDemand::Angle(1.5), SpeedDemand::Acceleration(50.0));
+        let event = Event::Setpoint(Setpoint::actuation(now, steering, speed));
+        bench.extra.push(event);
+        let output = bench.step();
+        assert!(output.point_velocity.is_none() && output.reference.is_none());
+        assert_eq!(output.setpoint.map(|stamp| stamp.time), Some(now));
+        let actuation = output.actuation;
+        if let Some(before) = last.replace(actuation) {
+            let rate = (actuation.steering - before.steering) / config().period;
+            let change = (actuation.speed - before.speed) / config().period;
+            assert!(rate.abs() <= limits.max_steering_rate + 1e-9, "{rate}");
+            assert!(change.abs() <= limits.max_acceleration + 1e-9, "{change}");
+        }
+        assert!(actuation.speed <= limits.max_speed);
+    }
+    assert_eq!(bench.pilot.mode(), Mode::Driving);
+    let last = last.unwrap();
+    assert_eq!(last.steering, limits.max_steering);
+    assert!((last.speed - limits.speed_in_bend(last.steering)).abs() < 1e-9);
+}
+
+#[test]
+fn set_points_that_must_not_be_obeyed_keep_no_car_driving() {
+    type Mistake = fn(&mut Setpoint);
+    let mistakes: [Mistake; 4] = [
+        |setpoint| setpoint.stamp.time.0 += 1,
+        |setpoint| setpoint.stamp.time = Time(u64::MAX),
+        |setpoint| setpoint.stamp.time.0 -= 201_000_000,
+        |setpoint| {
+            setpoint.demand = singletrack_control::Demand::Actuation {
+                steering: SteeringDemand::Angle(f64::NAN),
+                speed: SpeedDemand::Speed(0.5),
+            };
+        },
+    ];
+    for mistake in mistakes {
+        let mut bench = Bench::with(PilotConfig {
+            reference: Reference::External(External::new(0.2).unwrap()),
+            ..config()
+        });
+        let mut modes = Vec::new();
+        for tick in 0..300 {
+            if tick == 100 {
+                bench.extra.push(Event::Request(PilotRequest::Arm));
+            }
+            let now = Time((bench.tick + 1) * TICK_NS);
+            let mut setpoint = Setpoint::point(now, None, Velocity::new(0.5, 0.0));
+            if tick >= 200 {
+                mistake(&mut setpoint);
+            }
+            bench.extra.push(Event::Setpoint(setpoint));
+            let output = bench.step();
+            modes.push((output.mode, output.reason));
+        }
+        // 200 ms after the last one that may be obeyed.
+        assert_eq!(modes[219], (Mode::Driving, None));
+        assert_eq!(modes[220], (Mode::Stopping, Some(Reason::SetpointStale)));
+    }
+}
+
+#[test]
+fn a_trajectory_is_followed_by_the_outer_loop_and_ends_the_drive_at_its_end() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        tracking: TrackingLoop::Proportional(ProportionalLoop {
+            gain: Velocity::new(2.0, 2.0),
+            feed_forward: true,
+        }),
+        ..config()
+    });
+    let from = bench.run(100).point.unwrap();
+    let begin = bench.now();
+    for tick in 0..600 {
+        if tick == 20 {
+            bench.extra.push(Event::Request(PilotRequest::Arm));
+        }
+        let now = Time((bench.tick + 1) * TICK_NS);
+        let trajectory = Trajectory {
+            stamp: SetpointStamp {
+                time: now,
+                sequence: Some(tick),
+            },
+            points: (0..60)
+                .map(|index| {
+                    let seconds = 0.1 * f64::from(index);
+                    let x = 0.2 * (seconds - 0.3).clamp(0.0, 2.5);
+                    TrajectoryPoint {
+                        time: begin.after(seconds),
+                        position: from + Velocity::new(x, 0.0),
+                        velocity: Velocity::new(if x > 0.0 && x < 0.5 { 0.2 } else { 0.0 }, 0.0),
+                    }
+                })
+                .filter(|point| point.time <= begin.after(2.8))
+                .collect(),
+        };
+        bench
+            .extra
+            .extend(trajectory.pieces().map(Event::TrajectoryPiece));
+        let output = bench.step();
+        match output.mode {
+            Mode::Driving => {
+                let reference = output.reference.unwrap();
+                let off = output.point.unwrap() - reference.position.unwrap();
+                assert!(
+                    off.norm() < 0.12 || reference.velocity.x < 0.15,
+                    "{tick} {off}"
+                );
+                assert_eq!(output.setpoint.unwrap().sequence, Some(tick));
+            }
+            Mode::Stopping => {
+                assert_eq!(output.reason, Some(Reason::SetpointStale));
+                let moved = output.point.unwrap() - from;
+                assert!((moved - Velocity::new(0.5, 0.0)).norm() < 0.1, "{moved}");
+                return;
+            }
+            _ => assert!(tick < 25, "{:?}", output.reason),
+        }
+    }
+    panic!("it drove on after the end");
 }
 
 #[test]

@@ -2,7 +2,6 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use singletrack_control::Setpoint;
 use singletrack_core::{HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS};
 use singletrack_pilot::PilotRequest;
 use singletrack_record::TickRecord;
@@ -11,6 +10,7 @@ use crate::{
     SetupError,
     network::HostSockets,
     port::{Port, WriteHalf},
+    program::Sent,
 };
 
 /// The host's clock at the start of the simulation, in ns.
@@ -74,8 +74,12 @@ impl Daemon {
     }
 
     /// Sends a set-point, as a client of the control socket.
-    pub(crate) fn send(&self, setpoint: &Setpoint) {
-        self.host.parts().setpoints.send(setpoint);
+    pub(crate) fn send(&self, sent: &Sent) {
+        let setpoints = &self.host.parts().setpoints;
+        match sent {
+            Sent::Setpoint(setpoint) => setpoints.send(setpoint),
+            Sent::Trajectory(trajectory) => setpoints.send_trajectory(trajectory),
+        }
     }
 
     /// Reloads the configuration. A refusal has no effect; the daemon would log it.

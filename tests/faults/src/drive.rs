@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use singletrack_control::{Setpoint, Velocity};
+use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
@@ -11,14 +11,14 @@ use singletrack_sim::{BoardKind, ReceivedMessage, World};
 
 use crate::{
     SetupError,
-    daemon::Daemon,
+    daemon::{Daemon, host_ns},
     digest::Digest,
     invariant::{self, Invariant},
     network::{HostSockets, Network},
     observation::{Observation, ReceivedPose, Spec},
     pins::{Pins, Pulse},
     port::Port,
-    program::Program,
+    program::{Program, Sight},
     random::{Random, Stream},
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
@@ -193,7 +193,7 @@ impl<'a> Drive<'a> {
             invariants: invariant::all(config.pilot().map_err(SetupError::Config)?),
             file: ConfigurationFile::default(),
             changed: None,
-            program: Program::default(),
+            program: Program::new(schedule.seed),
             drive_time_s: None,
             newest_setpoint_ns: None,
             violation: None,
@@ -339,7 +339,7 @@ impl<'a> Drive<'a> {
         let mut run = config.clone();
         tamper.host(&mut run);
         let daemon = Daemon::start(&run, wall_ns ^ process, self.daemons, self.now_us)?;
-        self.program = Program::default();
+        self.program = Program::new(self.schedule.seed);
         self.drive_time_s = None;
         self.newest_setpoint_ns = None;
         self.changed = Some((1, config));
@@ -384,21 +384,19 @@ impl<'a> Drive<'a> {
         }
         if let Some(daemon) = &self.daemon
             && self.schedule.situation.reference == ReferenceKind::External
-            && let Some(setpoint) =
-                self.program
-                    .poll(self.now_us, &self.schedule.situation, self.drive_time_s)
         {
-            let setpoint = if self.is_active(FaultKind::SetpointsNotANumber) {
-                let velocity = Velocity::new(f64::NAN, 0.0);
-                Setpoint::point(setpoint.stamp.time, None, velocity)
-            } else {
-                setpoint
+            let truth = self.world.truth();
+            let sight = Sight {
+                position: Position::new(truth.x, truth.y),
+                drive_time_s: self.drive_time_s,
             };
-            if !self.is_active(FaultKind::SetpointsGone) {
-                daemon.send(&setpoint);
-                if setpoint.demand.check().is_ok() {
-                    self.newest_setpoint_ns = Some(setpoint.stamp.time.0);
-                }
+            let mut faults = self.faults.iter().copied();
+            let fault = faults.find(|fault| fault.kind.changes_setpoints());
+            let situation = &self.schedule.situation;
+            let now = Time(host_ns(self.now_us));
+            for sent in self.program.poll(self.now_us, situation, sight, fault) {
+                daemon.send(&sent);
+                self.newest_setpoint_ns = self.newest_setpoint_ns.max(sent.obeyed_ns(now));
             }
         }
         Ok(())

@@ -1,39 +1,166 @@
-//! A program that sends the daemon set-points along a circle.
+//! A program that sends the daemon set-points along a circle, and may turn hostile.
 
-use singletrack_control::{Position, Setpoint, Time, Velocity};
+use singletrack_control::{
+    Position, Setpoint, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
+    direction,
+};
 
-use crate::{daemon::host_ns, schedule::Situation, setting::radius};
+use crate::{
+    daemon::host_ns,
+    random::{Random, Stream},
+    schedule::{Fault, FaultKind, Situation},
+    setting::radius,
+};
 
 /// Interval between two set-points, in µs.
 const INTERVAL_US: u64 = 20_000;
 
+/// Set-points at a time of a program that sends without a pause.
+const FLOOD: u32 = 20;
+
+/// More than any car is allowed, in m/s and rad.
+const FAST: f64 = 50.0;
+const LOCK: f64 = 1.5;
+
 /// The program. It follows the daemon's drive time.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Program {
     next_us: u64,
+    random: Random,
+}
+
+/// What the program knows of the car.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight {
+    pub(crate) position: Position,
+    /// Time since the drive began, in s; `None` while the car does not drive.
+    pub(crate) drive_time_s: Option<f64>,
+}
+
+/// A set-point on its way to the daemon.
+#[derive(Clone, Debug)]
+pub(crate) enum Sent {
+    Setpoint(Setpoint),
+    Trajectory(Box<Trajectory>),
+}
+
+impl Sent {
+    /// When it was decided, if it may be obeyed at `now`.
+    pub(crate) fn obeyed_ns(&self, now: Time) -> Option<u64> {
+        let (stamp, checked) = match self {
+            Self::Setpoint(setpoint) => (setpoint.stamp, setpoint.check(now, f64::INFINITY)),
+            Self::Trajectory(trajectory) => {
+                (trajectory.stamp, trajectory.check(now, f64::INFINITY))
+            }
+        };
+        checked.ok().map(|()| stamp.time.0)
+    }
 }
 
 impl Program {
-    /// The set-point that is due at `now_us`; `drive_time_s` is the time since the drive
-    /// began, `None` while the car does not drive.
+    pub(crate) fn new(seed: u64) -> Self {
+        Self {
+            next_us: 0,
+            random: Random::new(seed, Stream::Program),
+        }
+    }
+
+    /// The set-points that are due at `now_us`, as the fault of the program has them.
     pub(crate) fn poll(
         &mut self,
         now_us: u64,
         situation: &Situation,
-        drive_time_s: Option<f64>,
-    ) -> Option<Setpoint> {
+        sight: Sight,
+        fault: Option<Fault>,
+    ) -> Vec<Sent> {
         if now_us < self.next_us {
-            return None;
+            return Vec::new();
         }
         self.next_us = now_us + INTERVAL_US;
+        let now = Time(host_ns(now_us));
         let speed = f64::from(situation.speed_mm_s) * 1e-3;
         let radius = radius(speed);
-        let angle = drive_time_s.unwrap_or(0.0) * speed / radius;
+        let angle = sight.drive_time_s.unwrap_or(0.0) * speed / radius;
         let (sin, cos) = (libm::sin(angle), libm::cos(angle));
-        Some(Setpoint::point(
-            Time(host_ns(now_us)),
-            Some(Position::new(radius * cos, radius * sin)),
-            Velocity::new(-speed * sin, speed * cos),
-        ))
+        let position = Some(Position::new(radius * cos, radius * sin));
+        let velocity = Velocity::new(-speed * sin, speed * cos);
+        let good = |time| Setpoint::point(time, position, velocity);
+        let Some(fault) = fault else {
+            return vec![Sent::Setpoint(good(now))];
+        };
+        let severity = u64::from(fault.severity);
+        let away = libm::atan2(sight.position.y, sight.position.x);
+        let one = |setpoint| vec![Sent::Setpoint(setpoint)];
+        match fault.kind {
+            FaultKind::SetpointsGone => Vec::new(),
+            FaultKind::SetpointsNotANumber => {
+                one(Setpoint::point(now, None, Velocity::new(f64::NAN, 0.0)))
+            }
+            FaultKind::SetpointsOld => one(good(Time(now.0.saturating_sub(severity * 1_000_000)))),
+            FaultKind::SetpointsFuture => {
+                one(good(Time(now.0.saturating_add(severity * 1_000_000_000))))
+            }
+            FaultKind::SetpointsAtFullLock => {
+                let side = if (now_us / 1_000 / severity).is_multiple_of(2) {
+                    LOCK
+                } else {
+                    -LOCK
+                };
+                one(Setpoint::actuation(
+                    now,
+                    SteeringDemand::Angle(side),
+                    SpeedDemand::Speed(FAST),
+                ))
+            }
+            FaultKind::SetpointsOutward => one(Setpoint::actuation(
+                now,
+                SteeringDemand::Angle(0.0),
+                SpeedDemand::Acceleration(FAST),
+            )),
+            FaultKind::SetpointsTrajectory => {
+                let way = |seconds: f64| sight.position + FAST * 0.2 * seconds * direction(away);
+                let points = (0..40)
+                    .map(|index| {
+                        let seconds = 0.05 * f64::from(index);
+                        TrajectoryPoint {
+                            time: now.after(seconds),
+                            position: way(seconds),
+                            velocity: FAST * direction(away),
+                        }
+                    })
+                    .collect();
+                let stamp = good(now).stamp;
+                vec![Sent::Trajectory(Box::new(Trajectory { stamp, points }))]
+            }
+            _ => {
+                // Without a pause.
+                self.next_us = now_us;
+                (0..FLOOD).map(|_| Sent::Setpoint(self.any(now))).collect()
+            }
+        }
+    }
+
+    /// Any set-point at all.
+    fn any(&mut self, now: Time) -> Setpoint {
+        let random = &mut self.random;
+        let mut value = || match random.between(0, 9) {
+            0 => f64::NAN,
+            1 => f64::INFINITY,
+            2 => -1e300,
+            _ => f64::from(random.signed(-2_000, 2_000)) * 1e-3,
+        };
+        let (a, b, c, d) = (value(), value(), value(), value());
+        let time = match random.between(0, 9) {
+            0 => Time(now.0.saturating_add(u64::from(random.between(1, u32::MAX)))),
+            1 => Time(u64::MAX),
+            2 => Time(now.0.saturating_sub(u64::from(random.between(1, u32::MAX)))),
+            _ => now,
+        };
+        match random.between(0, 3) {
+            0 => Setpoint::point(time, None, Velocity::new(a, b)),
+            1 => Setpoint::point(time, Some(Position::new(a, b)), Velocity::new(c, d)),
+            2 => Setpoint::actuation(time, SteeringDemand::Angle(a), SpeedDemand::Speed(b)),
+            _ => Setpoint::actuation(time, SteeringDemand::Rate(a), SpeedDemand::Acceleration(b)),
+        }
     }
 }

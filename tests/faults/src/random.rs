@@ -11,6 +11,10 @@ pub(crate) enum Stream {
     Schedule = 1,
     Network = 2,
     Host = 3,
+    /// What the program that sends set-points does by mistake.
+    Program = 4,
+    /// Its faults in a schedule.
+    ProgramFaults = 5,
 }
 
 impl Random {

@@ -118,6 +118,7 @@ fn check(line: &[u8]) {
     match Command::parse(line, NOW_NS) {
         Ok(command) => check_accepted(&command, line),
         Err(error) => {
+            let error = error.to_string();
             assert!(!error.trim().is_empty(), "refused without a message");
             assert!(
                 error.len() <= MAX_ANSWER + 8 * line.len(),

@@ -582,7 +582,6 @@ impl Bench for MockCar {
             command: None,
             point: None,
             braking_measured: None,
-            setpoint: None,
         }));
         Ok(())
     }

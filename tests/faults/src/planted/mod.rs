@@ -237,6 +237,18 @@ bugs! {
         |_| drives_on();
     Host "drives on by old set-points", "setpoint-silence",
         "reference external; fault setpoints-gone at 6500 for 900 severity 1", |_| drives_on();
+    Host "drives on by set-points from the future", "setpoint-silence",
+        "reference external; fault setpoints-future at 6500 for 900 severity 1", |_| drives_on();
+    Host "drives on by set-points that come late", "setpoint-silence",
+        "reference external; fault setpoints-old at 6500 for 900 severity 400", |_| drives_on();
+    Host "follows a program out of the geofence", "fence",
+        "reference external; fence_mm 100; end_ms 12000; \
+         fault setpoints-outward at 6500 for 5000 severity 1000",
+        |_| Host(|config: &mut Config| {
+            for corner in config.fence.corners_m.iter_mut().flatten() {
+                *corner *= 3.0;
+            }
+        });
     Host "commands 100 m/s", "command-limits", "", |_| Commands(|drive: &mut Drive| {
         drive.speed_mm_s = i16::MAX;
     });

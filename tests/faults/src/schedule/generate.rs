@@ -72,6 +72,9 @@ impl Schedule {
         if situation.neutral_us != 1_500 {
             faults.extend(neutrals(random, end_ms));
         }
+        if situation.reference == ReferenceKind::External {
+            hostile(seed, end_ms, &mut faults);
+        }
         faults.sort_by_key(|fault| fault.at_ms);
         let mut once = Vec::new();
         faults.retain(|fault| {
@@ -285,11 +288,29 @@ fn neutrals(random: &mut Random, end_ms: u32) -> [Fault; 2] {
     ]
 }
 
+/// What a program that turns hostile does, in most of the schedules with a program. The draws
+/// are a stream of their own, so that they change nothing else of a schedule.
+fn hostile(seed: u64, end_ms: u32, faults: &mut Vec<Fault>) {
+    let random = &mut Random::new(seed, Stream::ProgramFaults);
+    if random.happens(200) {
+        return;
+    }
+    for _ in 0..random.between(1, 2) {
+        let kinds = FaultKind::ALL.iter().copied();
+        let kinds: Vec<_> = kinds.filter(|kind| kind.is_hostile()).collect();
+        faults.push(Fault {
+            kind: random.choose(FaultKind::SetpointsFlood, &kinds),
+            at_ms: random.between(FIRST_ARM_MS, end_ms),
+            for_ms: random.spread(150, 6_000),
+            severity: random.spread(10, Fault::WORST),
+        });
+    }
+}
+
 fn fault(random: &mut Random, end_ms: u32) -> Fault {
-    let kind = random.choose(
-        FaultKind::CameraUntracked,
-        FaultKind::ALL.get(1..).unwrap_or(&[]),
-    );
+    let kinds = FaultKind::ALL.iter().copied();
+    let kinds: Vec<_> = kinds.filter(|kind| !kind.is_hostile()).collect();
+    let kind = random.choose(FaultKind::CameraUntracked, kinds.get(1..).unwrap_or(&[]));
     let early = random.happens(100);
     let at_ms = if early {
         random.between(FIRST_FAULT_MS, FIRST_ARM_MS)

@@ -173,6 +173,18 @@ kinds! {
     SetpointsGone = "setpoints-gone", Host;
     /// Set-points are no numbers.
     SetpointsNotANumber = "setpoints-nan", Host;
+    /// Set-points were decided s ms ago.
+    SetpointsOld = "setpoints-old", Host;
+    /// Set-points are decided in s s.
+    SetpointsFuture = "setpoints-future", Host;
+    /// The program demands all speed and full steering, to the other side every s ms.
+    SetpointsAtFullLock = "setpoints-full-lock", Host;
+    /// The program demands all speed straight ahead.
+    SetpointsOutward = "setpoints-outward", Host;
+    /// The program demands trajectories straight out of the geofence.
+    SetpointsTrajectory = "setpoints-trajectory", Host;
+    /// The program sends anything, without a pause.
+    SetpointsFlood = "setpoints-flood", Host;
 }
 
 impl FaultKind {
@@ -208,6 +220,27 @@ impl FaultKind {
             Self::PulsesDoubled | Self::PulsesHalved | Self::PulsesErratic => Self::PulsesGone,
             kind => kind,
         }
+    }
+
+    /// Whether the program that sends set-points is hostile. It is in schedules with such a
+    /// program only.
+    #[must_use]
+    pub const fn is_hostile(self) -> bool {
+        matches!(
+            self,
+            Self::SetpointsOld
+                | Self::SetpointsFuture
+                | Self::SetpointsAtFullLock
+                | Self::SetpointsOutward
+                | Self::SetpointsTrajectory
+                | Self::SetpointsFlood
+        )
+    }
+
+    /// Whether the program sends no set-points, or others than it should.
+    #[must_use]
+    pub const fn changes_setpoints(self) -> bool {
+        matches!(self, Self::SetpointsGone | Self::SetpointsNotANumber) || self.is_hostile()
     }
 
     /// Whether the host's threads run later or not at all.
