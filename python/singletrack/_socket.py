@@ -145,7 +145,22 @@ class SocketCar:
         deadline = time.monotonic() + timeout
         self._setpoints = Connection(self._path)
         self._released.clear()
-        self._make_external()
+        try:
+            self._make_external()
+            while True:
+                self._await_ready(deadline)
+                try:
+                    return self._arm()
+                except ArmError as error:
+                    # The mode has changed meanwhile, for example because the board restarts.
+                    if "arm: mode" not in str(error) or time.monotonic() > deadline:
+                        raise
+                    self._let_go()
+        except BaseException:
+            self.end()
+            raise
+
+    def _await_ready(self, deadline: float) -> None:
         now = self.state()
         while now.mode != "ready":
             # Standstill is a set-point too; without one the car is not ready.
@@ -153,21 +168,29 @@ class SocketCar:
             if time.monotonic() > deadline:
                 raise ArmError(f"the car is not ready: mode {now.mode}, because of {now.reason}")
             now = self._receive()
+
+    def _arm(self) -> State:
         self._holding.set()
         self._standstill()
         more = {"uncalibrated": True} if self._uncalibrated else {}
         self._control.send("arm", attendance="hold", **more)
         self._keeper = threading.Thread(target=self._keep, daemon=True, name="singletrack-hold")
         self._keeper.start()
-        try:
-            self._await_armed()
-            while not (now := self._receive()).driving:
-                if time.monotonic() > deadline:
-                    raise ArmError(f"the car does not drive: mode {now.mode}, {now.reason}")
-        except BaseException:
-            self.end()
-            raise
+        self._await_armed()
+        deadline = time.monotonic() + _SILENCE
+        while not (now := self._receive()).driving:
+            if time.monotonic() > deadline:
+                raise ArmError(f"the drive has ended at once: mode {now.mode}, {now.reason}")
         return now
+
+    def _let_go(self) -> None:
+        """Ends the renewals; begins with a new connection, which has no old answers."""
+        self._holding.clear()
+        if self._keeper is not None:
+            self._keeper.join(1.0)
+            self._keeper = None
+        self._control.close()
+        self._control = Connection(self._path)
 
     def _make_external(self) -> None:
         """Makes the reference external, unless it is."""
@@ -237,17 +260,11 @@ class SocketCar:
         try:
             return self._disarm()
         finally:
-            self._holding.clear()
-            if self._keeper is not None:
-                self._keeper.join(1.0)
-                self._keeper = None
-            # What is left of this drive must not be taken for the next one.
-            self._control.close()
             for connection in (self._setpoints, self._states):
                 if connection is not None:
                     connection.close()
             self._setpoints = self._states = None
-            self._control = Connection(self._path)
+            self._let_go()
 
     def _disarm(self) -> State | None:
         if not self._holding.is_set():

@@ -26,6 +26,7 @@ def circle(car: singletrack.Car, seconds: float) -> list[float]:
                 errors.append(math.hypot(x - px, y - py))
             if time > seconds:
                 break
+    assert time > seconds, f"ended after {time:.2f} s: {drive.reason}"
     assert drive.state is not None and drive.state.mode in ("ready", "idle"), drive.state
     return errors
 

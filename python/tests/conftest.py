@@ -15,12 +15,14 @@ import pytest
 from singletrack import Simulator
 
 PROGRAMS = ("SINGLETRACKD", "SINGLETRACK_SIM")
+#: The Arduino's image too, where it is given.
+BOARDS = ["native", *(["uno"] if "SINGLETRACK_UNO" in os.environ else [])]
 
 
 class Daemon:
     """The daemon with its simulator; ``socket`` is the control socket."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, board: str) -> None:
         self.socket = folder / "control.sock"
         line = folder / "uno"
         configuration = folder / "car.toml"
@@ -39,6 +41,7 @@ class Daemon:
         self.simulator = subprocess.Popen(
             [
                 os.environ["SINGLETRACK_SIM"],
+                *("--board", board),
                 *("--port", str(line)),
                 *("--command-port", str(commands)),
                 *("--data-port", str(frames)),
@@ -84,11 +87,11 @@ def _wait(path: Path) -> None:
         time.sleep(0.02)
 
 
-@pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[Daemon]:
+@pytest.fixture(params=BOARDS)
+def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
     missing = [name for name in PROGRAMS if name not in os.environ]
     if missing:
         pytest.skip(f"set {', '.join(missing)} to the programs")
-    running = Daemon(tmp_path)
+    running = Daemon(tmp_path, request.param)
     yield running
     running.close()

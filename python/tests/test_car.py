@@ -18,15 +18,17 @@ from circle import circle
 import singletrack
 from singletrack import ArmError, Car, Rejected, Simulator
 
+#: The machine may be busy: the board then stops the car, as it must.
+REAL_TIME = pytest.mark.flaky(reruns=3)
 ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
 
 
+@REAL_TIME
 def test_one_script_drives_the_simulator_and_the_daemon(daemon: Any) -> None:
     simulated = circle(Car("sim", **ON_CIRCLE), 8.0)
     driven = circle(Car(str(daemon.socket)), 8.0)
     for errors in (simulated, driven):
         assert len(errors) > 300
-        # The machine of the tests may be busy.
         assert max(errors) < 0.08
 
 
@@ -180,6 +182,7 @@ def test_a_daemon_that_is_not_there_is_named() -> None:
         Car("/nowhere.sock")
 
 
+@REAL_TIME
 def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
     car = Car(str(daemon.socket))
     with car.drive() as drive:
@@ -202,6 +205,7 @@ def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
     assert drive.state is not None and not drive.state.driving
 
 
+@REAL_TIME
 def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any) -> None:
     car = Car(str(daemon.socket))
     with pytest.raises(Rejected) as rejected, car.drive() as drive:
@@ -220,7 +224,7 @@ def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any)
     )
     deadline = time.monotonic() + 20
     while car.state.speed < 0.2 or car.state.mode != "driving":
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline and program.poll() is None
     program.send_signal(signal.SIGINT)
     assert program.wait(15) != 0
     wait_until_still(car)
@@ -231,7 +235,7 @@ def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any)
     )
     deadline = time.monotonic() + 20
     while car.state.mode != "driving":
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline and program.poll() is None
     program.kill()
     program.wait()
     wait_until_still(car)

@@ -12,10 +12,11 @@ use crate::{
 };
 
 /// The examples, in short versions.
-const EXAMPLES: [&[&str]; 3] = [
+const EXAMPLES: [&[&str]; 4] = [
     &["p_control.py"],
     &["mpc.py"],
     &["throughput.py", "--short"],
+    &["train.py", "--short"],
 ];
 
 pub(crate) fn check(release: Release) -> Result<(), Failure> {
