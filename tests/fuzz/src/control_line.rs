@@ -54,6 +54,7 @@ const VALUES: [&str; 32] = [
     "\"disarm\"",
     "\"stop\"",
     "\"watch\"",
+    "\"messages\"",
     "\"set-reference\"",
     "\"setpoint\"",
     "[0.5,-0.5]",
@@ -148,6 +149,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",
         Command::Watch { .. } | Command::WatchState => "watch",
+        Command::Messages { .. } => "messages",
     };
     assert!(
         text.contains(word) || text.contains('\\'),
