@@ -39,7 +39,7 @@ const KEYS: [&str; 23] = [
 ];
 
 /// Values that are valid for some keys.
-const VALUES: [&str; 32] = [
+const VALUES: [&str; 33] = [
     "1",
     "2",
     "0",
