@@ -227,7 +227,7 @@ fn a_record_of_another_version_is_refused_by_number() {
     assert!(
         error
             .to_string()
-            .contains("version 7; this program reads version 5"),
+            .contains("version 7; this program reads version 6"),
         "{error}"
     );
 }
