@@ -494,6 +494,54 @@ fn messages_are_those_of_the_record_byte_for_byte_and_of_no_other_topic() {
 }
 
 #[test]
+fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
+    const LINES: u64 = 300_000;
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
+    let accepted = |client: &mut Client| {
+        status(client)["figures"]["setpoints"]["accepted"]
+            .as_u64()
+            .unwrap()
+    };
+    let flooder = std::thread::spawn(move || {
+        let mut flooder = Client::connect(&path);
+        let lines = r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
+        let lines = format!("{lines}\n").repeat(1_000);
+        for _ in 0..LINES / 1_000 {
+            flooder.write.write_all(lines.as_bytes()).unwrap();
+        }
+        accepted(&mut flooder)
+    });
+    // Until the first thousand are there, and then in the middle of them.
+    while accepted(&mut client) < 1_000 {}
+    assert_eq!(client.ask(r#"{"version":2,"command":"stop"}"#)["ok"], true);
+    assert!(accepted(&mut client) < LINES, "it was served after all");
+    assert_eq!(flooder.join().unwrap(), LINES);
+}
+
+#[test]
+fn the_client_of_the_documentation_reads_the_state_and_sends_set_points() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
+    let program = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples/client.py");
+    let output = std::process::Command::new("python3")
+        .arg(program)
+        .arg(&path)
+        .arg("0.5")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let last = serde_json::from_slice::<Value>(&output.stdout).unwrap();
+    assert_eq!(last["mode"], "disconnected");
+    assert!(last["setpoint"]["age"].as_f64().unwrap() < 0.2, "{last}");
+    let setpoints = &status(&mut client)["figures"]["setpoints"];
+    assert_eq!(setpoints["rejected"], json!({}));
+    assert!(setpoints["accepted"].as_u64().unwrap() > 5, "{setpoints}");
+}
+
+#[test]
 fn a_request_to_jog_without_a_board_is_refused_and_pulses_need_a_request() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);

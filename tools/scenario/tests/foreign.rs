@@ -96,7 +96,7 @@ fn drive(hostile: Controller) -> Ended {
             assert!(tick.is_output(&output), "{:?}", tick.differences(&output));
         }
     }
-    let (reason, stopped_ns) = reason.expect("it drives on");
+    let (reason, stopped_ns) = reason.unwrap();
     Ended {
         reason,
         after_ns: stopped_ns - last_good,
