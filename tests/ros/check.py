@@ -6,6 +6,7 @@ with the programs and an empty one for what they write.
 """
 
 import argparse
+import atexit
 import json
 import math
 import os
@@ -225,6 +226,7 @@ class System:
         configuration = self.folder / "car.toml"
         configuration.write_text(text)
         self.processes = {}
+        atexit.register(self.kill)
         self.start("singletrack-sim", "--port", board, "--start", "0.67,-0.45,69")
         wait("the simulator's port", board.exists)
         self.start("singletrackd", "--config", configuration)

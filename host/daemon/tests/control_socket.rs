@@ -461,6 +461,39 @@ fn a_slow_reader_of_the_state_loses_the_oldest_and_learns_how_many() {
 }
 
 #[test]
+fn messages_are_those_of_the_record_byte_for_byte_and_of_no_other_topic() {
+    let (daemon, path, folder) = start();
+    let topics = ["/singletrack/tick", "/diagnostics"];
+    let patience = Duration::from_secs(20);
+    let mut stream = MessageStream::open(&path, &topics, patience).unwrap();
+    let mut received = Vec::new();
+    while received.len() < 20 {
+        match stream.receive().unwrap() {
+            Received::Message(message) => {
+                assert!(topics.contains(&message.topic), "{}", message.topic);
+                received.push(message.bytes.to_vec());
+            }
+            Received::Missed(count) => panic!("{count} missed"),
+        }
+    }
+    let unknown = MessageStream::open(&path, &["/odm"], patience).unwrap_err();
+    assert!(unknown.to_string().contains("use /singletrack/tick, "));
+    daemon.stop().unwrap();
+    let record = fs::read_dir(folder.path().join("records"))
+        .unwrap()
+        .next()
+        .unwrap();
+    let file = fs::read(record.unwrap().path()).unwrap();
+    let recorded: Vec<_> = mcap::MessageStream::new(&file)
+        .unwrap()
+        .map(|message| message.unwrap().data.into_owned())
+        .collect();
+    for message in received {
+        assert!(recorded.contains(&message), "{message:?}");
+    }
+}
+
+#[test]
 fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
     const LINES: u64 = 300_000;
     let (_daemon, path, _folder) = start();
@@ -506,39 +539,6 @@ fn the_client_of_the_documentation_reads_the_state_and_sends_set_points() {
     let setpoints = &status(&mut client)["figures"]["setpoints"];
     assert_eq!(setpoints["rejected"], json!({}));
     assert!(setpoints["accepted"].as_u64().unwrap() > 5, "{setpoints}");
-}
-
-#[test]
-fn messages_are_those_of_the_record_byte_for_byte_and_of_no_other_topic() {
-    let (daemon, path, folder) = start();
-    let topics = ["/singletrack/tick", "/diagnostics"];
-    let patience = Duration::from_secs(20);
-    let mut stream = MessageStream::open(&path, &topics, patience).unwrap();
-    let mut received = Vec::new();
-    while received.len() < 20 {
-        match stream.receive().unwrap() {
-            Received::Message(message) => {
-                assert!(topics.contains(&message.topic), "{}", message.topic);
-                received.push(message.bytes.to_vec());
-            }
-            Received::Missed(count) => panic!("{count} missed"),
-        }
-    }
-    let unknown = MessageStream::open(&path, &["/odm"], patience).unwrap_err();
-    assert!(unknown.to_string().contains("use /singletrack/tick, "));
-    daemon.stop().unwrap();
-    let record = fs::read_dir(folder.path().join("records"))
-        .unwrap()
-        .next()
-        .unwrap();
-    let file = fs::read(record.unwrap().path()).unwrap();
-    let recorded: Vec<_> = mcap::MessageStream::new(&file)
-        .unwrap()
-        .map(|message| message.unwrap().data.into_owned())
-        .collect();
-    for message in received {
-        assert!(recorded.contains(&message), "{message:?}");
-    }
 }
 
 #[test]
