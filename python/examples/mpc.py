@@ -69,7 +69,7 @@ def main(target: str = "sim", seconds: float = 13.0) -> float:
     times, beyond = [], -math.inf
     with singletrack.Car(target).drive() as drive:
         for state in drive:
-            now = state.drive_time or 0.0
+            now = state.drive_time
             angle = RATE * (now + STEP * np.arange(1, HORIZON + 1))
             wanted = np.stack([0.4868 + np.sin(angle), 1.0 - np.cos(angle)])
             began = time.perf_counter()

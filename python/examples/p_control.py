@@ -8,7 +8,7 @@ import singletrack
 target = sys.argv[1] if len(sys.argv) > 1 else "sim"
 with singletrack.Car(target).drive() as drive:
     for state in drive:
-        angle = 0.5 * (state.drive_time or 0.0)
+        angle = 0.5 * state.drive_time
         x, y = math.cos(angle) - 1.0, math.sin(angle)
         px, py = state.point
         drive.point_velocity(-0.5 * math.sin(angle) + x - px, 0.5 * math.cos(angle) + y - py)

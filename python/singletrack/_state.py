@@ -53,8 +53,8 @@ class State:
     pose_age: float = nan
     #: Whether the tick had no new pose.
     held: bool = True
-    #: Time since the first driving tick, in s.
-    drive_time: float | None = None
+    #: Time since the first driving tick, in s; NaN outside of a drive.
+    drive_time: float = nan
     #: Number of the set-point in force.
     sequence: int | None = None
     #: Age of the set-point in force, in s.

@@ -43,14 +43,14 @@ def test_actuation_is_followed_within_the_limits() -> None:
     with car.drive() as drive:
         for state in drive:
             drive.actuate(0.2, 0.5)
-            if state.drive_time is not None and state.drive_time > 2.0:
+            if state.drive_time > 2.0:
                 break
         assert abs(state.steering - 0.2) < 1e-9 and abs(state.commanded_speed - 0.5) < 1e-9
         truth = car.status()["truth"]
         assert abs(truth["steering"] - 0.2) < 0.02 and abs(truth["speed"] - 0.5) < 0.1
         for state in drive:
             drive.actuate(1.5, 50.0)
-            if state.drive_time is not None and state.drive_time > 4.0:
+            if state.drive_time > 4.0:
                 break
         assert state.steering <= 0.45 and state.commanded_speed <= 1.5
 
@@ -59,7 +59,7 @@ def test_a_rate_and_an_acceleration_are_actuation_too() -> None:
     with Car("sim").drive() as drive:
         for state in drive:
             drive.actuate(steering_rate_rad_s=0.1, acceleration_m_s2=0.2)
-            if state.drive_time is not None and state.drive_time >= 1.0:
+            if state.drive_time >= 1.0:
                 break
         assert 0.08 < state.steering < 0.11 and 0.17 < state.commanded_speed < 0.21
         with pytest.raises(TypeError):
@@ -142,7 +142,7 @@ def test_faults_reach_the_system() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.point_velocity(0.4, 0.0)
-            if state.drive_time is not None and state.drive_time > 1.0:
+            if state.drive_time > 1.0:
                 simulator.fault("imu", "silent")
             assert state.t < 20.0
     assert drive.reason is not None and "imu" in drive.reason
@@ -156,7 +156,7 @@ def test_truth_and_belief_are_two_things() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.actuate(0.0, 0.4)
-            if state.drive_time is not None and state.drive_time > 1.0:
+            if state.drive_time > 1.0:
                 break
     assert abs(simulator.truth()["steering"] - 0.05) < 0.01
     with pytest.raises(ValueError, match="servo.lag_ms"):
@@ -170,7 +170,7 @@ def test_asyncio_drives_too() -> None:
         async with Car("sim").drive() as drive:
             async for state in drive:
                 drive.point_velocity(0.4, 0.0)
-                if state.drive_time is not None and state.drive_time > 1.0:
+                if state.drive_time > 1.0:
                     return state
         raise AssertionError(drive.reason)
 
@@ -188,7 +188,7 @@ def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
     with car.drive() as drive:
         for state in drive:
             drive.actuate(0.3, 0.4)
-            if state.drive_time is not None and state.drive_time > 2.0:
+            if state.drive_time > 2.0:
                 break
         assert abs(state.steering - 0.3) < 1e-6
         assert state.setpoint_age < 0.2 and state.sequence is not None

@@ -19,7 +19,7 @@ def test_a_record_of_a_simulation_is_read_into_arrays(tmp_path: Path) -> None:
         for state in drive:
             drive.point_velocity(0.4, 0.1)
             speeds.append(state.commanded_speed)
-            if state.drive_time is not None and state.drive_time > 2.0:
+            if state.drive_time > 2.0:
                 break
     record = singletrack.read(path)
     assert record.finished and record.damage is None and record.seed == 5
