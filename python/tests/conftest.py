@@ -6,8 +6,9 @@ import os
 import re
 import socket
 import subprocess
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,42 @@ from singletrack import Simulator
 PROGRAMS = ("SINGLETRACKD", "SINGLETRACK_SIM")
 #: The Arduino's image too, where it is given.
 BOARDS = ["native", *(["uno"] if "SINGLETRACK_UNO" in os.environ else [])]
+
+
+#: Above this lateness of the machine, in s, a test in real time shows nothing: a simulated car
+#: that is held up stops, as it should.
+TOO_LATE = 0.04
+
+
+class MachineLate(Exception):
+    """A test in real time failed on a machine that was late."""
+
+
+class Lateness:
+    """How late this machine wakes a thread."""
+
+    def __init__(self) -> None:
+        self.longest = 0.0
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            begin = time.monotonic()
+            time.sleep(0.005)
+            self.longest = max(self.longest, time.monotonic() - begin - 0.005)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    if item.get_closest_marker("flaky") is None:
+        return (yield)
+    lateness = Lateness()
+    try:
+        return (yield)
+    except Exception as error:
+        if lateness.longest > TOO_LATE:
+            raise MachineLate(f"by {lateness.longest * 1e3:.0f} ms") from error
+        raise
 
 
 class Daemon:

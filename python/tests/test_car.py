@@ -18,8 +18,8 @@ from circle import circle
 import singletrack
 from singletrack import ArmError, Car, Rejected, Simulator
 
-#: The machine may be busy: the board then stops the car, as it must.
-REAL_TIME = pytest.mark.flaky(reruns=3)
+#: Repeated only if the machine was late: see `conftest.py`.
+REAL_TIME = pytest.mark.flaky(reruns=3, only_rerun="MachineLate")
 ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
 
 
