@@ -22,15 +22,16 @@ const EXAMPLES: [&[&str]; 4] = [
 pub(crate) fn check(release: Release) -> Result<(), Failure> {
     let source = root().join("python");
     let target = target::folder()?;
-    // The package's own workspace; its build is kept beside the others.
-    let build = target.join("python");
+    // A workspace of its own, with the versions and profiles of this one: what is built is shared.
     let cargo_in_source = || {
         let mut command = cargo();
-        command.current_dir(&source).env("CARGO_TARGET_DIR", &build);
+        command
+            .current_dir(&source)
+            .env("CARGO_TARGET_DIR", &target);
         command
     };
     run(cargo_in_source().args(["fmt", "--check"]))?;
-    run(cargo_in_source().args(["clippy", "--release", "--locked", "--", "-D", "warnings"]))?;
+    run(cargo_in_source().args(["clippy", "--locked", "--", "-D", "warnings"]))?;
     let python = environment(
         &target.join("python-venv"),
         &source.join("requirements.txt"),
@@ -42,7 +43,7 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
             .args(["-m", "pip", "install", "--disable-pip-version-check"])
             .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
             .arg(&source)
-            .env("CARGO_TARGET_DIR", &build)
+            .env("CARGO_TARGET_DIR", &target)
             .env("PATH", path_with(&python)?),
     )?;
     let in_source = |arguments: &[&str]| {
@@ -79,4 +80,40 @@ fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     std::env::join_paths(programs.into_iter().chain(std::env::split_paths(&path)))
         .map_err(|error| Failure::new(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{collections::HashSet, fs};
+
+    use super::root;
+
+    /// Name and version of every locked package.
+    fn locked(file: &str) -> HashSet<(String, String)> {
+        let text = fs::read_to_string(root().join(file)).unwrap();
+        let value = |line: &str, key: &str| {
+            let value = line.strip_prefix(key)?.strip_prefix(" = ")?;
+            Some(value.trim_matches('"').to_owned())
+        };
+        let lines: Vec<&str> = text.lines().collect();
+        lines
+            .windows(2)
+            .filter_map(|pair| Some((value(pair[0], "name")?, value(pair[1], "version")?)))
+            .collect()
+    }
+
+    #[test]
+    fn the_package_has_the_versions_of_the_workspace() {
+        let workspace = locked("Cargo.lock");
+        let names: HashSet<_> = workspace.iter().map(|(name, _)| name).collect();
+        let package = locked("python/Cargo.lock");
+        assert!(package.len() > 100, "the lock file was not read");
+        for package in package {
+            let (name, version) = &package;
+            assert!(
+                !names.contains(name) || workspace.contains(&package),
+                "{name} {version}: copy Cargo.lock to python/ and run `cargo update --workspace` there"
+            );
+        }
+    }
 }
