@@ -39,7 +39,7 @@ const KEYS: [&str; 23] = [
 ];
 
 /// Values that are valid for some keys.
-const VALUES: [&str; 33] = [
+const VALUES: [&str; 32] = [
     "1",
     "2",
     "0",
@@ -54,7 +54,6 @@ const VALUES: [&str; 33] = [
     "\"disarm\"",
     "\"stop\"",
     "\"watch\"",
-    "\"messages\"",
     "\"set-reference\"",
     "\"setpoint\"",
     "[0.5,-0.5]",
