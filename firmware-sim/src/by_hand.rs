@@ -154,6 +154,11 @@ impl fmt::Display for HandCommand {
     }
 }
 
+/// An angle in degrees, without the last digits, which the conversion makes up.
+fn degrees(angle_rad: f64) -> f64 {
+    (angle_rad.to_degrees() * 1e9).round() / 1e9
+}
+
 fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
     match motion {
         HandMotion::Lift { height_m } => write!(f, "lift {height_m}"),
@@ -170,7 +175,7 @@ fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
         } => write!(
             f,
             "turn {} {forward} {left} {for_s} {wander_m}",
-            angle_rad.to_degrees()
+            degrees(angle_rad)
         ),
         HandMotion::Twist {
             amplitude_rad,
@@ -180,7 +185,7 @@ fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
         } => write!(
             f,
             "twist {} {forward} {left} {period_s} {for_s}",
-            amplitude_rad.to_degrees()
+            degrees(amplitude_rad)
         ),
         HandMotion::Tilt {
             roll_rad,
@@ -189,15 +194,15 @@ fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
         } => write!(
             f,
             "tilt {} {} {for_s}",
-            roll_rad.to_degrees(),
-            pitch_rad.to_degrees()
+            degrees(roll_rad),
+            degrees(pitch_rad)
         ),
         HandMotion::Carry { to, for_s } => write!(
             f,
             "carry {} {} {} {for_s}",
             to.x_m,
             to.y_m,
-            to.yaw_rad.to_degrees()
+            degrees(to.yaw_rad)
         ),
         HandMotion::Hold { for_s } => write!(f, "hold {for_s}"),
     }

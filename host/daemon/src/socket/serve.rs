@@ -118,7 +118,7 @@ pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Resu
                 }
             }
             Ok(Command::Jog(_)) => {
-                let error = "jog needs a connection that is armed to jog: arm first with \
+                let error = "jog gives pulses on a connection that jogs: arm first with \
                              {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
                 send(&mut write, &failure(error)).await?;
             }
