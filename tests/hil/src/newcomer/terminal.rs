@@ -147,8 +147,9 @@ impl Terminal {
             new.rfind("Hold the space bar"),
             new.rfind("Let go of the space bar"),
         );
-        if hold.is_some() || release.is_some() {
-            self.read = self.text.len();
+        if let Some(last) = hold.max(release) {
+            // A question may come right behind it.
+            self.read += last + 1;
             self.held = (hold > release).then(|| self.held.unwrap_or_else(Instant::now));
         }
         if self.held.is_some_and(|last| last.elapsed() >= REPEAT) {
