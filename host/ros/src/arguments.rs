@@ -9,7 +9,7 @@ const LAST_DOMAIN: i64 = 232;
 
 /// The car as a node of ROS 2, over the daemon's control socket
 ///
-/// There is no authentication: whoever can send to the node can drive the car. By default only
+/// There is no authentication: every program that reaches the node can drive the car. By default only
 /// this computer can.
 #[derive(Clone, Debug, Parser)]
 #[command(version)]

@@ -149,7 +149,7 @@ impl Node {
     }
 }
 
-/// Starts a thread that nobody waits for: it ends with the process.
+/// Starts a detached thread, which ends with the process.
 pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), RunError> {
     let started: io::Result<_> = thread::Builder::new().name(name.to_owned()).spawn(run);
     started.map(drop).map_err(RunError::Start)

@@ -18,7 +18,7 @@ const PERIOD: f64 = 0.01;
 const ROUND_US: u32 = 5_000;
 const KEPT_US: u32 = 200;
 
-/// In so many readings the board has looked between two of them.
+/// Number of readings in which the board has looked between two samples.
 const LOOKS: usize = 10;
 
 /// A sample of the IMU was read.

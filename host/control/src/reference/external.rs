@@ -215,7 +215,7 @@ impl External {
     }
 }
 
-/// The demand of nobody.
+/// The demand without a set-point.
 const STAND: Demand = Demand::Point(ReferencePoint {
     position: None,
     velocity: Velocity::new(0.0, 0.0),
