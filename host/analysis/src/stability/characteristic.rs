@@ -50,6 +50,14 @@ impl CharacteristicPolynomial {
         positive && self.hurwitz_determinant() > 0.0
     }
 
+    /// Whether all coefficients are finite.
+    pub(super) fn is_finite(&self) -> bool {
+        match self {
+            Self::Quartic(a) => a.iter().all(|a| a.is_finite()),
+            Self::Cubic(a) => a.iter().all(|a| a.is_finite()),
+        }
+    }
+
     /// The last but one of Hurwitz' determinants: zero where two roots are opposite, as those
     /// of an imaginary pair are.
     #[must_use]

@@ -104,9 +104,27 @@ impl ClosedLoop {
         .finite()
     }
 
-    /// This loop, if its Jacobian is finite.
+    /// This loop, if its Jacobian and its characteristic polynomial are finite.
     fn finite(self) -> Result<Self, StabilityError> {
-        if self.jacobian().iter().all(|entry| entry.is_finite()) {
+        let Self {
+            point_distance: p,
+            speed: v,
+            deviation,
+            ..
+        } = self;
+        // What the entries of the Jacobian contain besides the car's parameters.
+        let factors = [
+            v,
+            v * v,
+            1.0 / v,
+            1.0 / (v * v),
+            v / p,
+            deviation / p,
+            1.0 / p,
+        ];
+        let is_finite = factors.iter().all(|factor| factor.is_finite())
+            && self.characteristic_polynomial().is_finite();
+        if is_finite {
             Ok(self)
         } else {
             Err(StabilityError::Extreme {
@@ -134,6 +152,34 @@ impl ClosedLoop {
             return Err(StabilityError::Deviation(deviation));
         }
         Self { deviation, ..self }.finite()
+    }
+
+    /// The same loop at another speed, in m/s.
+    ///
+    /// # Errors
+    ///
+    /// A speed without a steady motion.
+    pub fn with_speed(self, speed: f64) -> Result<Self, StabilityError> {
+        if !(speed.is_finite() && speed > 0.0) {
+            return Err(StabilityError::Speed(speed));
+        }
+        Self { speed, ..self }.finite()
+    }
+
+    /// The same loop with another distance p, in m.
+    ///
+    /// # Errors
+    ///
+    /// An invalid distance.
+    pub fn with_point_distance(self, point_distance: f64) -> Result<Self, StabilityError> {
+        if !(point_distance.is_finite() && point_distance > 0.0) {
+            return Err(StabilityError::PointDistance(point_distance));
+        }
+        Self {
+            point_distance,
+            ..self
+        }
+        .finite()
     }
 
     /// The car.

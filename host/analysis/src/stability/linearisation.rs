@@ -4,9 +4,14 @@ use nalgebra::{Complex, DMatrix, Matrix3, Matrix4, SMatrix, SVector, Schur};
 use num_dual::Dual64;
 
 use super::{
+    characteristic::CharacteristicPolynomial,
     closed_loop::{ClosedLoop, Law},
+    roots,
     vector_field::{FrontPointField, VectorField, VelocityPointField},
 };
+
+/// The eigenvalues of a steady motion: three or four.
+pub type Eigenvalues = heapless::Vec<Complex<f64>, 4>;
 
 impl ClosedLoop {
     /// The Jacobian of the steady motion, by exact derivatives, in rad and s: four by four for
@@ -26,26 +31,38 @@ impl ClosedLoop {
     /// the velocity-point law.
     ///
     /// By ascending real part; of a complex pair the one with the negative imaginary part is
-    /// first. Not numbers if the QR algorithm does not converge.
+    /// first. They are the roots of the characteristic polynomial in closed form, or, where
+    /// its factors are too close to each other, the eigenvalues of the Jacobian by the QR
+    /// algorithm; not numbers if that does not converge.
     #[must_use]
-    pub fn eigenvalues(&self) -> Vec<Complex<f64>> {
-        let found: Option<Vec<_>> = match self.law {
-            Law::FrontPoint => Schur::try_new(self.front_point(), f64::EPSILON, MOST_STEPS)
-                .map(|schur| schur.complex_eigenvalues().iter().copied().collect()),
-            Law::VelocityPoint => Schur::try_new(self.velocity_point(), f64::EPSILON, MOST_STEPS)
-                .map(|schur| schur.complex_eigenvalues().iter().copied().collect()),
+    pub fn eigenvalues(&self) -> Eigenvalues {
+        let found = match self.characteristic_polynomial() {
+            CharacteristicPolynomial::Quartic(a) => {
+                roots::quartic(a).map(|found| found.into_iter().collect())
+            }
+            CharacteristicPolynomial::Cubic(a) => {
+                roots::cubic(a).map(|found| found.into_iter().collect())
+            }
         };
-        let mut eigenvalues =
-            found.unwrap_or_else(|| vec![Complex::new(f64::NAN, f64::NAN); self.states()]);
-        eigenvalues.sort_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
+        let mut eigenvalues: Eigenvalues = found.unwrap_or_else(|| self.eigenvalues_by_qr());
+        eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
         eigenvalues
     }
 
-    /// Number of states.
-    const fn states(&self) -> usize {
+    /// The eigenvalues of the Jacobian, in no order.
+    fn eigenvalues_by_qr(&self) -> Eigenvalues {
+        let unknown = || Complex::new(f64::NAN, f64::NAN);
         match self.law {
-            Law::FrontPoint => 4,
-            Law::VelocityPoint => 3,
+            Law::FrontPoint => Schur::try_new(self.front_point(), f64::EPSILON, MOST_STEPS)
+                .map_or_else(
+                    || [unknown(); 4].into_iter().collect(),
+                    |schur| schur.complex_eigenvalues().iter().copied().collect(),
+                ),
+            Law::VelocityPoint => Schur::try_new(self.velocity_point(), f64::EPSILON, MOST_STEPS)
+                .map_or_else(
+                    || [unknown(); 3].into_iter().collect(),
+                    |schur| schur.complex_eigenvalues().iter().copied().collect(),
+                ),
         }
     }
 

@@ -72,11 +72,24 @@ fn kuznetsov<const N: usize>(
     Some(sum.re / (2.0 * frequency))
 }
 
-/// The unit vector in the kernel of a singular matrix.
+/// The unit vector in the kernel of a singular matrix, by inverse iteration.
 fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
-    let svd = matrix.try_svd(false, true, f64::EPSILON, 0)?;
-    let smallest = svd.singular_values.imin();
-    Some(svd.v_t?.row(smallest).adjoint())
+    /// Off the eigenvalue by this much of the matrix, so that the solution exists. Each step
+    /// divides the share of the other eigenvectors by their distance over this.
+    const SHIFT: f64 = 1e-12;
+    let size = matrix.nrows();
+    let shift = Complex::new(SHIFT * matrix.norm(), 0.0);
+    let lu = (matrix + DMatrix::identity(size, size) * shift).lu();
+    // Along no eigenvector of a mirrored motion.
+    let mut vector = Vector::from_fn(size, |row, _| Complex::new(1.0, 0.3 * row as f64));
+    for _ in 0..3 {
+        vector = lu.solve(&vector)?;
+        vector /= Complex::new(vector.norm(), 0.0);
+    }
+    vector
+        .iter()
+        .all(|entry| entry.re.is_finite() && entry.im.is_finite())
+        .then_some(vector)
 }
 
 /// B(u, v): the second derivatives along two complex directions.

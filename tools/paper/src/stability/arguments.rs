@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use singletrack_analysis::stability::{Belief, Law};
+use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop, SamplingError, Servo};
 
 use super::{grid::Grid, subject::Subject};
 use crate::vehicle_file::{self, VehicleFileError};
@@ -158,6 +158,70 @@ pub struct TimingArgs {
         default_value_t = 0.0
     )]
     pub position_gain: f64,
+    /// Lag of the steering servo, in ms; 0 for wheels that follow at once
+    #[arg(
+        long,
+        value_name = "MS",
+        allow_negative_numbers = true,
+        default_value_t = 0.0
+    )]
+    pub steering_lag_ms: f64,
+    /// Dead time of the steering servo, in ms; adds to the delay
+    #[arg(
+        long,
+        value_name = "MS",
+        allow_negative_numbers = true,
+        default_value_t = 0.0
+    )]
+    pub steering_dead_time_ms: f64,
+    /// The law is given the state at which its command acts, predicted by exact models of car
+    /// and servo
+    #[arg(long)]
+    pub predict: bool,
+}
+
+impl TimingArgs {
+    /// The servo of the simulated car, as the defaults of `[actuators]` have it, and the time
+    /// from its tick to the servo's pulse.
+    #[must_use]
+    pub fn simulated_car() -> Self {
+        Self {
+            delay_ms: 6.0,
+            steering_lag_ms: 40.0,
+            steering_dead_time_ms: 12.0,
+            ..Self::default()
+        }
+    }
+
+    /// `closed_loop` with this timing.
+    ///
+    /// # Errors
+    ///
+    /// An invalid time or gain.
+    pub fn around(&self, closed_loop: ClosedLoop) -> Result<SampledLoop, SamplingError> {
+        let dead_time = self.steering_dead_time_ms * 1e-3;
+        let has_servo = self.steering_lag_ms != 0.0;
+        if self.predict && !has_servo {
+            return Err(SamplingError {
+                name: "--steering-lag-ms with --predict",
+                value: 0.0,
+                rule: "above zero: the prediction is of a servo",
+            });
+        }
+        let delay = self.delay_ms * 1e-3 + if has_servo { 0.0 } else { dead_time };
+        let mut sampled = SampledLoop::new(closed_loop, self.period_ms * 1e-3, delay)?
+            .with_position_gain(self.position_gain)?;
+        if has_servo {
+            sampled = sampled.with_servo(Servo {
+                lag: self.steering_lag_ms * 1e-3,
+                dead_time,
+            })?;
+        }
+        match sampled.exact_prediction() {
+            Some(prediction) if self.predict => sampled.with_prediction(prediction),
+            _ => Ok(sampled),
+        }
+    }
 }
 
 impl Default for TimingArgs {
@@ -167,6 +231,9 @@ impl Default for TimingArgs {
             delay_ms: 10.0,
             marker_interval: 1,
             position_gain: 0.0,
+            steering_lag_ms: 0.0,
+            steering_dead_time_ms: 0.0,
+            predict: false,
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Eigenvalue maps.
 
-use nalgebra::Complex;
 use serde_json::json;
-use singletrack_analysis::stability::StabilityError;
+use singletrack_analysis::stability::{Eigenvalues, StabilityError};
 
 use super::{
     arguments::{Format, MapArgs},
@@ -34,7 +33,7 @@ pub struct EigenvalueRow {
     /// The deviation dl, in m.
     pub deviation: f64,
     /// By ascending real part, in 1/s.
-    pub eigenvalues: Vec<Complex<f64>>,
+    pub eigenvalues: Eigenvalues,
 }
 
 /// The eigenvalues over all `speeds` and, for each, all `deviations`.

@@ -8,6 +8,7 @@ pub mod figures;
 mod grid;
 mod hopf;
 mod jacobian;
+mod limits;
 mod output;
 mod region;
 mod sampled;
@@ -23,6 +24,7 @@ pub use eigenvalues::{EigenvalueRow, eigenvalue_map};
 pub use error::StabilityCommandError;
 pub use grid::Grid;
 pub use hopf::hopf_curve;
+pub use limits::{first_unstable, least_p};
 pub use region::{RegionRow, region};
 pub use sampled::{SampledRow, sampled_map};
 pub use subject::Subject;
@@ -48,6 +50,10 @@ enum StabilityCommand {
     Region(arguments::MapArgs),
     /// The sampled loop: spectral radius, delay margin, longest marker interval.
     Sampled(sampled::SampledArgs),
+    /// The first unstable speed, with a servo: over p, dl and delay.
+    FirstUnstableSpeed(limits::FirstUnstableArgs),
+    /// The least p that is stable, with a servo: over speed and delay.
+    LeastP(limits::LeastArgs),
     /// The paper's figures of all this, as SVG files.
     Figures(figures::FiguresArgs),
 }
@@ -65,6 +71,8 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
         StabilityCommand::Sampled(args) => sampled::run(args),
+        StabilityCommand::FirstUnstableSpeed(args) => limits::run_first_unstable(args),
+        StabilityCommand::LeastP(args) => limits::run_least(args),
         StabilityCommand::Figures(args) => figures::run(args),
     };
     match result {

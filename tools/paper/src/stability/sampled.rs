@@ -3,7 +3,7 @@
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use singletrack_analysis::stability::{MarginLimits, SampledLoop};
+use singletrack_analysis::stability::MarginLimits;
 
 use super::{
     arguments::{Format, LoopArgs, PointArgs, TimingArgs},
@@ -109,12 +109,7 @@ pub fn sampled_map(
     let mut rows = Vec::with_capacity(speeds.values().len() * deviations.values().len());
     for speed in speeds.values() {
         for deviation in deviations.values() {
-            let sampled = SampledLoop::new(
-                subject.at(*speed, *deviation)?,
-                timing.period_ms * 1e-3,
-                timing.delay_ms * 1e-3,
-            )?
-            .with_position_gain(timing.position_gain)?;
+            let sampled = timing.around(subject.at(*speed, *deviation)?)?;
             let limits = MarginLimits::default();
             rows.push(SampledRow {
                 speed_m_s: *speed,

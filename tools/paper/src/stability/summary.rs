@@ -4,13 +4,15 @@ use std::io::{self, Write};
 
 use clap::Args;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Criticality, Law, MarginLimits, SampledLoop, critical_speed, hopf_points,
+    Belief, ClosedLoop, Criticality, Law, MarginLimits, critical_speed, hopf_points,
     infinite_speed_limit, smallest_point_distance,
 };
 
 use super::{
     arguments::{CarArgs, TimingArgs},
     error::StabilityCommandError,
+    grid::Grid,
+    limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
     subject::Subject,
 };
 use crate::vehicle_file;
@@ -43,11 +45,24 @@ pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {
     )?;
     proposed(&mut out, &subject(Law::FrontPoint))?;
     appendix(&mut out, &subject(Law::VelocityPoint))?;
-    sampled(&mut out, &subject(Law::FrontPoint), args.timing)
+    sampled(&mut out, &subject(Law::FrontPoint), args.timing)?;
+    let timing = if args.timing.steering_lag_ms == 0.0 {
+        TimingArgs {
+            period_ms: args.timing.period_ms,
+            position_gain: args.timing.position_gain,
+            ..TimingArgs::simulated_car()
+        }
+    } else {
+        args.timing
+    };
+    with_servo(&mut out, &subject(Law::FrontPoint), timing)
 }
 
 fn proposed(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
-    writeln!(out, "front-point law (proposed)")?;
+    writeln!(
+        out,
+        "front-point law (proposed), in continuous time, wheels that follow at once"
+    )?;
     for limit in infinite_speed_limit(subject.vehicle, subject.point_distance)? {
         writeln!(
             out,
@@ -118,17 +133,14 @@ fn sampled(
 ) -> Result<(), StabilityCommandError> {
     writeln!(
         out,
-        "front-point law in ticks of {} ms, acting {} ms late, dl = 0",
-        timing.period_ms, timing.delay_ms
+        "front-point law in ticks of {} ms, acting {} ms late{}, dl = 0",
+        timing.period_ms,
+        timing.delay_ms,
+        servo_text(timing)
     )?;
     let limits = MarginLimits::default();
     for speed in SPEEDS {
-        let sampled = SampledLoop::new(
-            subject.at(speed, 0.0)?,
-            timing.period_ms * 1e-3,
-            timing.delay_ms * 1e-3,
-        )?
-        .with_position_gain(timing.position_gain)?;
+        let sampled = timing.around(subject.at(speed, 0.0)?)?;
         let radius = sampled.spectral_radius(timing.marker_interval);
         let or_more = |value: Option<f64>, limit: f64| {
             value.map_or_else(
@@ -144,6 +156,74 @@ fn sampled(
                 sampled.longest_marker_interval(limits),
                 f64::from(limits.marker_interval) * timing.period_ms * 1e-3
             ),
+        )?;
+    }
+    Ok(())
+}
+
+fn servo_text(timing: TimingArgs) -> String {
+    let TimingArgs {
+        steering_lag_ms: lag,
+        steering_dead_time_ms: dead_time,
+        predict,
+        ..
+    } = timing;
+    if lag == 0.0 {
+        return String::new();
+    }
+    let predicted = if predict { ", state predicted" } else { "" };
+    format!(", servo with {dead_time} ms of dead time and {lag} ms of lag{predicted}")
+}
+
+/// What a servo leaves of the stability, with and without a prediction.
+fn with_servo(
+    out: &mut impl Write,
+    subject: &Subject,
+    timing: TimingArgs,
+) -> Result<(), StabilityCommandError> {
+    let plain = TimingArgs {
+        predict: false,
+        ..timing
+    };
+    writeln!(
+        out,
+        "\nfront-point law in ticks of {} ms, acting {} ms late{}",
+        plain.period_ms,
+        plain.delay_ms,
+        servo_text(plain)
+    )?;
+    let up_to = |speed: Option<f64>| {
+        speed.map_or_else(
+            || format!("up to {} m/s at least", SEARCHED_SPEEDS.to),
+            |speed| format!("up to {speed:.2} m/s, NOT beyond"),
+        )
+    };
+    let range = ClosedLoop::meaningful_deviations(&subject.vehicle);
+    let all = Grid::spanning(range, RANGE_POINTS);
+    for (what, deviations) in [
+        ("with dl = 0", &[0.0][..]),
+        ("over the whole meaningful range", all.values()),
+    ] {
+        for predict in [false, true] {
+            let timing = TimingArgs { predict, ..plain };
+            let speed = first_unstable(subject, timing, deviations, subject.point_distance)?;
+            writeln!(
+                out,
+                "  stable {what}{}: {}",
+                if predict { ", state predicted" } else { "" },
+                up_to(speed)
+            )?;
+        }
+    }
+    for speed in SPEEDS {
+        let least = least_p(subject, plain, &[0.0], speed)?;
+        writeln!(
+            out,
+            "  {speed} m/s with dl = 0: stable {}",
+            least.map_or_else(
+                || format!("with no p up to {} m", SEARCHED_DISTANCES.to),
+                |p| format!("from p = {p:.3} m on"),
+            )
         )?;
     }
     Ok(())

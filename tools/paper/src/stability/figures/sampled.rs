@@ -139,6 +139,15 @@ fn figure(scene: &Scene, timing: TimingArgs, title: String, caption: &str, map: 
             timing.position_gain
         );
     }
+    if timing.steering_lag_ms > 0.0 {
+        loop_text += &format!(
+            ", the wheels follow through a servo with {} ms of dead time and {} ms of lag",
+            timing.steering_dead_time_ms, timing.steering_lag_ms
+        );
+        if timing.predict {
+            loop_text += ", and the law sees the state predicted to the wheels";
+        }
+    }
     Figure {
         title,
         caption: format!("{caption}{loop_text}.{hopf}"),

@@ -1,0 +1,253 @@
+//! The sampled loop, with delay and intermittent markers.
+//!
+//! The paper analyses a law without sampling, delay or servo. Here the law is evaluated at
+//! ticks. Its command takes effect after a delay and is held until the next command (a
+//! steering rate under the front-point law, an angle under the velocity-point law). The pose
+//! may be measured at every n-th tick only and is held in between; yaw rate, sideslip and
+//! steering are measured at every tick. Between the ticks the car is the linearised
+//! single-track model (equations 1 and 2), solved exactly by matrix exponentials. To first
+//! order the speed is constant.
+//!
+//! With a [`Servo`] the command is an angle under both laws, as on the car: the controller
+//! integrates the rate of the front-point law and sends the angle at every tick. The wheels
+//! follow after a dead time with a lag of first order. The law sees the commanded angle, and
+//! the state at the tick; with a [`Prediction`] it sees the state at which its command acts.
+
+mod growth;
+mod plant;
+mod servo;
+mod tick;
+
+use nalgebra::DMatrix;
+
+use self::growth::{is_stable, spectral_radius};
+pub use self::servo::{Prediction, Servo};
+use super::closed_loop::ClosedLoop;
+
+/// A closed loop that runs in ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampledLoop {
+    closed_loop: ClosedLoop,
+    period: f64,
+    delay: f64,
+    position_gain: f64,
+    servo: Option<Servo>,
+    prediction: Option<Prediction>,
+}
+
+/// An invalid parameter of a sampled loop.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is {value}: it must be {rule}")]
+pub struct SamplingError {
+    /// The parameter.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// The valid range.
+    pub rule: &'static str,
+}
+
+/// The limits of the search for margins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarginLimits {
+    /// The longest delay, in s.
+    pub delay: f64,
+    /// The longest marker interval, in ticks.
+    pub marker_interval: u32,
+}
+
+impl Default for MarginLimits {
+    fn default() -> Self {
+        Self {
+            delay: 0.5,
+            marker_interval: 200,
+        }
+    }
+}
+
+/// Resolution of the delay margin, in s.
+const DELAY_RESOLUTION: f64 = 1e-6;
+
+/// The longest delay, in ticks: the size of the matrices grows with it.
+const MOST_TICKS: f64 = 1_000.0;
+
+impl SampledLoop {
+    /// `closed_loop` evaluated every `period` s, with commands that take effect `delay` s after
+    /// their tick.
+    ///
+    /// # Errors
+    ///
+    /// A period that is not above zero, a delay below zero or above a thousand
+    /// periods.
+    pub fn new(closed_loop: ClosedLoop, period: f64, delay: f64) -> Result<Self, SamplingError> {
+        let error = |name, value, rule| Err(SamplingError { name, value, rule });
+        if !(period.is_finite() && period > 0.0) {
+            return error("the control period in s", period, "finite and above zero");
+        }
+        if !(0.0..=MOST_TICKS * period).contains(&delay) {
+            return error(
+                "the delay in s",
+                delay,
+                "between 0 and 1000 control periods",
+            );
+        }
+        Ok(Self {
+            closed_loop,
+            period,
+            delay,
+            position_gain: 0.0,
+            servo: None,
+            prediction: None,
+        })
+    }
+
+    /// The same loop with a steering servo, whose dead time adds to the delay.
+    ///
+    /// # Errors
+    ///
+    /// A lag that is not above zero, or a negative dead time.
+    pub fn with_servo(self, servo: Servo) -> Result<Self, SamplingError> {
+        servo.validate()?;
+        Ok(Self {
+            servo: Some(servo),
+            ..self
+        })
+    }
+
+    /// The same loop with a controller that predicts. It needs a servo, and has no effect
+    /// without one.
+    ///
+    /// # Errors
+    ///
+    /// A lag that is not above zero, or a negative delay.
+    pub fn with_prediction(self, prediction: Prediction) -> Result<Self, SamplingError> {
+        prediction.validate()?;
+        Ok(Self {
+            prediction: self.servo.map(|_| prediction),
+            ..self
+        })
+    }
+
+    /// A prediction by the true car, servo and delay.
+    #[must_use]
+    pub fn exact_prediction(&self) -> Option<Prediction> {
+        let servo = self.servo?;
+        Some(Prediction {
+            lag: servo.lag,
+            delay: self.delay + servo.dead_time,
+            vehicle: *self.closed_loop.vehicle(),
+        })
+    }
+
+    /// The steady motion.
+    #[must_use]
+    pub const fn closed_loop(&self) -> &ClosedLoop {
+        &self.closed_loop
+    }
+
+    /// The same timing around another steady motion.
+    #[must_use]
+    pub const fn around(self, closed_loop: ClosedLoop) -> Self {
+        Self {
+            closed_loop,
+            ..self
+        }
+    }
+
+    /// Whether the motion is stable with the pose measured at every tick.
+    #[must_use]
+    pub fn is_stable(&self) -> bool {
+        is_stable(self.over_interval(1))
+    }
+
+    /// The same loop inside a proportional position loop of this gain, in 1/s, about a straight
+    /// path. With zero it is the law alone.
+    ///
+    /// # Errors
+    ///
+    /// A gain that is negative or not finite.
+    pub fn with_position_gain(self, position_gain: f64) -> Result<Self, SamplingError> {
+        if !(position_gain.is_finite() && position_gain >= 0.0) {
+            return Err(SamplingError {
+                name: "the position gain in 1/s",
+                value: position_gain,
+                rule: "finite and not negative",
+            });
+        }
+        Ok(Self {
+            position_gain,
+            ..self
+        })
+    }
+
+    /// The spectral radius per tick if the pose is measured at every `interval`-th tick: the
+    /// factor by which disturbances grow or decay per tick in the long run. Below one the
+    /// motion is stable.
+    #[must_use]
+    pub fn spectral_radius(&self, interval: u32) -> f64 {
+        let interval = interval.max(1);
+        let over_interval = spectral_radius(self.over_interval(interval));
+        libm::pow(over_interval, 1.0 / f64::from(interval))
+    }
+
+    /// The smallest delay in s that makes the motion unstable, with the pose measured at every
+    /// tick. Zero if it is unstable without a delay, none if it is stable with every delay up
+    /// to the limit. The loop's own delay has no influence; the servo's dead time comes on top.
+    #[must_use]
+    pub fn delay_margin(&self, limits: MarginLimits) -> Option<f64> {
+        let is_stable = |delay: f64| Self { delay, ..*self }.is_stable();
+        let mut stable = 0.0;
+        if !is_stable(stable) {
+            return Some(0.0);
+        }
+        let limit = limits.delay.min(MOST_TICKS * self.period);
+        let mut unstable = loop {
+            if stable >= limit {
+                return None;
+            }
+            let next = (stable + self.period).min(limit);
+            if !is_stable(next) {
+                break next;
+            }
+            stable = next;
+        };
+        while unstable - stable > DELAY_RESOLUTION {
+            let middle = 0.5 * (stable + unstable);
+            if is_stable(middle) {
+                stable = middle;
+            } else {
+                unstable = middle;
+            }
+        }
+        Some(0.5 * (stable + unstable))
+    }
+
+    /// The longest constant interval between poses, in s, up to which the motion is stable.
+    ///
+    /// A multiple of the period. Zero if the motion is unstable with a pose at every tick, none
+    /// if it is stable up to the limit.
+    #[must_use]
+    pub fn longest_marker_interval(&self, limits: MarginLimits) -> Option<f64> {
+        let (measured, held) = (self.tick(true), self.tick(false));
+        let mut over_interval = measured;
+        for interval in 1..=limits.marker_interval {
+            if !is_stable(over_interval.clone()) {
+                return Some(f64::from(interval - 1) * self.period);
+            }
+            over_interval = &held * over_interval;
+        }
+        None
+    }
+
+    /// The map from a tick with a pose to the next tick with a pose.
+    fn over_interval(&self, interval: u32) -> DMatrix<f64> {
+        let mut map = self.tick(true);
+        if interval > 1 {
+            let held = self.tick(false);
+            for _ in 1..interval {
+                map = &held * map;
+            }
+        }
+        map
+    }
+}

@@ -1,0 +1,117 @@
+//! The linearised car between two ticks, under an input that is held.
+
+use nalgebra::{DMatrix, DVector};
+use num_dual::Dual64;
+use singletrack_control::{LateralMotion, SingleTrack, SingleTrackState, VehicleParameters};
+
+use crate::dual::DualFunctions;
+
+pub(super) const POSITION: usize = 0;
+pub(super) const YAW: usize = 1;
+pub(super) const STEERING: usize = 4;
+
+/// How the input steers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Steering {
+    /// The input is the steering angle.
+    Angle,
+    /// The input is the steering rate.
+    Rate,
+    /// The input is an angle that the wheels follow with a lag of first order, in s.
+    Servo(f64),
+}
+
+/// The linearised car: lateral position, yaw, yaw rate and sideslip, and also steering
+/// unless it is the input.
+pub(super) struct Plant {
+    dynamics: DMatrix<f64>,
+    input: DVector<f64>,
+}
+
+impl Plant {
+    /// `vehicle` in straight motion at `speed` (m/s).
+    pub(super) fn new(vehicle: &VehicleParameters, speed: f64, steering: Steering) -> Self {
+        let [columns @ .., by_steering] =
+            [0, 1, 2, 3, 4].map(|variable| slope(vehicle, speed, variable));
+        let car = DMatrix::from_iterator(4, 4, columns.iter().flatten().copied());
+        let by_steering = DVector::from_row_slice(&by_steering);
+        let (own, input) = match steering {
+            Steering::Angle => {
+                return Self {
+                    dynamics: car,
+                    input: by_steering,
+                };
+            }
+            Steering::Rate => (0.0, 1.0),
+            Steering::Servo(lag) => (-1.0 / lag, 1.0 / lag),
+        };
+        let mut dynamics = car.resize(5, 5, 0.0);
+        dynamics
+            .view_mut((0, STEERING), (4, 1))
+            .copy_from(&by_steering);
+        dynamics[(STEERING, STEERING)] = own;
+        Self {
+            dynamics,
+            input: DVector::from_vec(vec![0.0, 0.0, 0.0, 0.0, input]),
+        }
+    }
+
+    /// Number of states.
+    pub(super) fn states(&self) -> usize {
+        self.dynamics.nrows()
+    }
+
+    /// The state after `time` without input.
+    pub(super) fn transition(&self, time: f64) -> DMatrix<f64> {
+        (&self.dynamics * time).exp()
+    }
+
+    /// The contributions of a unit of input over the first `late` s of `period`, and over the
+    /// rest, to the state at its end.
+    pub(super) fn split_input(&self, period: f64, late: f64) -> [DVector<f64>; 2] {
+        let rest = period - late;
+        [self.transition(rest) * self.held(late), self.held(rest)]
+    }
+
+    /// The contribution of a unit of input over `time` to the state: the integral of the
+    /// transition, from the exponential of a bordered matrix.
+    pub(super) fn held(&self, time: f64) -> DVector<f64> {
+        let states = self.states();
+        let mut bordered = self.dynamics.clone().resize(states + 1, states + 1, 0.0);
+        bordered
+            .view_mut((0, states), (states, 1))
+            .copy_from(&self.input);
+        (bordered * time)
+            .exp()
+            .view((0, states), (states, 1))
+            .into_owned()
+            .column(0)
+            .into_owned()
+    }
+}
+
+/// The exact derivative of the car's motion by one of y, yaw, yaw rate, sideslip and
+/// steering at the steady motion: equations 1 and 2 without the position along the path.
+fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
+    let mut variables = [Dual64::from(0.0); 5];
+    if let Some(variable) = variables.get_mut(variable) {
+        variable.eps = 1.0;
+    }
+    let [y, yaw, yaw_rate, sideslip, steering] = variables;
+    let state = SingleTrackState {
+        x: Dual64::from(0.0),
+        y,
+        yaw,
+        yaw_rate,
+        sideslip,
+    };
+    let speed = Dual64::from(speed);
+    let lateral = SingleTrack::new(*vehicle).lateral(&LateralMotion {
+        yaw_rate,
+        sideslip,
+        speed,
+        steering,
+    });
+    let rate = state.derivative::<DualFunctions>(speed, lateral);
+    [rate.y, rate.yaw, rate.yaw_rate, rate.sideslip].map(|rate| rate.eps)
+}

@@ -1,0 +1,66 @@
+//! The steering servo, and what a predictor believes of it.
+
+use singletrack_control::VehicleParameters;
+
+use super::SamplingError;
+
+/// A steering servo: a dead time, then a lag of first order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Servo {
+    /// Time constant of the lag, in s.
+    pub lag: f64,
+    /// From a command at the servo until the wheels begin to move, in s.
+    pub dead_time: f64,
+}
+
+impl Servo {
+    pub(super) fn validate(&self) -> Result<(), SamplingError> {
+        if !(self.lag.is_finite() && self.lag > 0.0) {
+            return Err(SamplingError {
+                name: "the lag of the servo in s",
+                value: self.lag,
+                rule: "finite and above zero",
+            });
+        }
+        if !(self.dead_time.is_finite() && self.dead_time >= 0.0) {
+            return Err(SamplingError {
+                name: "the dead time of the servo in s",
+                value: self.dead_time,
+                rule: "finite and not negative",
+            });
+        }
+        Ok(())
+    }
+}
+
+/// A controller that evaluates the law at the predicted state: the one at which its command
+/// will act, `delay + lag` after the tick.
+///
+/// It knows the commands that are under way and runs them through its models of the servo and
+/// of the car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prediction {
+    /// The lag of the servo as modelled, in s.
+    pub lag: f64,
+    /// From a tick until its command moves the wheels, as modelled, in s: the delay of the
+    /// loop and the dead time of the servo.
+    pub delay: f64,
+    /// The car as modelled.
+    pub vehicle: VehicleParameters,
+}
+
+impl Prediction {
+    pub(super) fn validate(&self) -> Result<(), SamplingError> {
+        Servo {
+            lag: self.lag,
+            dead_time: self.delay,
+        }
+        .validate()
+    }
+
+    /// How far it looks ahead, in s.
+    #[must_use]
+    pub fn horizon(&self) -> f64 {
+        self.delay + self.lag
+    }
+}

@@ -1,0 +1,223 @@
+//! The limits of the loop with a servo: the first unstable speed, and the least p.
+
+use clap::Args;
+use serde::Serialize;
+use singletrack_analysis::stability::{Search, first_unstable_speed, least_point_distance};
+
+use super::{
+    arguments::{Format, LoopArgs, TimingArgs},
+    error::StabilityCommandError,
+    grid::Grid,
+    output::{Table, write_json},
+    subject::Subject,
+};
+
+/// The searched speeds, in m/s.
+pub(super) const SEARCHED_SPEEDS: Search = Search {
+    from: 0.1,
+    to: 20.0,
+};
+/// The searched distances p, in m.
+pub(super) const SEARCHED_DISTANCES: Search = Search {
+    from: 0.005,
+    to: 5.0,
+};
+/// Deviations that stand for the meaningful range: with a servo its ends do not decide alone.
+pub(super) const RANGE_POINTS: usize = 9;
+
+/// Options of `first-unstable-speed`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    mut_arg("delay_ms", |arg| arg.default_value("6")),
+    mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
+    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
+    mut_arg("point_distance", |arg| arg.hide(true)),
+)]
+pub(super) struct FirstUnstableArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Distances p, in m
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.05:0.5:0.05")]
+    distances: Grid,
+    /// Deviations dl of the centre of mass, in m
+    #[arg(
+        long,
+        value_name = "A:B:STEP",
+        allow_hyphen_values = true,
+        default_value = "0"
+    )]
+    dl: Grid,
+    /// Delays from tick to servo, in ms [default: the one of --delay-ms]
+    #[arg(long, value_name = "A:B:STEP")]
+    delays_ms: Option<Grid>,
+    #[command(flatten)]
+    timing: TimingArgs,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+/// Options of `least-p`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    mut_arg("delay_ms", |arg| arg.default_value("6")),
+    mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
+    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
+    mut_arg("point_distance", |arg| arg.hide(true)),
+)]
+pub(super) struct LeastArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.25:5:0.25")]
+    speeds: Grid,
+    /// Deviations dl of the centre of mass that must all be stable, in m
+    #[arg(
+        long,
+        value_name = "A:B:STEP",
+        allow_hyphen_values = true,
+        default_value = "0"
+    )]
+    dl: Grid,
+    /// Delays from tick to servo, in ms [default: the one of --delay-ms]
+    #[arg(long, value_name = "A:B:STEP")]
+    delays_ms: Option<Grid>,
+    #[command(flatten)]
+    timing: TimingArgs,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+/// The first unstable speed with one p, dl and delay.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct FirstUnstableRow {
+    point_distance_m: f64,
+    dl_m: f64,
+    delay_ms: f64,
+    /// None if no searched speed is unstable.
+    first_unstable_m_s: Option<f64>,
+}
+
+/// The least p at one speed and delay.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct LeastRow {
+    speed_m_s: f64,
+    delay_ms: f64,
+    /// None if no searched p is stable.
+    least_p_m: Option<f64>,
+}
+
+pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let mut rows = Vec::new();
+    for p in args.distances.values() {
+        for dl in args.dl.values() {
+            for timing in with_delays(args.timing, args.delays_ms.as_ref()) {
+                rows.push(FirstUnstableRow {
+                    point_distance_m: *p,
+                    dl_m: *dl,
+                    delay_ms: timing.delay_ms,
+                    first_unstable_m_s: first_unstable(&subject, timing, &[*dl], *p)?,
+                });
+            }
+        }
+    }
+    match args.format {
+        Format::Csv => Table {
+            columns: vec!["point_distance_m", "dl_m", "delay_ms", "first_unstable_m_s"],
+            rows: rows
+                .iter()
+                .map(|row| {
+                    vec![
+                        Some(row.point_distance_m),
+                        Some(row.dl_m),
+                        Some(row.delay_ms),
+                        row.first_unstable_m_s,
+                    ]
+                })
+                .collect(),
+        }
+        .write_csv()?,
+        Format::Json => write_json(&subject, &rows)?,
+    }
+    Ok(())
+}
+
+pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let mut rows = Vec::new();
+    for speed in args.speeds.values() {
+        for timing in with_delays(args.timing, args.delays_ms.as_ref()) {
+            rows.push(LeastRow {
+                speed_m_s: *speed,
+                delay_ms: timing.delay_ms,
+                least_p_m: least_p(&subject, timing, args.dl.values(), *speed)?,
+            });
+        }
+    }
+    match args.format {
+        Format::Csv => Table {
+            columns: vec!["speed_m_s", "delay_ms", "least_p_m"],
+            rows: rows
+                .iter()
+                .map(|row| vec![Some(row.speed_m_s), Some(row.delay_ms), row.least_p_m])
+                .collect(),
+        }
+        .write_csv()?,
+        Format::Json => write_json(&subject, &rows)?,
+    }
+    Ok(())
+}
+
+/// The timing with each of the delays, or with its own.
+fn with_delays(timing: TimingArgs, delays: Option<&Grid>) -> Vec<TimingArgs> {
+    let own = [timing.delay_ms];
+    delays
+        .map_or(&own[..], Grid::values)
+        .iter()
+        .map(|delay_ms| TimingArgs {
+            delay_ms: *delay_ms,
+            ..timing
+        })
+        .collect()
+}
+
+/// The lowest speed in m/s from which the motion is unstable with one of `deviations` (m) and
+/// P at `point_distance` (m). None up to 20 m/s.
+///
+/// # Errors
+///
+/// A car without a steady motion, or an invalid timing.
+pub fn first_unstable(
+    subject: &Subject,
+    timing: TimingArgs,
+    deviations: &[f64],
+    point_distance: f64,
+) -> Result<Option<f64>, StabilityCommandError> {
+    let at = subject
+        .at(SEARCHED_SPEEDS.from, 0.0)?
+        .with_point_distance(point_distance)?;
+    let sampled = timing.around(at)?;
+    Ok(first_unstable_speed(&sampled, deviations, SEARCHED_SPEEDS)?)
+}
+
+/// The least p in m that is stable at `speed` (m/s) with each of `deviations` (m). None up to
+/// 5 m.
+///
+/// # Errors
+///
+/// A car without a steady motion, or an invalid timing.
+pub fn least_p(
+    subject: &Subject,
+    timing: TimingArgs,
+    deviations: &[f64],
+    speed: f64,
+) -> Result<Option<f64>, StabilityCommandError> {
+    let sampled = timing.around(subject.at(speed, 0.0)?)?;
+    Ok(least_point_distance(
+        &sampled,
+        deviations,
+        SEARCHED_DISTANCES,
+    )?)
+}

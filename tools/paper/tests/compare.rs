@@ -1,0 +1,142 @@
+//! The comparison of controllers: its table, and that parts of it give the same.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+
+use singletrack_campaign::{Campaign, CampaignArgs};
+use singletrack_paper::compare::{
+    Comparison, Condition, ControllerName, HEADER, PathName, csv, lines, markdown,
+};
+
+fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison {
+    Comparison {
+        controllers: controllers.to_vec(),
+        paths: vec![PathName::LaneChange],
+        speeds_m_s: vec![1.0],
+        conditions: conditions.to_vec(),
+        first_seed: 1,
+        seeds: 2,
+    }
+}
+
+fn run(plan: &Comparison, arguments: &CampaignArgs) -> Campaign<Comparison> {
+    Campaign::obtain(plan.clone(), arguments).unwrap()
+}
+
+/// The lines of a table without its header, by the columns before the numbers.
+fn rows(csv: &str) -> BTreeMap<String, Vec<String>> {
+    let (header, rows) = csv.split_once('\n').unwrap();
+    assert_eq!(header, HEADER);
+    let rows = rows.lines().map(|line| {
+        let fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+        assert_eq!(fields.len(), HEADER.split(',').count(), "{line}");
+        (format!("{} {}", fields[0], fields[3]), fields[4..].to_vec())
+    });
+    rows.collect()
+}
+
+#[test]
+fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
+    let plan = plan(&ControllerName::ALL, &[Condition::Nominal]);
+    let all = run(&plan, &CampaignArgs::default());
+    let table = csv(&lines(&plan, &all.results));
+    let rows_of_all = rows(&table);
+    assert_eq!(rows_of_all.len(), 2 * ControllerName::ALL.len());
+    let value = |row: &str, column: usize| rows_of_all[row][column].parse::<f64>().unwrap();
+    for controller in ControllerName::ALL {
+        let name = controller.name();
+        for row in [
+            format!("{name} nominal"),
+            format!("{name} nominal@front-axle"),
+        ] {
+            assert_eq!(rows_of_all[&row].first().unwrap(), "2", "{row}");
+            assert_eq!(rows_of_all[&row].last().unwrap(), "0", "{row}: stops");
+            let [rms, low, high, p99, max] = [1, 2, 3, 4, 5].map(|column| value(&row, column));
+            assert!(low <= rms && rms <= high && p99 <= max, "{row}: {table}");
+            assert!(rms > 1e-4, "{row}: {table}");
+        }
+        let across = value(&format!("{name} nominal"), 7);
+        let most = if name == "p" { 0.1 } else { 0.03 };
+        assert!(across < most, "{name} {across}");
+    }
+    let rms = |row: &str| value(row, 1);
+    assert!(rms("p nominal") > 10.0 * rms("p-ff nominal"), "{table}");
+    assert!(rms("p-tuned nominal") < rms("p-ff nominal"), "{table}");
+    // The front axle cuts the corner that P drives.
+    assert!(
+        rms("p-ff nominal@front-axle") > rms("stanley nominal@front-axle"),
+        "{table}"
+    );
+
+    let page = markdown(&lines(&plan, &all.results));
+    let best = page.lines().find(|line| line.contains(" of 2 |")).unwrap();
+    assert!(!best.starts_with("| p |"), "{page}");
+}
+
+#[test]
+fn a_row_does_not_depend_on_the_others_or_on_the_shard() {
+    use ControllerName::{PFf, Stanley};
+    let conditions = [Condition::Nominal, Condition::SoftTyres, Condition::Loss];
+    let both = plan(&[PFf, Stanley], &conditions);
+    let table = csv(&lines(&both, &run(&both, &CampaignArgs::default()).results));
+    let alone = plan(&[Stanley], &conditions);
+    let single = csv(&lines(
+        &alone,
+        &run(&alone, &CampaignArgs::default()).results,
+    ));
+    let table_rows = rows(&table);
+    for (row, values) in rows(&single) {
+        assert_eq!(table_rows[&row], values, "{row}");
+    }
+    // What is true of the car, and what the cameras see, makes a difference.
+    for other in ["tyres-50%", "loss-200ms"] {
+        assert_ne!(
+            table_rows["stanley nominal"],
+            table_rows[&format!("stanley {other}")]
+        );
+    }
+
+    let folder = tempfile::tempdir().unwrap();
+    let shards: Vec<_> = (1..=5)
+        .map(|index| {
+            let path = folder.path().join(format!("{index}.jsonl"));
+            let arguments = CampaignArgs {
+                shard: Some(format!("{index}/5").parse().unwrap()),
+                json: Some(path.clone()),
+                threads: Some(1),
+                ..CampaignArgs::default()
+            };
+            run(&both, &arguments);
+            path
+        })
+        .collect();
+    let merged = run(
+        &alone,
+        &CampaignArgs {
+            from: shards,
+            ..CampaignArgs::default()
+        },
+    );
+    assert_eq!(merged.experiment, both);
+    assert_eq!(csv(&lines(&merged.experiment, &merged.results)), table);
+}
+
+#[test]
+fn a_car_that_stops_is_counted_and_has_no_error() {
+    let plan = Comparison {
+        controllers: vec![ControllerName::PFf],
+        paths: vec![PathName::LaneChange],
+        speeds_m_s: vec![1.0],
+        conditions: vec![Condition::Nominal],
+        first_seed: 1,
+        seeds: 1,
+    };
+    let mut campaign = run(&plan, &CampaignArgs::default());
+    campaign.results[0].1.stopped = Some("geofence".to_owned());
+    let table = csv(&lines(&plan, &campaign.results));
+    let rows = rows(&table);
+    let row = &rows["p-ff nominal"];
+    assert_eq!(row[1..8].join(","), ",,,,,,", "{table}");
+    assert_eq!(row.last().unwrap(), "1", "{table}");
+}

@@ -1,0 +1,125 @@
+//! The first unstable speeds of the linear loop with a servo, against the limit cycles of the
+//! whole pilot on the simulated car, board and cameras, in virtual time; and none where the
+//! pilot compensates the actuators.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use singletrack_analysis::stability::{Belief, Law};
+use singletrack_control::VehicleParameters;
+use singletrack_paper::stability::{Subject, TimingArgs, first_unstable};
+use singletrack_scenario::simulate::{Row, Scenario, simulate};
+
+/// The speeds over the first unstable one, and how long each is driven, in s. The first one
+/// includes the start; the last one leaves the oscillation time to grow from the noise.
+const STEPS: [(f64, f64); 3] = [(0.75, 3.5), (0.85, 2.0), (1.12, 5.0)];
+/// The end of each step that is looked at, in s.
+const WINDOW_S: f64 = 1.2;
+
+/// Straight on, with P at a distance: a start at the first speed, then each of the others.
+///
+/// The speed changes in small steps, since a large disturbance, such as that of a start, can
+/// throw the car into the limit cycle below the first unstable speed.
+fn straight_on(point_distance: f64, first_unstable: f64, compensated: bool) -> Scenario {
+    let steps = STEPS.map(|(part, duration)| {
+        let speed = part * first_unstable;
+        format!("{{ duration_s = {duration}, v_x_m_s = {speed}, v_y_m_s = 0.0 }}")
+    });
+    let duration = STEPS.iter().map(|(_, duration)| duration).sum::<f64>() - 0.1;
+    let text = format!(
+        r#"
+[law]
+kind = "front-point"
+point_distance_m = {point_distance}
+front_axle_distance_m = 0.1368
+
+[outer_loop]
+kind = "open-loop"
+
+[reference]
+kind = "velocity-steps"
+steps = [{}]
+
+[start]
+point_p_m = [-9.0, 0.0]
+yaw_deg = 0.0
+
+[control]
+period_ms = 10
+
+[limits]
+max_speed_m_s = 1.85
+max_steering_rad = 0.45
+
+[board]
+max_pose_age_ms = 1000
+
+[board.speed]
+max_forward_mm_s = 2600
+
+[supervisor]
+hold_ms = 100
+hold_distance_m = 0.1
+blind_ms = 100
+blind_distance_m = 0.1
+
+[compensation]
+clock = {compensated}
+actuation = {compensated}
+
+[plant]
+kind = "car"
+
+[run]
+duration_s = {duration}
+"#,
+        steps.join(", ")
+    );
+    toml::from_str(&text).unwrap()
+}
+
+/// The standard deviation of the wheels' angle at the end of each step, in rad.
+fn oscillation(rows: &[Row]) -> [f64; 3] {
+    let mut end = -0.1;
+    STEPS.map(|(_, duration)| {
+        end += duration;
+        let angles: Vec<f64> = rows
+            .iter()
+            .filter(|row| row.t > end - WINDOW_S && row.t < end)
+            .map(|row| row.steering)
+            .collect();
+        let count = angles.len() as f64;
+        let mean = angles.iter().sum::<f64>() / count;
+        let square: f64 = angles.iter().map(|angle| (angle - mean).powi(2)).sum();
+        (square / count).sqrt()
+    })
+}
+
+#[test]
+fn limit_cycles_begin_at_the_first_unstable_speeds_of_the_linear_loop() {
+    for p in [0.03, 0.04, 0.05] {
+        let subject = Subject {
+            vehicle: VehicleParameters::paper(),
+            law: Law::FrontPoint,
+            belief: Belief::CentreOfMass,
+            point_distance: p,
+        };
+        let timing = TimingArgs::simulated_car();
+        let first = first_unstable(&subject, timing, &[0.0], p)
+            .unwrap()
+            .unwrap();
+        let [plain, compensated] = [false, true].map(|compensated| {
+            let simulation = simulate(&straight_on(p, first, compensated)).unwrap();
+            assert!(simulation.notes.is_empty(), "{:?}", simulation.notes);
+            oscillation(&simulation.rows)
+        });
+        println!("p = {p} m: first unstable at {first:.3} m/s; {plain:.4?} rad");
+        // Noise below, a limit cycle above.
+        assert!(plain[0] < 0.04 && plain[1] < 0.04, "{plain:?}");
+        assert!(plain[2] > 0.15, "{plain:?}");
+        println!("  compensated: {compensated:.4?} rad");
+        assert!(
+            compensated.iter().all(|swing| *swing < 0.04),
+            "{compensated:?}"
+        );
+    }
+}
