@@ -13,7 +13,7 @@ use std::error::Error;
 use std::io::{self, Write};
 
 use singletrack_control::{
-    Circle, FrontPointLaw, Motion, OuterLoop, Position, ProportionalLoop, Reference, SingleTrack,
+    Circle, FrontPointLaw, Motion, Position, ProportionalLoop, Reference, SingleTrack,
     SingleTrackDerivative, SingleTrackState, VehicleParameters, Velocity, angle_between,
 };
 

@@ -4,10 +4,10 @@
 //! steering angle and steering rate, drives in reverse only if that is enabled, and turns
 //! the car around when the wanted velocity of P points behind it.
 
-use libm::{atan, fabs, sqrt, tan};
+use libm::{atan, atanh, fabs, sqrt, tan};
 
 use crate::{
-    SpeedDemand, SteeringDemand,
+    GRAVITY, SpeedDemand, SteeringDemand, VehicleParameters,
     law::{FrontPointLaw, Motion, Singularity},
     point::{Velocity, angle_between, direction},
 };
@@ -26,6 +26,9 @@ pub struct Limits {
     /// Distance between the axles, m. Steering and speed give the lateral acceleration
     /// with it.
     pub wheelbase: f64,
+    /// The part of the steering angle that the tyres' slip takes at that limit, rad: 0 for a
+    /// car that neither understeers nor oversteers.
+    pub slip: f64,
     /// Largest steering angle to either side, rad.
     pub max_steering: f64,
     /// Largest steering rate, rad/s.
@@ -46,6 +49,7 @@ impl Limits {
             max_acceleration: 2.0,
             max_lateral_acceleration: 2.0,
             wheelbase: 0.26,
+            slip: 0.0,
             max_steering: 0.45,
             max_steering_rate: 5.0,
             creep_speed: 0.3,
@@ -53,19 +57,46 @@ impl Limits {
         }
     }
 
+    /// These limits for a car with the tyres of `vehicle`.
+    ///
+    /// In a steady bend both axles use the same part of their grip, and with saturating tyres
+    /// the slip angles of front and rear differ by m/L (`l_r`/`C_f` - `l_f`/`C_r`) μg
+    /// atanh(a/μg).
+    #[must_use]
+    pub fn with_tyres(self, vehicle: &VehicleParameters) -> Self {
+        // Beyond it the slip of the model grows without bound.
+        const MOST: f64 = 0.98;
+        let VehicleParameters {
+            mass_kg: m,
+            front_axle_distance_m: l_f,
+            rear_axle_distance_m: l_r,
+            front_cornering_stiffness_n_rad: c_f,
+            rear_cornering_stiffness_n_rad: c_r,
+            ..
+        } = *vehicle;
+        let grip = vehicle.friction * GRAVITY;
+        let used = (self.max_lateral_acceleration / grip).min(MOST);
+        let understeer = m / vehicle.wheelbase_m() * (l_r / c_f - l_f / c_r);
+        Self {
+            slip: understeer * grip * atanh(used),
+            ..self
+        }
+    }
+
     /// The steering angle at which the lateral acceleration reaches its limit, at this speed
-    /// (m/s): atan(a L/v²), in rad.
+    /// (m/s), in rad: atan(a L/v²), and the part that the tyres' slip takes.
     #[must_use]
     pub fn steering_at(&self, speed: f64) -> f64 {
-        atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed))
+        let rolling = atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed));
+        (rolling + self.slip).max(0.0)
     }
 
     /// The speed at which the lateral acceleration reaches its limit, with this steering
-    /// angle (rad), in m/s; infinite for straight wheels. The acceleration is that of a car
-    /// without slip, v² tan δ/L. A car that understeers, as the paper's does, has less.
+    /// angle (rad), in m/s; infinite where it never does.
     #[must_use]
     pub fn speed_in_bend(&self, steering: f64) -> f64 {
-        let curvature = fabs(tan(steering)) / self.wheelbase;
+        let rolling = (fabs(steering) - self.slip).max(0.0);
+        let curvature = tan(rolling) / self.wheelbase;
         sqrt(self.max_lateral_acceleration / curvature)
     }
 }
@@ -98,6 +129,29 @@ pub struct LimitedLaw {
     limits: Limits,
     actuation: Actuation,
     turning: Option<Turn>,
+}
+
+/// What a step may know beyond the velocity that is wanted of P.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ahead {
+    /// The velocity of the reference that P has overtaken, and which comes after it, in m/s.
+    ///
+    /// P that is ahead of its reference is wanted to move backward. A car that turns round for
+    /// that has lost its reference: it brakes, unless the reference itself moves backward.
+    pub overtaken: Option<Velocity>,
+    /// The actuators, if their lags are compensated.
+    pub lead: Option<Lead>,
+}
+
+/// The lead over the actuators' lags.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lead {
+    /// The angle of the front wheels when the command acts, in rad.
+    pub wheels: f64,
+    /// The change of the commanded angle over a period, for each rad/s of the wheels, in s.
+    pub steering: f64,
+    /// What the speed commanded has to be above the speed that is wanted, in m/s.
+    pub speed: f64,
 }
 
 /// A turn towards a velocity behind the car.
@@ -181,7 +235,27 @@ impl LimitedLaw {
         wanted: &Velocity,
         period: f64,
     ) -> Result<Actuation, Singularity> {
+        self.step_ahead(motion, measured_speed, wanted, &Ahead::default(), period)
+    }
+
+    /// As [`step`](Self::step), for a car of which more is known. With a [`Lead`], `motion` is
+    /// that of the moment at which the command acts.
+    ///
+    /// # Errors
+    ///
+    /// [`Singularity`] where the law is singular; the actuation does not change then.
+    pub fn step_ahead(
+        &mut self,
+        motion: &Motion,
+        measured_speed: f64,
+        wanted: &Velocity,
+        ahead: &Ahead,
+        period: f64,
+    ) -> Result<Actuation, Singularity> {
         let limits = self.limits;
+        let steering = ahead
+            .lead
+            .map_or(self.actuation.steering, |lead| lead.wheels);
         let wanted_speed = wanted.norm();
         if !wanted_speed.is_finite() {
             return Err(Singularity::NotFinite);
@@ -194,17 +268,43 @@ impl LimitedLaw {
         };
         let (speed, rate) = if wanted_speed < limits.standstill_speed {
             self.turning = None;
-            (0.0, self.standing_rate(motion, measured_speed, &wanted)?)
-        } else if let Some(side) = self.turn_around(motion, &wanted, period) {
+            (
+                0.0,
+                self.standing_rate(motion, measured_speed, steering, &wanted)?,
+            )
+        } else if let Some(wanted) = self.overtakes(motion, steering, &wanted, ahead) {
+            self.turning = None;
+            (
+                0.0,
+                self.standing_rate(motion, measured_speed, steering, &wanted)?,
+            )
+        } else if let Some(side) = self.turn_around(motion, steering, &wanted, period) {
             let rate = match side {
                 Side::Left => limits.max_steering_rate,
                 Side::Right => -limits.max_steering_rate,
             };
             (limits.creep_speed, rate)
         } else {
-            let command = self.law.command(motion, self.actuation.steering, &wanted)?;
-            (command.speed, command.steering_rate)
+            let command = self.law.command(motion, steering, &wanted)?;
+            match ahead.lead {
+                None => (command.speed, command.steering_rate),
+                Some(lead) => {
+                    let most = limits.max_steering_rate;
+                    let angle =
+                        lead.wheels + command.steering_rate.clamp(-most, most) * lead.steering;
+                    let speed = match command.speed {
+                        // The lead does not make a car that should stand or drive forward
+                        // drive in reverse.
+                        forward if forward >= 0.0 => (forward + lead.speed).max(0.0),
+                        backward => (backward + lead.speed).min(0.0),
+                    };
+                    (speed, (angle - self.actuation.steering) / period)
+                }
+            }
         };
+        if !rate.is_finite() || !speed.is_finite() {
+            return Err(Singularity::NotFinite);
+        }
         Ok(self.apply(speed, rate, period))
     }
 
@@ -264,6 +364,7 @@ impl LimitedLaw {
         &self,
         motion: &Motion,
         measured_speed: f64,
+        steering: f64,
         wanted: &Velocity,
     ) -> Result<f64, Singularity> {
         let stands =
@@ -271,21 +372,46 @@ impl LimitedLaw {
         if stands {
             return Ok(0.0);
         }
-        Ok(self
-            .law
-            .command(motion, self.actuation.steering, wanted)?
-            .steering_rate)
+        Ok(self.law.command(motion, steering, wanted)?.steering_rate)
+    }
+
+    /// The part of the wanted velocity across the wheels, for a car whose P has overtaken its
+    /// reference: it brakes, and waits for it.
+    fn overtakes(
+        &self,
+        motion: &Motion,
+        steering: f64,
+        wanted: &Velocity,
+        ahead: &Ahead,
+    ) -> Option<Velocity> {
+        let reference = ahead.overtaken?;
+        if self.limits.max_reverse_speed > 0.0 || self.turning.is_some() {
+            return None;
+        }
+        let wheels = direction(motion.yaw + steering);
+        let heading = direction(motion.yaw);
+        let is_behind = |velocity: &Velocity| {
+            angle_between(&wheels, velocity).abs() > TURN_FROM
+                || angle_between(&heading, velocity).abs() > TURN_FROM
+        };
+        (is_behind(wanted) && !is_behind(&reference)).then(|| wanted - wanted.dot(&wheels) * wheels)
     }
 
     /// The side to which the car turns around, if it does.
-    fn turn_around(&mut self, motion: &Motion, wanted: &Velocity, period: f64) -> Option<Side> {
+    fn turn_around(
+        &mut self,
+        motion: &Motion,
+        steering: f64,
+        wanted: &Velocity,
+        period: f64,
+    ) -> Option<Side> {
         if self.limits.max_reverse_speed > 0.0 {
             return None;
         }
         let off_heading = angle_between(&direction(motion.yaw), wanted);
         self.turning = match self.turning {
             None => {
-                let wheels = motion.yaw + self.actuation.steering;
+                let wheels = motion.yaw + steering;
                 let off_wheels = angle_between(&direction(wheels), wanted);
                 let behind = off_wheels.abs() > TURN_FROM || off_heading.abs() > TURN_FROM;
                 behind.then_some(Turn {
@@ -570,6 +696,110 @@ mod tests {
             assert!(lateral <= 2.0 + 1e-9, "{lateral}");
         }
         assert!(law.actuation().steering > 0.4);
+    }
+
+    #[test]
+    fn with_saturating_tyres_the_limit_is_that_of_the_car_in_its_bend() {
+        let vehicle = VehicleParameters::paper();
+        let model = crate::RelaxedSingleTrack::new(vehicle);
+        for (acceleration, steering) in [(1.0, 0.15), (2.0, 0.2), (2.3, 0.25)] {
+            let limits = Limits {
+                max_lateral_acceleration: acceleration,
+                ..Limits::paper()
+            };
+            let speed = limits.with_tyres(&vehicle).speed_in_bend(steering);
+            assert!(speed > limits.speed_in_bend(steering), "it understeers");
+            let mut state = crate::SingleTrackState::default();
+            for _ in 0..20_000 {
+                let slope = model.derivative(&state, speed, steering);
+                state.yaw_rate += 1e-4 * slope.yaw_rate;
+                state.sideslip += 1e-4 * slope.sideslip;
+            }
+            let lateral = speed * state.yaw_rate;
+            // The model is linear in the steering angle, the limit is not.
+            assert!(lateral <= acceleration, "{lateral}");
+            assert!(lateral > 0.93 * acceleration, "{lateral}");
+            let widest = limits.with_tyres(&vehicle).steering_at(speed);
+            assert!((widest - steering).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_car_that_has_overtaken_its_reference_brakes_and_does_not_turn_round() {
+        let overtaken = |velocity| Ahead {
+            overtaken: Some(velocity),
+            lead: None,
+        };
+        let behind = Velocity::new(-0.4, 0.05);
+        let mut law = limited(Limits::paper());
+        for _ in 0..100 {
+            law.step(&standing(0.0), 0.5, &Velocity::new(0.5, 0.0), PERIOD)
+                .unwrap();
+        }
+        let comes = overtaken(Velocity::new(0.3, 0.0));
+        for step in 0..100 {
+            let now = law
+                .step_ahead(&standing(0.0), 0.5, &behind, &comes, PERIOD)
+                .unwrap();
+            assert!(!law.is_turning_round());
+            assert!(
+                now.speed <= 0.5 - 0.02 * f64::from(step.min(24)),
+                "{step}: {now:?}"
+            );
+        }
+        assert_eq!(law.actuation().speed, 0.0);
+        // A reference that itself moves backward is followed.
+        let leaves = overtaken(Velocity::new(-0.3, 0.0));
+        law.step_ahead(&standing(0.0), 0.0, &behind, &leaves, PERIOD)
+            .unwrap();
+        assert!(law.is_turning_round());
+    }
+
+    #[test]
+    fn the_lead_commands_more_than_the_wheels_are_to_turn_and_no_reverse() {
+        let mut law = limited(Limits::paper());
+        let lead = Lead {
+            wheels: 0.1,
+            steering: 0.045,
+            speed: 0.05,
+        };
+        let ahead = |lead| Ahead {
+            overtaken: None,
+            lead: Some(lead),
+        };
+        let wanted = 0.5 * direction(0.1);
+        for _ in 0..200 {
+            law.step_ahead(&standing(0.0), 0.5, &wanted, &ahead(lead), PERIOD)
+                .unwrap();
+        }
+        // Along the wheels nothing but the yaw has to be made up for.
+        let rate = 0.5 * libm::sin(0.1) / 0.35 / libm::cos(0.1);
+        let now = law.actuation();
+        assert!(
+            (now.steering - (0.1 + 0.045 * rate)).abs() < 1e-9,
+            "{now:?}"
+        );
+        assert!((now.speed - (0.5 / libm::cos(0.1) + 0.05)).abs() < 1e-9);
+        let brakes = Lead {
+            speed: -9.0,
+            ..lead
+        };
+        for _ in 0..200 {
+            let now = law
+                .step_ahead(&standing(0.0), 0.5, &wanted, &ahead(brakes), PERIOD)
+                .unwrap();
+            assert!(now.speed >= 0.0);
+        }
+        let broken = Lead {
+            wheels: f64::NAN,
+            ..lead
+        };
+        let before = law.clone();
+        assert!(
+            law.step_ahead(&standing(0.0), 0.5, &wanted, &ahead(broken), PERIOD)
+                .is_err()
+        );
+        assert_eq!(law.actuation(), before.actuation());
     }
 
     #[test]

@@ -26,39 +26,56 @@ struct Readme;
 mod actuation;
 mod angle;
 mod axles;
+mod compensation;
+mod convex_area;
 mod estimate;
 mod estimator;
 mod law;
+mod lqi;
 mod measurement;
+mod mpc;
 mod number;
 mod outer_loop;
 mod point;
 mod reference;
 mod relaxed_single_track;
+mod riccati;
+mod safety_filter;
 mod setpoint;
 mod single_track;
 mod time;
+mod tracking;
 mod vehicle;
 
-pub use actuation::{Actuation, LimitedLaw, Limits};
+pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
 pub use axles::{AxleForces, Axles, Tyres};
+pub use compensation::{ActuatorModel, Predicted, Predictor};
+pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimate::Estimate;
 pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
+pub use lqi::{LqiAxis, LqiConfig, LqiError, LqiLoop};
 pub use measurement::{InertialSample, PoseSample};
+pub use mpc::{MAX_DELAY_TICKS, MpcConfig, MpcError, MpcLoop, MpcVerdict};
 pub use number::{Functions, Libm, Number};
-pub use outer_loop::{OpenLoop, OuterLoop, ProportionalLoop, TrackingLoop};
-pub use point::{Position, Velocity, angle_between, direction, front_point, velocity_point};
+pub use outer_loop::{OpenLoop, ProportionalLoop, TrackingLoop};
+pub use point::{
+    Position, Velocity, angle_between, direction, front_point, front_point_velocity, velocity_point,
+};
 pub use reference::{
     Circle, External, FigureOfEight, MAX_PATH_POINTS, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Path,
     PathSpeed, Reference, ReferenceError, ReferencePoint, VelocityStep, VelocitySteps, Waypoint,
     Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
+pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};
+pub use safety_filter::{
+    Filtered, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter, SafetyInput,
+};
 pub use setpoint::{
     Demand, MAX_TRAJECTORY_POINTS, Setpoint, SetpointError, SetpointStamp, SpeedDemand,
     SteeringDemand, Trajectory, TrajectoryPiece, TrajectoryPoint,
@@ -67,4 +84,5 @@ pub use single_track::{
     LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
 };
 pub use time::Time;
+pub use tracking::{OuterLoop, TrackingInput};
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

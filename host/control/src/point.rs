@@ -3,6 +3,8 @@
 use libm::{cos, sin};
 use nalgebra::{Point2, Vector2};
 
+use crate::{FrontPointLaw, Motion};
+
 /// A position on the floor, world frame, in m.
 pub type Position = Point2<f64>;
 
@@ -29,6 +31,23 @@ pub fn front_point(
     centre_of_mass
         + front_axle_distance * direction(yaw)
         + point_distance * direction(yaw + steering)
+}
+
+/// Equation 4: the velocity of the point P of [`front_point`], in m/s, when G moves with `speed`
+/// (m/s) and the steering angle changes with `steering_rate` (rad/s).
+#[must_use]
+pub fn front_point_velocity(
+    law: &FrontPointLaw,
+    motion: &Motion,
+    steering: f64,
+    speed: f64,
+    steering_rate: f64,
+) -> Velocity {
+    let left = |angle: f64| Velocity::new(-sin(angle), cos(angle));
+    let turn_of_wheels = motion.yaw_rate + steering_rate;
+    speed * direction(motion.yaw + motion.sideslip)
+        + law.front_axle_distance() * motion.yaw_rate * left(motion.yaw)
+        + law.point_distance() * turn_of_wheels * left(motion.yaw + steering)
 }
 
 /// The appendix: the point P, `point_distance` (m) ahead of G in the direction of the

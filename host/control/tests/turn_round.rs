@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    Circle, FrontPointLaw, LimitedLaw, Limits, Motion, OuterLoop, Position, ProportionalLoop,
-    Reference, RelaxedSingleTrack, SingleTrackState, VehicleParameters, Velocity,
+    Circle, FrontPointLaw, LimitedLaw, Limits, Motion, Position, ProportionalLoop, Reference,
+    RelaxedSingleTrack, SingleTrackState, VehicleParameters, Velocity,
 };
 
 const PERIOD: f64 = 0.01;

@@ -149,6 +149,22 @@ impl External {
         }
     }
 
+    /// The point demanded `ahead` seconds after `now`; none for steering and speed. A point of
+    /// a set-point moves on with its velocity.
+    pub(super) fn point_ahead(&self, now: Time, ahead: f64) -> Option<ReferencePoint> {
+        let follows = self.newest.is_some_and(|newest| newest.demand.is_none());
+        if follows {
+            return self.trajectory_at(now.after(ahead));
+        }
+        match self.demand(now) {
+            Demand::Actuation { .. } => None,
+            Demand::Point(ReferencePoint { position, velocity }) => Some(ReferencePoint {
+                position: position.map(|position| position + ahead * velocity),
+                velocity,
+            }),
+        }
+    }
+
     /// How long a set-point is valid, s.
     #[must_use]
     pub const fn timeout(&self) -> f64 {

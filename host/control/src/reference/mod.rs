@@ -140,6 +140,18 @@ impl Reference {
         }
     }
 
+    /// The point that the reference will demand `ahead` seconds after `now`, which is `time`
+    /// seconds after the start of the drive; none if it demands steering and speed.
+    ///
+    /// Of a set-point from outside, no more is known than its velocity.
+    #[must_use]
+    pub fn point_ahead(&self, now: Time, time: f64, ahead: f64) -> Option<ReferencePoint> {
+        match self {
+            Self::External(external) => external.point_ahead(now, ahead),
+            own => Some(own.at(time + ahead)),
+        }
+    }
+
     /// The reference at `time` seconds after the start of the drive; standstill for set-points
     /// from outside, which no one knows beforehand.
     #[must_use]

@@ -1,0 +1,452 @@
+//! The safety filter before hostile outer loops, on a kinematic car with lags and dead times.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::{collections::VecDeque, f64::consts::TAU};
+
+use proptest::prelude::*;
+use singletrack_control::{
+    Circle, ConvexArea, Estimate, Filtered, FrontPointLaw, LimitedLaw, Limits, Position,
+    ProportionalLoop, Reference, RelaxedSingleTrack, SafetyConfig, SafetyFilter, SafetyInput,
+    SingleTrackState, Time, VehicleParameters, Velocity, direction,
+};
+
+const PERIOD: f64 = 0.01;
+const WHEELBASE: f64 = 0.26;
+/// From G to the rear axle.
+const L_R: f64 = 0.1232;
+/// What the car does at least when its motor is at neutral, m/s².
+const BRAKING: f64 = 0.9;
+/// What the stop of the pilot commands, m/s².
+const RAMP: f64 = 1.5;
+
+fn rectangle(x: f64, y: f64) -> ConvexArea {
+    let corners = [(-x, -y), (x, -y), (x, y), (-x, y)];
+    ConvexArea::new(&corners.map(|(x, y)| Position::new(x, y))).unwrap()
+}
+
+fn config(area: ConvexArea) -> SafetyConfig {
+    SafetyConfig {
+        area,
+        // 30 ms of dead time, and the lag of 80 ms: the ramp is behind by no more.
+        reaction: 0.15,
+        steering_ticks: 20,
+        position_error: 0.01,
+        course_error: 0.02,
+        curvature_error: 0.1,
+        max_speed: 1.5,
+        max_lateral_acceleration: 2.0,
+        wheelbase: WHEELBASE,
+    }
+}
+
+fn limits() -> Limits {
+    Limits {
+        max_acceleration: 2.0,
+        ..Limits::paper()
+    }
+}
+
+/// A car that rolls without slip, or with the tyres of the paper's. Its servo has a dead time of 20 ms and a lag of 40 ms, its
+/// motor one of 30 ms and a lag of 80 ms, and it never slows down faster than [`BRAKING`].
+struct Car {
+    /// Position of the centre of mass, yaw, yaw rate and sideslip.
+    state: SingleTrackState,
+    tyres: Option<RelaxedSingleTrack>,
+    /// The speed of the rear axle along the car, m/s.
+    speed: f64,
+    steering: f64,
+    steering_commands: VecDeque<f64>,
+    speed_commands: VecDeque<f64>,
+}
+
+impl Car {
+    fn standing(at: Position, yaw: f64) -> Self {
+        Self {
+            state: SingleTrackState {
+                x: at.x,
+                y: at.y,
+                yaw,
+                ..SingleTrackState::default()
+            },
+            tyres: None,
+            speed: 0.0,
+            steering: 0.0,
+            steering_commands: vec![0.0; 2].into(),
+            speed_commands: vec![0.0; 3].into(),
+        }
+    }
+
+    fn centre_of_mass(&self) -> Position {
+        Position::new(self.state.x, self.state.y)
+    }
+
+    fn estimate(&self, time: Time, error: Velocity) -> Estimate {
+        Estimate {
+            time,
+            position: self.centre_of_mass() + error,
+            yaw: self.state.yaw,
+            yaw_rate: self.state.yaw_rate,
+            sideslip: self.state.sideslip,
+            speed: self.speed / self.state.sideslip.cos(),
+            pose_time: time,
+        }
+    }
+
+    fn advance(&mut self, speed: f64, steering: f64) {
+        self.steering_commands.push_back(steering);
+        self.speed_commands.push_back(speed);
+        let steering = self.steering_commands.pop_front().unwrap();
+        let speed = self.speed_commands.pop_front().unwrap();
+        for _ in 0..10 {
+            let step = PERIOD / 10.0;
+            self.steering += (steering - self.steering) * step / 0.04;
+            let change = (speed - self.speed) / 0.08;
+            self.speed += change.max(-BRAKING) * step;
+            self.speed = self.speed.max(0.0);
+            let of_centre = self.speed / self.state.sideslip.cos();
+            if let Some(tyres) = &self.tyres {
+                let rate = tyres.derivative(&self.state, of_centre, self.steering);
+                self.state.yaw_rate += rate.yaw_rate * step;
+                self.state.sideslip += rate.sideslip * step;
+            } else {
+                self.state.sideslip = (L_R * self.steering.tan() / WHEELBASE).atan();
+                self.state.yaw_rate = self.speed * self.steering.tan() / WHEELBASE;
+            }
+            self.state.yaw += self.state.yaw_rate * step;
+            let way = of_centre * step * direction(self.state.yaw + self.state.sideslip);
+            self.state.x += way.x;
+            self.state.y += way.y;
+        }
+    }
+}
+
+#[derive(Default, Debug)]
+struct Drive {
+    /// The least distance of the centre of mass from a side, m.
+    clearance: f64,
+    changed: u32,
+    stopped: u32,
+    way: f64,
+    lateral: f64,
+}
+
+/// Drives the car with whatever `wanted` asks for, by the tick and the position of P.
+fn drive(
+    car: &mut Car,
+    config: &SafetyConfig,
+    ticks: u32,
+    mut wanted: impl FnMut(u32, &Position, &Estimate) -> Velocity,
+) -> Drive {
+    let mut law = LimitedLaw::new(
+        FrontPointLaw::new(WHEELBASE - L_R, 0.35, WHEELBASE).unwrap(),
+        limits(),
+    );
+    let mut filter = SafetyFilter::new(config.clone()).unwrap();
+    filter.reset(0.0);
+    let mut result = Drive {
+        clearance: f64::INFINITY,
+        ..Drive::default()
+    };
+    for tick in 0..ticks {
+        // The position is wrong by what the filter allows for, in a direction that turns.
+        let error = config.position_error * 0.99 * direction(0.01 * f64::from(tick));
+        let estimate = car.estimate(Time(u64::from(tick) * 10_000_000), error);
+        let point = law
+            .law()
+            .point(estimate.position, estimate.yaw, law.actuation().steering);
+        let wanted = wanted(tick, &point, &estimate);
+        let input = SafetyInput {
+            estimate: &estimate,
+            law: &law,
+            pace: estimate.speed.max(law.actuation().speed),
+            blind: 0.0,
+            braking: BRAKING,
+            period: PERIOD,
+        };
+        let velocity = match filter.step(&input, &wanted) {
+            Filtered::Unchanged => Some(wanted),
+            Filtered::Changed(velocity) => {
+                result.changed += 1;
+                Some(velocity)
+            }
+            Filtered::Stop => {
+                result.stopped += 1;
+                None
+            }
+        };
+        let actuation = velocity
+            .and_then(|velocity| {
+                law.step(&estimate.motion(), estimate.speed, &velocity, PERIOD)
+                    .ok()
+            })
+            .unwrap_or_else(|| law.slow_down(RAMP, PERIOD));
+        car.advance(actuation.speed, actuation.steering);
+        result.way += car.speed * PERIOD;
+        result.lateral = f64::max(result.lateral, (car.speed * car.state.yaw_rate).abs());
+        result.clearance = result
+            .clearance
+            .min(config.area.clearance(&car.centre_of_mass()));
+    }
+    result
+}
+
+#[test]
+fn a_drive_that_keeps_its_distance_is_not_touched() {
+    let config = config(rectangle(3.0, 3.0));
+    let circle = Reference::Circle(Circle::new(Position::origin(), 1.0, 0.7).unwrap());
+    let tracking = ProportionalLoop {
+        gain: Velocity::new(2.0, 2.0),
+        feed_forward: true,
+    };
+    let mut car = Car::standing(Position::new(1.0, -0.6), TAU / 4.0);
+    let drive = drive(&mut car, &config, 2000, |tick, point, _| {
+        tracking.velocity(&circle.at(f64::from(tick) * PERIOD), point)
+    });
+    assert_eq!((drive.changed, drive.stopped), (0, 0), "{drive:?}");
+    assert!(drive.way > 10.0, "{drive:?}");
+}
+
+#[test]
+fn full_speed_at_a_wall_ends_before_it_and_not_far_from_it() {
+    let config = config(rectangle(2.0, 2.0));
+    for degrees in [0.0, 20.0, 45.0, 70.0_f64] {
+        let heading = degrees.to_radians();
+        let mut car = Car::standing(Position::new(-1.0, -1.0), heading);
+        let drive = drive(&mut car, &config, 1000, |_, _, _| 1.5 * direction(heading));
+        println!("{degrees} degrees: {drive:?}");
+        assert!(drive.clearance > 0.0, "{degrees} degrees: {drive:?}");
+        assert!(drive.clearance < 0.7, "{degrees} degrees: {drive:?}");
+        assert!(drive.way > 1.5, "{degrees} degrees: {drive:?}");
+    }
+}
+
+#[test]
+fn a_velocity_that_is_not_finite_stops_the_car() {
+    let config = config(rectangle(3.0, 3.0));
+    for broken in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut car = Car::standing(Position::new(-1.0, 0.0), 0.0);
+        let drive = drive(&mut car, &config, 600, |tick, _, _| {
+            if tick < 200 {
+                Velocity::new(0.8, 0.0)
+            } else {
+                Velocity::new(broken, 0.3)
+            }
+        });
+        assert_eq!(drive.stopped, 400, "{drive:?}");
+        assert!(car.speed < 1e-3, "{}", car.speed);
+    }
+}
+
+#[test]
+fn a_path_too_near_to_a_wall_is_followed_beside_it() {
+    // A circle that reaches 0.2 m beyond the area: the car goes on round inside.
+    let config = config(rectangle(1.5, 1.5));
+    let circle = Reference::Circle(Circle::new(Position::new(0.5, 0.0), 1.2, 0.5).unwrap());
+    let tracking = ProportionalLoop {
+        gain: Velocity::new(2.0, 2.0),
+        feed_forward: true,
+    };
+    let mut car = Car::standing(Position::new(-0.7, 0.4), -TAU / 4.0);
+    let drive = drive(&mut car, &config, 6000, |tick, point, _| {
+        tracking.velocity(&circle.at(TAU + f64::from(tick) * PERIOD), point)
+    });
+    println!("{drive:?}");
+    assert!(drive.clearance > 0.0, "{drive:?}");
+    assert!(drive.changed > 0 && drive.way > 5.0, "{drive:?}");
+}
+
+#[test]
+fn settings_that_make_no_sense_are_refused() {
+    for change in [
+        (|config: &mut SafetyConfig| config.reaction = -0.1) as fn(&mut SafetyConfig),
+        |config| config.course_error = f64::NAN,
+        |config| config.max_speed = f64::INFINITY,
+        |config| config.steering_ticks = 100,
+    ] {
+        let mut config = config(rectangle(1.0, 1.0));
+        change(&mut config);
+        assert!(SafetyFilter::new(config).is_err());
+    }
+}
+
+/// How a hostile outer loop chooses.
+#[derive(Clone, Copy, Debug)]
+enum Hostile {
+    /// At the nearest side, as fast as possible.
+    Out,
+    /// To and fro between two directions.
+    BangBang,
+    /// Anything, and sometimes no number.
+    Random,
+    /// Along the side, then suddenly at it.
+    Feint,
+    /// Hard into a bend towards the side.
+    Bend,
+}
+
+fn hostile_kinds() -> impl Strategy<Value = Hostile> {
+    prop_oneof![
+        Just(Hostile::Out),
+        Just(Hostile::BangBang),
+        Just(Hostile::Random),
+        Just(Hostile::Feint),
+        Just(Hostile::Bend),
+    ]
+}
+
+/// A hostile outer loop: its kind, a seed, for how many ticks it keeps to something, and how
+/// fast it wants P to be (m/s).
+#[derive(Clone, Copy, Debug)]
+struct Attack {
+    kind: Hostile,
+    seed: u64,
+    hold: u32,
+    size: f64,
+}
+
+prop_compose! {
+    fn attacks()(
+        kind in hostile_kinds(),
+        seed in any::<u64>(),
+        hold in 1..80u32,
+        size in 0.2..40.0,
+    ) -> Attack {
+        Attack { kind, seed, hold, size }
+    }
+}
+
+impl Attack {
+    fn on(self, area: ConvexArea) -> impl FnMut(u32, &Position, &Estimate) -> Velocity {
+        let Self {
+            kind,
+            seed,
+            hold,
+            size,
+        } = self;
+        let mut state = seed | 1;
+        let mut random = move || {
+            // xorshift: enough to surprise.
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let mut held = Velocity::zeros();
+        move |tick, point, estimate| {
+            let nearest = area
+                .sides()
+                .iter()
+                .min_by(|a, b| a.distance(point).total_cmp(&b.distance(point)))
+                .unwrap();
+            let along = Velocity::new(-nearest.outward.y, nearest.outward.x);
+            match kind {
+                Hostile::Out => nearest.outward * size,
+                Hostile::Feint => {
+                    // Along the side, the way that it already goes, and then at it.
+                    let along = along * along.dot(&direction(estimate.yaw)).signum();
+                    if (tick / hold) % 4 == 3 {
+                        nearest.outward * size
+                    } else {
+                        along * size
+                    }
+                }
+                Hostile::BangBang => {
+                    let side = if (tick / hold) % 2 == 0 { 1.2 } else { -1.2 };
+                    direction(estimate.yaw + side) * size
+                }
+                Hostile::Bend => direction(estimate.yaw + 0.5 * (size / 40.0 - 0.5)) * 1.5,
+                Hostile::Random => {
+                    if tick % hold == 0 {
+                        held = direction(TAU * random()) * size * random();
+                        if random() < 0.05 {
+                            held.x = f64::NAN;
+                        }
+                    }
+                    held
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn without_the_filter_the_same_outer_loop_drives_the_car_out() {
+    let area = rectangle(2.0, 2.0);
+    let mut attack = Attack {
+        kind: Hostile::Out,
+        seed: 1,
+        hold: 1,
+        size: 1.0,
+    }
+    .on(area.clone());
+    let mut car = Car::standing(Position::origin(), 0.3);
+    let mut law = LimitedLaw::new(
+        FrontPointLaw::new(WHEELBASE - L_R, 0.35, WHEELBASE).unwrap(),
+        limits(),
+    );
+    for tick in 0..1500 {
+        let estimate = car.estimate(Time(0), Velocity::zeros());
+        let steering = law.actuation().steering;
+        let point = law.law().point(estimate.position, estimate.yaw, steering);
+        let wanted = attack(tick, &point, &estimate);
+        let actuation = law
+            .step(&estimate.motion(), estimate.speed, &wanted, PERIOD)
+            .unwrap();
+        car.advance(actuation.speed, actuation.steering);
+    }
+    assert!(area.clearance(&car.centre_of_mass()) < -1.0);
+}
+
+#[test]
+fn a_sideslip_that_changes_while_the_wheels_turn_is_allowed_for() {
+    // Found by a search: 3 mm outside when the way began in the present direction of motion.
+    let attack = Attack {
+        kind: Hostile::Random,
+        seed: 9_249_331_039_170_544_050,
+        hold: 41,
+        size: 10.291_792_330_184_54,
+    };
+    let area = rectangle(1.584_698_852_289_016_2, 2.839_860_194_063_053);
+    let mut car = Car::standing(Position::origin(), -0.476_109_662_070_950_6);
+    let drive = drive(&mut car, &config(area.clone()), 1500, attack.on(area));
+    assert!(drive.clearance >= 0.0, "{drive:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    #[test]
+    fn no_outer_loop_drives_the_centre_of_mass_out_of_its_area(
+        attack in attacks(),
+        (x, y, yaw) in (-0.6..0.6, -0.6..0.6, -3.2..3.2),
+        (width, height) in (1.2..3.0, 1.2..3.0),
+    ) {
+        let area = rectangle(width, height);
+        let mut car = Car::standing(Position::new(x, y), yaw);
+        let drive = drive(&mut car, &config(area.clone()), 1500, attack.on(area));
+        prop_assert!(drive.clearance >= 0.0, "{drive:?}");
+        // What the car's acceleration adds to 2.0 while the wheels are on their way.
+        prop_assert!(drive.lateral <= 2.2, "{drive:?}");
+    }
+
+    /// Tyres slip: the curvature is another one than the steering's, by what the filter allows.
+    #[test]
+    fn no_outer_loop_drives_a_car_with_tyres_out_of_its_area(
+        attack in attacks(),
+        (x, y, yaw) in (-0.6..0.6, -0.6..0.6, -3.2..3.2),
+        (width, height) in (1.2..3.0, 1.2..3.0),
+    ) {
+        let area = rectangle(width, height);
+        let config = SafetyConfig {
+            curvature_error: 0.5,
+            ..config(area.clone())
+        };
+        let mut car = Car {
+            tyres: Some(RelaxedSingleTrack::new(VehicleParameters::paper())),
+            ..Car::standing(Position::new(x, y), yaw)
+        };
+        let drive = drive(&mut car, &config, 1500, attack.on(area));
+        prop_assert!(drive.clearance >= 0.0, "{drive:?}");
+    }
+}
